@@ -31,7 +31,7 @@ test-interpreter: install
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
 test-mcu: install
-	$(BIN)/python -m pytest -n 0 -rs tests/engine/test_export.py -k CortexM4F
+	$(BIN)/python -m pytest -n 0 -rs tests/lab/engine/test_export.py -k CortexM4F
 	$(BIN)/python -m benchmarks.mcu
 
 # Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.

@@ -15,7 +15,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-PROGRAMS = ("vision", "simulation/render/rays")
+PROGRAMS = ("vision", "lab/simulation/render/rays")
 """Packages whose folder ``native`` holds a program in C."""
 
 
@@ -28,8 +28,8 @@ class Prebuilt(BuildHookInterface):
             return
         source = Path(self.root, "src")
         sys.path.insert(0, str(source))
-        from homeward.engine.native.compiler import NativeError
-        from homeward.engine.native.library import PREBUILT, prebuild
+        from homeward.native.compiler import NativeError
+        from homeward.native.library import PREBUILT, prebuild
 
         self._workshop = tempfile.TemporaryDirectory()
         compiled = {}

@@ -11,10 +11,10 @@ import argparse
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.bounds import posterior_bound
-from homeward.studies.planning.accuracy import Arcs
-from homeward.studies.planning.settings import HomePlace, Plan
+from homeward.geometry.angles import wrap
+from homeward.lab.bounds import posterior_bound
+from homeward.lab.planning.accuracy import Arcs
+from homeward.lab.planning.settings import HomePlace, Plan
 
 STEPS, DT, SPEED = 6, 0.8, 0.25
 STEP = 1e-6

@@ -26,22 +26,22 @@ from typing import Any
 import numpy as np
 
 from benchmarks.render import room_number
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import unit_vectors
 from homeward.drives.drive import HomeBearing, Odometry, Sightings
 from homeward.drives.home.spin import spin
-from homeward.drives.text.settings import validated
 from homeward.errors import InputError
-from homeward.frames import Pose, Twist
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist
+from homeward.io.settings import validated
+from homeward.lab.simulation.course import before
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.loop import ImageLoop, panorama_of, things_seen
+from homeward.lab.simulation.render.rays.raycast import Viewpoint, points, trace
+from homeward.lab.simulation.render.room.presets import PLANS
+from homeward.lab.simulation.render.room.settings import RenderScenario
+from homeward.lab.simulation.render.scene import tag_places
+from homeward.lab.simulation.sensing import Wheels
 from homeward.registry import make_estimator
-from homeward.simulation.course import before
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, panorama_of, things_seen
-from homeward.simulation.render.rays.raycast import Viewpoint, points, trace
-from homeward.simulation.render.room.presets import PLANS
-from homeward.simulation.render.room.settings import RenderScenario
-from homeward.simulation.render.scene import tag_places
-from homeward.simulation.sensing import Wheels
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import extract

@@ -18,16 +18,16 @@ import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.monte_carlo import Figures, Run, column
-from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
+from homeward.geometry.angles import wrap
+from homeward.lab.simulation.course import Ending
+from homeward.lab.simulation.files import PAPER_HOMING
+from homeward.lab.simulation.scenario import Moved, Ring, Scenario
+from homeward.lab.simulation.simulate import Simulation, prepare, simulate
+from homeward.lab.studies.study.trial import simulated_trial
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
-from homeward.simulation.course import Ending
-from homeward.simulation.files import PAPER_HOMING
-from homeward.simulation.scenario import Moved, Ring, Scenario
-from homeward.simulation.simulate import Simulation, prepare, simulate
-from homeward.studies.study.trial import simulated_trial
 
 HOMING = "homing, 1 moved"
 PARTS: dict[str, dict[str, Any]] = {f"{n} moved": {"moved": Moved(count=n)} for n in range(3)}

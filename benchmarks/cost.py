@@ -15,8 +15,7 @@ import gtsam
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.localizer.localizer import Localizer
-from homeward.simulation.scenario import (
+from homeward.lab.simulation.scenario import (
     Circle,
     Moved,
     Noise,
@@ -26,7 +25,8 @@ from homeward.simulation.scenario import (
     Scenario,
     StartPose,
 )
-from homeward.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import simulate
+from homeward.localizer.localizer import Localizer
 
 RATE = 2.0
 """Bearing stamps, and so keyframes, per second [Hz]."""

@@ -38,12 +38,12 @@ from benchmarks.timing import (
     start_up,
     wall,
 )
-from homeward.engine.batch.homing import run_homing
-from homeward.engine.batch.recorded import run_recorded
-from homeward.engine.native.source import NativeProgram
-from homeward.engine.program.stages import filter_program
-from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.model import PolarModel
+from homeward.lab.engine.batch.homing import run_homing
+from homeward.lab.engine.batch.recorded import run_recorded
+from homeward.lab.engine.native.source import NativeProgram
+from homeward.lab.engine.program.stages import filter_program
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.model import PolarModel
 
 BASELINE = Path(__file__).with_name("engine_baseline.json")
 AGREE, AGREE_DYNAMAX = 1e-6, 1e-5

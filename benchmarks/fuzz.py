@@ -31,7 +31,7 @@ import numpy as np
 from PIL import Image
 
 from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.log import Channel
 from homeward.drives.ros.messages.decoding import Decoder
@@ -39,18 +39,18 @@ from homeward.drives.ros.messages.definitions import DEFINITIONS
 from homeward.drives.ros.messages.names import ODOMETRY
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.saving import save_drive
-from homeward.drives.text.files import shipped_yaml
-from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import HomewardError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.reading import shipped_yaml
+from homeward.io.settings import read_settings, settings_yaml
+from homeward.lab.planning.settings import load_plan
+from homeward.lab.simulation.files import PRESETS, load_scenario, scenario_yaml
+from homeward.lab.simulation.render.room.presets import load_room, room
+from homeward.lab.studies.blocks.store import BlockStore
+from homeward.lab.studies.study.plan import make_plan
+from homeward.lab.studies.study.settings import load_study
 from homeward.registry import make_estimator
-from homeward.simulation.files import PRESETS, load_scenario, scenario_yaml
-from homeward.simulation.render.room.presets import load_room, room
-from homeward.studies.blocks.store import BlockStore
-from homeward.studies.planning.settings import load_plan
-from homeward.studies.single_run import load_run
-from homeward.studies.study.plan import make_plan
-from homeward.studies.study.settings import load_study
+from homeward.runs.single_run import load_run
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.recorded.settings import read_image_settings
 

@@ -14,12 +14,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from homeward.engine.batch.homing import HomingResult, run_homing
-from homeward.engine.cuda.device import CudaError, gpu
-from homeward.filters.augmented import augmented_ekf
-from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.filters.proportional_integral import ProportionalIntegralFilter
-from homeward.model import PolarModel
+from homeward.lab.engine.batch.homing import HomingResult, run_homing
+from homeward.lab.engine.cuda.device import CudaError, gpu
+from homeward.lab.filters.augmented import augmented_ekf
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.lab.model import PolarModel
 
 STEPS = 400
 SEED = 1

@@ -16,10 +16,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing, Sensor
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, bearing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 
 DT, EVERY = 0.1, 2

@@ -19,14 +19,21 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.consistency.trial import wandering
 from benchmarks.monte_carlo import Run
-from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
-from homeward.frames import Pose, bearing, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose
+from homeward.lab.simulation.scenario import (
+    Noise,
+    OdometryErrors,
+    Rates,
+    Ring,
+    Scenario,
+    Visibility,
+)
+from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.scoring import errors
-from homeward.simulation.scenario import Noise, OdometryErrors, Rates, Ring, Scenario, Visibility
-from homeward.simulation.simulate import Simulation, simulate
+from homeward.runs.scoring import errors
 from homeward.track import Track
 from homeward.track import run as follow
 

@@ -15,10 +15,10 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.monte_carlo import Run
 from homeward.control.laws import LAWS, STOP_RADIUS
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.simulate import prepare, simulate
 from homeward.registry import make_estimator
-from homeward.report.tables import markdown
-from homeward.simulation.files import load_scenario
-from homeward.simulation.simulate import prepare, simulate
+from homeward.runs.report.tables import markdown
 
 HOME_M = 2 * STOP_RADIUS
 """Truly nearer than this is home."""

@@ -20,16 +20,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.bounds import posterior_bound
 from homeward.drives.drive import Drive
-from homeward.engine.export.source import project
-from homeward.filters.settings import FilterSettings
+from homeward.lab.bounds import posterior_bound
+from homeward.lab.engine.export.source import project
+from homeward.lab.filters.settings import FilterSettings
+from homeward.lab.simulation.files import PAPER_HOMING
+from homeward.lab.simulation.scenario import Moved
+from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.registry import make_estimator
-from homeward.simulation.files import PAPER_HOMING
-from homeward.simulation.scenario import Moved
-from homeward.simulation.simulate import Simulation, simulate
 
-REPLAY = Path(__file__).parents[1] / "tests" / "engine" / "replay.c"
+REPLAY = Path(__file__).parents[1] / "tests" / "lab" / "engine" / "replay.c"
 HOST = (
     *("cc", "-std=c99", "-O2", "-Wall", "-Wextra", "-Werror", "-pedantic", "-Wconversion"),
     *("-Wshadow", "-Wdouble-promotion", "-ffp-contract=off"),

@@ -1,7 +1,8 @@
 """Monte Carlo harness of the benchmarks: named runs, in processes, resumed, with progress.
 
-A run is a scenario, an estimator and a seed. Each run is a block of `homeward.studies.blocks`, the
-engine of `homeward study`: it survives killed workers and, with a folder, continues where it ended.
+A run is a scenario, an estimator and a seed. Each run is a block of `homeward.lab.studies.blocks`,
+the engine of `homeward study`: it survives killed workers and continues where it ended,
+with a folder.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import homeward
-from homeward.engine.batch.execution import available_threads
-from homeward.studies.blocks.finish import Where, Work
-from homeward.studies.blocks.store import Arrays, BlockStore
+from homeward.lab.engine.batch.execution import available_threads
+from homeward.lab.studies.blocks.finish import Where, Work
+from homeward.lab.studies.blocks.store import Arrays, BlockStore
 
 Figures = dict[str, Any]
 """Of one run, by name: a number, text or an array; None where a number is unknown."""

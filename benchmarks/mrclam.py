@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.drives.mrclam import read_mrclam
-from homeward.frames import Pose
+from homeward.drives.importers.mrclam import read_mrclam
+from homeward.geometry.frames import Pose
+from homeward.lab.studies.study.recordings import falsified
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.scoring import Errors, errors, statistics
-from homeward.studies.study.recordings import falsified
+from homeward.runs.scoring import Errors, errors, statistics
 from homeward.track import Track, run
 
 AFTER_S, POSE_AFTER_S = 300.0, 240.0

@@ -19,10 +19,10 @@ from benchmarks.consistency.trial import Leg, Trial, scaled, trial, untold, wand
 from benchmarks.lasting import figures
 from benchmarks.monte_carlo import Run
 from homeward.drives.odometry_noise import OdometryDefaults
+from homeward.lab.simulation.scenario import OdometryErrors
+from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.simulation.scenario import OdometryErrors
-from homeward.simulation.simulate import Simulation, simulate
 from homeward.track import run as follow
 
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0)

@@ -12,9 +12,9 @@ import time
 
 import numpy as np
 
-from homeward.studies.planning.analysis import analyse
-from homeward.studies.planning.floor import candidate_places, make_floor
-from homeward.studies.planning.settings import HomePlace, Plan
+from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.floor import candidate_places, make_floor
+from homeward.lab.planning.settings import HomePlace, Plan
 
 LANDMARKS = 30
 

@@ -20,11 +20,11 @@ from benchmarks.render import FAR_OFF, IMAGES_PER_S, scenario
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.lab.simulation.render.dataset import write_rendered
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.scenario import Circle
 from homeward.registry import make_estimator
-from homeward.scoring import errors
-from homeward.simulation.render.dataset import write_rendered
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.scenario import Circle
+from homeward.runs.scoring import errors
 from homeward.track import run as follow
 from homeward.vision.opencv import opencv
 from homeward.vision.recorded.estimator import ImageDrive

@@ -24,20 +24,20 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import unit_vectors
-from homeward.drives.text.settings import validated
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.frames import to_polar
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import to_polar
+from homeward.io.settings import validated
+from homeward.lab.simulation.course import Ending
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.loop import ImageLoop, panorama_of, things_seen
+from homeward.lab.simulation.render.rays.raycast import points, trace
+from homeward.lab.simulation.render.room.presets import PLANS, room
+from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.registry import make_estimator
-from homeward.scoring import errors
-from homeward.simulation.course import Ending
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import ImageLoop, panorama_of, things_seen
-from homeward.simulation.render.rays.raycast import points, trace
-from homeward.simulation.render.room.presets import PLANS, room
-from homeward.simulation.render.room.settings import RenderScenario
+from homeward.runs.scoring import errors
 from homeward.track import track_of
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import Features, extract

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.mrclam import data
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.localizer.home.hypotheses import Hypotheses, search
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.output.pose import centre

@@ -22,6 +22,9 @@ from typing import Any
 
 import numpy as np
 
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.live_client import SimulatedRobotClient, play
+from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -30,10 +33,7 @@ from homeward.live.messages import (
     line_of,
     parse_output,
 )
-from homeward.live.player import SimulatedRobotClient, play
 from homeward.live.server import Address
-from homeward.simulation.files import load_scenario
-from homeward.simulation.live_robot import LiveRobot
 
 WARM_S = 150.0
 """Until the map's window of open keyframes is full memory may grow [s]."""

@@ -19,13 +19,13 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.text.settings import read_tree
+from homeward.geometry.angles import wrap
+from homeward.io.settings import read_tree
 
 PIXEL_SIGMA = 0.5
 """As bags are read [px]."""

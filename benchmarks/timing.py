@@ -10,7 +10,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from homeward.engine.batch.execution import available_threads
+from homeward.lab.engine.batch.execution import available_threads
 
 TOLERANCE = 0.5
 """A ratio may fall to this share of its baseline: machines differ, and other work disturbs."""

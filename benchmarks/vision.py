@@ -19,8 +19,8 @@ import numpy as np
 from benchmarks.mrclam import data
 from benchmarks.panoramas.antworld import Grid, antworld, chained
 from benchmarks.timing import clock, in_turns
-from homeward.angles import wrap
-from homeward.scoring import normalised_squared
+from homeward.geometry.angles import wrap
+from homeward.runs.scoring import normalised_squared
 from homeward.vision import Comparison, Equirectangular, compare, extract
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
@@ -84,7 +84,7 @@ def speed(rounds: int = 15) -> None:
 
 def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)) -> None:
     """Goals 1 and 5: rendered sparse rooms, three boxes moved since home, and perhaps the light."""
-    from homeward.simulation.render.room.presets import PLANS
+    from homeward.lab.simulation.render.room.presets import PLANS
 
     for light, width in product(lights, widths):
         errors, sigmas, refused, total = [], [], 0, 0
@@ -120,7 +120,7 @@ def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused
 
 def strangers(seeds: int, light: str) -> None:
     """Goal 5: false accepts between rooms that have nothing in common but kinds of texture."""
-    from homeward.simulation.render.room.presets import PLANS
+    from homeward.lab.simulation.render.room.presets import PLANS
 
     views = [
         (name, seed, *(extract(p, Equirectangular()) for p in rendered(name, seed, 512, light)[:2]))
@@ -149,7 +149,7 @@ def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Compariso
 
 def relit(scenario: Any, light: str) -> Any:
     """Return a scenario whose light is another one than when home was stored."""
-    from homeward.simulation.render.room.light import Light, Lighting, Sun
+    from homeward.lab.simulation.render.room.light import Light, Lighting, Sun
 
     changes: dict[str, Any] = {"home_light": Lighting()}
     outline, home = np.array(scenario.room.outline), scenario.home
@@ -172,9 +172,9 @@ def rendered(
     name: str, seed: int, width: int, light: str = SAME
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a room's home image, one from up to 3 m away, and true direction and heading."""
-    from homeward.frames import Polar, from_polar
-    from homeward.simulation.render.eye import Eye
-    from homeward.simulation.render.room.presets import room
+    from homeward.geometry.frames import Polar, from_polar
+    from homeward.lab.simulation.render.eye import Eye
+    from homeward.lab.simulation.render.room.presets import room
 
     scenario = relit(room(name, seed, distance=(0.3, 3.0)), light)
     camera = scenario.camera.model_copy(

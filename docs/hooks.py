@@ -20,11 +20,11 @@ from typer.testing import CliRunner
 import homeward
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
-from homeward.drives.text.keys import keys
 from homeward.estimator import Status
+from homeward.io.keys import keys
 from homeward.reasons import Reason, Rejection
 from homeward.registry import estimator_names, settings_model
-from homeward.report.template import GLOSSARY
+from homeward.runs.report.template import GLOSSARY
 
 PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
 """Words of the glossary that stand too often to be explained wherever they stand."""

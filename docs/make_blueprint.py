@@ -1,4 +1,4 @@
-"""Write src/homeward/report/templates/rerun.rbl again: `.venv/bin/python docs/make_blueprint.py`.
+"""Write rerun.rbl of the report's templates again: `.venv/bin/python docs/make_blueprint.py`.
 
 `homeward run` writes a copy next to run.mcap; `rerun out/demo/rerun.rbl out/demo/run.mcap` opens
 both. Rerun applies a blueprint to recordings of the same application, named after the file: run.
@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-FILE = Path(__file__).parents[1] / "src/homeward/report/templates/rerun.rbl"
+FILE = Path(__file__).parents[1] / "src/homeward/runs/report/templates/rerun.rbl"
 SIZES = {"home": 1.5, "path": 1.2, "true_path": 0.5, "rays": 1.2, "landmarks": 5.0, "robot": 1.5}
 """Radii of the points of each cloud [points of the screen]; Rerun knows these by their sign."""
 # Rerun takes the positions of a PointCloud2 by itself and keeps each other field as a component.

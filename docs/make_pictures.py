@@ -14,16 +14,16 @@ from pathlib import Path
 
 from rerun.experimental import ViewerClient
 
-from homeward.observability.study import observe
-from homeward.report.canvas import png
-from homeward.report.observe.figures import draw_family
-from homeward.report.plan.figures import draw_begin
-from homeward.report.run.folder import write_run
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.room.presets import load_room
-from homeward.studies.planning.analysis import analyse
-from homeward.studies.planning.settings import load_plan
-from homeward.studies.single_run import SAMPLE, RunSettings, finish, prepare
+from homeward.lab.observability.study import observe
+from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.settings import load_plan
+from homeward.lab.report.observe.figures import draw_family
+from homeward.lab.report.plan.figures import draw_begin
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.room.presets import load_room
+from homeward.runs.report.canvas import png
+from homeward.runs.report.folder import write_run
+from homeward.runs.single_run import SAMPLE, RunSettings, finish, prepare
 from homeward.vision.opencv import opencv
 
 IMAGES = Path(__file__).parent / "images"

@@ -7,16 +7,16 @@ minutes of a processor for the paper's layouts, and ten minutes for the two tuni
 import argparse
 from pathlib import Path
 
-from homeward.report.canvas import png
-from homeward.report.paper.layout_figures import FIGURES
-from homeward.report.study.maps import draw_maps, grids
-from homeward.studies.blocks.finish import Work
-from homeward.studies.blocks.store import store_of
-from homeward.studies.paper.layouts import LayoutSettings, open_store
-from homeward.studies.paper.reproduction import study_layouts
-from homeward.studies.study.plan import make_plan
-from homeward.studies.study.results import run_study
-from homeward.studies.study.settings import load_study
+from homeward.lab.report.paper.layout_figures import FIGURES
+from homeward.lab.report.study.maps import draw_maps, grids
+from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.store import store_of
+from homeward.lab.studies.paper.layouts import LayoutSettings, open_store
+from homeward.lab.studies.paper.reproduction import study_layouts
+from homeward.lab.studies.study.plan import make_plan
+from homeward.lab.studies.study.results import run_study
+from homeward.lab.studies.study.settings import load_study
+from homeward.runs.report.canvas import png
 
 IMAGES = Path(__file__).parent / "images"
 DPI = 110

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from homeward.engine.native.program import Program
+from homeward.native.program import Program
 
 # The same examples every time: a change is judged by itself, not by the day's dice.
 settings.register_profile("repeatable", derandomize=True)
@@ -20,15 +20,15 @@ INTERPRETER = (
     "drives/ros/test_round_trip",
     "drives/test_folder",
     "drives/test_landmarks_yaml",
-    "engine/native",
+    "lab/engine/native",
     "live/test_live_messages",
     "live/test_server",
-    "studies/test_blocks",
+    "lab/studies/test_blocks",
     "studio/test_studio_server",
     "test_by_value",
     "test_core_install",
     "test_imports",
-    "test_one_thread",
+    "io/test_one_thread",
     "test_plugins",
 )
 """Tests whose result can depend on the Python version: imports, command line, text and YAML files,

@@ -10,7 +10,7 @@ import pytest
 from benchmarks.fuzz import small_drive
 from homeward.drives.drive import HomeBearing
 from homeward.estimator import Estimate, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.registry import ESTIMATORS, make_estimator
 
 HERE = Estimate(

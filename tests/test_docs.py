@@ -16,8 +16,8 @@ from typer.exceptions import TyperException
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import KnownLandmarks
-from homeward.drives.text.settings import parse_settings
 from homeward.errors import InputError
+from homeward.io.settings import parse_settings
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -113,7 +113,10 @@ def test_links_lead_to_files(page):
 
 def test_every_page_with_python_is_run():
     run = (ROOT / "tests" / "test_readme.py").read_text(encoding="utf-8")
-    elsewhere = {"do/studies.md": "studies/test_study.py", "do/estimators.md": "test_plugins.py"}
+    elsewhere = {
+        "do/studies.md": "lab/studies/test_study.py",
+        "do/estimators.md": "test_plugins.py",
+    }
     elsewhere["do/cameras.md"] = "vision/test_tags.py"
     elsewhere["do/live.md"] = "live/test_live_client.py"
     elsewhere["do/known-landmarks.md"] = "drives/test_landmarks_yaml.py"

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from studies.chores import in_this_process
+from lab.studies.chores import in_this_process
 
 from benchmarks.leaderboard import __main__ as command
 from benchmarks.leaderboard.board import by_family, entries, overall, page
@@ -43,7 +43,7 @@ def test_failures_rank_before_errors():
 
 
 def test_it_runs_and_continues_from_what_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
     rows = every([("table", 0)], ["robust"], 1, tmp_path / "kept")
     assert rows[0]["rmse"] < 0.05
     assert rows[0]["pose"] > 0.5

@@ -20,9 +20,9 @@ from homeward.track import run
 
 TEMPLATE = Path(__file__).parents[1] / "docs" / "do" / "estimator"
 GOOD = """
-from homeward.drives.drive import Strict
+from homeward.io.strict import Strict
 from homeward.estimator import Counts, Estimate, Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 
 class Settings(Strict):
     x: float = 1.0

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from docs.notebooks import notebook
-from homeward.studies.single_run import sample_drive
+from homeward.runs.single_run import sample_drive
 
 ROOT = Path(__file__).resolve().parents[1]
 LESSONS = sorted((ROOT / "docs" / "learn").glob("*.md"))

@@ -8,7 +8,7 @@ import pytest
 from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.track import Innovations, run
 
 

@@ -50,10 +50,10 @@ from dataclasses import astuple
 
 import numpy as np
 
-from homeward.frames import Polar, from_polar
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.rays.raycast import compiled as rays
-from homeward.simulation.render.room.presets import room
+from homeward.geometry.frames import Polar, from_polar
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.rays.raycast import compiled as rays
+from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.compiled import compiled as vision
 

@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.consistency.trial import Trial, now_and_then
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
-from homeward.frames import Pose, bearing, compose
-from homeward.simulation.simulate import Simulation
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose
+from homeward.lab.simulation.simulate import Simulation
 
 WALKED_M = 4.0
 """People walk to and fro in a square of so many metres to each side of home."""

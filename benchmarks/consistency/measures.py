@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.consistency.trial import Trial
 from homeward.estimator import Status
-from homeward.scoring import errors, score
+from homeward.runs.scoring import errors, score
 from homeward.track import Track
 
 SURE = (Status.LOCALISED, Status.COASTING)

@@ -34,9 +34,9 @@ from benchmarks.consistency.trial import (
     wandering,
 )
 from homeward.drives.drive import Mount
-from homeward.frames import Pose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.scenario import (
+from homeward.geometry.frames import Pose
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.scenario import (
     Listed,
     Moved,
     Noise,
@@ -51,7 +51,7 @@ from homeward.simulation.scenario import (
     Visibility,
     Waypoints,
 )
-from homeward.simulation.simulate import Simulation, simulate
+from homeward.lab.simulation.simulate import Simulation, simulate
 
 DRIVE_S, LEG_S = 80.0, 50.0
 """How long a drive, and each leg of one in two, takes [s]."""

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, OdometryNoise, Sensor, Sightings, Truth
-from homeward.simulation.scenario import (
+from homeward.lab.simulation.scenario import (
     Noise,
     OdometryErrors,
     Rates,
@@ -22,8 +22,8 @@ from homeward.simulation.scenario import (
     Visibility,
     Waypoints,
 )
-from homeward.simulation.simulate import Simulation
-from homeward.studies.study.trial import Trial, drive_bound
+from homeward.lab.simulation.simulate import Simulation
+from homeward.lab.studies.study.trial import Trial, drive_bound
 
 SAME_PLACE_M = 1e-6
 """A landmark that stands so near to where it stood has not moved [m]."""

@@ -10,9 +10,8 @@ import numpy as np
 from benchmarks.leaderboard.families import Family
 from benchmarks.leaderboard.runs import Row
 from benchmarks.monte_carlo import column
-from homeward.naming import number, share
-from homeward.report.tables import markdown
-from homeward.studies.study.statistics import (
+from homeward.io.naming import number, share
+from homeward.lab.studies.study.statistics import (
     Interval,
     adjusted,
     geometric_mean,
@@ -21,7 +20,8 @@ from homeward.studies.study.statistics import (
     mean,
     paired,
 )
-from homeward.studies.study.summary import probability, with_interval
+from homeward.lab.studies.study.summary import probability, with_interval
+from homeward.runs.report.tables import markdown
 
 LEAST_POSE = 0.5
 """A run with a pose for less of the time has failed."""

@@ -13,10 +13,10 @@ from typing import Any
 from benchmarks.consistency.measures import figures
 from benchmarks.leaderboard.families import real, simulated
 from benchmarks.monte_carlo import Run, run_all
+from homeward.lab.studies.study.trial import Trial
 from homeward.registry import estimator_names, make_estimator
-from homeward.scoring import errors, score
-from homeward.studies.single_run import with_start
-from homeward.studies.study.trial import Trial
+from homeward.runs.scoring import errors, score
+from homeward.runs.single_run import with_start
 from homeward.track import run as follow
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "do" / "estimator"

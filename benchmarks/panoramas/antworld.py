@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.mrclam import data
 from benchmarks.panoramas.baselines import compass, min_warping
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, Features, compare, extract
 from homeward.vision.cameras.image_files import read_grey
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.filters.augmented import augmented_ekf
-from homeward.filters.ekf import ExtendedKalmanFilter
-from homeward.frames import Polar, Pose, bearing, from_polar
+from homeward.geometry.frames import Polar, Pose, bearing, from_polar
+from homeward.lab.filters.augmented import augmented_ekf
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
 
 DT = 0.05
 GUARD = 0.01

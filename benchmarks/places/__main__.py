@@ -28,13 +28,13 @@ from benchmarks.places.persistence_filter import PersistentResection
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from benchmarks.survey.peers import Resection
 from homeward.drives.drive import Drive, KnownLandmarks
-from homeward.drives.mrclam import read_mrclam
-from homeward.frames import Pose, between
+from homeward.drives.importers.mrclam import read_mrclam
+from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place
 from homeward.places.telling import told_by
 from homeward.places.visiting import first_place, merged
-from homeward.scoring import errors, statistics
+from homeward.runs.scoring import errors, statistics
 from homeward.track import Track, run
 
 OUTSIDE = 20.0

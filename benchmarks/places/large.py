@@ -16,14 +16,7 @@ import numpy as np
 
 from benchmarks.places.warehouse import BEARING_SIGMA
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.localizer.localizer import Localizer
-from homeward.places.files import load_place, save_place
-from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
-from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.telling import Looks, VisitData
-from homeward.places.visiting import merged
-from homeward.simulation.scenario import (
+from homeward.lab.simulation.scenario import (
     Listed,
     Noise,
     OdometryErrors,
@@ -34,7 +27,14 @@ from homeward.simulation.scenario import (
     Visibility,
     Waypoints,
 )
-from homeward.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import simulate
+from homeward.localizer.localizer import Localizer
+from homeward.places.files import load_place, save_place
+from homeward.places.joint_map import JointMap
+from homeward.places.persistence import Standing
+from homeward.places.place import Place, StoredHome, Visit
+from homeward.places.telling import Looks, VisitData
+from homeward.places.visiting import merged
 
 HALL = 60.0, 40.0
 """[m]"""

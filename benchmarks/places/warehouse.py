@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.simulation.scenario import (
+from homeward.lab.simulation.scenario import (
     Listed,
     Noise,
     OdometryErrors,
@@ -22,7 +22,7 @@ from homeward.simulation.scenario import (
     Visibility,
     Waypoints,
 )
-from homeward.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import simulate
 
 ROOM = Room(
     bounds=(0.0, 0.0, 20.0, 12.0),

@@ -23,7 +23,10 @@ import numpy as np
 from benchmarks.places.warehouse import HOME, Warehouse
 from benchmarks.routes.rivals import DeadReckoning, from_home_to_home, homes_on_the_way
 from homeward.control.following import Path as Line
-from homeward.frames import Pose, between
+from homeward.geometry.frames import Pose, between
+from homeward.lab.simulation.course import Ending
+from homeward.lab.simulation.scenario import Push, Repeat, Scenario, StartPose, Teach
+from homeward.lab.simulation.simulate import Simulation, prepare, simulate
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.places.files import save_place
@@ -32,9 +35,6 @@ from homeward.places.route import stands
 from homeward.places.telling import told_by
 from homeward.places.visiting import first_place
 from homeward.registry import make_estimator
-from homeward.simulation.course import Ending
-from homeward.simulation.scenario import Push, Repeat, Scenario, StartPose, Teach
-from homeward.simulation.simulate import Simulation, prepare, simulate
 from homeward.track import run
 
 POINTS = ((1.5, 10.5), (10.0, 10.5), (10.0, 6.0), (18.5, 6.0), (18.5, 1.5))

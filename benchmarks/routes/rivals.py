@@ -9,19 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.control.goals import BearingGoal, Belief, PointGoal
 from homeward.control.laws import law_named
 from homeward.drives.drive import HomeBearing, Start
 from homeward.estimator import Counts, Estimate, Status
-from homeward.frames import Pose, Twist, advance, between, to_polar
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, advance, between, to_polar
+from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.scenario import Homing, Scenario
+from homeward.lab.simulation.sensing import Camera
+from homeward.lab.simulation.trajectories import Control, GoalControl, exact, limits_of
+from homeward.lab.simulation.world import build_world
 from homeward.odometry.validity import TWIST_VALIDITY_S
 from homeward.registry import make_estimator
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.scenario import Homing, Scenario
-from homeward.simulation.sensing import Camera
-from homeward.simulation.trajectories import Control, GoalControl, exact, limits_of
-from homeward.simulation.world import build_world
 
 APART = 2.0
 """Homes on the way are so far apart [m]."""

@@ -23,9 +23,9 @@ from benchmarks.monte_carlo import Figures, Run
 from benchmarks.mrclam import HOME, data
 from benchmarks.sensitivity.tunables import Tunable, constants, fields
 from benchmarks.sensitivity.variant import AS_IT_IS, SMOOTHED, variant
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
+from homeward.lab.studies.study.trial import Trial, unknown_bound
 from homeward.localizer.settings import LocalizerSettings
-from homeward.studies.study.trial import Trial, unknown_bound
 
 FACTORS = (0.5, 2.0)
 MUCH = 0.1

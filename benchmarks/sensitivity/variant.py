@@ -15,7 +15,7 @@ import numpy as np
 from benchmarks.consistency.measures import figures
 from benchmarks.monte_carlo import Run
 from benchmarks.sensitivity.tunables import Tunable, change, changed
-from homeward.studies.study.trial import Trial
+from homeward.lab.studies.study.trial import Trial
 from homeward.track import Track, run
 
 if TYPE_CHECKING:

@@ -22,11 +22,11 @@ from benchmarks.mrclam import AFTER_S, HOME, data, map_scale, rmse_of, surveyed_
 from benchmarks.survey.hall import DT, EVERY, SPEED_SIGMA, TURN_SIGMA, Hall, make_hall
 from benchmarks.survey.peers import ParticleFilter, Resection
 from homeward.drives.drive import Drive
-from homeward.drives.mrclam import read_mrclam
-from homeward.frames import Pose
+from homeward.drives.importers.mrclam import read_mrclam
+from homeward.geometry.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.scoring import errors
+from homeward.runs.scoring import errors
 from homeward.track import run
 
 PARTICLE_SIGMA = 0.02

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.frames import Pose, Twist, advance, bearing
+from homeward.geometry.frames import Pose, Twist, advance, bearing
 
 LONG, WIDE, SEES = 20.0, 12.0, 14.0
 """The hall, and how far reflectors are seen [m]."""

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.localizer.home.resection import poses_from_triples
 
 STEPS = 8

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from scipy.stats import chi2
 
 from homeward import make_estimator, open_drive, run
-from homeward.angles import wrap
-from homeward.frames import Pose, bearing, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose
 from homeward.odometry.dead_reckoning import dead_reckoning
-from homeward.report.canvas import png, style
-from homeward.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, STATUS_COLOURS, VERMILLION
+from homeward.runs.report.canvas import png, style
+from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, STATUS_COLOURS, VERMILLION
 
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 SIZE_IN = (5.6, 3.2)

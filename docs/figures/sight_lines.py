@@ -14,10 +14,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from homeward import Pose, Sightings, make_estimator, run, smooth
-from homeward.angles import wrap
-from homeward.drives.mrclam import read_mrclam
-from homeward.drives.text.table import read_columns
-from homeward.frames import between
+from homeward.drives.importers.mrclam import read_mrclam
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import between
+from homeward.io.table import read_columns
 
 HOME = Pose(1.5, 0.0, 0.3)
 PAIR = {"11": "#0072b2", "17": "#d55e00"}

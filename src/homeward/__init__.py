@@ -22,15 +22,15 @@ if TYPE_CHECKING:
     from homeward.drives.home.looks import HomeLooks
     from homeward.drives.opening import open_drive
     from homeward.drives.saving import save_drive
-    from homeward.engine.estimators.paper import a_ekf, ekf, pi_ekf
     from homeward.errors import HomewardError, InputError
     from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
-    from homeward.filters.settings import (
+    from homeward.geometry.frames import Polar, Pose
+    from homeward.lab.engine.estimators.paper import a_ekf, ekf, pi_ekf
+    from homeward.lab.filters.settings import (
         AugmentedSettings,
         FilterSettings,
         ProportionalIntegralSettings,
     )
-    from homeward.frames import Polar, Pose
     from homeward.localizer.localizer import Localizer
     from homeward.localizer.settings import LocalizerSettings
     from homeward.localizer.smoothing import smooth
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from homeward.places.place import Place
     from homeward.reasons import Reason, Rejection
     from homeward.registry import make_estimator
-    from homeward.scoring import score
+    from homeward.runs.scoring import score
     from homeward.track import Track, run
 
     __version__: str
@@ -51,11 +51,11 @@ _NAMES = {
     "drives.home.looks": ("HomeLooks",),
     "drives.opening": ("open_drive",),
     "drives.saving": ("save_drive",),
-    "engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
+    "lab.engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
     "errors": ("HomewardError", "InputError"),
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
-    "filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
-    "frames": ("Polar", "Pose"),
+    "lab.filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
+    "geometry.frames": ("Polar", "Pose"),
     "localizer.localizer": ("Localizer",),
     "localizer.settings": ("LocalizerSettings",),
     "localizer.smoothing": ("smooth",),
@@ -63,7 +63,7 @@ _NAMES = {
     "places.place": ("Place",),
     "reasons": ("Reason", "Rejection"),
     "registry": ("make_estimator",),
-    "scoring": ("score",),
+    "runs.scoring": ("score",),
     "track": ("Track", "run"),
 }
 """What each module offers to all."""

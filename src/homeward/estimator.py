@@ -18,7 +18,7 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.frames import Polar, Pose, to_polar
+from homeward.geometry.frames import Polar, Pose, to_polar
 from homeward.reasons import Rejection
 
 

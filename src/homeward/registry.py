@@ -6,10 +6,11 @@ import inspect
 from collections.abc import Callable
 from typing import Any
 
-from homeward.drives.drive import Drive, Strict
-from homeward.drives.text.settings import validated
+from homeward.drives.drive import Drive
 from homeward.errors import needs_start_prior
 from homeward.estimator import Estimator
+from homeward.io.settings import validated
+from homeward.io.strict import Strict
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.plugins import ESTIMATORS as GROUP
@@ -96,7 +97,7 @@ def _entry(name: str) -> tuple[type[Strict], _Maker]:
         return LocalizerSettings, _robust
     if name in NEED_START:
         # Imported here alone: the localiser needs none of the filters.
-        from homeward.engine.estimators.table import FILTERS
+        from homeward.lab.engine.estimators.table import FILTERS
 
         return FILTERS[name]
     make = load(GROUP, name, ESTIMATORS)

@@ -11,8 +11,8 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
-from homeward.naming import natural
-from homeward.one_thread import one_thread
+from homeward.io.naming import natural
+from homeward.io.one_thread import one_thread
 
 GRID_S = 0.1
 """Between bearing stamps an estimate is kept this often [s]."""

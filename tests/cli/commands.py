@@ -12,7 +12,7 @@ from homeward.drives.opening import sample_drive
 
 def call(*words, page=False, **options):
     """Call a command in this process; a run writes an empty page, unless a test needs its words."""
-    empty = patch("homeward.report.run.page.write_page", lambda file, *rest: file.touch())
+    empty = patch("homeward.runs.report.page.write_page", lambda file, *rest: file.touch())
     with nullcontext() if page else empty:
         return CliRunner().invoke(app, [str(word) for word in words], **options)
 

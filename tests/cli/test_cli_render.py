@@ -9,7 +9,7 @@ import yaml
 from commands import call, done
 
 from homeward.drives.folder import read_folder
-from homeward.simulation.render.room.presets import room
+from homeward.lab.simulation.render.room.presets import room
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 SMALL = ("camera.width=128", "camera.height=32", "trajectory.duration=2", "rates.bearings=2")

@@ -24,11 +24,11 @@ from homeward.cli import terminal
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings
-from homeward.drives.text.keys import ANY, keys
-from homeward.drives.text.settings import nested, validated
 from homeward.errors import InputError, needs_extra, without
+from homeward.io.keys import ANY, keys
+from homeward.io.settings import nested, validated
 from homeward.registry import ESTIMATORS, settings_model
-from homeward.studies import single_run
+from homeward.runs import single_run
 
 ROOT = Path(__file__).resolve().parents[2]
 NAMES = [name for name in typer.main.get_command(app).commands if name != "place"]

@@ -10,10 +10,10 @@ from commands import call, done, refused
 
 from homeward.drives.folder import read_folder, write_folder
 from homeward.drives.opening import open_drive
-from homeward.drives.text.settings import validated
-from homeward.frames import Pose, compose
-from homeward.simulation.scenario import Scenario
-from homeward.simulation.simulate import simulate
+from homeward.geometry.frames import Pose, compose
+from homeward.io.settings import validated
+from homeward.lab.simulation.scenario import Scenario
+from homeward.lab.simulation.simulate import simulate
 
 HOME = {"x": 1.5, "y": 1.0, "heading": 0.3}
 ROUND = {

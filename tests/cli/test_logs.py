@@ -10,8 +10,8 @@ from commands import call, done, first_seconds, refused
 from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.text.settings import read_settings
-from homeward.studies.single_run import sample_drive
+from homeward.io.settings import read_settings
+from homeward.runs.single_run import sample_drive
 
 
 @pytest.fixture

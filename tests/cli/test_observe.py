@@ -5,10 +5,10 @@ import pytest
 import yaml
 from commands import call, done
 
-from homeward.report.observe.figures import draw_drive_view
-from homeward.report.observe.page import drive_summary
-from homeward.studies.observing import observe_drive
-from homeward.studies.single_run import RunSettings, prepare
+from homeward.lab.report.observe.figures import draw_drive_view
+from homeward.lab.report.observe.page import drive_summary
+from homeward.lab.studies.observing import observe_drive
+from homeward.runs.single_run import RunSettings, prepare
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ from commands import call, done, first_seconds, refused
 
 from homeward import open_drive, save_drive
 from homeward.places.files import load_place, newest, save_place
-from homeward.studies.single_run import load_run, prepare
+from homeward.runs.single_run import load_run, prepare
 
 SHORT = ["run", "{short}"]
 AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home-at"]

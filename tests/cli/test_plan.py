@@ -6,10 +6,10 @@ import pytest
 import yaml
 from commands import call, done, refused
 
-from homeward.drives.text.files import shipped
-from homeward.report.plan.words import plan_summary
-from homeward.studies.planning.analysis import analyse
-from homeward.studies.planning.settings import load_plan
+from homeward.io.reading import shipped
+from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.settings import load_plan
+from homeward.lab.report.plan.words import plan_summary
 
 FILES = {
     "plan.html",

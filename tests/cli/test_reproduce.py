@@ -7,18 +7,18 @@ import numpy as np
 import pytest
 import yaml
 from commands import call, done
-from studies.chores import in_this_process
+from lab.studies.chores import in_this_process
 
 from homeward.cli import options
-from homeward.report.paper.claims import verdict
-from homeward.report.paper.figures import FIGURES, figures_of
-from homeward.report.paper.page import found, sentences
-from homeward.studies.blocks.finish import Work
-from homeward.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
-from homeward.studies.paper.layouts import Question, Reading, ask, open_store
-from homeward.studies.paper.reproduction import reproduce
-from homeward.studies.paper.settings import Assumed, PaperSettings, Printed
-from homeward.studies.paper.tables import (
+from homeward.lab.report.paper.claims import verdict
+from homeward.lab.report.paper.figures import FIGURES, figures_of
+from homeward.lab.report.paper.page import found, sentences
+from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
+from homeward.lab.studies.paper.layouts import Question, Reading, ask, open_store
+from homeward.lab.studies.paper.reproduction import reproduce
+from homeward.lab.studies.paper.settings import Assumed, PaperSettings, Printed
+from homeward.lab.studies.paper.tables import (
     PRINTED,
     beats_printed,
     better_shares,
@@ -26,7 +26,7 @@ from homeward.studies.paper.tables import (
     printed_order_shares,
     rows,
 )
-from homeward.studies.paper.world import CASES, draw_world
+from homeward.lab.studies.paper.world import CASES, draw_world
 
 OFF = (0.05, 0.1, 0.1)
 """A start that is off."""
@@ -37,7 +37,7 @@ RUNS = 8
 @pytest.fixture(autouse=True)
 def here(monkeypatch):
     """Compute blocks in this process: workers have tests of their own."""
-    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
 
 
 def reproduced(folder, **settings):
@@ -47,7 +47,7 @@ def reproduced(folder, **settings):
 @pytest.fixture(scope="module")
 def result(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+        patch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
         return reproduced(tmp_path_factory.mktemp("paper"), runs=RUNS)
 
 
@@ -212,8 +212,8 @@ def test_a_stopped_reproduction_goes_on_from_its_blocks_and_a_pipe_gets_lines(
     def compute(function, arguments, processes):
         raise AssertionError(f"{len(arguments)} blocks computed again")
 
-    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", compute)
-    monkeypatch.setattr("homeward.report.paper.page.write_reproduction", lambda *_: None)
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", compute)
+    monkeypatch.setattr("homeward.lab.report.paper.page.write_reproduction", lambda *_: None)
     done(call(*words))
 
 

@@ -6,17 +6,17 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from commands import call, done
-from studies.chores import in_this_process
+from lab.studies.chores import in_this_process
 
-from homeward.angles import wrap
-from homeward.frames import Pose, bearing
-from homeward.studies.paper.cases import DEAD_RECKONING, run_filter
-from homeward.studies.paper.layouts import Block, Question, run_block
-from homeward.studies.paper.settings import Assumed, Imaged, PaperSettings
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing
+from homeward.lab.studies.paper.cases import DEAD_RECKONING, run_filter
+from homeward.lab.studies.paper.layouts import Block, Question, run_block
+from homeward.lab.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
-from homeward.report.paper.figures import draw_panorama
-from homeward.studies.paper.images import draw_image_world
+from homeward.lab.report.paper.figures import draw_panorama
+from homeward.lab.studies.paper.images import draw_image_world
 
 ONE = Assumed(faults=1, longest=2.0)
 SETTINGS = PaperSettings(measurements="images", images=Imaged(width=512), assumed=ONE, runs=1)
@@ -74,7 +74,7 @@ def test_the_panorama_s_legend_names_what_is_drawn(world, moved):
 
 
 def test_the_page_has_the_panorama(tmp_path, monkeypatch):
-    monkeypatch.setattr("homeward.studies.blocks.finish.on_processes", in_this_process)
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
     out = tmp_path / "paper"
     words = ["--set", "measurements=images", "--runs", "1", "--set", "images.width=512"]
     changes = ("longest=0.2", "circle_time=0.2", "faults=0", "single_fault=0", "several_faults=[]")
@@ -96,7 +96,7 @@ def test_dead_reckoning_looks_at_no_image(world):
 def test_faults_obtained_are_counted_where_fewer_came_than_were_asked_for(world, monkeypatch):
     """Rooms decide how many landmarks lie on moved boxes; the blocks keep what they gave."""
     some = replace(world, moved=np.arange(7) < 1)
-    monkeypatch.setattr("homeward.studies.paper.layouts.draw", lambda *_: some)
+    monkeypatch.setattr("homeward.lab.studies.paper.layouts.draw", lambda *_: some)
     block = Block(SETTINGS, "2", (DEAD_RECKONING,), 0, 1)
     assert run_block(block)["moved"].tolist() == [1]
     assert len(Question(SETTINGS, "2", (DEAD_RECKONING,), 3).blocks()) == 3

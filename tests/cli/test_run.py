@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 import yaml
 from commands import call, done, first_seconds, refused
-from report.made_up_run import FILES
+from runs.made_up_run import FILES
 
-from homeward.studies.single_run import sample_drive
+from homeward.runs.single_run import sample_drive
 
 
 @pytest.fixture

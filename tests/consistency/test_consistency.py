@@ -15,9 +15,9 @@ from benchmarks.consistency.sabotage import SABOTAGES, shows_in
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import lagging, slipping, untold
 from homeward.estimator import Counts, Estimate, Status
-from homeward.frames import Pose
-from homeward.simulation.files import PRESETS
-from homeward.simulation.simulate import simulate
+from homeward.geometry.frames import Pose
+from homeward.lab.simulation.files import PRESETS
+from homeward.lab.simulation.simulate import simulate
 from homeward.track import track_of
 
 HALF_SIGMAS = "covariances x 0.25"

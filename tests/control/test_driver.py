@@ -11,11 +11,11 @@ from homeward.control.goals import Belief, PointGoal, RouteGoal, State, TurnGoal
 from homeward.control.limits import Limits
 from homeward.control.watchdog import CLEARED_S, Fault
 from homeward.estimator import Status
-from homeward.frames import Pose, advance
+from homeward.geometry.frames import Pose, advance
+from homeward.lab.simulation.trajectories import GoalControl
 from homeward.live.messages import GoHome
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.simulation.trajectories import GoalControl
 
 DT = 0.02
 HOME = PointGoal("home", 0.0, 0.0)

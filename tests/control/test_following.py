@@ -16,7 +16,7 @@ from homeward.control.following import (
     Path,
     State,
 )
-from homeward.frames import Pose, advance
+from homeward.geometry.frames import Pose, advance
 
 DT = 0.05
 CORNERS = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])

@@ -15,10 +15,10 @@ from homeward.control.laws import (
     way_home,
 )
 from homeward.errors import InputError
-from homeward.frames import Polar, Pose, advance
-from homeward.simulation.course import Ending
-from homeward.simulation.files import load_scenario
-from homeward.simulation.simulate import simulate
+from homeward.geometry.frames import Polar, Pose, advance
+from homeward.lab.simulation.course import Ending
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.simulate import simulate
 
 TERMS = {
     average_landmark_vector: lambda d: 1 - np.cos(d),

@@ -10,19 +10,19 @@ from drives.valid_drive import put
 
 from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_folder
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.text import yaml_text
-from homeward.drives.text.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
-from homeward.drives.text.yaml_text import DEEPEST
 from homeward.errors import HomewardError, InputError, printable
-from homeward.frames import Pose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.render.room.presets import load_room
-from homeward.studies.planning.settings import load_plan
-from homeward.studies.single_run import load_run
-from homeward.studies.study.settings import load_study
+from homeward.geometry.frames import Pose
+from homeward.io import yaml_text
+from homeward.io.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
+from homeward.io.yaml_text import DEEPEST
+from homeward.lab.planning.settings import load_plan
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.render.room.presets import load_room
+from homeward.lab.studies.study.settings import load_study
+from homeward.runs.single_run import load_run
 from homeward.vision.recorded.settings import read_image_settings
 
 SETTINGS_READERS = {

@@ -24,8 +24,8 @@ from homeward.drives.folder import (
     read_folder,
     write_folder,
 )
-from homeward.drives.text.table import is_identifier
 from homeward.errors import InputError
+from homeward.io.table import is_identifier
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 angles = st.floats(-math.pi, math.pi, exclude_min=True)

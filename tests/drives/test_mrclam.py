@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from refusals import refusal
 from valid_drive import spoilt
 
-from homeward.angles import wrap
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
 from homeward.errors import InputError
-from homeward.frames import Pose, bearing, between, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, between, compose
 
 VALID = {
     "Barcodes.dat": b"# Subject #    Barcode #\n  1 \t   5\n  2 \t  14\n  6 \t  63\n  7 \t  81\n",

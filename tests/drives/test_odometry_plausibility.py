@@ -7,7 +7,7 @@ import pytest
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Start
 from homeward.drives.folder import read_folder
-from homeward.drives.foreign.reading import drive_of, understand
+from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.opening import open_drive
 from homeward.drives.plausibility import without_implausible
 from homeward.drives.pose_odometry import odometry_from_poses

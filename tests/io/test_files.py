@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from homeward.io.files import SCRATCH, whole_file, whole_folder
+from homeward.io.writing import SCRATCH, whole_file, whole_folder
 
 
 def fill(folder, names):

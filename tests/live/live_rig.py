@@ -2,14 +2,14 @@
 
 from functools import partial
 
-from homeward.frames import Twist
+from homeward.geometry.frames import Twist
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.live_client import SimulatedRobotClient
+from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.trajectories import make_control
 from homeward.live.messages import Departure, Event, StoreRoute
-from homeward.live.player import SimulatedRobotClient
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.simulation.files import load_scenario
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.trajectories import make_control
 
 SCENARIO = {
     "rates.odometry": 50.0,

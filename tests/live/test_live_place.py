@@ -14,6 +14,7 @@ from homeward import make_estimator, open_drive, run
 from homeward.cli.main import app
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
+from homeward.io.one_thread import one_thread
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -28,7 +29,6 @@ from homeward.live.messages import (
 from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
-from homeward.one_thread import one_thread
 from homeward.places.files import load_place, newest
 from homeward.places.telling import fingerprint
 

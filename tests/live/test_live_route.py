@@ -14,6 +14,7 @@ from live_rig import Rig, asked, texts
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
+from homeward.io.one_thread import one_thread
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -33,7 +34,6 @@ from homeward.live.server import Address, Server
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
-from homeward.one_thread import one_thread
 from homeward.places.files import load_place, newest
 
 SLOW = {"landmarks.count": 12, "rates.odometry": 25.0, "rates.bearings": 12.5}

@@ -6,8 +6,8 @@ import pytest
 from live_rig import Rig, driving
 
 from homeward import HomeLooks, InputError, Localizer
-from homeward.angles import wrap
 from homeward.estimator import Status
+from homeward.geometry.angles import wrap
 from homeward.live.messages import (
     Answer,
     BearingsIn,

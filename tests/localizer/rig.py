@@ -9,11 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
 from homeward.drives.odometry_noise import OdometryDefaults
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, Twist, advance, bearing, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, advance, bearing, compose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import Odometry
 from homeward.localizer.motion.process_noise import ProcessNoise

@@ -10,7 +10,7 @@ from test_found_out import Logged
 
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together

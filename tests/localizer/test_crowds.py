@@ -3,7 +3,7 @@
 from rig import Rig, ring
 
 from homeward.estimator import Status
-from homeward.frames import bearing
+from homeward.geometry.frames import bearing
 
 CAME, STAMPS, LATE = 12, 4, 100
 """So many new landmarks come with each stamp, seen for so many; home's come into sight late."""

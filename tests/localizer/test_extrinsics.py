@@ -8,7 +8,7 @@ from rig import BEARING_SIGMA, Rig, ring
 
 from homeward.drives.drive import DriveSettings, Sensor
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import NC
 from homeward.localizer.motion.extrinsics import Extrinsics

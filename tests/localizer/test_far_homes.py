@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from test_parts import problem
 
-from homeward.angles import wrap
 from homeward.drives.drive import OdometryNoise
-from homeward.frames import Pose, bearing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, update
 from homeward.localizer.home.linearisation import expected

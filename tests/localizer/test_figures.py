@@ -8,13 +8,13 @@ import pytest
 from benchmarks.case2 import bound, final_error, scenario
 from benchmarks.roh import fixes, places
 from homeward.drives.folder import read_folder
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import sample_drive
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.lab.simulation.simulate import simulate
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import LAG
-from homeward.scoring import errors, statistics
-from homeward.simulation.simulate import simulate
+from homeward.runs.scoring import errors, statistics
 from homeward.track import run
 
 

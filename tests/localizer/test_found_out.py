@@ -17,7 +17,7 @@ from homeward.drives.drive import (
     Start,
 )
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.home.tracker import START_NOTE
 from homeward.localizer.inputs.bearing_noise import BearingNoise

@@ -7,7 +7,7 @@ import pytest
 from rig import Rig, another_room, eight, ring, still
 
 from homeward.estimator import Status
-from homeward.frames import Pose, Twist
+from homeward.geometry.frames import Pose, Twist
 from homeward.reasons import Reason, Rejection
 
 

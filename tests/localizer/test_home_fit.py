@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.localizer.home.evidence import log_odds, log_outlier, log_set_prior, moved_share
 from homeward.localizer.home.gauss_newton import fit, solved
 from homeward.localizer.home.hypotheses import search

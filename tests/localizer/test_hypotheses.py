@@ -10,10 +10,10 @@ from scipy.integrate import trapezoid
 from test_far_homes import FAR, divided
 from test_parts import problem
 
-from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import OdometryNoise
 from homeward.estimator import Status
-from homeward.frames import Pose, between
+from homeward.geometry.angles import TWO_PI, wrap
+from homeward.geometry.frames import Pose, between
 from homeward.localizer.home.evidence import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_for

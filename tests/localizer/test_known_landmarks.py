@@ -11,7 +11,7 @@ from rig import NEES, Rig, ring
 from homeward.drives.drive import Drive, KnownLandmarks, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.frames import Twist
+from homeward.geometry.frames import Twist
 from homeward.geometry.se2 import rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations

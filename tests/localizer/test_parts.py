@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rig import Wheels
 
-from homeward.angles import wrap
 from homeward.estimator import Innovation
-from homeward.frames import Pose, bearing, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem

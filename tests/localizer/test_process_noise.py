@@ -18,7 +18,7 @@ from homeward.localizer.map.learning.variance_components import BearingErrors, m
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.odometry.history import STEADY_S, TwistHistory
-from homeward.scoring import errors
+from homeward.runs.scoring import errors
 from homeward.track import run
 
 W = 30

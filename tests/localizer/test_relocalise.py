@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from homeward.angles import wrap
-from homeward.frames import Pose, bearing, between, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, between, compose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import Landmark, Landmarks

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from rig import Rig, eight, ring, still
 
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing, Mount, Sensor
 from homeward.estimator import Status
-from homeward.frames import Twist
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Twist
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import SIGN_LAGS_S

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from rig import DT, EVERY, Rig, ring, still
 
-from homeward.angles import wrap
 from homeward.estimator import Status
-from homeward.frames import Twist, advance
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Twist, advance
 
 SLIP = Twist(0.2, 0.35)
 """Odometry reports a bend of 36 degrees in 1.8 s that the robot does not drive."""

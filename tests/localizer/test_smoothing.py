@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, ring
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.folder import read_folder
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, bearing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.track import run

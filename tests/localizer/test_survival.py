@@ -8,7 +8,7 @@ from rig import BEARING_SIGMA, Rig, ring
 
 from homeward.drives.drive import HomeBearing, Sensor
 from homeward.estimator import Status
-from homeward.frames import Pose, Twist
+from homeward.geometry.frames import Pose, Twist
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
 from homeward.localizer.motion.preintegration import TURN_SLIP
 from homeward.reasons import Rejection

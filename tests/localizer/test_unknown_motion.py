@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from rig import DT, Rig, eight, ring, still
 
-from homeward.angles import wrap
 from homeward.drives.drive import (
     Drive,
     KnownLandmarks,
@@ -19,6 +18,7 @@ from homeward.drives.drive import (
 )
 from homeward.drives.one_clock import on_one_clock
 from homeward.estimator import Status
+from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.plausibility import Plausibility

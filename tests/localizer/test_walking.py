@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rig import Rig, eight, ring
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.localizer.home.observation import averaged_covariance
 from homeward.localizer.map.elimination import NormalEquations, eliminate
 from homeward.localizer.map.factors import WeighedSightings, add_sightings

@@ -7,7 +7,7 @@ import pytest
 from visited import mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
-from homeward.frames import Pose, bearing
+from homeward.geometry.frames import Pose, bearing
 from homeward.places.joint_map import JointMap, fused
 
 RUNS = 60

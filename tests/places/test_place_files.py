@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 from visited import new_place, room, told
 
-from homeward.drives.text.table import write_csv
 from homeward.errors import InputError
+from homeward.io.table import write_csv
 from homeward.places.files import KEPT, load_place, newest, save_place, undo, update_place
 from homeward.places.place import FIRST_DAY, LAST_DAY
 from homeward.places.visiting import merged
-from homeward.report.place.words import date
+from homeward.runs.report.place.words import date
 
 
 @pytest.fixture

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from visited import mapped, new_place, room, told
 
-from homeward.drives.text.table import write_csv
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
 from homeward.geometry.se2 import compose
+from homeward.io.table import write_csv
 from homeward.places.files import load_place, save_place, undo
 from homeward.places.joint_map import JointMap
 from homeward.places.route import LEAST_DWELL, Node, Route, seen_along, taught

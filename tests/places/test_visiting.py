@@ -8,7 +8,7 @@ from visited import new_place, room, told
 
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, bearing
+from homeward.geometry.frames import Pose, bearing
 from homeward.places.files import load_place, save_place
 from homeward.places.place import NUDGED
 from homeward.places.telling import Looks

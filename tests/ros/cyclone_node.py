@@ -20,7 +20,10 @@ from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from live_rig import SCENARIO
 
-from homeward.frames import Twist as Command
+from homeward.geometry.frames import Twist as Command
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.live_client import SimulatedRobotClient
+from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -31,9 +34,6 @@ from homeward.live.messages import (
     parse_output,
 )
 from homeward.live.messages import Command as Commanded
-from homeward.live.player import SimulatedRobotClient
-from homeward.simulation.files import load_scenario
-from homeward.simulation.live_robot import LiveRobot
 
 
 def ros(kind):

@@ -19,11 +19,11 @@ from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 
-from homeward.frames import Pose as Planar
-from homeward.frames import Twist as Command
-from homeward.frames import advance, compose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.live_robot import LiveRobot
+from homeward.geometry.frames import Pose as Planar
+from homeward.geometry.frames import Twist as Command
+from homeward.geometry.frames import advance, compose
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.live_robot import LiveRobot
 
 
 class RobotNode(Node):

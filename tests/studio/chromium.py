@@ -9,7 +9,7 @@ import sys
 import time
 import urllib.request
 
-from report.browser import CHROMIUM
+from runs.browser import CHROMIUM
 from websockets.sync.client import connect
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from chromium import studio
 from places.visited import new_place, room, told
-from report.browser import needs_chromium
+from runs.browser import needs_chromium
 
 from homeward.places.files import save_place
 from homeward.places.visiting import merged

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_geometry import SIGMA, made_up, spread
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision.features.matching import match
 from homeward.vision.geometry.a_contrario import WITHIN, assess
 from homeward.vision.geometry.epipolar import Motion, Pairs

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from homeward.angles import wrap
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, Cylindrical, Equirectangular, sector_of
 from homeward.vision.cameras.ring import HELD_BACK, Ring, find_ring
 

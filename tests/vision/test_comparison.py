@@ -12,10 +12,10 @@ import cv2
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.angles import wrap
-from homeward.report.images import describe, picture
+from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.detection import MAX_FEATURES
+from homeward.vision.report import describe, picture
 
 CAMERA = Equirectangular()
 UNKNOWN = np.full((2, 2), np.inf)

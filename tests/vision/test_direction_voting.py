@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from test_visual_homing import Map, compared, scene
 
-from homeward.angles import wrap
 from homeward.estimator import Status
-from homeward.frames import Pose, compose, to_polar
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, compose, to_polar
 from homeward.vision.geometry.epipolar import Motion
 from homeward.vision.homing.direction_voting import MIN_ALIKE
 from homeward.vision.homing.fix import DIRECTION_HOLD_S

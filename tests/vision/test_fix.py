@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.vision.homing.fix import Fix, fused
 
 

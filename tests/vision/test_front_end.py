@@ -13,10 +13,10 @@ cv2 = pytest.importorskip("cv2")
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.angles import wrap
 from homeward.drives.folder import read_folder
 from homeward.drives.images import REPEATED_IMAGES, read_images
 from homeward.drives.opening import open_drive
+from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, extract
 from homeward.vision.front_end import PROVEN, FrontEnd
 from homeward.vision.recorded.folder import home_image, see_folder

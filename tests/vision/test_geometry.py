@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import tilt_matrix
+from homeward.geometry.angles import wrap
 from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
 from homeward.vision.geometry.jackknife import jackknife_covariance
 from homeward.vision.geometry.ransac import (

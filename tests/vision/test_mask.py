@@ -10,9 +10,9 @@ cv2 = pytest.importorskip("cv2")
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.angles import wrap
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, Mask, compare, extract
 from homeward.vision.cameras.image_files import read_mask
 from homeward.vision.cameras.ring import Ring

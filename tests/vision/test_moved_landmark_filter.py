@@ -10,7 +10,7 @@ from vision_scene import look as draw
 from vision_scene import make_room
 
 from homeward.estimator import LandmarkEstimate
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.vision import Equirectangular, VisualHoming, compare, extract
 from homeward.vision.front_end import home_name
 from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from told_map import Map, compared, scene
 
-from homeward.angles import wrap
 from homeward.drives.drive import Odometry, Sightings
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
 from homeward.reasons import Rejection
 from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S
 from homeward.vision.recorded.estimator import WAYS, ImageDrive, RecordedVisualHoming, way_home

@@ -16,16 +16,16 @@ from homeward.drives.drive import Drive, Odometry, Sightings, Start
 from homeward.drives.images import read_images
 from homeward.drives.opening import open_drive
 from homeward.estimator import Status
-from homeward.frames import Pose, bearing
+from homeward.geometry.frames import Pose, bearing
+from homeward.lab.simulation.files import changed_scenario
+from homeward.lab.simulation.render.dataset import write_rendered
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.room.presets import room
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.reasons import Rejection
 from homeward.registry import ESTIMATORS, make_estimator
-from homeward.scoring import errors
-from homeward.simulation.files import changed_scenario
-from homeward.simulation.render.dataset import write_rendered
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.room.presets import room
+from homeward.runs.scoring import errors
 from homeward.track import run
 from homeward.vision.recorded.estimator import WAYS, RecordedVisualHoming
 

@@ -12,9 +12,9 @@ from test_geometry import SIGMA, made_up
 from vision_scene import look as draw
 from vision_scene import make_room
 
-from homeward.angles import wrap
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.room.presets import room
+from homeward.geometry.angles import wrap
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.match_propagation import thinned
 from homeward.vision.features.self_similarity import self_similar

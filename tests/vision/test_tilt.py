@@ -5,12 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
-from homeward.frames import Pose
-from homeward.simulation.render.eye import Eye
-from homeward.simulation.render.loop import panorama_of
-from homeward.simulation.render.room.presets import room
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.loop import panorama_of
+from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.front_end import PROVEN, FrontEnd
 from homeward.vision.geometry.epipolar import Motion

@@ -9,7 +9,7 @@ from told_map import SIGMA, Map, bearings, compared, scene
 
 from homeward.drives.drive import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
-from homeward.frames import Pose, between, compose, to_polar
+from homeward.geometry.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection
 from homeward.vision.homing.fix import DIRECTION_HOLD_S, POSE_HOLD_S
 from homeward.vision.homing.resection import Direction, HomeLandmarks, predict_bearings, resect

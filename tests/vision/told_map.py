@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
-from homeward.frames import Pose, to_polar
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, to_polar
 from homeward.vision.comparison import Comparison
 from homeward.vision.geometry.a_contrario import Acceptance
 from homeward.vision.geometry.epipolar import Motion, Pairs

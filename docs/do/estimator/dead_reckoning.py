@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from homeward import Counts, Estimate, Pose, Status
-from homeward.frames import from_polar, polar_covariance_to_pose
+from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 

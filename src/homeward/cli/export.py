@@ -26,11 +26,11 @@ def export(
     The folder is laid out for Arduino and PlatformIO: src/ holds one .c and one .h, which need
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
-    from homeward.drives.text.settings import validated
-    from homeward.engine.export.source import MARKER, project
-    from homeward.engine.export.work import most_work
-    from homeward.filters.settings import FilterSettings
-    from homeward.report.output import check_output, whole_folder
+    from homeward.io.settings import validated
+    from homeward.lab.engine.export.source import MARKER, project
+    from homeward.lab.engine.export.work import most_work
+    from homeward.lab.filters.settings import FilterSettings
+    from homeward.runs.report.output import check_output, whole_folder
 
     settings = validated(FilterSettings, key_values(changes or []))
     files = project(landmarks, settings, precision == "float")

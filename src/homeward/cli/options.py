@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from homeward.cli.terminal import INTERRUPTED, refuse
-from homeward.drives.text.yaml_text import parse_yaml
 from homeward.errors import InputError, printable
+from homeward.io.yaml_text import parse_yaml
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive

@@ -13,18 +13,21 @@ from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.drives.drive import Strict
+    from homeward.io.strict import Strict
 
 OTHERS = {
-    "simulate": ("homeward simulate --set ..., scenario.yaml", "simulation.scenario:Scenario"),
+    "simulate": ("homeward simulate --set ..., scenario.yaml", "lab.simulation.scenario:Scenario"),
     "rooms": (
         "homeward simulate ROOM --images --set ..., scenario.yaml",
-        "simulation.render.room.settings:RenderScenario",
+        "lab.simulation.render.room.settings:RenderScenario",
     ),
-    "paper": ("homeward study paper --set ...", "studies.paper.settings:PaperSettings"),
-    "study": ("the YAML file of homeward study", "studies.study.settings:StudySettings"),
-    "map": ("the YAML file of homeward study, for a map", "studies.paper.map_settings:MapSettings"),
-    "plan": ("the YAML file of homeward plan", "studies.planning.settings:Plan"),
+    "paper": ("homeward study paper --set ...", "lab.studies.paper.settings:PaperSettings"),
+    "study": ("the YAML file of homeward study", "lab.studies.study.settings:StudySettings"),
+    "map": (
+        "the YAML file of homeward study, for a map",
+        "lab.studies.paper.map_settings:MapSettings",
+    ),
+    "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.drive:DriveSettings"),
     "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),
     "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
@@ -44,7 +47,7 @@ def settings(
     What an estimator or a command takes is given as --set KEY=VALUE; in a YAML file each dot is one
     level more. A * stands for the name or number of one of several.
     """
-    from homeward.drives.text.keys import keys
+    from homeward.io.keys import keys
     from homeward.registry import estimator_names, settings_model
 
     estimators = estimator_names()

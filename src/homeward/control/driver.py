@@ -9,7 +9,7 @@ from homeward.control.goals import Belief, Goal, GoalController, State
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Fault, Lasting
 from homeward.estimator import Status
-from homeward.frames import Twist, position_sigma
+from homeward.geometry.frames import Twist, position_sigma
 
 AFTERWARDS_S = 1.0
 """So long after the end the robot is told to stand, and then left to others [s]."""

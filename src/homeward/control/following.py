@@ -27,8 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import Pose, Twist, bearing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, bearing
 
 LOOKAHEAD = 0.4
 """The aim is so far ahead [m]: several times what a pose is off, so that its noise hardly steers,

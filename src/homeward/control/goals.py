@@ -15,13 +15,13 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.control import following
 from homeward.control.following import STAND
 from homeward.control.laws import Slope, homing, steer, way_home
 from homeward.control.limits import Limits
 from homeward.estimator import Status
-from homeward.frames import Pose, Twist, to_polar
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, to_polar
 
 ROUND = 1.05 * math.tau
 """Odometry that nobody calibrated may turn by 5 % less than it says [rad]."""

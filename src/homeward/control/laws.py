@@ -8,9 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.errors import InputError
-from homeward.frames import Polar, Twist
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Polar, Twist
 from homeward.plugins import LAWS as GROUP
 from homeward.plugins import fault, load
 

@@ -7,8 +7,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from homeward.drives.drive import NonNegative, Positive, Strict
-from homeward.frames import Twist
+from homeward.drives.drive import NonNegative, Positive
+from homeward.geometry.frames import Twist
+from homeward.io.strict import Strict
 
 PositiveOrInf = Annotated[float, Field(gt=0)]
 NonNegativeOrInf = Annotated[float, Field(ge=0)]

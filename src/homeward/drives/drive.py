@@ -9,11 +9,12 @@ from itertools import pairwise
 from typing import Annotated, Any, Literal, Self, TypedDict, cast
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, PrivateAttr, model_validator
+from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
-from homeward.angles import interpolate, wrap
 from homeward.estimator import ByValue
-from homeward.frames import Polar, Pose, between
+from homeward.geometry.angles import interpolate, wrap
+from homeward.geometry.frames import Polar, Pose, between
+from homeward.io.strict import Strict
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -22,12 +23,6 @@ Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
 Late = Annotated[float, Field(ge=-5, le=5)]
 """[s]; clocks farther apart than `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S` make no drive."""
-
-
-class Strict(BaseModel):
-    """A settings model that knows its keys and does not change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 class Mount(Strict):

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -21,9 +20,12 @@ from homeward.drives.drive import (
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.log import is_log
-from homeward.drives.text.files import is_there, naming, require_folder
-from homeward.drives.text.settings import read_settings, settings_yaml
-from homeward.drives.text.table import (
+from homeward.errors import InputError
+from homeward.geometry.angles import wrap
+from homeward.io.naming import listing, natural
+from homeward.io.reading import is_there, naming, require_folder
+from homeward.io.settings import read_settings, settings_yaml
+from homeward.io.table import (
     Table,
     identifiers,
     is_identifier,
@@ -33,9 +35,7 @@ from homeward.drives.text.table import (
     read_csv,
     write_csv,
 )
-from homeward.errors import InputError
-from homeward.io.files import whole_folder
-from homeward.naming import listing, natural
+from homeward.io.writing import whole_folder
 from homeward.odometry.clock import MAX_DELAY_S
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"

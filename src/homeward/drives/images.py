@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.text.files import is_there
-from homeward.drives.text.table import identifiers, numbers, quoted, read_csv
 from homeward.errors import InputError
+from homeward.io.reading import is_there
+from homeward.io.table import identifiers, numbers, quoted, read_csv
 
 IMAGES = "images.csv"
 KINDS = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}

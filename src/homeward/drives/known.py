@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks, Robot
-from homeward.drives.text.settings import Model, validated
 from homeward.errors import InputError
 from homeward.estimator import real
+from homeward.io.settings import Model, validated
 
 Home = Mapping[str, float | HomeBearing]
 """What the camera saw at home: bearings [rad] by landmark, with a deviation where it is known."""

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.drives.drive import OdometryNoise, Positive, Strict
+from homeward.drives.drive import OdometryNoise, Positive
+from homeward.io.strict import Strict
 
 
 class OdometryDefaults(Strict):

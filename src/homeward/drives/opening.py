@@ -12,14 +12,14 @@ from homeward.drives.drive import Drive, HomeWhen
 from homeward.drives.folder import BEARINGS, HOME, SETTINGS, is_drive_folder, read_folder
 from homeward.drives.home.choosing import with_home
 from homeward.drives.images import IMAGES
-from homeward.drives.mrclam import is_mrclam, mrclam_command
+from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.ros.log import is_log
-from homeward.drives.text.files import is_there, shipped
-from homeward.drives.text.settings import validated
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError, speaking_of
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.reading import is_there, shipped
+from homeward.io.settings import validated
+from homeward.io.table import quoted
 
 SAMPLE = "sample"
 """The word for the drive that ships inside the package."""

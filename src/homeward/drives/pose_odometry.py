@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import without_implausible
+from homeward.geometry.angles import wrap
 
 
 def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:

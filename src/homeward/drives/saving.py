@@ -8,8 +8,8 @@ from pathlib import Path
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import write_folder
-from homeward.drives.text.files import is_there
 from homeward.errors import InputError
+from homeward.io.reading import is_there
 
 LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 """ROS 1 bag, MCAP, and the sqlite3 file of a ROS 2 bag."""

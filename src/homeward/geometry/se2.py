@@ -1,8 +1,8 @@
 """SE(2) and the bearing model with their Jacobians, on arrays; values are those of `frames`.
 
 Everything that the localiser linearises is composed of these by the chain rule; tests compare them
-with the derivatives of `homeward.frames` by CasADi. Poses are (..., 3): x [m], y [m], heading
-[rad], the heading not wrapped.
+with the derivatives of `homeward.geometry.frames` by CasADi. Poses are (..., 3): x [m], y [m],
+heading [rad], the heading not wrapped.
 """
 
 from __future__ import annotations

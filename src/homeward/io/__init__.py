@@ -1,1 +1,1 @@
-"""Files: written whole or not at all."""
+"""Text files, tables, YAML and names: read with care, written whole or not at all."""

@@ -20,10 +20,10 @@ from homeward.drives.drive import (
     Sightings,
 )
 from homeward.drives.drive import Start as StartPrior
-from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
-from homeward.frames import Pose, compose, inverse, to_polar
+from homeward.geometry.frames import Pose, compose, inverse, to_polar
+from homeward.io.table import quoted
 from homeward.live.looking import NEAREST_M, Looking
 from homeward.live.messages import (
     Answer,
@@ -56,7 +56,7 @@ from homeward.live.sending import NO_PLACE, resolve_goal
 from homeward.live.visiting import PlaceSession
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator, settings_model
-from homeward.report.words import count
+from homeward.runs.report.words import count
 
 Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""

@@ -13,7 +13,7 @@ from homeward.drives.drive import Start as StartPrior
 from homeward.drives.home.choosing import spin_words
 from homeward.drives.home.looks import HomeLooks
 from homeward.errors import InputError
-from homeward.frames import Polar, to_polar
+from homeward.geometry.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn
 from homeward.odometry.clock import Clock
 from homeward.odometry.history import TwistHistory

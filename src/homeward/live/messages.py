@@ -10,11 +10,12 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from homeward.drives.drive import Mount, Strict, Surveyed
-from homeward.drives.text.complaints import message
-from homeward.drives.text.table import is_identifier
+from homeward.drives.drive import Mount, Surveyed
 from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.io.strict import Strict
+from homeward.io.table import is_identifier
+from homeward.io.validation_messages import message
 
 VERSION = 1
 LONGEST_LINE = 2**16

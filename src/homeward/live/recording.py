@@ -12,19 +12,14 @@ from typing import TextIO
 
 import numpy as np
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    Finite,
-    HomeBearing,
-    Positive,
-    Strict,
-)
+from homeward.drives.drive import Drive, DriveSettings, Finite, HomeBearing, Positive
 from homeward.drives.folder import write_folder
 from homeward.drives.samples import Samples
-from homeward.drives.text.files import is_there, naming
-from homeward.drives.text.settings import validated
 from homeward.errors import HomewardError, InputError
+from homeward.io.one_thread import one_thread
+from homeward.io.reading import is_there, naming
+from homeward.io.settings import validated
+from homeward.io.strict import Strict
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     LONGEST_LINE,
@@ -38,7 +33,6 @@ from homeward.live.messages import (
 )
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import PlaceSession
-from homeward.one_thread import one_thread
 from homeward.places.files import load_place, save_place
 
 SESSION, PLACE = "session.jsonl", "place"

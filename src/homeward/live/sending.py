@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Iterable
 
 from homeward.control.goals import Goal, PointGoal, RouteGoal
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
+from homeward.io.table import quoted
 from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
 from homeward.live.visiting import PlaceSession
 

@@ -22,10 +22,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
+from homeward.io.one_thread import one_thread
 from homeward.live.inbox import Inbox, Line, Turn, stdin_lines, stop_in, tcp_lines
 from homeward.live.messages import LONGEST_LINE, Event, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
-from homeward.one_thread import one_thread
 
 HELLO_S = 5.0
 """Who connects says hello within [s]."""

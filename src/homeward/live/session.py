@@ -15,14 +15,14 @@ import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
-from homeward.angles import wrap
 from homeward.control.driver import Driver
 from homeward.control.goals import Belief, Goal, State, TurnGoal
 from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
 from homeward.drives.drive import DriveSettings
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
-from homeward.frames import Pose, Twist, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     Answer,

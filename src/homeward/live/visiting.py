@@ -19,10 +19,10 @@ import numpy as np
 from homeward.control.following import LOOKAHEAD
 from homeward.drives.drive import Drive
 from homeward.drives.samples import Samples, last_of_equal, table
-from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
-from homeward.frames import Pose, position_sigma
+from homeward.geometry.frames import Pose, position_sigma
+from homeward.io.table import quoted
 from homeward.live.messages import BearingsIn
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
@@ -41,8 +41,8 @@ from homeward.places.route import Route, route_of, seen_along, taught_along
 from homeward.places.telling import VisitData, require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
-from homeward.report.place.words import visit_words
-from homeward.report.words import count
+from homeward.runs.report.place.words import visit_words
+from homeward.runs.report.words import count
 
 COLUMNS = 5
 """Of what is kept of an answer: stamp, pose, and how uncertain its place is if it is localised."""

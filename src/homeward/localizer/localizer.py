@@ -25,7 +25,8 @@ from homeward.estimator import (
     Status,
     guarded,
 )
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.one_thread import one_thread
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
@@ -39,7 +40,6 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
-from homeward.one_thread import one_thread
 from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."

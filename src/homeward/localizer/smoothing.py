@@ -9,10 +9,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, between
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, between
+from homeward.io.one_thread import one_thread
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
@@ -27,7 +28,6 @@ from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import CONTRADICTED, MAX_LAG_S, NUM_WHOLE_SOLVES
 from homeward.odometry.history import TwistHistory
-from homeward.one_thread import one_thread
 from homeward.reasons import Reason
 from homeward.track import Track, run, track_of
 

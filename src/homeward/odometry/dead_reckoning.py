@@ -6,8 +6,8 @@ from typing import Protocol, Self
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import Pose, Twist, advance
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, advance
 from homeward.odometry.validity import validities
 
 

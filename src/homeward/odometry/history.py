@@ -10,8 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import Pose, Twist, advance
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, advance
 from homeward.odometry.validity import TwistValidity
 
 STEADY_S = 0.5

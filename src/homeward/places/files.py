@@ -14,9 +14,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from homeward.drives.text.files import is_there, naming, require_folder
 from homeward.errors import InputError
-from homeward.io.files import SCRATCH, scratch_folder, sync
+from homeward.io.reading import is_there, naming, require_folder
+from homeward.io.writing import SCRATCH, scratch_folder, sync
 from homeward.places.place import Place
 from homeward.places.version import SETTINGS, read_version, write_version
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
-from homeward.frames import Pose, position_sigma
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, position_sigma
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.output.map_snapshot import align, rotated
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, KnownLandmarks, SurveyedLandmark
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
-from homeward.frames import Pose, position_sigma
+from homeward.geometry.frames import Pose, position_sigma
+from homeward.io.table import quoted
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
 from homeward.places.route import Route, route_of

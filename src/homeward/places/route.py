@@ -13,12 +13,12 @@ from itertools import pairwise
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.control.following import LOOKAHEAD, Path
-from homeward.drives.text.table import quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.frames import position_sigma
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import position_sigma
+from homeward.io.table import quoted
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
 

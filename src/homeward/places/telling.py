@@ -9,13 +9,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import NO_BEARINGS_S, Estimate, Status
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose, sight
+from homeward.io.table import is_identifier, quoted
 from homeward.localizer.localizer import Localizer
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome

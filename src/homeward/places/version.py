@@ -11,10 +11,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from homeward.drives.drive import HomeBearing, NonNegative, Strict
-from homeward.drives.text.files import naming, opened
-from homeward.drives.text.settings import read_settings
-from homeward.drives.text.table import (
+from homeward.drives.drive import HomeBearing, NonNegative
+from homeward.errors import InputError
+from homeward.io.reading import naming, opened
+from homeward.io.settings import read_settings
+from homeward.io.strict import Strict
+from homeward.io.table import (
     Parser,
     Table,
     identifiers,
@@ -23,7 +25,6 @@ from homeward.drives.text.table import (
     read_csv,
     write_csv,
 )
-from homeward.errors import InputError
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing
 from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit

@@ -9,7 +9,7 @@ from itertools import chain, count
 import numpy as np
 
 from homeward.errors import HomewardError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.map_snapshot import MAX_TESTED, moved_probabilities

@@ -13,8 +13,8 @@ from homeward.drives.ros.measurements.camera import from_camera_info
 from homeward.drives.ros.measurements.mount import Transforms, mount, not_tied
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
-from homeward.drives.text.settings import validated
 from homeward.errors import InputError
+from homeward.io.settings import validated
 from homeward.live.messages import BearingsIn, MountIs
 from homeward.ros import conversions as convert
 from homeward.ros.conversions import JSON, TFS

@@ -12,16 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
-from homeward.drives.text.settings import validated
 from homeward.estimator import Status
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
+from homeward.io.settings import validated
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -31,7 +31,7 @@ from homeward.live.messages import (
     OdometryIn,
     Start,
 )
-from homeward.report.palette import LEVELS, UNJUDGED, colour
+from homeward.runs.report.palette import LEVELS, UNJUDGED, colour
 
 JSON = "std_msgs/msg/String"
 """The type of bearings as JSON."""

@@ -21,9 +21,10 @@ from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
 from homeward.drives.ros.measurements.mount import TF_STATIC
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.text.settings import read_settings, validated
 from homeward.errors import HomewardError, InputError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.one_thread import one_thread
+from homeward.io.settings import read_settings, validated
 from homeward.live.messages import (
     BearingsIn,
     BeginRoute,
@@ -46,7 +47,6 @@ from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
-from homeward.one_thread import one_thread
 from homeward.ros import conversions as convert
 from homeward.ros.camera import Camera
 from homeward.ros.conversions import JSON, TFS

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.live.messages import Answer, Command, Diagnostics, Landmarks, Output, line_of
 from homeward.ros import conversions as convert
 from homeward.ros.conversions import JSON, TFS

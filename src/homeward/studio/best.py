@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.bounds import RunningBound
-from homeward.frames import Pose, polar_covariance_to_pose, to_polar
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.scenario import Scenario
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, polar_covariance_to_pose, to_polar
+from homeward.lab.bounds import RunningBound
+from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.scenario import Scenario
 from homeward.studio.rival import ellipse
 
 NEAREST_M = 1e-3

@@ -6,9 +6,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from homeward.drives.drive import Late, Strict
-from homeward.drives.text.complaints import message
-from homeward.simulation.scenario import Scenario
+from homeward.drives.drive import Late
+from homeward.io.strict import Strict
+from homeward.io.validation_messages import message
+from homeward.lab.simulation.scenario import Scenario
 
 LONGEST = 2**20
 """Of a message [byte]; a whole scene is the longest."""

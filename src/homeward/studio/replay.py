@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, Mount, Strict, Truth
+from homeward.drives.drive import Drive, DriveSettings, Mount, Truth
 from homeward.drives.ros.settings import LogSettings, MountFrames
-from homeward.drives.text.settings import settings_yaml, validated
 from homeward.errors import HomewardError, InputError
+from homeward.io.settings import settings_yaml, validated
+from homeward.io.strict import Strict
 from homeward.registry import ESTIMATORS, make_estimator
-from homeward.studies.single_run import with_start
+from homeward.runs.single_run import with_start
 from homeward.studio.messages import Adjust, Asked, Estimators, Plain
 from homeward.studio.rival import NAMED, ellipse, scores
 from homeward.studio.undo import Undo

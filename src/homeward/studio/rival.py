@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.errors import HomewardError
 from homeward.estimator import Estimate, Status
-from homeward.frames import Pose, Twist, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, compose
 from homeward.registry import make_estimator
 
 NAMED = 0.5

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.control.laws import LAWS
 from homeward.errors import InputError
-from homeward.frames import Pose, bearing, compose
-from homeward.simulation.files import load_scenario
-from homeward.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
-from homeward.simulation.world import World, build_world
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose
+from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
+from homeward.lab.simulation.world import World, build_world
 from homeward.studio.messages import LARGEST
 
 MOST_LANDMARKS = 100

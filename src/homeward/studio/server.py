@@ -22,7 +22,7 @@ from importlib import resources
 from typing import Any, NamedTuple, Protocol
 
 from homeward.errors import InputError
-from homeward.one_thread import one_thread
+from homeward.io.one_thread import one_thread
 from homeward.studio.messages import LONGEST, Asked, Hello, Pace, parse
 
 TICK_S = 1 / 40

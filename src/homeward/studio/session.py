@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Hashable
 from typing import Any
 
-from homeward.angles import wrap
 from homeward.errors import InputError
-from homeward.frames import Pose, between, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, between, compose
+from homeward.lab.simulation.files import changed_scenario, scenario_yaml
+from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.scenario import Listed, Moved, Scenario
 from homeward.registry import ESTIMATORS
-from homeward.simulation.files import changed_scenario, scenario_yaml
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.scenario import Listed, Moved, Scenario
 from homeward.studio.best import Best
 from homeward.studio.messages import (
     Add,

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from homeward.angles import wrap
 from homeward.control.following import STAND
 from homeward.control.goals import Belief
-from homeward.frames import Twist
-from homeward.simulation.live_robot import LiveRobot
-from homeward.simulation.scenario import Homing, Scenario
-from homeward.simulation.trajectories import Control, exact, make_control
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Twist
+from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.scenario import Homing, Scenario
+from homeward.lab.simulation.trajectories import Control, exact, make_control
 from homeward.studio.messages import Keys, Steer
 from homeward.studio.rival import Rival
 from homeward.studio.scenes import with_start

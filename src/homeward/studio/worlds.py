@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.frames import Pose, compose
-from homeward.observability.scene import Scene
-from homeward.observability.study import observe_scene
-from homeward.observability.trace import trace_family
-from homeward.simulation.live_robot import LiveRobot
+from homeward.geometry.frames import Pose, compose
+from homeward.lab.observability.scene import Scene
+from homeward.lab.observability.study import observe_scene
+from homeward.lab.observability.trace import trace_family
+from homeward.lab.simulation.live_robot import LiveRobot
 
 MOST_POSES = 40
 """So many views tell what hundreds tell."""

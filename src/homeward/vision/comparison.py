@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.one_thread import one_thread
+from homeward.geometry.angles import wrap
+from homeward.io.one_thread import one_thread
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features

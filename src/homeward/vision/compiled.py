@@ -6,7 +6,7 @@ hold the two together.
 
 from __future__ import annotations
 
-from homeward.engine.native.program import Program
+from homeward.native.program import Program
 
 _FUNCTIONS = {
     "align": "iii" + "aaf" + 2 * "ila" + 6 * "a",

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama, sector_of
 from homeward.vision.comparison import Comparison, compare

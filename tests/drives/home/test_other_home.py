@@ -6,11 +6,11 @@ import pytest
 
 from homeward.drives.drive import HomeWhen, KnownLandmarks, Mount
 from homeward.drives.home.choosing import with_home
-from homeward.drives.text.settings import validated
 from homeward.errors import InputError
-from homeward.frames import Pose, between
-from homeward.simulation.files import PRESETS
-from homeward.simulation.simulate import simulate
+from homeward.geometry.frames import Pose, between
+from homeward.io.settings import validated
+from homeward.lab.simulation.files import PRESETS
+from homeward.lab.simulation.simulate import simulate
 
 WHEN = HomeWhen(spin=(0.0, 16.0))
 

@@ -7,7 +7,6 @@ import pytest
 from drives.home.turning import TOLD, turned
 from scipy.stats import chi2
 
-from homeward.angles import wrap
 from homeward.drives.drive import (
     Drive,
     DriveSettings,
@@ -20,6 +19,7 @@ from homeward.drives.drive import (
 from homeward.drives.home.choosing import with_home
 from homeward.drives.home.spin import spin
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 
 ALL = (0.0, 60.0)
 RUNS = 25

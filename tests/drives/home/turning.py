@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Odometry, OdometryNoise, Sensor, Sightings
+from homeward.geometry.angles import wrap
 
 RATE, REST_S, STEP_S = 0.5, 1.0, 0.05
 TOLD = OdometryNoise(

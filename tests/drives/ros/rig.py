@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
 
-from homeward.angles import wrap
 from homeward.drives.drive import Odometry
 from homeward.drives.ros.log_file import writing
 from homeward.drives.ros.messages.names import BEARINGS, POSE
-from homeward.frames import Pose, bearing, between
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, between
 
 NANO = 10**9
 LANDMARKS = 12

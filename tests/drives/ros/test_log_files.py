@@ -13,8 +13,8 @@ from homeward.drives.ros.info import log_info
 from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.messages.definitions import DEFINITIONS, typestore
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.text.settings import parse_settings
 from homeward.errors import InputError
+from homeward.io.settings import parse_settings
 
 
 def test_the_definitions_are_those_in_the_documentation():

@@ -13,7 +13,7 @@ from homeward.drives.ros.measurements.bearings import BEARINGS, POSE_ARRAY, TAGS
 from homeward.drives.ros.measurements.mount import BODY_IN_OPTICAL, LEVEL, Transforms, mount
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.errors import InputError
-from homeward.frames import Pose, between, compose
+from homeward.geometry.frames import Pose, between, compose
 
 
 def turn(yaw=0.0, pitch=0.0, roll=0.0):

@@ -20,14 +20,14 @@ from homeward.drives.drive import (
     Truth,
 )
 from homeward.drives.folder import read_folder, write_folder
-from homeward.drives.mrclam import read_mrclam
+from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
 from homeward.drives.saving import save_drive
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.registry import make_estimator
-from homeward.studies.single_run import sample_drive
+from homeward.runs.single_run import sample_drive
 from homeward.track import run
 
 SUFFIXES = (".mcap", ".bag", ".db3")

@@ -67,10 +67,10 @@ def import_(
     if robot is not None or home is not None or home_noise_deg or seed:
         ways = "--robot, --home, --home-noise-deg and --seed are for homeward import mrclam FOLDER"
         raise InputError(ways)
-    from homeward.drives.foreign.reading import about_home, drive_of, understand
-    from homeward.drives.text.files import naming
-    from homeward.report.canvas import png
-    from homeward.report.imported import glance
+    from homeward.drives.importers.reading import about_home, drive_of, understand
+    from homeward.io.reading import naming
+    from homeward.runs.report.canvas import png
+    from homeward.runs.report.imported import glance
 
     found = understand(files, columns or ())
     keys = ("file", "is", "column", "as", "unit", "how", "range")
@@ -110,9 +110,9 @@ def _mrclam(
     json: bool,
 ) -> None:
     """Write the drive of one robot of an MRCLAM folder."""
-    from homeward.drives.mrclam import read_mrclam
+    from homeward.drives.importers.mrclam import read_mrclam
     from homeward.drives.saving import save_drive
-    from homeward.frames import Pose
+    from homeward.geometry.frames import Pose
 
     if len(folders) != 1 or robot is None or home is None or out is None:
         raise InputError(

@@ -54,7 +54,7 @@ def live(
     """
     from homeward.drives.drive import DriveSettings
     from homeward.drives.folder import read_home
-    from homeward.drives.text.settings import nested, read_settings, validated
+    from homeward.io.settings import nested, read_settings, validated
     from homeward.live.messages import schema as everything
     from homeward.live.recording import Recorder
     from homeward.live.recording import replay as repeat

@@ -25,15 +25,15 @@ from homeward.cli.options import (
 )
 from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.cli.terminal import table as print_rows
-from homeward.drives.text.files import is_there
 from homeward.errors import HomewardError, InputError
+from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
     from homeward.drives.images import Images
     from homeward.places.place import Place
-    from homeward.scoring import Metrics
-    from homeward.studies.several_runs import Outcome
-    from homeward.studies.single_run import RunSettings
+    from homeward.runs.scoring import Metrics
+    from homeward.runs.several_runs import Outcome
+    from homeward.runs.single_run import RunSettings
     from homeward.track import Track
 
 
@@ -99,7 +99,7 @@ def run(
     estimators.html with table.csv, table.md and table.tex. Where no pose was found, the exit
     status is 1.
     """
-    from homeward.drives.text.settings import nested
+    from homeward.io.settings import nested
     from homeward.places.files import check_place, newest
 
     options = {
@@ -144,8 +144,8 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     an estimator named package.module:make: a file from elsewhere must not choose code to execute.
     """
     from homeward.drives.opening import SAMPLE
-    from homeward.drives.text.settings import validated
-    from homeward.studies.single_run import RunSettings, load_run
+    from homeward.io.settings import validated
+    from homeward.runs.single_run import RunSettings, load_run
 
     file = Path(drive)
     if file.suffix in (".yaml", ".yml") and is_there(file) and not os.path.isdir(file):
@@ -173,9 +173,9 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     Else NAME-run, NAME-2, NAME-3, ...: out/NAME may hold the drive itself, or a run of another
     drive of that name.
     """
-    from homeward.drives.text.settings import read_tree
-    from homeward.report.output import check_output
-    from homeward.report.run.folder import SETTINGS_FILE
+    from homeward.io.settings import read_tree
+    from homeward.runs.report.folder import SETTINGS_FILE
+    from homeward.runs.report.output import check_output
 
     if chosen is not None:
         check_output(chosen, SETTINGS_FILE)
@@ -201,11 +201,11 @@ def _run(
     names: tuple[str | None, float | None, str | None],
     json: bool,
 ) -> None:
-    from homeward.report.place.words import route_words, visit_words
-    from homeward.report.run.folder import PAGE, missing_extra, write_run
-    from homeward.scoring import score
-    from homeward.studies.single_run import drive_path, finish, prepare
-    from homeward.studies.visits import ToStore, check_update, save_visit
+    from homeward.runs.report.folder import PAGE, missing_extra, write_run
+    from homeward.runs.report.place.words import route_words, visit_words
+    from homeward.runs.scoring import score
+    from homeward.runs.single_run import drive_path, finish, prepare
+    from homeward.runs.visits import ToStore, check_update, save_visit
 
     store, lack = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
@@ -264,9 +264,9 @@ def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:
 
 
 def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool) -> None:
-    from homeward.report.output import check_output
-    from homeward.report.run.several import PAGE, table, write_several
-    from homeward.studies.several_runs import run_several
+    from homeward.runs.report.output import check_output
+    from homeward.runs.report.several import PAGE, table, write_several
+    from homeward.runs.several_runs import run_several
 
     for option in ("settings", "smooth", "place"):
         if option in given:

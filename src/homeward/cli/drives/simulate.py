@@ -16,8 +16,8 @@ from homeward.cli.terminal import answer, no_answer, say, warn
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.simulation.scenario import Scenario
-    from homeward.simulation.simulate import Simulation
+    from homeward.lab.simulation.scenario import Scenario
+    from homeward.lab.simulation.simulate import Simulation
 
 
 def simulate(
@@ -82,12 +82,12 @@ def simulate(
     images, images.yaml, things.csv with what was moved since the home image, and scenario.yaml;
     with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
     """
+    from homeward.lab.simulation.files import SCENARIO, load_scenario, write_simulation
+    from homeward.lab.simulation.repeating import settled
+    from homeward.lab.simulation.simulate import prepare
+    from homeward.lab.simulation.simulate import simulate as run_simulation
     from homeward.registry import make_estimator
-    from homeward.report.output import check_output, whole_folder
-    from homeward.simulation.files import SCENARIO, load_scenario, write_simulation
-    from homeward.simulation.repeating import settled
-    from homeward.simulation.simulate import prepare
-    from homeward.simulation.simulate import simulate as run_simulation
+    from homeward.runs.report.output import check_output, whole_folder
 
     options = {
         "seed": seed,
@@ -144,11 +144,11 @@ def _play(
     scenario: Scenario, where: str, pace: float, json: bool, route: str | None, teach: bool
 ) -> None:
     """Be a robot until it is home, or has done what it was to do with a route, or has given up."""
+    from homeward.lab.simulation.live_client import SimulatedRobotClient, Task, play
+    from homeward.lab.simulation.live_robot import LiveRobot
+    from homeward.lab.simulation.trajectories import make_control
     from homeward.live.messages import FollowRoute, StoreRoute
-    from homeward.live.player import SimulatedRobotClient, Task, play
     from homeward.live.server import address
-    from homeward.simulation.live_robot import LiveRobot
-    from homeward.simulation.trajectories import make_control
 
     task: Task | None = None
     if route is not None:

@@ -13,8 +13,8 @@ from homeward.cli.options import AsJson, Topics, progress
 from homeward.cli.terminal import answer, say, table, warn
 
 if TYPE_CHECKING:
-    from homeward.studies.held_out import Check
-    from homeward.studies.tuning import Tuning
+    from homeward.runs.held_out import Check
+    from homeward.runs.tuning import Tuning
 
 HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NEES")
 
@@ -32,10 +32,10 @@ def tune(
     It is learnt from the first half of each log and checked on the second, before and after: NIS
     (1 is honest), likelihood, and where there is truth, RMSE and NEES (3 is honest).
     """
-    from homeward.drives.text.settings import settings_yaml
-    from homeward.report.words import count, listing
-    from homeward.studies.single_run import opened
-    from homeward.studies.tuning import tune as identify
+    from homeward.io.settings import settings_yaml
+    from homeward.runs.report.words import count, listing
+    from homeward.runs.single_run import opened
+    from homeward.runs.tuning import tune as identify
 
     given = {} if topics is None else {"topics": str(topics)}
     with progress(count(len(drives), "drive")) as tell:

@@ -21,20 +21,20 @@ def compare(
     The folder gets comparison.png with both panoramas and what was matched, matches.csv and
     comparison.json. Where the panoramas have not enough in common, the exit status is 1.
     """
-    from homeward.report.images import (
-        PICTURE,
-        RESULT,
-        as_dict,
-        describe,
-        write_comparison,
-    )
-    from homeward.report.output import check_output
+    from homeward.runs.report.output import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas
     from homeward.vision.checks.self_occlusion import find_self_occlusion
     from homeward.vision.comparison import compare as compare_views
     from homeward.vision.features.detection import read_features
     from homeward.vision.recorded.settings import read_image_settings
+    from homeward.vision.report import (
+        PICTURE,
+        RESULT,
+        as_dict,
+        describe,
+        write_comparison,
+    )
 
     settings = read_image_settings(camera)
     home_image, home_view = read_features(home, settings.panorama, mask=mask or settings.mask)

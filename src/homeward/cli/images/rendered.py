@@ -13,7 +13,7 @@ from homeward.cli.terminal import say
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
     from homeward.estimator import Estimator
-    from homeward.simulation.render.room.settings import RenderScenario
+    from homeward.lab.simulation.render.room.settings import RenderScenario
 
 
 def render(
@@ -30,13 +30,13 @@ def render(
     repeats it all. With an estimator the loop is closed: image in, homing out; what the front end
     saw is the drive folder drive/ in it.
     """
-    from homeward.report.output import check_output, whole_folder
-    from homeward.report.words import describe_moved
-    from homeward.simulation.files import SCENARIO
-    from homeward.simulation.render.dataset import write_rendered
-    from homeward.simulation.render.eye import Eye
-    from homeward.simulation.render.loop import moved_boxes
-    from homeward.simulation.render.room.presets import load_room
+    from homeward.lab.simulation.files import SCENARIO
+    from homeward.lab.simulation.render.dataset import write_rendered
+    from homeward.lab.simulation.render.eye import Eye
+    from homeward.lab.simulation.render.loop import moved_boxes
+    from homeward.lab.simulation.render.room.presets import load_room
+    from homeward.runs.report.output import check_output, whole_folder
+    from homeward.runs.report.words import describe_moved
 
     scenario = load_room(room, seed, given)
     eye = Eye(scenario)

@@ -86,8 +86,8 @@ def see(
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.choosing import with_home
     from homeward.errors import speaking_of
-    from homeward.report.output import check_output
-    from homeward.report.words import describe_sightings
+    from homeward.runs.report.output import check_output
+    from homeward.runs.report.words import describe_sightings
     from homeward.vision.recorded.recording import see_recording
 
     if os.path.realpath(out) == os.path.realpath(folder):

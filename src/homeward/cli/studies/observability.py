@@ -9,8 +9,8 @@ from homeward.cli.options import progress, read_drive
 from homeward.cli.terminal import answer, say
 
 if TYPE_CHECKING:
-    from homeward.observability.study import ModelView
-    from homeward.studies.observing import DriveView, Window
+    from homeward.lab.observability.study import ModelView
+    from homeward.lab.studies.observing import DriveView, Window
 
 
 def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
@@ -18,15 +18,15 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
 
     The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
     """
-    from homeward.observability.study import observe
-    from homeward.report.observe.page import (
+    from homeward.lab.observability.study import observe
+    from homeward.lab.report.observe.page import (
         PAGE,
         SETTINGS_FILE,
         model_summary,
         same_to,
         write_model_view,
     )
-    from homeward.report.output import check_output
+    from homeward.runs.report.output import check_output
 
     asked = {**given, "unknown": tuple(given.get("unknown", ()))}
     with progress("observing") as tell:
@@ -79,9 +79,14 @@ def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
 
     The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
     """
-    from homeward.report.observe.page import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
-    from homeward.report.output import check_output
-    from homeward.studies.observing import WINDOW_S, check_window, observe_drive
+    from homeward.lab.report.observe.page import (
+        PAGE,
+        SETTINGS_FILE,
+        drive_summary,
+        write_drive_view,
+    )
+    from homeward.lab.studies.observing import WINDOW_S, check_window, observe_drive
+    from homeward.runs.report.output import check_output
 
     settings = {"window": WINDOW_S, **given}
     opened = read_drive(given["drive"], given.get("topics"))

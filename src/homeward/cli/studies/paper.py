@@ -13,8 +13,8 @@ from homeward.cli.terminal import answer, say
 from homeward.cli.terminal import table as print_rows
 
 if TYPE_CHECKING:
-    from homeward.studies.blocks.finish import Where
-    from homeward.studies.paper.tables import Row
+    from homeward.lab.studies.blocks.finish import Where
+    from homeward.lab.studies.paper.tables import Row
 
 IMAGE_RUNS = 10
 """Layouts per case when every sample must be rendered."""
@@ -26,20 +26,20 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     The folder gets paper.html, with both RMSE tables next to the printed ones, what the paper
     leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
     """
-    from homeward.drives.text.settings import validated
-    from homeward.report.output import check_output
-    from homeward.report.paper.page import (
+    from homeward.io.settings import validated
+    from homeward.lab.report.paper.page import (
         PAGE,
         SETTINGS_FILE,
         fault_rows,
         sentences,
         write_reproduction,
     )
-    from homeward.studies.blocks.finish import Work
-    from homeward.studies.paper.layouts import open_store
-    from homeward.studies.paper.reproduction import reproduce as run_cases
-    from homeward.studies.paper.settings import PaperSettings
-    from homeward.studies.paper.tables import rows
+    from homeward.lab.studies.blocks.finish import Work
+    from homeward.lab.studies.paper.layouts import open_store
+    from homeward.lab.studies.paper.reproduction import reproduce as run_cases
+    from homeward.lab.studies.paper.settings import PaperSettings
+    from homeward.lab.studies.paper.tables import rows
+    from homeward.runs.report.output import check_output
 
     if values.get("measurements") == "images":
         values = {"runs": IMAGE_RUNS} | values
@@ -78,8 +78,7 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
 
     The folder gets layouts.html with the verdict, figures and layouts.csv.
     """
-    from homeward.report.output import check_output
-    from homeward.report.paper.layout_page import (
+    from homeward.lab.report.paper.layout_page import (
         DATA,
         PAGE,
         claim_table,
@@ -89,10 +88,11 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
         ratio_table,
         write_layouts,
     )
-    from homeward.studies.blocks.finish import Work
-    from homeward.studies.blocks.store import MARKER
-    from homeward.studies.paper.layouts import open_store
-    from homeward.studies.paper.reproduction import layout_settings, study_layouts
+    from homeward.lab.studies.blocks.finish import Work
+    from homeward.lab.studies.blocks.store import MARKER
+    from homeward.lab.studies.paper.layouts import open_store
+    from homeward.lab.studies.paper.reproduction import layout_settings, study_layouts
+    from homeward.runs.report.output import check_output
 
     settings = layout_settings(values, values.pop("runs", None), values.pop("seed", None))
     check_output(out, MARKER)

@@ -13,7 +13,7 @@ from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.studies.planning.analysis import PlanView
+    from homeward.lab.planning.analysis import PlanView
 
 
 def plan(
@@ -109,12 +109,12 @@ def _analysis(source: str | None, *analyses: dict[str, Any]) -> dict[str, Any] |
 
 
 def _plan(source: str, out: Path, json: bool) -> None:
-    from homeward.report.output import check_output
-    from homeward.report.plan.page import PAGE, SETTINGS_FILE, write_plan
-    from homeward.report.plan.words import plan_summary
-    from homeward.studies.planning.analysis import analyse
-    from homeward.studies.planning.floor import make_floor
-    from homeward.studies.planning.settings import load_plan
+    from homeward.lab.planning.analysis import analyse
+    from homeward.lab.planning.floor import make_floor
+    from homeward.lab.planning.settings import load_plan
+    from homeward.lab.report.plan.page import PAGE, SETTINGS_FILE, write_plan
+    from homeward.lab.report.plan.words import plan_summary
+    from homeward.runs.report.output import check_output
 
     settings = load_plan(source)
     try:

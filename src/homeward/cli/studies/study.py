@@ -15,8 +15,8 @@ from homeward.cli.terminal import table as print_rows
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.studies.blocks.finish import Where
-    from homeward.studies.paper.map_settings import MapSettings
+    from homeward.lab.studies.blocks.finish import Where
+    from homeward.lab.studies.paper.map_settings import MapSettings
 
 PAPER = ("paper", "layouts")
 """Studies of the paper's cases."""
@@ -63,16 +63,16 @@ def study(
     A map (a YAML file with the key map) runs a paper's filter over two of its numbers, in a GPU
     where there is one, and leaves map.png and map.csv; --runs is that of all cells together.
     """
-    from homeward.drives.text.settings import nested
-    from homeward.report.output import check_output
-    from homeward.report.study.page import DATA, PAGE, headline, write_study
-    from homeward.studies.blocks.finish import Where, Work
-    from homeward.studies.blocks.store import MARKER, store_of
-    from homeward.studies.paper.map_settings import load_map
-    from homeward.studies.study.plan import make_plan
-    from homeward.studies.study.results import run_study
-    from homeward.studies.study.settings import load_study
-    from homeward.studies.study.summary import failures, lines
+    from homeward.io.settings import nested
+    from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
+    from homeward.lab.studies.blocks.finish import Where, Work
+    from homeward.lab.studies.blocks.store import MARKER, store_of
+    from homeward.lab.studies.paper.map_settings import load_map
+    from homeward.lab.studies.study.plan import make_plan
+    from homeward.lab.studies.study.results import run_study
+    from homeward.lab.studies.study.settings import load_study
+    from homeward.lab.studies.study.summary import failures, lines
+    from homeward.runs.report.output import check_output
 
     where = Where(scheduler, workers)
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
@@ -111,11 +111,11 @@ def study(
 
 
 def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
-    from homeward.report.output import check_output
-    from homeward.report.paper.map import FIGURE, TABLE, headline, write_map
-    from homeward.studies.blocks.finish import Where, Work
-    from homeward.studies.blocks.store import MARKER, store_of
-    from homeward.studies.paper.map import run_map, with_engine
+    from homeward.lab.report.paper.map import FIGURE, TABLE, headline, write_map
+    from homeward.lab.studies.blocks.finish import Where, Work
+    from homeward.lab.studies.blocks.store import MARKER, store_of
+    from homeward.lab.studies.paper.map import run_map, with_engine
+    from homeward.runs.report.output import check_output
 
     settings = with_engine(settings)
     check_output(folder, MARKER)

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.text.settings import read_tree, validated
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.settings import read_tree, validated
+from homeward.io.table import quoted
 
 SUFFIXES = (".yaml", ".yml")
 NOT_KNOWN = (

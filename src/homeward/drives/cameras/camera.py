@@ -13,8 +13,8 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from homeward.angles import wrap
-from homeward.drives.drive import Strict
+from homeward.geometry.angles import wrap
+from homeward.io.strict import Strict
 
 Shape = tuple[int, int]
 """Height and width of an image [px]."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import Camera, Directions, Shape, angles, unit_vectors
+from homeward.geometry.angles import wrap
 
 FLAT = 1e-10
 """Least product of a tag's diagonals and the sine between them [rad^2]."""

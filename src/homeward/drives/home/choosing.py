@@ -9,9 +9,9 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry
 from homeward.drives.home.spin import Spin, spin
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.table import quoted
 from homeward.odometry.validity import validities
 
 STILL_M = 0.05

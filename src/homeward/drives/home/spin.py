@@ -15,7 +15,7 @@ import numpy as np
 from homeward.drives.drive import DriveSettings, HomeBearing, Odometry, Sightings
 from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.geometry.robust import GNC_SCHEDULE, robust_weight
 
 HARD_STEPS = 4

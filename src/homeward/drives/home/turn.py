@@ -13,11 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import DriveSettings, Odometry, Sightings
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
 from homeward.errors import InputError
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
 from homeward.geometry.least_squares import LeastSquares
 from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped

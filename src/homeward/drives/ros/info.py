@@ -24,7 +24,7 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.images import IMAGES, read_images
-from homeward.drives.mrclam import is_mrclam, mrclam_command
+from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
 from homeward.drives.opening import is_image_folder, located, reader_of
 from homeward.drives.ros.log import Log
@@ -34,8 +34,8 @@ from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, Topic, survey
-from homeward.drives.text.settings import read_settings, settings_yaml
 from homeward.errors import InputError
+from homeward.io.settings import read_settings, settings_yaml
 
 REFUSED = "homeward run refuses it: {}."
 

@@ -23,9 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
-from homeward.drives.text.files import is_there, naming, opened
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.reading import is_there, naming, opened
+from homeward.io.table import quoted
 
 METADATA = "metadata.yaml"
 """Of the folder of a ROS 2 bag."""
@@ -323,7 +323,7 @@ def _bare_files(path: Path) -> list[Path]:
 
 def _contents(path: Path) -> tuple[list[Path], bool]:
     """Return a folder's files in order, and whether their messages are compressed."""
-    from homeward.drives.text.settings import read_tree
+    from homeward.io.settings import read_tree
 
     file = path / METADATA
     if not is_there(file):

@@ -15,9 +15,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.text.files import is_there, naming
 from homeward.errors import InputError
-from homeward.io.files import whole_file
+from homeward.io.reading import is_there, naming
+from homeward.io.writing import whole_file
 
 _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 

@@ -27,10 +27,10 @@ from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettin
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import Survey, Tell, survey
 from homeward.drives.ros.topics.times import Clock
-from homeward.drives.text.settings import parse_settings, read_settings
-from homeward.drives.text.table import Table, quoted
 from homeward.errors import InputError, speaking_of
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
+from homeward.io.settings import parse_settings, read_settings
+from homeward.io.table import Table, quoted
 
 Taker: TypeAlias = Callable[[float, Any], None]
 """Takes the time [s] of a message, and the message."""

@@ -8,7 +8,8 @@ from pydantic import Field, field_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Mount, Positive, Strict
+from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Mount, Positive
+from homeward.io.strict import Strict
 
 
 class OdometryTopic(Strict):

@@ -21,9 +21,9 @@ from homeward.drives.ros.topics.choosing import (
     OUR_TRUTH,
 )
 from homeward.drives.ros.topics.survey import Tell
-from homeward.drives.text.settings import settings_yaml
-from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError
+from homeward.io.settings import settings_yaml
+from homeward.io.table import is_identifier, quoted
 
 BASE, CAMERA, HOME = "base_link", "camera", "home"
 """Frames: the robot's centre, its camera with x along the axis, and the home frame."""

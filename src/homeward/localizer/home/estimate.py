@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import lever, rotation
 from homeward.localizer.home.evidence import Evidence, log_odds, moved_share
 from homeward.localizer.home.linearisation import (

@@ -21,7 +21,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.special import betaln
 
-from homeward.angles import TWO_PI, wrap
+from homeward.geometry.angles import TWO_PI, wrap
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, REST, Linear, Whitened
 from homeward.localizer.tunables import OUTLIER_SIGMA, UPHEAVAL
 

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
 

@@ -9,9 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import TWO_PI, wrap
 from homeward.drives.drive import DriveSettings
-from homeward.frames import from_polar, polar_covariance_to_pose
+from homeward.geometry.angles import TWO_PI, wrap
+from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.tunables import (
     GIVEN_WRONG,

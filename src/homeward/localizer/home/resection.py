@@ -13,7 +13,7 @@ from itertools import combinations
 
 import numpy as np
 
-from homeward.angles import TWO_PI, wrap
+from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.home.evidence import moved_share
 from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.robust import MAD_TO_SIGMA
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors

@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.special import chdtri
 
-from homeward.angles import wrap
 from homeward.estimator import Innovation
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.elimination import positive_inverse

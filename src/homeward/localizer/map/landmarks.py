@@ -10,7 +10,7 @@ from heapq import nlargest
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture

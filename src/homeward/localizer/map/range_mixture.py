@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.localizer.tunables import (
     INLIER,
     MAJORITY,

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import position_sigma
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import position_sigma
 from homeward.localizer.tunables import (
     CLOSE,
     INFINITY_RATIO,

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import expit
 
 from homeward.drives.drive import DriveSettings
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.estimator import Estimate, Status
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import HomeBearing
 from homeward.estimator import LandmarkEstimate
+from homeward.geometry.angles import wrap
+from homeward.io.naming import natural
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.range_mixture import RangeMixture
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
-from homeward.naming import natural
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses

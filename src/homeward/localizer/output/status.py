@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import OdometryNoise
 from homeward.estimator import CHECKED, Estimate, Innovation, Status
-from homeward.frames import Pose
+from homeward.geometry.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.output.pose import (

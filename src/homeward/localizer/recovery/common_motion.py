@@ -12,8 +12,8 @@ from itertools import combinations
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import position_sigma
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import position_sigma
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.tunables import CLOSE, INLIER, MIN_TOGETHER
 

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 from scipy.special import bdtr, bdtrc
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey

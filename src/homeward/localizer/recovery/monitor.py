@@ -15,8 +15,8 @@ from enum import Enum, auto
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.estimator import CHECKED, Innovation
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map

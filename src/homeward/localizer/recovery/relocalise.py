@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import TWO_PI, wrap
+from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import compose, lever, sight
 from homeward.localizer.tunables import (
     CLOSE,

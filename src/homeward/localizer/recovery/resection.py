@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey

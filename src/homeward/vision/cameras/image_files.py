@@ -13,8 +13,8 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from homeward.drives.text.files import naming, opened
 from homeward.errors import InputError, speaking_of
+from homeward.io.reading import naming, opened
 from homeward.vision.cameras.grey import MAX_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama

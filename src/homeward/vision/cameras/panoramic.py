@@ -14,11 +14,11 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import Camera, Directions, Pixels, Shape
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Finite
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.opencv import opencv

@@ -8,10 +8,10 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field, model_validator
 
-from homeward.angles import wrap
 from homeward.drives.cameras.camera import Directions
 from homeward.drives.drive import Finite, NonNegative, Positive
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.opencv import opencv

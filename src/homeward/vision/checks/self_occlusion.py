@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import Features

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.drive import Columns
-from homeward.engine.native.program import address
+from homeward.native.program import address
 from homeward.vision.compiled import compiled
 from homeward.vision.opencv import opencv
 

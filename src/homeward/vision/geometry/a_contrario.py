@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, squares

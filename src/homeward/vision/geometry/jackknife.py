@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
 from homeward.vision.geometry.epipolar import INLIER, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, irls, prior_information, squares

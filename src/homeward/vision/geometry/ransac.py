@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.vision.geometry.epipolar import INLIER, Pairs
 from homeward.vision.geometry.refinement import Fit, refine
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.geometry.robust import GNC_SCHEDULE, robust_loss, robust_weight
 from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import (

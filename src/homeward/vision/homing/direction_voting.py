@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
+from homeward.geometry.angles import wrap
 from homeward.odometry.history import TwistHistory
 from homeward.vision.comparison import Comparison
 from homeward.vision.geometry.a_contrario import too_narrow

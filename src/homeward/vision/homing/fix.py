@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.angles import wrap
-from homeward.frames import Pose, between, compose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, between, compose
 from homeward.odometry.history import TwistHistory
 from homeward.vision.geometry.epipolar import INLIER
 

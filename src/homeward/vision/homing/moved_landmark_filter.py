@@ -12,8 +12,8 @@ import math
 from collections import Counter
 from collections.abc import Iterable
 
-from homeward.angles import wrap
 from homeward.estimator import LandmarkEstimate
+from homeward.geometry.angles import wrap
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
 

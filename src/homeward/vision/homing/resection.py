@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Columns
-from homeward.frames import Pose
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
 from homeward.geometry.robust import robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER

@@ -15,7 +15,6 @@ from typing import Unpack
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Robot
 from homeward.drives.known import known_robot
 from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
@@ -29,7 +28,8 @@ from homeward.estimator import (
     guarded,
     in_turn,
 )
-from homeward.frames import (
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import (
     Polar,
     Pose,
     between,
@@ -38,10 +38,10 @@ from homeward.frames import (
     inverse,
     polar_covariance_to_pose,
 )
+from homeward.io.one_thread import one_thread
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
 from homeward.odometry.limits import MAX_RATE
-from homeward.one_thread import one_thread
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name

@@ -11,10 +11,10 @@ from typing import Self
 
 import numpy as np
 
-from homeward.angles import wrap
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Estimator, Status, guarded
-from homeward.frames import Pose, bearing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing
 from homeward.vision.comparison import MAX_DIRECTION_SIGMA, Comparison
 from homeward.vision.homing.fix import DIRECTION_HOLD_S, Fix
 from homeward.vision.homing.visual_homing import VisualHoming, agree

@@ -20,10 +20,10 @@ from homeward.drives.folder import (
 )
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
-from homeward.drives.text.files import is_there, require_folder
 from homeward.errors import InputError, speaking_of
+from homeward.io.one_thread import one_thread
+from homeward.io.reading import is_there, require_folder
 from homeward.odometry.dead_reckoning import dead_reckoning
-from homeward.one_thread import one_thread
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.checks.camera_settings import better_settings
 from homeward.vision.checks.seam import require_panoramas

@@ -16,9 +16,9 @@ from homeward.drives.images import Images, read_images
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
-from homeward.drives.text.files import is_there, naming, opened
-from homeward.drives.text.table import numbers, read_csv
 from homeward.errors import InputError, speaking_of
+from homeward.io.reading import is_there, naming, opened
+from homeward.io.table import numbers, read_csv
 from homeward.vision.cameras.grey import MAX_PIXELS
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv

@@ -10,10 +10,10 @@ from pydantic import Field, model_validator
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.camera import Camera
 from homeward.drives.cameras.lens import SAME, Lens
-from homeward.drives.drive import Strict
 from homeward.drives.images import file_within
-from homeward.drives.text.files import is_there
-from homeward.drives.text.settings import read_settings
+from homeward.io.reading import is_there
+from homeward.io.settings import read_settings
+from homeward.io.strict import Strict
 from homeward.vision.cameras.panoramic import (
     Cylindrical,
     Equirectangular,

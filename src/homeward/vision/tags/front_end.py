@@ -15,8 +15,8 @@ from homeward.drives.cameras.camera import Camera
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.drive import HomeBearing
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.table import quoted
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.opencv import opencv

@@ -11,8 +11,8 @@ import numpy as np
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.bearings import Eye, Sighting
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.table import quoted
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.image_files import decoded_grey
 from homeward.vision.opencv import opencv

@@ -14,9 +14,9 @@ from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.names import BEARINGS, PICTURES
 from homeward.drives.ros.settings import BearingsTopic
-from homeward.drives.text.table import is_identifier, quoted
 from homeward.errors import InputError
-from homeward.frames import Pose, compose
+from homeward.geometry.frames import Pose, compose
+from homeward.io.table import is_identifier, quoted
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"

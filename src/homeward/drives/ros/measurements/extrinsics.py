@@ -11,7 +11,7 @@ from homeward.drives.ros.measurements.bearings import IN_SPACE, SightingRows
 from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms, mount, not_tied
 from homeward.drives.ros.settings import LogSettings, MountFrames
 from homeward.errors import InputError
-from homeward.frames import between
+from homeward.geometry.frames import between
 
 MAX_APART = 0.01
 """Cameras this near to each other are in one place [m]: the bearing of a landmark at a distance of

@@ -10,8 +10,8 @@ import numpy as np
 from homeward.drives.drive import Mount
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, axes_of
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
-from homeward.drives.text.settings import validated
 from homeward.errors import InputError
+from homeward.io.settings import validated
 
 TF_STATIC = "/tf_static"
 LEVEL = 0.05

@@ -21,8 +21,8 @@ from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.measurements.wheels import Wheels
 from homeward.drives.ros.messages.names import ODOMETRY, POSE
 from homeward.drives.ros.settings import OdometryTopic
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.table import quoted
 
 NAV_ODOMETRY = "nav_msgs/msg/Odometry"
 JOINT_STATE = "sensor_msgs/msg/JointState"

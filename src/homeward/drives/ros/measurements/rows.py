@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.folder import without_repeats
-from homeward.drives.text.table import Table
 from homeward.errors import InputError
+from homeward.io.table import Table
 
 NOT_FINITE = "{} with a number that is not finite, left out"
 LATE = "{} that came late, put in order by their stamps"

@@ -21,8 +21,8 @@ from rosbags.typesys.store import Typestore
 from homeward.drives.ros.log import Channel, one_line
 from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.names import PICTURES
-from homeward.drives.text.table import quoted
 from homeward.errors import InputError
+from homeward.io.table import quoted
 
 LARGEST_DEFINITION = 2**16
 """Characters of a definition with everything it refers to."""

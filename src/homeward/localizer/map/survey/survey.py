@@ -8,7 +8,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import KnownLandmarks
-from homeward.drives.text.table import quoted
+from homeward.io.table import quoted
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import outlier_probabilities
 from homeward.localizer.map.survey.factors import SurveyFactors

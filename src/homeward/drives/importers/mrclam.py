@@ -1,0 +1,183 @@
+"""UTIAS MRCLAM folders, read as they are published; ranges and other robots are left out.
+
+Format and source: Leung, Halpern, Barfoot and Liu, "The UTIAS multi-robot cooperative localization
+and mapping dataset", IJRR 2011. Nobody recorded there what a camera saw at home, so a home is
+chosen, and its bearings are computed from the surveyed landmarks.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sensor, Sightings, Truth
+from homeward.drives.folder import (
+    count_repeats,
+    odometry_of,
+    sorted_by_time,
+    truth_of,
+    wrapped,
+)
+from homeward.drives.one_clock import on_one_clock
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose, bearing
+from homeward.io.reading import is_there, require_folder
+from homeward.io.table import Table, read_columns
+
+BARCODES = "Barcodes.dat"
+OTHER_ROBOTS = "sightings of other robots"
+UNKNOWN_BARCODES = "sightings of unknown barcodes"
+
+
+def is_mrclam(path: Path) -> bool:
+    """Whether the file that every MRCLAM folder has is there."""
+    return is_there(path / BARCODES)
+
+
+def read_mrclam(
+    path: str | os.PathLike[str], robot: int, home: Pose, home_noise: float = 0.0, seed: int = 0
+) -> Drive:
+    """Read the drive of one robot of an MRCLAM folder.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder with Barcodes.dat, Landmark_Groundtruth.dat, RobotN_Odometry.dat,
+        RobotN_Measurement.dat and perhaps RobotN_Groundtruth.dat.
+    robot : int
+        The N of those names.
+    home : Pose
+        Where home is: x [m], y [m], heading [rad] in the frame of the surveyed landmarks.
+    home_noise : float
+        Standard deviation of the normal noise on the home bearings [rad].
+    seed : int
+        Of that noise.
+
+    Returns
+    -------
+    Drive
+        Landmarks bear the subject's number as id; truth is in the home frame, None without its
+        file. Its remarks count what was left out.
+
+    Raises
+    ------
+    InputError
+        When an argument or a file cannot be used; names file, row and what is wrong.
+    """
+    folder = Path(path)
+    _check_arguments(home, home_noise, seed)
+    require_folder(folder)
+    _check_robot(folder, robot)
+    landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
+    subjects = _read_barcodes(folder / BARCODES)
+    remarks: dict[str, int] = {}
+    drive = Drive(
+        name=f"{folder.resolve().name}-robot{robot}",
+        odometry=odometry_of(
+            read_columns(folder / f"Robot{robot}_Odometry.dat", ("t", "v", "omega")), remarks
+        ),
+        sightings=_read_sightings(
+            folder / f"Robot{robot}_Measurement.dat", subjects, set(landmarks), remarks
+        ),
+        home=_home_bearings(landmarks, home, home_noise, seed),
+        settings=DriveSettings(sensor=Sensor(x=0.0, y=0.0, yaw=0.0)),
+        truth=_read_truth(folder / f"Robot{robot}_Groundtruth.dat", home, remarks),
+        remarks=remarks,
+    )
+    return on_one_clock(drive, folder)
+
+
+def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
+    if not all(math.isfinite(value) for value in home):
+        raise InputError("home must be three finite numbers")
+    if not (math.isfinite(home_noise) and home_noise >= 0):
+        raise InputError(f"home noise is {home_noise}; it must be finite and not negative")
+    if seed < 0:
+        raise InputError(f"seed is {seed}; it must not be negative")
+
+
+def _check_robot(folder: Path, robot: int) -> None:
+    """Say which robots there are when this one is not."""
+    if is_there(folder / f"Robot{robot}_Odometry.dat"):
+        return
+    raise InputError(f"no robot {robot} in it; there are: {_robots_in(folder)}", folder)
+
+
+def mrclam_command(folder: Path) -> str:
+    """Return the command that makes a drive of an MRCLAM folder."""
+    way = "`homeward import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE`"
+    return f"{way} (robots: {_robots_in(folder)})"
+
+
+def _robots_in(folder: Path) -> str:
+    names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
+    there = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
+    return ", ".join(there) or "none"
+
+
+def _read_landmarks(path: Path) -> dict[int, tuple[float, float]]:
+    """Read the surveyed (x, y) [m] of each landmark, in order of subject."""
+    table = read_columns(path, ("subject", "x", "y", "x_sigma", "y_sigma"))
+    table.require_rows()
+    table.require_unique("subject")
+    subjects = _whole(table, "subject")
+    places = dict(
+        zip(subjects, zip(table["x"].tolist(), table["y"].tolist(), strict=True), strict=True)
+    )
+    return dict(sorted(places.items()))
+
+
+def _read_barcodes(path: Path) -> dict[int, int]:
+    """Read the subject that bears each barcode."""
+    table = read_columns(path, ("subject", "barcode"))
+    table.require_rows()
+    table.require_unique("subject")
+    table.require_unique("barcode")
+    return dict(zip(_whole(table, "barcode"), _whole(table, "subject"), strict=True))
+
+
+def _read_sightings(
+    path: Path, subjects: dict[int, int], landmarks: set[int], remarks: dict[str, int]
+) -> Sightings:
+    """Read the sightings of landmarks; every other subject with a barcode is a robot."""
+    table = read_columns(path, ("t", "barcode", "range", "bearing"))
+    table = sorted_by_time(table, "bearings", remarks)
+    seen = [subjects.get(barcode) for barcode in _whole(table, "barcode")]
+    of_landmark = np.array([subject in landmarks for subject in seen], bool)
+    unknown = seen.count(None)
+    robots = len(seen) - unknown - int(of_landmark.sum())
+    remarks |= {r: n for r, n in ((OTHER_ROBOTS, robots), (UNKNOWN_BARCODES, unknown)) if n}
+    ids = np.array([str(subject) for subject in seen], object)[of_landmark]
+    bearings = wrapped(table, "bearing", remarks)[of_landmark]
+    sightings = Sightings(table["t"][of_landmark], ids, bearings, np.full(ids.size, np.nan))
+    count_repeats(sightings, remarks)
+    return sightings
+
+
+def _home_bearings(
+    landmarks: dict[int, tuple[float, float]], home: Pose, sigma: float, seed: int
+) -> dict[str, HomeBearing]:
+    """Compute what a camera at `home` would have seen, with noise drawn in landmark order."""
+    x, y = np.array(list(landmarks.values())).T
+    noise = np.random.default_rng(seed).normal(0.0, sigma, x.size)
+    # Adding the noise to the heading keeps the sum wrapped.
+    seen = bearing(Pose(home.x, home.y, home.heading - noise), x, y).tolist()
+    known = sigma if sigma > 0 else math.nan
+    return {str(i): HomeBearing(b, known) for i, b in zip(landmarks, seen, strict=True)}
+
+
+def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
+    if not is_there(path):
+        return None
+    seen = truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks)
+    return seen.seen_from(home)
+
+
+def _whole(table: Table, name: str) -> list[int]:
+    """Return column `name`, which must hold whole numbers."""
+    values = table[name]
+    table.require(name, (values % 1 == 0) & (np.abs(values) < 2**53), "not a whole number")
+    return [int(value) for value in values.tolist()]

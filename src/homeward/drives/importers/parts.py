@@ -1,0 +1,259 @@
+"""What files of others hold of a drive, each kind of table read in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from homeward.drives.folder import sorted_by_time
+from homeward.drives.importers.cells import names, number_parser, time_parser
+from homeward.drives.importers.columns import UNITS, Column, assigned, times_in
+from homeward.drives.importers.sheet import Sheet
+from homeward.drives.importers.wide import landmark_columns, landmark_in, long, unit_of
+from homeward.errors import InputError
+from homeward.io.table import Parser, Table, read_csv
+from homeward.odometry.limits import MAX_SPEED
+from homeward.odometry.validity import TWIST_VALIDITY_S
+
+UNIX_S = (1e9, 4.1e9)
+"""Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
+RECOGNISED = {
+    "odometry": "time, speed, turn rate",
+    "detections": "time, landmark id, bearing",
+    "home bearings": "landmark id, bearing",
+    "poses": "time, x, y, heading",
+}
+"""The tables of a drive and their columns, in words; `KINDS` has the roles."""
+MAX_SHOWN = 12
+"""Columns that an error message names."""
+TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
+"""In the name of a file with poses: they are the true ones, not odometry."""
+LEFT_OUT = "rows of {} in which something is missing, left out"
+
+
+@dataclass(frozen=True)
+class Understood:
+    """What a column was taken for."""
+
+    kind: str
+    """Odometry, bearings, home or truth."""
+    table: Table
+    """Of its file, in SI units."""
+    column: Column
+    unit: str
+    how: str
+    """Whether that was told, named, or guessed."""
+    remarks: dict[str, int] = field(default_factory=dict)
+    """What was done to its table, counted, by reason in words."""
+
+    @property
+    def range(self) -> str:
+        """From where to where it goes, in SI units; for names, how many."""
+        values = self.table[self.column.role]
+        if self.column.quantity == "name":
+            return f"{len(set(values.tolist()))} names"
+        seen, digits = values[np.isfinite(values)], 12 if self.column.role == "t" else 6
+        ends = f"{seen.min():.{digits}g} to {seen.max():.{digits}g}" if seen.size else ""
+        return f"{ends} {self.column.si}" if ends else ""
+
+
+@dataclass
+class Part:
+    """One kind of table in a file, and its columns."""
+
+    sheet: Sheet
+    kind: str
+    columns: dict[str, Column]
+    """By role."""
+    wide: dict[str, str] = field(default_factory=dict)
+    """Columns of landmarks by id, where each has one."""
+    alone: bool = True
+    """Whether it is all that its file holds."""
+
+    def read(self, clock: str | None, angle: str | None = None) -> list[Understood]:
+        """Read it, in SI units.
+
+        Where it does not say them, `clock` is the unit of its stamps, as odometry's, and `angle`
+        that of its bearings, as those seen on the drive.
+        """
+        table, missing = (self._spread(), 0) if self.wide else self._plain()
+        # Deviations last: of no unit they have that of their bearings.
+        self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] == "sigma"))
+        values, units = dict(table.columns), dict[str, tuple[str, str]]()
+        for role, column in self.columns.items():
+            units[role] = "", "as it is"
+            if role == "sigma":  # bearings and their deviations come from one hand
+                angle = units["bearing"][0]
+            if column.quantity != "name":
+                unit, _ = units[role] = _unit(table, column, clock, angle)
+                values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
+        remarks: dict[str, int] = {}
+        ordered = dataclasses.replace(table, columns=values)
+        if "t" in values:
+            ordered = sorted_by_time(ordered, self.kind, remarks)
+        if missing:
+            remarks[LEFT_OUT.format(self.kind)] = missing
+        return [
+            Understood(self.kind, ordered, column, unit, "told" if column.told else how, remarks)
+            for (unit, how), column in zip(units.values(), self.columns.values(), strict=True)
+        ]
+
+    def _plain(self) -> tuple[Table, int]:
+        """Read a table with a row for each sample; return how many lack something, left out."""
+        raw = self._raw()
+        values = {role: _value(raw, column) for role, column in self.columns.items()}
+        needed = [role for role in self.columns if role != "sigma"]
+        given = np.stack([_given(values[role]) for role in needed])
+        whole, some = given.all(axis=0), given.any(axis=0)
+        if some.any() and not whole.any():
+            raise InputError(f"no row has all of {', '.join(needed)}", raw.file)
+        kept = {role: column[whole] for role, column in values.items()}
+        # In a file of several kinds each has rows of its own.
+        missing = int((some & ~whole).sum()) if self.alone else 0
+        return Table(raw.file, raw.row[whole], kept), missing
+
+    def _spread(self) -> Table:
+        """Read a table with a column for each landmark."""
+        raw, t = self._raw(), self.columns.get("t")
+        return long(raw, self.wide, None if t is None else _value(raw, t))
+
+    def _raw(self) -> Table:
+        comma = self.sheet.decimal_comma
+        kinds = {"name": names, "time": time_parser(comma)}
+        parsers: dict[str, Parser] = dict.fromkeys(self.wide.values(), number_parser(comma))
+        for column in self.columns.values():
+            if not (self.wide and column.role in ("landmark", "bearing")):
+                parser = kinds.get(column.quantity, number_parser(comma))
+                parsers |= dict.fromkeys((column.name, *column.more), parser)
+        return read_csv(self.sheet.path, parsers, form=self.sheet.form)
+
+
+def parts_of(sheets: Sequence[Sheet], told: Sequence[Column]) -> list[Part]:
+    """Return what files hold of a drive: each at least one kind."""
+    parts, odd = list[Part](), list[Sheet]()
+    for one in sheets:
+        mine = one.specified(told)
+        kinds = {kind: assigned(kind, one.names, mine) for kind in ("odometry", "bearings")}
+        if not any(kinds.values()):  # poses beside twists are the odometry's own
+            kinds = {kind: assigned(kind, one.names, mine) for kind in ("truth", "home")}
+        parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
+        if not kinds.get("bearings") and not kinds.get("home"):
+            odd.append(one)
+    ids = _ids(parts, odd)
+    for one in odd:
+        # The number of a column is no landmark, although tags are called by numbers, too.
+        across = {} if one.headless else landmark_columns(one.names, ids)
+        t = times_in(one.names, one.specified(told))
+        if across and (t is not None or one.one_row):
+            parts.append(_wide_part(one, across, t))
+        elif all(part.sheet is not one for part in parts):
+            raise InputError(_not_recognised(one), one.path)
+    _find_odometry(parts)
+    return parts
+
+
+def _not_recognised(one: Sheet) -> str:
+    """Return the message for a table that is no part of a drive."""
+    names, file = one.names, f"{one.path.name}: " if one.headless else ""
+    *most, last = (f"{words} ({needs})" for words, needs in RECOGNISED.items())
+    shown = ", ".join(map(repr, names[:MAX_SHOWN]))
+    more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
+    return (
+        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: say which "
+        f"is which, as in --columns '{file}t={names[0]}'"
+    )
+
+
+def _find_odometry(parts: Sequence[Part]) -> None:
+    """Take poses for odometry where no table has twists: those of a file called so, or the only."""
+    if any(part.kind == "odometry" for part in parts):
+        return
+    poses = [part for part in parts if part.kind == "truth"]
+    for part in poses:
+        name = part.sheet.path.name.lower()
+        if "odom" in name or (len(poses) == 1 and not TRUE_PATH.search(name)):
+            part.kind = "odometry"
+
+
+def _ids(parts: Sequence[Part], odd: Sequence[Sheet]) -> set[str]:
+    """Return the landmarks that are known by name, where a table may have a column for each."""
+    known: set[str] = set()
+    for part in parts if odd else ():
+        if part.kind == "home":
+            known |= set(part.read(None)[0].table["landmark"].tolist())
+    for one in odd:
+        if one.one_row and not one.headless and times_in(one.names, ()) is None:
+            known |= {landmark_in(name)[0] for name in one.names}
+    return known
+
+
+def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
+    first, *_, last = across.values()
+    span = f"{first} ... {last}"
+    columns = {"landmark": Column("landmark", span)}
+    columns["bearing"] = Column("bearing", span, unit_of(list(across.values())))
+    kind = "home" if t is None else "bearings"
+    return Part(one, kind, columns if t is None else {"t": t, **columns}, across)
+
+
+def _value(raw: Table, column: Column) -> np.ndarray:
+    """Return what a column tells, with the others that it needs; in its own unit."""
+    if column.role == "t" and column.more:
+        return np.asarray(raw[column.name] + 1e-9 * raw[column.more[0]])
+    if column.role == "heading" and column.more:
+        w, (z, x, y) = raw[column.name], (raw[name] for name in column.more)
+        return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    return raw[column.name]
+
+
+def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:
+    """Return the unit of a column, and how it is known, unless a wrong guess would never show."""
+    values = np.abs(table[column.role][np.isfinite(table[column.role])])
+    most = float(values.max(initial=0.0))
+    if column.unit is not None:
+        return column.unit, "named"
+    if column.quantity == "time":
+        # Two programs may have stamped by one clock in two units.
+        own = _unix_unit(table["t"])
+        return (
+            (clock, "as odometry") if clock and not own else (own or _clock(table["t"]), "guessed")
+        )
+    if column.role == "sigma" and angle:
+        return angle, "as bearing"
+    if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
+        return column.si.replace("rad", "deg"), "guessed: more than a turn"
+    if column.role == "bearing" and angle:
+        return angle, "as bearings"
+    if column.quantity == "speed" and most > MAX_SPEED:
+        raise InputError(
+            f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "
+            f"--columns '{column.role}={column.name}[mm/s]'",
+            table.file,
+        )
+    return column.si, "guessed"
+
+
+def _unix_unit(t: np.ndarray) -> str | None:
+    """Return the unit in which stamps are Unix time; None: in none."""
+    middle = float(np.median(t)) if t.size else 0.0
+    units = UNITS["time"].items()
+    return next((u for u, s in units if UNIX_S[0] <= middle * s < UNIX_S[1]), None)
+
+
+def _clock(t: np.ndarray) -> str:
+    """Return the largest unit of stamps in which twists come each second."""
+    steps = np.diff(np.unique(t))
+    step = float(np.median(steps)) if steps.size else 0.0
+    return next(
+        (unit for unit, seconds in UNITS["time"].items() if step * seconds <= TWIST_VALIDITY_S), "s"
+    )
+
+
+def _given(values: np.ndarray) -> np.ndarray:
+    """Return which cells hold something, shape (n,)."""
+    return np.asarray(values != "" if values.dtype == object else np.isfinite(values))

@@ -1,0 +1,158 @@
+"""How a text file holds a table: its encoding, separator, header, units and decimal mark."""
+
+from __future__ import annotations
+
+import codecs
+import csv
+import itertools
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+
+from homeward.drives.importers.cells import NOTHING, is_number
+from homeward.drives.importers.columns import Column, is_unit
+from homeward.drives.importers.layouts import layout
+from homeward.errors import InputError
+from homeward.io.reading import naming, opened
+from homeward.io.table import Form, text_lines
+
+DELIMITERS = ("\t", ";", "|", ",", " ")
+"""In this order: a decimal comma is none where semicolons part the fields as well."""
+COMMENTS = ("#", "%")
+MAX_COLUMNS = 10_000
+"""A column for each landmark is the widest table there is, and a place has fewer landmarks."""
+LOOKED_AT = 50
+"""So many lines tell the form of all."""
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A text file with a table in it."""
+
+    path: Path
+    form: Form
+    decimal_comma: bool
+    one_row: bool
+    """Whether it has a single row below its header."""
+    headless: bool = False
+    """Whether it has no header, so that its columns have numbers."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of its columns; 1, 2, 3, ... where it has no header, unless its layout is known."""
+        assert self.form.names is not None
+        return self.form.names
+
+    @property
+    def numbers(self) -> dict[str, str]:
+        """The names of its columns by their number, where it has no header."""
+        return {str(k): name for k, name in enumerate(self.names, 1)} if self.headless else {}
+
+    def specified(self, columns: Sequence[Column]) -> list[Column]:
+        """Return those `columns` that a user specified for this file, by the names in it."""
+        own = (c for c in columns if c.file in (None, self.path.name))
+        return [replace(c, name=self.numbers.get(c.name, c.name)) for c in own]
+
+
+def sheet(path: Path) -> Sheet:
+    """Find out the form of a text file.
+
+    Raises
+    ------
+    InputError
+        When it cannot be read, is empty, or nothing parts its lines into fields.
+    """
+    encoding = _encoding(path)
+    with text_lines(path, encoding) as lines:
+        first = list(itertools.islice(lines, LOOKED_AT))
+    told = [line for line in first if line.strip()]
+    before = list(itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), told))
+    rows = told[len(before) :]
+    if not rows:
+        raise InputError("empty file", path)
+    delimiter, width = _parted(rows, path)
+    if width > MAX_COLUMNS:
+        raise InputError(f"{width:,} columns; at most {MAX_COLUMNS:,} are read", path)
+    # Above the table a title may stand, and its lines may end with a separator that heads do not.
+    rows = _below_titles(rows, delimiter, width)
+    head, *body = (_fields(line, delimiter) for line in rows)
+    skip = first.index(rows[0])
+    numbered = any(is_number(cell, delimiter != ",") for cell in head) and not _heads(
+        head, body, delimiter != ","
+    )
+    # ROS and MATLAB write the header as a comment.
+    above = _fields(before[-1].lstrip().lstrip("".join(COMMENTS)), delimiter) if before else []
+    if not numbered:
+        names, skip = head, skip + 1
+        if body and _says_units(body[0]):
+            units = [cell.strip("[]()<> ") if is_unit(cell) else "" for cell in body.pop(0)]
+            names = [f"{n} [{unit}]" if unit else n for n, unit in zip(names, units, strict=False)]
+            skip = first.index(rows[1]) + 1
+    else:
+        body = [head, *body]
+        numbers = [str(k + 1) for k in range(len(head))]
+        names = above if len(above) == len(head) else list(layout(body) or numbers)
+    names = [*names, *[""] * (width - len(names))]
+    cells = [cell for row in body or [head] for cell in row]
+    comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
+    form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding)
+    return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head))
+
+
+def _encoding(path: Path) -> str:
+    """Return how its text is written: UTF-16 if a mark says so, else UTF-8 or that of Windows."""
+    with naming(path, "cannot be read"), opened(path) as stream:
+        begin = stream.read(2**16)
+    if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(begin)
+    except UnicodeDecodeError:
+        return "cp1252" if b"\0" not in begin else "utf-8-sig"  # that it is none is said later
+    return "utf-8-sig"
+
+
+def _parted(rows: Sequence[str], path: Path) -> tuple[str, int]:
+    """Return what parts most lines into equally many fields, two at least, and how many."""
+    for delimiter in DELIMITERS:
+        sizes = Counter(len(_fields(row, delimiter)) for row in rows)
+        width, lines = max(sizes.items(), key=lambda item: (item[1], item[0]))
+        if width > 1 and 2 * lines >= len(rows):
+            return delimiter, width
+    raise InputError("no table: nothing parts its lines into one number of fields", path)
+
+
+def _below_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
+    """Return rows from the first of the table on; its head may lack the last, empty field."""
+    fields = [_fields(row, delimiter) for row in rows]
+    for k, (one, after) in enumerate(pairwise([*fields, []])):
+        closed = len(after) == width and not after[-1]
+        if len(one) == width or (len(one) == width - 1 and closed):
+            return rows[k:]
+    return rows
+
+
+def _heads(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) -> bool:
+    """Whether some word in a line stands above numbers alone: numbers beside it are names, too."""
+    for word, *cells in zip(head, *(row for row in body if len(row) == len(head)), strict=True):
+        told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
+        is_word = word.strip().lower() not in NOTHING and not is_number(word, comma)
+        if is_word and told and all(is_number(cell, comma) for cell in told):
+            return True
+    return False
+
+
+def _says_units(cells: Sequence[str]) -> bool:
+    """Whether a line below the header tells units, and nothing else."""
+    told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
+    return bool(told) and all(map(is_unit, told))
+
+
+def _fields(line: str, delimiter: str) -> list[str]:
+    try:
+        reader = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
+        return next(reader, [])
+    except csv.Error:  # reading the file says why
+        return []

@@ -1,0 +1,141 @@
+"""Poses and twists in the plane (SE(2)), polar coordinates; on floats, arrays and CasADi symbols.
+
+A pose is (x, y, heading) of the robot's centre; (R, theta, alpha) are its polar coordinates in the
+home frame: distance from home, direction seen from home, heading.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from homeward.geometry.angles import apply, wrap
+
+Integration = Literal["rk4", "euler"]
+"""How a motion is integrated where symbols are."""
+
+
+class Pose(NamedTuple):
+    """A pose in the plane: x [m], y [m], heading [rad]."""
+
+    x: Any
+    y: Any
+    heading: Any
+
+
+class Polar(NamedTuple):
+    """A pose in the paper's coordinates: R [m], theta [rad], alpha [rad]."""
+
+    R: Any
+    theta: Any
+    alpha: Any
+
+
+class Twist(NamedTuple):
+    """Twist of a unicycle, commanded or measured: v [m/s] forward, omega [rad/s] anti-clockwise."""
+
+    v: Any
+    omega: Any
+
+
+def compose(a: Pose, b: Pose) -> Pose:
+    """Return pose `b`, given in the frame of `a`, in the frame in which `a` is given."""
+    c, s = apply("cos", a.heading), apply("sin", a.heading)
+    return Pose(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, wrap(a.heading + b.heading))
+
+
+def inverse(a: Pose) -> Pose:
+    """Return the pose whose composition with `a` is the origin."""
+    c, s = apply("cos", a.heading), apply("sin", a.heading)
+    return Pose(-c * a.x - s * a.y, s * a.x - c * a.y, wrap(-a.heading))
+
+
+def between(a: Pose, b: Pose) -> Pose:
+    """Return pose `b` as seen from pose `a` (both in one frame)."""
+    return compose(inverse(a), b)
+
+
+def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
+    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
+
+    Floats, or arrays of one shape. Headings [rad] are not wrapped here.
+    """
+    half: Any = 0.5 * twist.omega * dt
+    trig: Any = np
+    shrink: Any
+    if isinstance(half, np.ndarray):
+        shrink = np.sinc(half / math.pi)
+    else:  # the same, much quicker
+        trig = math
+        # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
+        shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
+    chord = twist.v * dt * shrink
+    return Pose(
+        pose.x + chord * trig.cos(pose.heading + half),
+        pose.y + chord * trig.sin(pose.heading + half),
+        pose.heading + 2.0 * half,
+    )
+
+
+def to_polar(pose: Pose) -> Polar:
+    """Return (R, theta, alpha) of a pose in the home frame; theta is 0 at home itself."""
+    return Polar(
+        apply("hypot", pose.x, pose.y), apply("arctan2", pose.y, pose.x), wrap(pose.heading)
+    )
+
+
+def from_polar(polar: Polar) -> Pose:
+    """Return the pose in the home frame; a negative R lies on the other side of home."""
+    return Pose(
+        polar.R * apply("cos", polar.theta),
+        polar.R * apply("sin", polar.theta),
+        wrap(polar.alpha),
+    )
+
+
+def bearing(pose: Pose, x: Any, y: Any) -> Any:
+    """Return the bearing [rad] of the point (x, y) from a pose, in (-pi, pi]."""
+    return wrap(apply("arctan2", y - pose.y, x - pose.x) - pose.heading)
+
+
+def position_sigma(covariance: np.ndarray) -> Any:
+    """Return the standard deviation of a position along its worst direction [m].
+
+    Parameters
+    ----------
+    covariance : ndarray, shape (..., k, k)
+        Of x, y [m], and whatever comes after them; NaN gives NaN.
+
+    Returns
+    -------
+    ndarray, shape (...)
+        The semi-major axis of its 1-sigma ellipse; a float of a single one.
+    """
+    xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
+    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
+    return np.sqrt(np.maximum(largest, 0.0))
+
+
+def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray:
+    """Carry a covariance of (R, theta, alpha) to (x, y, heading), to first order.
+
+    Parameters
+    ----------
+    polar : Polar
+        Where to linearise: numbers, or arrays of one shape.
+    covariance : ndarray, shape (..., 3, 3)
+        Of (R [m], theta [rad], alpha [rad]).
+
+    Returns
+    -------
+    ndarray, shape (..., 3, 3)
+        Of (x [m], y [m], heading [rad]).
+    """
+    c, s = np.cos(polar.theta), np.sin(polar.theta)
+    jacobian = np.zeros((*np.shape(c), 3, 3))
+    jacobian[..., 0, 0], jacobian[..., 0, 1] = c, -polar.R * s
+    jacobian[..., 1, 0], jacobian[..., 1, 1] = s, polar.R * c
+    jacobian[..., 2, 2] = 1.0
+    return np.asarray(jacobian @ covariance @ np.swapaxes(jacobian, -1, -2))

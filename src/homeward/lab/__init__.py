@@ -1,0 +1,1 @@
+"""The paper and its tools: model, filters, engine, observability, simulation, studies, planning."""

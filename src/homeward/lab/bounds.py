@@ -1,0 +1,181 @@
+"""Cramer-Rao bounds: how well any estimator can know the pose in a given scenario.
+
+The posterior bound of Tichavsky, Muravchik and Nehorai (1998), with Jacobians at the truth: the
+information of odometry, bearings, home bearings and start prior on the pose and the landmarks, the
+landmarks marginalised. Home is the origin of the frame and known.
+"""
+
+from __future__ import annotations
+
+from typing import Required, TypedDict, Unpack
+
+import numpy as np
+
+from homeward.geometry.frames import Pose, compose
+
+CENTRE = Pose(0.0, 0.0, 0.0)
+AT_ONCE = 128
+"""Stamps whose matrices are held, and inverted, together: 2 MB with 20 landmarks."""
+
+
+class Known(TypedDict, total=False):
+    """What is known of a drive, beside where robot and landmarks truly are."""
+
+    bearing_sigma: Required[float]
+    """Of a bearing [rad]."""
+    home_sigma: Required[float]
+    """Of a home bearing [rad]."""
+    speed_sigma: Required[float]
+    """White noise of the odometry's speed [m/s/sqrt(Hz)]."""
+    turn_sigma: Required[float]
+    """And of its turn rate [rad/s/sqrt(Hz)]."""
+    moved: np.ndarray | None
+    """(q,), bool, landmarks whose home bearings are wrong, known to be so, and left out; none by
+    default."""
+    start_covariance: np.ndarray | None
+    """(3, 3), of a prior on the first pose, (x, y, heading); without one there is none."""
+    mount: Pose
+    """The camera on the robot, at home too [m, m, rad]; at its centre by default."""
+
+
+def posterior_bound(
+    poses: np.ndarray,
+    twists: np.ndarray,
+    intervals: np.ndarray,
+    landmarks: np.ndarray,
+    visible: np.ndarray,
+    *,
+    carried: np.ndarray | None = None,
+    **known: Unpack[Known],
+) -> np.ndarray:
+    """Return the least covariance of the pose at each time, given everything up to then.
+
+    Parameters
+    ----------
+    poses : ndarray, shape (n, 3)
+        True x [m], y [m], heading [rad] in the home frame, at the stamps of bearings.
+    twists : ndarray, shape (n - 1, 2)
+        True speed [m/s] and turn rate [rad/s] between them.
+    intervals : ndarray, shape (n - 1,)
+        Times between them [s].
+    landmarks : ndarray, shape (q, 2)
+        True positions [m]; there is no prior on them.
+    visible : ndarray, shape (n, q), bool
+        Which are seen when.
+    carried : ndarray, shape (n - 1,), bool, optional
+        Steps on which the robot was carried, so that nothing is known of the motion; none by
+        default.
+    **known : Known
+        Noise, what moved, a start prior, and where the camera sits.
+
+    Returns
+    -------
+    ndarray, shape (n, 3, 3)
+        Covariances of (x, y, heading); infinite while the pose is not fixed.
+    """
+    bound = RunningBound(landmarks, **known)
+    bounds = [np.empty((0, 3, 3))]
+    for first in range(0, len(poses), AT_ONCE):
+        told = bound.told_by(poses[first : first + AT_ONCE], landmarks, visible[first:])
+        for k, added in enumerate(told, first):
+            if k and carried is not None and carried[k - 1]:
+                bound.carry()
+            elif k:
+                bound.drive(poses[k - 1], poses[k], twists[k - 1], float(intervals[k - 1]))
+            bound.add(added)
+            added[:] = bound.information
+        bounds.append(_of_poses(told))
+    return np.concatenate(bounds)
+
+
+class RunningBound:
+    """The posterior bound as a drive goes on; parameters as those of `posterior_bound`."""
+
+    def __init__(self, landmarks: np.ndarray, **known: Unpack[Known]) -> None:
+        self.bearing_sigma, self.mount = known["bearing_sigma"], known.get("mount", CENTRE)
+        self._sigmas = known["speed_sigma"], known["turn_sigma"]
+        moved, start = known.get("moved"), known.get("start_covariance")
+        right = np.ones(len(landmarks), bool) if moved is None else ~moved
+        jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, self.mount)[0, right]
+        jacobian[:, :3] = 0.0  # home itself is known
+        self.information = jacobian.T @ jacobian / known["home_sigma"] ** 2
+        """On the pose and the landmarks, (3 + 2 q, 3 + 2 q)."""
+        if start is not None:
+            self.information[:3, :3] += np.linalg.inv(start)
+
+    def drive(self, before: np.ndarray, after: np.ndarray, twist: np.ndarray, dt: float) -> None:
+        """Carry the information over a motion between poses (3,), by a twist (2,) over `dt` [s].
+
+        Its noise may be singular, and zero.
+        """
+        back = np.eye(len(self.information))
+        back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
+        carried = back.T @ self.information @ back
+        middle = before[2] + 0.5 * twist[1] * dt
+        noise = np.zeros((len(self.information), 2))
+        noise[:2, 0] = np.cos(middle), np.sin(middle)
+        swing = 0.5 * twist[0] * dt
+        noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
+        noise *= np.array(self._sigmas) * np.sqrt(dt)
+        pulled = carried @ noise
+        left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
+        self.information = 0.5 * (left + left.T)  # what is not symmetric would grow at each step
+
+    def see(self, pose: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> None:
+        """Add one bearing to each visible landmark (q,), seen from a pose (3,)."""
+        self.add(self.told_by(pose[None], landmarks, visible[None])[0])
+
+    def told_by(self, poses: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> np.ndarray:
+        """Return what the bearings seen from each pose tell, (n, 3 + 2 q, 3 + 2 q)."""
+        jacobians = _bearing_jacobians(poses, landmarks, self.mount)
+        jacobians *= visible[: len(poses), :, None]
+        return np.asarray(jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2)
+
+    def add(self, information: np.ndarray) -> None:
+        """Add information that is independent of all before."""
+        self.information = self.information + information
+
+    def carry(self) -> None:
+        """Forget the pose: the robot was carried, and nothing is known of how."""
+        self._forget(slice(0, 3))
+
+    def move(self, landmark: int) -> None:
+        """Forget where a landmark stands: it was moved, and that is known."""
+        self._forget(slice(3 + 2 * landmark, 5 + 2 * landmark))
+
+    def covariance(self) -> np.ndarray:
+        """Return the least covariance of the pose now, shape (3, 3); infinite if not fixed."""
+        return np.asarray(_of_poses(self.information[None])[0])
+
+    def _forget(self, part: slice) -> None:
+        own, cross = self.information[part, part], self.information[part]
+        inverse = np.linalg.pinv(own, 1e-12, hermitian=True)
+        self.information = self.information - cross.T @ inverse @ cross
+        self.information[part], self.information[:, part] = 0.0, 0.0
+
+
+def _bearing_jacobians(poses: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:
+    """Return derivatives of all bearings by pose and landmarks, (n, q, 3 + 2 q), at n poses."""
+    q = len(landmarks)
+    camera = np.stack(compose(Pose(*poses.T), mount)[:2], axis=1)
+    d, arm = landmarks - camera[:, None], (camera - poses[:, :2])[:, None]
+    across = np.stack([-d[..., 1], d[..., 0]], axis=-1) / (d**2).sum(axis=-1)[..., None]
+    jacobians = np.zeros((len(poses), q, 3 + 2 * q))
+    jacobians[..., :2] = -across
+    jacobians[..., 2] = across[..., 0] * arm[..., 1] - across[..., 1] * arm[..., 0] - 1.0
+    rows = np.arange(q)
+    jacobians[:, rows, 3 + 2 * rows] = across[..., 0]
+    jacobians[:, rows, 4 + 2 * rows] = across[..., 1]
+    return jacobians
+
+
+def _of_poses(information: np.ndarray) -> np.ndarray:
+    """Return covariances of the pose, the landmarks marginalised; infinite where not fixed."""
+    landmarks, cross = information[:, 3:, 3:], information[:, 3:, :3]
+    inverse = np.linalg.pinv(landmarks, 1e-12, hermitian=True)
+    own = information[:, :3, :3] - cross.transpose(0, 2, 1) @ inverse @ cross
+    values = np.linalg.eigvalsh(own)
+    fixed = values[:, 0] > 1e-9 * np.maximum(values[:, -1], 1e-300)
+    covariances = np.full(own.shape, np.inf)
+    covariances[fixed] = np.linalg.inv(own[fixed])
+    return covariances

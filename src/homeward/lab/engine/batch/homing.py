@@ -1,0 +1,238 @@
+"""Closed loops, many at once: truth, measurement, control law and filter, with all noise drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike
+
+from homeward.control.laws import homing
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Polar, Twist
+from homeward.lab.engine.batch.execution import BatchEngine, Precision, execute
+from homeward.lab.engine.batch.job import Draw, Given, Job, Result, given_values
+from homeward.lab.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.steps import named_function
+from homeward.lab.model import POLAR, discretise, true_bearings, unicycle_rates
+
+Law = Callable[[Polar, ca.SX], Twist]
+"""From the estimated pose and the speed [m/s] to a twist."""
+
+DRAWS = (
+    Draw("noise", "bearing_sigma", True, 0),
+    Draw("disturbance", "disturbance_sigma", True, 1),
+    Draw("mask", "visibility", False, 2),
+)
+"""What is drawn at every step: noise of the bearings, of the twist, and what is in sight."""
+
+
+@lru_cache(maxsize=64)
+def world_function(n: int, q: int, law: Law) -> ca.Function:
+    """Return what the world does in one sample, as a function of what the filter believes.
+
+    The law acts on the estimate; the truth moves by the commanded twist and its disturbance, on the
+    Cartesian unicycle, which is singular nowhere; then the camera looks.
+
+    Its inputs are ``state`` (n,) of the filter, ``pose`` (3,), the true x [m], y [m] and heading
+    [rad], ``landmarks`` (q, 2) [m] in the home frame, ``speed`` [m/s], ``disturbance`` (2,) of the
+    twist, ``noise`` (q,) of the bearings [rad] and ``dt`` [s]; its outputs are ``control`` (2,),
+    ``pose`` and ``bearings`` (q,).
+    """
+    state, pose, landmarks = ca.SX.sym("state", n), ca.SX.sym("pose", 3), ca.SX.sym("marks", q, 2)
+    speed, disturbance = ca.SX.sym("speed"), ca.SX.sym("disturbance", 2)
+    noise, dt = ca.SX.sym("noise", q), ca.SX.sym("dt")
+    command = ca.vertcat(*law(Polar(state[0], state[1], state[2]), speed))
+    moved = discretise(unicycle_rates, pose, command + disturbance, dt).state
+    bearings = true_bearings(moved, landmarks) + noise
+    given = {"state": state, "pose": pose, "landmarks": landmarks, "speed": speed}
+    given |= {"disturbance": disturbance, "noise": noise, "dt": dt}
+    outputs = {"control": command, "pose": moved, "bearings": bearings}
+    return named_function("world", given, outputs)
+
+
+@lru_cache(maxsize=64)
+def score_function(n: int) -> ca.Function:
+    """Return how far off a belief is, as a function.
+
+    Its inputs are ``pose`` (3,), ``state`` (n,), ``covariance`` (n, n) and ``stop_radius`` [m]; its
+    outputs ``error`` (3,), estimate minus truth of R [m], theta, alpha [rad], ``squared_error``
+    (3,), ``nees``, of (x, y, heading), and ``arrived``, 1 where the estimated R is below the stop
+    radius. An estimate with R below zero counts as the same place said with a positive R.
+    """
+    pose, state = ca.SX.sym("pose", 3), ca.SX.sym("state", n)
+    covariance, radius = ca.SX.sym("covariance", n, n), ca.SX.sym("stop_radius")
+    R, theta, alpha = state[0], state[1], state[2]
+    error = ca.vertcat(
+        ca.fabs(R) - ca.hypot(pose[0], pose[1]),
+        wrap(theta + ca.pi * (R < 0) - ca.atan2(pose[1], pose[0])),
+        wrap(alpha - pose[2]),
+    )
+    # The error of x and y along and across the estimated direction, in the filter's own terms:
+    # the Jacobian of (x, y, heading) by (R, theta, alpha) is a rotation times diag(1, R, 1).
+    along, across = ca.cos(theta), ca.sin(theta)
+    dx, dy = R * along - pose[0], R * across - pose[1]
+    own = ca.vertcat(along * dx + across * dy, (along * dy - across * dx) / R, error[2])
+    nees = own.T @ _inverse3(covariance[:POLAR, :POLAR]) @ own
+    outputs = {
+        "error": error,
+        "squared_error": error**2,
+        "nees": nees,
+        "arrived": ca.fabs(R) < radius,
+    }
+    given = {"pose": pose, "state": state, "covariance": covariance, "stop_radius": radius}
+    return named_function("score", given, outputs)
+
+
+def _inverse3(m: ca.SX) -> ca.SX:
+    """Return the inverse of a symmetric 3 x 3 matrix by its cofactors."""
+    rows = [m[i, :].T for i in range(3)]
+    cofactors = [ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)]
+    return ca.horzcat(*cofactors) / ca.dot(rows[0], cofactors[0])
+
+
+@lru_cache(maxsize=64)
+def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
+    """Return one sample of a filter in the loop that it closes."""
+    n, q = kind.model.n, kind.model.q
+    world = {"world": (Symbolic(world_function(n, q, law)),)}
+    parts = world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)}
+    one = Separable(kind, world_function(POLAR, 1, law), score_function(POLAR))
+    return Program(parts, one)
+
+
+class HomingResult(Result):
+    """What came out of many closed loops; arrays run over the runs. Samples include the start."""
+
+    @property
+    def reached(self) -> np.ndarray:
+        """(runs,), bool: the estimated R came below the stop radius."""
+        return self.stopped
+
+    @property
+    def rmse(self) -> np.ndarray:
+        """(runs, 3), of R [m], theta, alpha [rad] over a run's samples; infinite where diverged."""
+        return np.asarray(np.sqrt(self._mean("squared_error")))
+
+    @property
+    def nees(self) -> np.ndarray:
+        """(runs,), mean NEES of (x, y, heading) over a run's samples; infinite where diverged.
+
+        NaN where the covariance was singular at some sample.
+        """
+        return self._mean("nees")[:, 0]
+
+    @property
+    def pose(self) -> np.ndarray:
+        """(runs, 3), true x [m], y [m], heading [rad] at the last sample."""
+        return self.final["pose"]
+
+    @property
+    def state(self) -> np.ndarray:
+        """(runs, n), the estimate at the last sample."""
+        return self.final["state"]
+
+    @property
+    def final_distance(self) -> np.ndarray:
+        """True distance from home at the last sample [m], (runs,)."""
+        return np.asarray(np.hypot(self.pose[:, 0], self.pose[:, 1]))
+
+    def _mean(self, name: str) -> np.ndarray:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            mean = self.sums[name] / self.samples[:, None]
+        return np.where(self.diverged[:, None], np.inf, mean)
+
+
+def run_homing(
+    kind: ExtendedKalmanFilter,
+    given: Mapping[str, ArrayLike],
+    *,
+    runs: int,
+    steps: int,
+    seed: int = 0,
+    first_run: int = 0,
+    law: Law = homing,
+    series: Mapping[str, ArrayLike] | None = None,
+    history: Sequence[str] = (),
+    engine: BatchEngine = "auto",
+    threads: int | None = None,
+    precision: Precision = "double",
+) -> HomingResult:
+    """Run a filter in the loop that it closes, many times.
+
+    Each run observes its start, then advances and observes again until the estimated R is below
+    the stop radius, the belief diverges, or `steps` samples have been advanced. Run number
+    ``first_run + i`` has the same noise whatever the batch, the filter, the engine or the threads.
+
+    Parameters
+    ----------
+    kind : ExtendedKalmanFilter
+        The filter.
+    given : mapping of str to array_like
+        What does not change from step to step, for all runs at once or with a leading axis of
+        runs. By the names of `homeward.lab.filters.belief`: the first belief (state, covariance;
+        active is zero unless given) and the filter's parameters (dt, stored, input_covariance,
+        state_variance, variance, gate, minimum_visible and, with an integral, proportional and
+        integral_gain). And of the world: ``pose`` (3,), the true x [m], y [m], heading [rad] at the
+        start; ``landmarks`` (q, 2) [m] in the home frame; ``speed`` [m/s]; ``stop_radius`` [m];
+        ``bearing_sigma`` (q,) or a number [rad]; ``disturbance_sigma`` (2,) of the twist, every
+        sample [m/s, rad/s]; ``visibility`` (q,) or a number, the chance that a landmark is in
+        sight. The last two default to zeros and ones. What moved is where `stored` is not the
+        direction of `landmarks`.
+    runs, steps : int
+        Their numbers.
+    seed : int
+        Of all noise, in [0, 2^64).
+    first_run : int
+        Number of the first run in the noise.
+    law : callable
+        The control law, on symbols; the paper's homing law by default.
+    series : mapping of str to array_like, optional
+        Values in place of what would be drawn (noise, disturbance, mask): (steps, ...) for all
+        runs, or (runs, steps, ...).
+    history : sequence of str
+        Variables to return at every sample: pose, state, covariance, error, nees, control, ...
+    engine, threads, precision
+        See `homeward.lab.engine.batch.execution.execute`.
+
+    Raises
+    ------
+    ValueError
+        For a name that the loop does not have, or a shape that does not fit.
+    """
+    program, q = homing_program(kind, law), kind.model.q
+    extra = {"bearing_sigma": q, "disturbance_sigma": 2, "visibility": q}
+    shapes = {**program.shapes, **{k: (size,) for k, size in extra.items()}}
+    values = {"visibility": 1.0, "gate": np.inf, **given}
+    series = series or {}
+    for name in (*values, *series, *history):
+        if name not in shapes:
+            raise ValueError(f"{name}: the closed loop has no such variable")
+    start = tuple(given_values(k, v, shapes[k], runs) for k, v in values.items())
+    job = Job(
+        program=program,
+        extra=extra,
+        runs=runs,
+        steps=steps,
+        first_run=first_run,
+        seed=seed,
+        start=start,
+        series=tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items()),
+        draws=_needed(start, series),
+        sums=("squared_error", "nees"),
+        final=("pose", "state"),
+        history=tuple(history),
+        stop="arrived",
+    )
+    return HomingResult(**vars(execute(job, engine, threads, precision)))
+
+
+def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
+    """Return the draws that are not given and whose scale is not zero."""
+    scales = {g.name: g.values for g in start}
+    return tuple(
+        d for d in DRAWS if d.name not in series and np.any(scales.get(d.scale, np.zeros(1)))
+    )

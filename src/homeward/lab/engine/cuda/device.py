@@ -1,0 +1,247 @@
+"""An NVIDIA GPU through its driver: code compiled at run time, memory, launches."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import lru_cache
+from types import ModuleType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from homeward.errors import HomewardError, needs_extra
+from homeward.io.writing import scratch_folder
+from homeward.native.cache import Cache, default_folder, key_of
+
+FLOATS = ("--ftz=true", "--prec-div=false", "--prec-sqrt=false")
+"""How floats are computed; doubles are not concerned."""
+
+
+class CudaError(HomewardError):
+    """Why a job cannot run on a GPU, in one line."""
+
+
+def bindings() -> tuple[ModuleType, ModuleType]:
+    """Return the driver's and the compiler's Python modules.
+
+    Raises
+    ------
+    InputError
+        When they are not installed.
+    """
+    try:
+        from cuda.bindings import driver, nvrtc
+    except ImportError:
+        raise needs_extra("batches on a GPU", "gpu") from None
+    return driver, nvrtc
+
+
+def compiled(text: str, architecture: str) -> bytes:
+    """Return the machine code of a CUDA C++ source for an architecture as ``sm_90``, without a GPU.
+
+    Raises
+    ------
+    CudaError
+        When there is no compiler, or it fails.
+    """
+    _, nvrtc = bindings()
+    try:
+        version = _checked(nvrtc.nvrtcVersion())
+    except RuntimeError as error:
+        raise CudaError(f"NVRTC cannot be loaded ({error})") from None
+    cache = Cache(default_folder(), ".cubin")
+    key = key_of(text, architecture, str(version))
+    trusted = cache.problem() is None
+    if trusted and (found := cache.find(key)) is not None:
+        return found.read_bytes()
+    options = [f"--gpu-architecture={architecture}", "--std=c++17", "-w", *FLOATS]
+    program = _checked(nvrtc.nvrtcCreateProgram(text.encode(), b"homeward.cu", 0, [], []))
+    try:
+        (result,) = nvrtc.nvrtcCompileProgram(program, len(options), [o.encode() for o in options])
+        if result != nvrtc.nvrtcResult.NVRTC_SUCCESS:
+            log = bytearray(_checked(nvrtc.nvrtcGetProgramLogSize(program)))
+            _checked(nvrtc.nvrtcGetProgramLog(program, log))
+            lines = log.decode(errors="replace").strip("\0\n ").splitlines() or ["it says nothing"]
+            raise CudaError(f"NVRTC failed: {lines[0]}")
+        code = bytearray(_checked(nvrtc.nvrtcGetCUBINSize(program)))
+        _checked(nvrtc.nvrtcGetCUBIN(program, code))
+    finally:
+        nvrtc.nvrtcDestroyProgram(program)
+    if trusted:
+        with scratch_folder(cache.folder) as workshop:
+            file = workshop / "code.cubin"
+            file.write_bytes(code)
+            cache.keep(key, file)
+    return bytes(code)
+
+
+def _checked(answer: tuple[Any, ...]) -> Any:
+    """Return what a call of the driver or the compiler answers.
+
+    Raises
+    ------
+    CudaError
+        When it says no.
+    """
+    error, *values = answer
+    if int(error) != 0:
+        raise CudaError(f"CUDA says {error.name}")
+    return values[0] if len(values) == 1 else tuple(values)
+
+
+class Kernel(NamedTuple):
+    """A function on the GPU, and how many of its blocks run at once."""
+
+    function: Any
+    threads: int
+    shared: int
+    blocks: int
+
+
+class Gpu:
+    """The first NVIDIA GPU of this machine.
+
+    Raises
+    ------
+    CudaError
+        When there is none.
+    """
+
+    def __init__(self) -> None:
+        self._driver, _ = bindings()
+        try:
+            _checked(self._driver.cuInit(0))
+            device = _checked(self._driver.cuDeviceGet(0))
+            self._context = _checked(self._driver.cuDevicePrimaryCtxRetain(device))
+        except RuntimeError:
+            raise CudaError("there is no NVIDIA driver") from None
+        self.use()
+        name = _checked(self._driver.cuDeviceGetName(128, device))
+        self.name: str = name.split(b"\0")[0].decode()
+        attribute = self._driver.CUdevice_attribute
+        major, minor, self._processors = (
+            int(_checked(self._driver.cuDeviceGetAttribute(a, device)))
+            for a in (
+                attribute.CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR,
+                attribute.CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR,
+                attribute.CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT,
+            )
+        )
+        self.architecture = f"sm_{major}{minor}"
+
+    def use(self) -> None:
+        """Make it this thread's."""
+        _checked(self._driver.cuCtxSetCurrent(self._context))
+
+    def free_bytes(self) -> int:
+        """Return how much of its memory nobody uses."""
+        return int(_checked(self._driver.cuMemGetInfo())[0])
+
+    def kernel(self, text: str, threads: int, shared: int) -> Kernel:
+        """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
+        return _kernel(self, text, threads, shared)
+
+    @contextmanager
+    def arrays(self) -> Iterator[Arrays]:
+        """Memory that is freed at the end."""
+        arrays = Arrays(self._driver)
+        try:
+            yield arrays
+        finally:
+            arrays.free()
+
+    def launch(self, kernel: Kernel, argument: ctypes.Structure, groups: int) -> float:
+        """Run a kernel on one argument, and return the seconds that it took.
+
+        Its threads fetch their work themselves; more blocks than `groups` would have nothing to do.
+        """
+        driver = self._driver
+        pointers = (ctypes.c_void_p * 1)(ctypes.addressof(argument))
+        blocks = max(1, min(kernel.blocks, groups))
+        begin, end = (_checked(driver.cuEventCreate(0)) for _ in range(2))
+        try:
+            _checked(driver.cuEventRecord(begin, 0))
+            _checked(
+                driver.cuLaunchKernel(
+                    kernel.function,
+                    *(blocks, 1, 1),
+                    *(kernel.threads, 1, 1),
+                    kernel.shared,
+                    0,
+                    ctypes.addressof(pointers),
+                    0,
+                )
+            )
+            _checked(driver.cuEventRecord(end, 0))
+            _checked(driver.cuEventSynchronize(end))
+            return float(_checked(driver.cuEventElapsedTime(begin, end))) / 1e3
+        finally:
+            for event in (begin, end):
+                driver.cuEventDestroy(event)
+
+    def load(self, code: bytes, threads: int, shared: int) -> Kernel:
+        """Load machine code."""
+        driver = self._driver
+        module = _checked(driver.cuModuleLoadData(code))
+        function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))
+        attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+        _checked(driver.cuFuncSetAttribute(function, attribute, shared))
+        each = _checked(
+            driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared)
+        )
+        return Kernel(function, threads, shared, int(each) * self._processors)
+
+
+class Arrays:
+    """Memory of the GPU, freed at once."""
+
+    def __init__(self, driver: ModuleType) -> None:
+        self._driver = driver
+        self._pointers: list[int] = []
+
+    def put(self, array: np.ndarray) -> int:
+        """Copy an array there, and return where it is."""
+        pointer = self._allocate(array)
+        if array.nbytes:
+            _checked(self._driver.cuMemcpyHtoD(pointer, array.ctypes.data, array.nbytes))
+        return pointer
+
+    def blank(self, array: np.ndarray) -> int:
+        """Return memory for an array: NaN, or zeros for integers."""
+        pointer = self._allocate(array)
+        byte = 0xFF if array.dtype.kind == "f" else 0
+        _checked(self._driver.cuMemsetD8(pointer, byte, max(array.nbytes, 1)))
+        return pointer
+
+    def fetch(self, pointer: int, array: np.ndarray) -> None:
+        """Copy what is there into an array."""
+        if array.nbytes:
+            _checked(self._driver.cuMemcpyDtoH(array.ctypes.data, pointer, array.nbytes))
+
+    def free(self) -> None:
+        """Give the memory back."""
+        while self._pointers:
+            self._driver.cuMemFree(self._pointers.pop())
+
+    def _allocate(self, array: np.ndarray) -> int:
+        self._pointers.append(int(_checked(self._driver.cuMemAlloc(max(array.nbytes, 8)))))
+        return self._pointers[-1]
+
+
+@lru_cache(maxsize=1)
+def gpu() -> Gpu:
+    """Return the GPU, the same one for all.
+
+    Raises
+    ------
+    CudaError
+        When there is none.
+    """
+    return Gpu()
+
+
+@lru_cache(maxsize=16)
+def _kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
+    return device.load(compiled(text, device.architecture), threads, shared)

@@ -1,0 +1,260 @@
+"""Filters over recorded drives as they run online, side by side in the lanes of a batch.
+
+A drive becomes a timetable: predictions of so many seconds by a twist, some of them ended by the
+bearings of a stamp. It is the same for every filter, so what an `OnlineFilter` does one sample
+after another, compiled loops do for many of them at once, to the last digits.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from functools import lru_cache
+
+import casadi as ca
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.geometry.frames import Polar, from_polar, polar_covariance_to_pose
+from homeward.lab.engine.batch import compiled
+from homeward.lab.engine.batch.execution import SLOWER, execute
+from homeward.lab.engine.batch.job import Given, Job, given_values
+from homeward.lab.engine.choice import choose
+from homeward.lab.engine.estimators.online import OnlineFilter
+from homeward.lab.engine.estimators.runner import FilterRunner, Numbers
+from homeward.lab.engine.estimators.timetable import SAME_S, Step, Timetable
+from homeward.lab.engine.program.generic import BELIEF
+from homeward.lab.engine.program.stages import Program, Symbolic, filter_parts
+from homeward.lab.filters.belief import prediction_symbols
+from homeward.lab.filters.carrier import LOST_SIGMA
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.settings import Engine
+from homeward.lab.filters.steps import UPDATE_OUTPUTS, named_function
+from homeward.lab.model import POLAR
+from homeward.track import Innovations, Track
+
+AT_ONCE = 2**24
+"""So many numbers of the samples of some runs are held at once; 128 MB."""
+SAVED_S = 5e-4
+"""What a step costs in Python, sample after sample, and not side by side [s]."""
+KEPT = (*BELIEF, *UPDATE_OUTPUTS)
+
+
+def batch_kind(estimator: object) -> ExtendedKalmanFilter | None:
+    """Return what kind of filter an estimator is; None where it does not run side by side."""
+    if type(estimator) is not OnlineFilter or type(estimator.carrier) is not FilterRunner:
+        return None
+    return estimator.carrier.kind
+
+
+def _runner(estimator: OnlineFilter) -> FilterRunner:
+    assert isinstance(estimator.carrier, FilterRunner)
+    return estimator.carrier
+
+
+def run_side_by_side(
+    drives: Sequence[Drive],
+    estimators: Sequence[OnlineFilter],
+    engine: Engine = "auto",
+    more: float = 1.0,
+) -> list[Track | None]:
+    """Run filters of one kind, each over its drive, and leave them where `homeward.track.run` does.
+
+    Parameters
+    ----------
+    drives : sequence of Drive
+        One for each filter; one object where several run over one.
+    estimators : sequence of OnlineFilter
+        Fresh ones of one `batch_kind`; used up.
+    engine : {"auto", "interpreter", "native"}
+        With auto, compiled code runs where that pays.
+    more : float
+        So many times as much is coming, this included: what compiling pays for.
+
+    Returns
+    -------
+    list of Track or None
+        Rows and innovations; no statuses, reasons, times or histories of landmarks. None for a
+        filter that has to run by itself: nothing compiled is at hand, or its belief diverged.
+    """
+    ids = [tuple(e.ids) for e in estimators]
+    differ = {(id(d), i): d for d, i in zip(drives, ids, strict=True)}
+    made = {key: Timetable(drive, key[1]) for key, drive in differ.items()}
+    own = [made[id(d), i] for d, i in zip(drives, ids, strict=True)]
+    longest = max(len(table.steps) for table in own)
+    kind = batch_kind(estimators[0])
+    assert kind is not None
+    numbers = (longest + 1) * sum(online_program(kind).size(name) for name in KEPT)
+    chunk = max(2, AT_ONCE // numbers)
+    tracks: list[Track | None] = []
+    for first in range(0, len(own), chunk):
+        part = slice(first, first + chunk)
+        tracks += _tracks(kind, own[part], estimators[part], engine, more * len(own) / chunk)
+    return tracks
+
+
+@lru_cache(maxsize=64)
+def online_program(kind: ExtendedKalmanFilter) -> Program:
+    """Return a filter whose noise is told as densities: pace, predict, update."""
+    asked = prediction_symbols(kind.model, kind.integral)
+    lost, density = ca.SX.sym("lost"), ca.SX.sym("input_density", 2)
+    walk = ca.SX.sym("state_density", asked.state_variance.shape)
+    gain = ca.SX.sym("proportional_density", asked.proportional.shape)
+    noise = ca.if_else(lost, ca.DM([LOST_SIGMA**2] * 2), density) / ca.fmax(asked.dt, SAME_S)
+    inputs = {"dt": asked.dt, "lost": lost, "input_density": density}
+    inputs |= {"state_density": walk, "proportional_density": gain}
+    outputs = {
+        "input_covariance": ca.diag(ca.if_else(asked.dt > 0, noise, 0.0)),
+        "state_variance": walk * asked.dt,
+        "proportional": gain * asked.dt,
+    }
+    pace = named_function("pace", inputs, outputs)
+    return Program({"pace": (Symbolic(pace),)} | filter_parts(kind))
+
+
+def _tracks(
+    kind: ExtendedKalmanFilter,
+    tables: Sequence[Timetable],
+    estimators: Sequence[OnlineFilter],
+    engine: Engine,
+    more: float,
+) -> list[Track | None]:
+    runners = [_runner(e) for e in estimators]
+    starts = [runner.start() for runner in runners]
+    begun = {name: np.array([getattr(s, name) for s in starts]) for name in BELIEF}
+    found = _carry(kind, runners, begun, [t.steps for t in tables], tables, engine, more)
+    if found is None:
+        return [None] * len(tables)
+    tracks: list[Track | None] = []
+    for r, (table, estimator) in enumerate(zip(tables, estimators, strict=True)):
+        kept = {name: found[name][r, : len(table.steps) + 1] for name in KEPT}
+        rows = _rows(kind, runners[r], table, kept, engine)
+        tracks.append(None if rows is None else _track(table, estimator, kept, *rows))
+    return tracks
+
+
+def _carry(
+    kind: ExtendedKalmanFilter,
+    runners: Sequence[FilterRunner],
+    beliefs: Mapping[str, np.ndarray],
+    steps: Sequence[list[Step]],
+    tables: Sequence[Timetable],
+    engine: Engine,
+    more: float,
+) -> dict[str, np.ndarray] | None:
+    """Return `KEPT` at every sample, (runs, steps + 1, ...); None where nothing compiled runs.
+
+    Without timetables nothing is seen.
+    """
+    # Lanes and a run alone differ in their last digits: nobody runs alone.
+    pick = np.arange(max(2, len(runners))) % len(runners)
+    program, longest = online_program(kind), max(len(s) for s in steps)
+    q, runs = kind.model.q, pick.size
+    table = np.zeros((len(runners), longest, 4))
+    bearings, mask = np.zeros((2, len(runners), longest, q))
+    tunings = [runner.tuning for runner in runners]
+    variance = np.empty(bearings.shape)
+    for r, own in enumerate(steps):
+        table[r, : len(own)] = np.reshape(own, (-1, 4))  # none at all has no columns, either
+        variance[r] = tunings[r].bearing_sigma ** 2
+        if tables:
+            seen, k = tables[r], len(own)
+            bearings[r, :k], mask[r, :k] = seen.bearings, seen.mask
+            variance[r, :k] = np.where(np.isnan(seen.sigma), variance[r, :k], seen.sigma**2)
+    start = dict(beliefs)
+    for name in ("stored", "gate", "minimum_visible", "input_density", "state_density"):
+        start[name] = np.array([getattr(tuning, name) for tuning in tunings])
+    if kind.integral:
+        start["proportional_density"] = np.array([t.proportional for t in tunings])
+        start["integral_gain"] = np.array([t.integral_gain for t in tunings])
+    series = {"dt": table[..., :1], "control": table[..., 1:3], "lost": table[..., 3:]}
+    series |= {"bearings": bearings, "mask": mask, "variance": variance}
+
+    def given(name: str, values: np.ndarray, *along: int) -> Given:
+        shape = program.shapes[name]
+        entries = () if shape == (1,) else shape
+        return given_values(name, values[pick].reshape(runs, *along, *entries), shape, runs, *along)
+
+    job = Job(
+        program=program,
+        runs=runs,
+        steps=longest,
+        start=tuple(given(k, v) for k, v in start.items()),
+        series=tuple(given(k, v, longest) for k, v in series.items()),
+        final=(),
+        history=KEPT,
+    )
+    saved = more * SAVED_S * runs * longest
+    result, _ = choose(
+        engine, saved, lambda: compiled.source(job), lambda: execute(job, "native", 1), SLOWER
+    )
+    return None if result is None else result.history
+
+
+def _rows(
+    kind: ExtendedKalmanFilter,
+    runner: FilterRunner,
+    table: Timetable,
+    kept: Mapping[str, np.ndarray],
+    engine: Engine,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return states (rows, n) and covariances (rows, n, n); None where the belief diverged."""
+    before = np.array([k for k, _ in table.rows], int)
+    state, covariance = kept["state"][before], kept["covariance"][before]
+    ahead = [i for i, (_, way) in enumerate(table.rows) if way]
+    if ahead:
+        # Between samples the filter predicts, and forgets it.
+        begun = {name: kept[name][before[ahead]] for name in BELIEF}
+        ways = [table.rows[i][1] for i in ahead]
+        found = _carry(kind, [runner] * len(ahead), begun, ways, (), engine, math.inf)
+        if found is None:
+            return None
+        last = np.array([len(way) for way in ways])
+        here = np.arange(len(ahead))
+        state[ahead] = found["state"][here, last]
+        covariance[ahead] = found["covariance"][here, last]
+    sound = np.isfinite(kept["state"]).all() and np.isfinite(state).all()
+    return (state, covariance) if sound else None
+
+
+def _track(
+    table: Timetable,
+    estimator: OnlineFilter,
+    kept: Mapping[str, np.ndarray],
+    state: np.ndarray,
+    covariance: np.ndarray,
+) -> Track:
+    """Return the track of one filter, and let it have got there."""
+    runner, ids = _runner(estimator), np.array(estimator.ids)
+    q, n = len(ids), state.shape[1]
+    before, after, accepted = kept["active"][:-1], kept["active"][1:], kept["accepted"][1:] > 0
+    memory = np.concatenate([kept[name][-1].ravel(order="F") for name in BELIEF])
+    sightings = (accepted | (after > before)).sum(axis=0)
+    estimator.adopt(Numbers(n, q, memory), table.end, sightings)
+    enough = table.mask.sum(axis=1, keepdims=True) >= runner.minimum_visible
+    step, landmark = np.nonzero((table.mask > 0) & enough & (before > 0))
+    at = step + 1, landmark
+    polar = Polar(*state[:, :POLAR].T)
+    pose = from_polar(polar)
+    return Track(
+        estimator=estimator.name,
+        t=np.array(table.t),
+        x=np.asarray(pose.x),
+        y=np.asarray(pose.y),
+        heading=np.asarray(pose.heading),
+        covariance=polar_covariance_to_pose(polar, covariance[:, :POLAR, :POLAR]),
+        status=[],
+        reason=[],
+        innovations=Innovations(
+            t=table.stamp[step],
+            landmark=ids[landmark],
+            value=kept["innovation"][at],
+            sigma=np.sqrt(np.maximum(kept["innovation_variance"][at], 0.0)),
+            accepted=kept["accepted"][at] > 0,
+        ),
+        update_seconds=np.empty(0),
+        run_seconds=0.0,
+        landmarks=estimator.landmarks(),
+        counts=estimator.counts,
+        notes=estimator.notes,
+    )

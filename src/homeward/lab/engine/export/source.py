@@ -1,0 +1,232 @@
+"""An exported filter: templates of C with the symbolic source put in, and the folder around them.
+
+The folder is that of a library, as Arduino and PlatformIO lay one out.
+"""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from collections.abc import Callable, Mapping
+from importlib.metadata import version
+from importlib.resources import files
+from statistics import NormalDist
+from string import Template
+
+import casadi as ca
+
+from homeward.errors import InputError
+from homeward.estimator import CHECKED
+from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
+from homeward.lab.engine.estimators.runner import LARGEST
+from homeward.lab.engine.native.split import Split, emit_split, split_step
+from homeward.lab.filters.carrier import LOST_SIGMA
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.settings import (
+    DEFAULT_BEARING_SIGMA,
+    DEFAULT_SPEED_SIGMA,
+    DEFAULT_TURN_SIGMA,
+    FilterSettings,
+)
+from homeward.lab.filters.steps import named_function
+from homeward.lab.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
+
+MARKER = "library.properties"
+"""The file that tells an earlier export."""
+MOST_LANDMARKS = 32
+"""What has been seen is a word of so many bits."""
+_FILES = {
+    "examples/cortex_m4f/main.c": "main.c",
+    "examples/cortex_m4f/startup.c": "startup.c",
+    "examples/cortex_m4f/mps2_an386.ld": "mps2_an386.ld",
+    "examples/homing/homing.ino": "homing.ino",
+    "library.json": "library.json",
+    MARKER: MARKER,
+}
+FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
+"""All that is called of libm, before the suffix of floats."""
+STRETCHES = 16
+"""Short stretches of the drive, whose sightings the resection keeps; each a twelfth of the way home
+long, so that they are more than that way together."""
+GATE = 0.999
+"""Share of right home bearings that agree with the right place of home."""
+CHANCE = 0.1
+"""A home bearing counts as evidence where a wrong one agrees with no larger probability."""
+
+
+def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
+    """Return all files of an exported EKF of q landmarks, by their place in the folder.
+
+    Its defaults are the settings; numbers are floats (`single`) or doubles.
+
+    Raises
+    ------
+    InputError
+        For a number of landmarks that it cannot have.
+    """
+    if not 1 <= q <= MOST_LANDMARKS:
+        raise InputError(f"an exported filter has 1 to {MOST_LANDMARKS} landmarks, not {q}")
+    values = {"version": version("homeward"), "landmarks": q}
+    texts = {f"src/{k}": text for k, text in sources(q, settings, single).items()}
+    return texts | {place: filled(name, values) for place, name in _FILES.items()}
+
+
+def filled(name: str, values: Mapping[str, object]) -> str:
+    """Return a template of this folder with its ``$name`` replaced."""
+    text = (
+        files("homeward.lab.engine.export").joinpath("templates", name).read_text(encoding="utf-8")
+    )
+    return Template(text).substitute(values)
+
+
+def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
+    """Return the header and the source of an EKF of q landmarks, by file name.
+
+    Of the settings guard and integration are compiled in, the others are defaults of the C. Numbers
+    are floats (`single`) or doubles.
+    """
+    kind = ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
+    step = step_lines(kind)
+    f, gate = "f" if single else "", NormalDist().inv_cdf((1 + GATE) / 2)
+    values = {
+        "version": version("homeward"),
+        "landmarks": q,
+        "real": "float" if single else "double",
+        "f": f,
+        "functions": ", ".join(k + f for k in FUNCTIONS),
+        "lost_variance": LOST_SIGMA**2,
+        "largest": LARGEST,
+        "shared": _indented(step.shared, 2),
+        "own": _indented(step.own, 4),
+        "defaults": _indented(_defaults(settings), 2),
+        "stretches": STRETCHES,
+        "agreeing": CHECKED,
+        "resection_gate": gate**2,
+        "chance": CHANCE,
+        "largest_misfit": math.pi * CHANCE / gate,
+        "largest_determinant": 1e30,
+    }
+    values |= {k: _indented(block_lines(k), 4 if k == "restart" else 2) for k in BLOCKS}
+    return {k: filled(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
+
+
+def step_lines(kind: ExtendedKalmanFilter) -> Split:
+    """Return the propagation of one landmark and of what all share."""
+    return split_step(kind, lambda name, entry: "dt" if name == "dt" else f"{name}[{entry}]")
+
+
+def _pose() -> ca.Function:
+    """Return the pose and its covariance to first order, from those of the polar state."""
+    x, covariance = ca.SX.sym("x", POLAR), ca.SX.sym("covariance", 6)
+    pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
+    carried = _carried(pose, x, covariance)
+    return named_function(
+        "block",
+        {"x": x, "state_covariance": covariance},
+        {"pose": pose, "pose_covariance": carried},
+    )
+
+
+def _restart() -> ca.Function:
+    """Return the polar state and its covariance to first order, from those of the pose."""
+    pose, covariance = ca.SX.sym("pose", 3), ca.SX.sym("covariance", 6)
+    polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
+    carried = _carried(polar, pose, covariance)
+    return named_function(
+        "block",
+        {"pose": pose, "pose_covariance": covariance},
+        {"x": polar, "state_covariance": carried},
+    )
+
+
+def _look() -> ca.Function:
+    pose, mark = ca.SX.sym("pose", 3), ca.SX.sym("mark", 2)
+    seen = true_bearings(pose, mark.T)
+    return named_function(
+        "block",
+        {"pose": pose, "mark": mark},
+        {"seen": seen, "by_pose": ca.gradient(seen, pose), "by_mark": ca.gradient(seen, mark)},
+    )
+
+
+def _relative() -> ca.Function:
+    home, place = ca.SX.sym("home", 3), ca.SX.sym("place", 3)
+    pose = ca.vertcat(*between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(place))))
+    return named_function(
+        "block", {"home": home, "place": place}, {"pose": pose, "by_home": ca.jacobian(pose, home)}
+    )
+
+
+def _reckon() -> ca.Function:
+    x, control, dt = ca.SX.sym("x", 3), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
+    covariance, density = ca.SX.sym("covariance", 6), ca.SX.sym("density", INPUTS)
+    step = discretise(unicycle_rates, x, control, dt)
+    carried = step.by_state @ _full(covariance) @ step.by_state.T
+    carried += step.by_input @ ca.diag(density / dt) @ step.by_input.T
+    return named_function(
+        "block",
+        {"x": x, "covariance": covariance, "control": control, "density": density, "dt": dt},
+        {"ahead": step.state, "carried": _lower(carried)},
+    )
+
+
+BLOCKS: dict[str, Callable[[], ca.Function]] = {
+    "pose": _pose,
+    "restart": _restart,
+    "look": _look,
+    "relative": _relative,
+    "reckon": _reckon,
+}
+"""Blocks of the template that belong to no landmark; their variables are named as in the C."""
+
+
+def block_lines(name: str) -> list[str]:
+    """Return a block of `BLOCKS` as lines of C."""
+
+    def entry(variable: str, k: int) -> str:
+        if name in ("pose", "restart") and variable == "pose":
+            return f"pose->{['x', 'y', 'heading'][k]}"
+        named = {"state_covariance": "belief->covariance", "pose_covariance": "pose->covariance"}
+        pointer = {"seen": "*seen", "dt": "dt"}
+        return pointer.get(variable) or f"{named.get(variable, variable)}[{k}]"
+
+    return emit_split(BLOCKS[name](), "o", entry, (), entry).shared
+
+
+def _full(lower: ca.SX) -> ca.SX:
+    """Return a symmetric matrix of three rows from its lower triangle, row by row (6,)."""
+    return ca.blockcat(
+        [[lower[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for j in range(3)] for i in range(3)]
+    )
+
+
+def _lower(full: ca.SX) -> ca.SX:
+    return ca.vertcat(*(full[i, j] for i in range(3) for j in range(i + 1)))
+
+
+def _carried(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
+    """Return a covariance carried through a function, to first order."""
+    jacobian = ca.jacobian(out, by)
+    return _lower(jacobian @ _full(covariance) @ jacobian.T)
+
+
+def _defaults(settings: FilterSettings) -> list[str]:
+    values = {
+        "bearing_sigma": settings.bearing_sigma or DEFAULT_BEARING_SIGMA,
+        "speed_sigma": settings.speed_sigma or DEFAULT_SPEED_SIGMA,
+        "turn_sigma": settings.turn_sigma or DEFAULT_TURN_SIGMA,
+        "bearing_walk": settings.bearing_walk,
+        "gate": settings.gate_threshold,
+    }
+    values["home_sigma"] = values["bearing_sigma"]
+    lines = [f"settings->{k} = {emitted(v)};" for k, v in values.items()]
+    return [*lines, f"settings->minimum_visible = {settings.minimum_visible}U;"]
+
+
+def emitted(value: float) -> str:
+    """Return a number as C."""
+    return "INFINITY" if math.isinf(value) else f"(REAL){value!r}"
+
+
+def _indented(lines: list[str], width: int) -> str:
+    return textwrap.indent("\n".join(lines), " " * width)

@@ -1,0 +1,140 @@
+"""Kernels for many landmarks: the model stays symbolic, the matrices are NumPy's.
+
+An unrolled step grows with q^2 to q^3; these grow with memory alone, and visit only the landmarks
+in sight. They are tested against the symbolic steps.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+
+from homeward.geometry.angles import wrap
+from homeward.lab.engine.program.interpreter import Interpreter, allocate
+from homeward.lab.filters.belief import Belief
+from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.steps import UPDATE_OUTPUTS, propagate_function
+from homeward.lab.filters.unscented import LEAST_PIVOT, UnscentedFilter
+from homeward.lab.model import INPUTS, POLAR
+
+BELIEF = tuple(field.name for field in fields(Belief))
+
+
+def _belief(n: int, q: int, integral: bool) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a belief, in the order of `BELIEF`."""
+    return dict(zip(BELIEF, ((n,), (n, n), (q,), (n if integral else 0,)), strict=True))
+
+
+class GenericPredict:
+    """The predicting step of a filter (a `Kernel`)."""
+
+    def __init__(self, kind: ExtendedKalmanFilter) -> None:
+        self._propagate = Interpreter(propagate_function(kind))
+        self.given, self.inputs = self._propagate.given, self._propagate.inputs
+        self.found, self.outputs = allocate(_belief(kind.model.n, kind.model.q, kind.integral))
+
+    def __call__(self) -> None:
+        """Compute the outputs from the inputs."""
+        self._propagate()
+        given, step, out = self.inputs, self._propagate.outputs, self.outputs
+        by_state, by_input = step["by_state"], step["by_input"]
+        covariance = by_state @ given["covariance"] @ by_state.T
+        covariance += by_input @ given["input_covariance"] @ by_input.T
+        covariance[np.diag_indices_from(covariance)] += given["state_variance"]
+        out["state"][:] = step["state"]
+        out["covariance"][:] = (covariance + covariance.T) / 2
+        out["active"][:], out["integral"][:] = given["active"], given["integral"]
+
+
+class UnscentedPredict:
+    """The predicting step of the UKF (a `Kernel`)."""
+
+    def __init__(self, kind: UnscentedFilter) -> None:
+        n, q = kind.model.n, kind.model.q
+        belief = _belief(n, q, kind.integral)
+        self.given, self.inputs = allocate(
+            belief
+            | {"control": (INPUTS,), "dt": (1,), "stored": (q,)}
+            | {"input_covariance": (INPUTS, INPUTS), "state_variance": (n,), "proportional": (0, 0)}
+        )
+        self.found, self.outputs = allocate(belief)
+        self._points = 2 * (n + INPUTS)
+        # dt, stored and active are the same for all points.
+        self._step = kind.step().map("points", "serial", self._points, [2, 3, 4], [])
+
+    def __call__(self) -> None:
+        """Compute the outputs from the inputs."""
+        given, out = self.inputs, self.outputs
+        n = given["state"].size
+        spread = np.zeros((n + INPUTS, n + INPUTS))
+        spread[:n, :n] = _root(given["covariance"])
+        spread[n:, n:] = _root(given["input_covariance"])
+        shifts = np.sqrt(n + INPUTS) * np.hstack([spread, -spread])
+        shifts += np.concatenate([given["state"], given["control"]])[:, None]
+        same = given["dt"], given["stored"], given["active"]
+        points = np.asarray(self._step(shifts[:n], shifts[n:], *same))
+        out["state"][:] = points.mean(axis=1)
+        off = points - out["state"][:, None]
+        out["covariance"][...] = off @ off.T / self._points + np.diag(given["state_variance"])
+        out["active"][:] = given["active"]
+
+
+def _root(matrix: np.ndarray) -> np.ndarray:
+    """Return what `homeward.lab.filters.unscented.cholesky` does."""
+    root = np.zeros(matrix.shape)
+    for j in range(len(matrix)):
+        column = matrix[j:, j] - root[j:, :j] @ root[j, :j]
+        if column[0] > LEAST_PIVOT:
+            root[j:, j] = column / np.sqrt(column[0])
+    return root
+
+
+class GenericUpdate:
+    """The updating step of a filter (a `Kernel`)."""
+
+    def __init__(self, kind: ExtendedKalmanFilter) -> None:
+        n, q = kind.model.n, kind.model.q
+        size, belief = n if kind.integral else 0, _belief(n, q, kind.integral)
+        self.given, self.inputs = allocate(
+            belief
+            | dict.fromkeys(("bearings", "mask", "variance"), (q,))
+            | dict.fromkeys(("gate", "minimum_visible"), (1,))
+            | {"integral_gain": (size, q if size else 0)}
+        )
+        self.found, self.outputs = allocate(belief | dict.fromkeys(UPDATE_OUTPUTS, (q,)))
+        self._bearings, self._considered = kind.model.bearing_slice, kind.considered
+
+    def __call__(self) -> None:
+        """Compute the outputs from the inputs."""
+        given, out = self.inputs, self.outputs
+        for name in BELIEF:
+            out[name][...] = given[name]
+        state, covariance, variance = out["state"], out["covariance"], given["variance"]
+
+        enough = given["mask"].sum() >= given["minimum_visible"][0]
+        visible = (given["mask"] > 0) & enough
+        entering = np.flatnonzero(visible & (given["active"] == 0))
+        compared = visible & (given["active"] > 0)
+        innovation = np.where(compared, wrap(given["bearings"] - state[self._bearings]), 0.0)
+        predicted = np.diag(covariance)[self._bearings] + variance
+        accepted = compared & (innovation**2 <= given["gate"][0] * predicted)
+
+        rows = POLAR + entering
+        state[rows] = given["bearings"][entering]
+        covariance[rows, :] = covariance[:, rows] = 0.0
+        covariance[rows, rows] = variance[entering]
+        out["active"][entering] = 1.0
+        before, fixed = state.copy(), self._considered
+        for i in np.flatnonzero(accepted):
+            j = POLAR + i
+            gain = covariance[:, j] / (covariance[j, j] + variance[i])
+            loss = np.outer(gain, covariance[j, :])
+            gain[fixed] = loss[fixed, fixed] = 0.0
+            state += gain * (innovation[i] - (state[j] - before[j]))
+            covariance -= loss
+            covariance[:] = (covariance + covariance.T) / 2
+        if given["integral"].size:
+            out["integral"] += given["integral_gain"] @ (innovation * accepted)
+        out["innovation"][:], out["innovation_variance"][:] = innovation, predicted
+        out["accepted"][:] = accepted

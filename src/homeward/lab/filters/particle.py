@@ -1,0 +1,194 @@
+"""The particle filter: poses as samples, each with a map of its own; for a start hardly known."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Polar, Pose, Twist, advance, from_polar
+from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
+from homeward.lab.filters.invariant import SensorNoise
+from homeward.lab.filters.settings import Engine
+from homeward.lab.model import home_anchored_bearing
+
+
+@dataclass(frozen=True)
+class ParticlePrior:
+    """All that the filter is told before the drive; q landmarks."""
+
+    polar: Polar
+    sigmas: np.ndarray
+    """(3,), of R [m], theta, alpha [rad]."""
+    home: np.ndarray
+    """(q,), beta* as home stored them [rad]."""
+    home_sigma: np.ndarray
+    """(q,) [rad]"""
+    inverse_distance: float
+    """Of a landmark from home, expected [1/m], and its standard deviation."""
+
+
+@dataclass(frozen=True)
+class Particles:
+    """N poses with weights, and a Gaussian on every landmark for each of them."""
+
+    pose: np.ndarray
+    """(3, N), x [m], y [m], heading [rad]."""
+    weight: np.ndarray
+    """(N,), their sum is one."""
+    mark: np.ndarray
+    """(2, N, q), home bearing [rad] and inverse distance from home [1/m]."""
+    spread: np.ndarray
+    """(2, 2, N, q), their covariance."""
+    active: np.ndarray
+    """(q,), 1 once a landmark has been seen, else 0."""
+    draws: int
+    """How often chance was asked; the same belief always draws the same."""
+
+
+class ParticleFilter:
+    """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.carrier.Carrier`.
+
+    Given the path, landmarks are independent of each other: each particle is a path, with an EKF of
+    two numbers for each landmark. A bearing is right or, with a small share, anything at all, so
+    that one wrong landmark does not end the particles that are right.
+
+    References
+    ----------
+    Montemerlo, Thrun, Koller, Wegbreit, "FastSLAM", AAAI 2002; resampling: Kitagawa, "Monte Carlo
+    Filter and Smoother for Non-Gaussian Nonlinear State Space Models", 1996 (systematic).
+
+    Parameters
+    ----------
+    prior : ParticlePrior
+        Where the robot and the landmarks may be.
+    noise : SensorNoise
+        Of odometry and camera; beyond its gate a sighting counts as wrong.
+    particles : int
+        Their number.
+    outliers : float
+        Share of sightings that are wrong.
+    seed : int
+        Of all that is drawn.
+    minimum_visible : int
+        Fewer landmarks in sight, and a stamp is not used.
+    """
+
+    engine: Engine = "interpreter"
+    notes: tuple[str, ...] = ()
+    diverged = 0
+
+    def __init__(
+        self,
+        prior: ParticlePrior,
+        noise: SensorNoise,
+        particles: int,
+        outliers: float,
+        seed: int = 0,
+        minimum_visible: int = 1,
+    ) -> None:
+        self.prior, self.noise, self.minimum_visible = prior, noise, minimum_visible
+        self.stored, self._outliers = prior.home, outliers
+        self._number, self._seed = particles, seed
+
+    def start(self) -> Particles:
+        """Return particles drawn from the prior."""
+        prior, size = self.prior, (self._number, self.stored.size)
+        drawn = np.array(prior.polar)[:, None] + prior.sigmas[:, None] * self._normal(0, 3)
+        mark = np.empty((2, *size))
+        mark[0], mark[1] = prior.home, prior.inverse_distance
+        spread = np.zeros((2, 2, *size))
+        spread[0, 0], spread[1, 1] = prior.home_sigma**2, prior.inverse_distance**2
+        even = np.full(self._number, 1 / self._number)
+        pose = np.array(from_polar(Polar(*drawn)))
+        return Particles(pose, even, mark, spread, np.zeros(self.stored.size), 1)
+
+    def predict(self, belief: Particles, interval: float, twist: Held) -> Particles:
+        """Return the belief `interval` [s] later: every particle has a motion of its own."""
+        if interval <= 0.0:
+            return belief
+        density = self.noise.input_density if twist else np.full(2, LOST_SIGMA**2)
+        noise = np.sqrt(density / interval)[:, None] * self._normal(belief.draws, 2)
+        v, omega = np.array(twist or (0.0, 0.0))[:, None] + noise
+        pose = np.stack(advance(Pose(*belief.pose), Twist(v, omega), interval))
+        return replace(belief, pose=pose, draws=belief.draws + 1)
+
+    def update(self, belief: Particles, seen: Angles, sigmas: Angles) -> tuple[Particles, Outputs]:
+        """Return the belief after one stamp, and what all particles together say of it."""
+        out = nothing_said(self.stored.size)
+        if len(seen) < max(self.minimum_visible, 1):
+            return belief, out
+        rows = np.array(list(seen))
+        own = np.array([sigmas.get(i, self.noise.bearing_sigma) for i in seen])
+        mark, spread = belief.mark[:, :, rows], belief.spread[:, :, :, rows]
+        expected, slope = _sight(belief.pose, mark)
+        innovation = wrap(np.array(list(seen.values())) - expected)
+        across = np.einsum("ijnk,jnk->ink", spread, slope)
+        variance = np.einsum("ink,ink->nk", across, slope) + own**2
+        right = np.exp(-0.5 * innovation**2 / variance) / np.sqrt(2 * np.pi * variance)
+        share = self._outliers / (2 * math.pi)
+        likelihood = np.log((1 - self._outliers) * right + share).sum(axis=1)
+        weight = belief.weight * np.exp(likelihood - likelihood.max())
+        inside = innovation**2 <= self.noise.gate * variance
+        gain = across * (inside / variance)
+        new_mark, new_spread = belief.mark.copy(), belief.spread.copy()
+        new_mark[:, :, rows] = mark + gain * innovation
+        new_spread[:, :, :, rows] = spread - gain[:, None] * across[None]
+        mean = belief.weight @ innovation
+        out["innovation"][rows] = mean
+        out["innovation_variance"][rows] = belief.weight @ (variance + (innovation - mean) ** 2)
+        weight /= weight.sum()
+        out["accepted"][rows] = weight @ inside > 0.5
+        active = np.maximum(belief.active, out["accepted"])
+        after = replace(belief, weight=weight, mark=new_mark, spread=new_spread, active=active)
+        return self._resampled(after), out
+
+    def pose(self, belief: Particles) -> tuple[Pose, np.ndarray]:
+        """Return mean and covariance of the poses."""
+        x, y, heading = belief.pose
+        w = belief.weight
+        mean = math.atan2(w @ np.sin(heading), w @ np.cos(heading))
+        off = np.stack([x - w @ x, y - w @ y, wrap(heading - mean)])
+        return Pose(float(w @ x), float(w @ y), mean), (off * w) @ off.T
+
+    def landmarks(self, belief: Particles) -> Known:
+        """Return mean and spread over all particles."""
+        w = belief.weight
+        home, inverse = (w @ m for m in belief.mark)
+        variance = w @ (belief.spread[1, 1] + (belief.mark[1] - inverse) ** 2)
+        with np.errstate(divide="ignore"):
+            return Known(wrap(home), 1 / inverse, np.sqrt(variance) / inverse**2)
+
+    def _resampled(self, belief: Particles) -> Particles:
+        """Draw particles by their weights, where fewer than half of them count."""
+        number = self._number
+        if 1 / np.sum(belief.weight**2) > number / 2:
+            return belief
+        at = (np.arange(number) + self._rng(belief.draws).random()) / number
+        kept = np.minimum(np.searchsorted(np.cumsum(belief.weight), at), number - 1)
+        return replace(
+            belief,
+            pose=belief.pose[:, kept],
+            weight=np.full(number, 1 / number),
+            mark=belief.mark[:, kept],
+            spread=belief.spread[:, :, kept],
+            draws=belief.draws + 1,
+        )
+
+    def _rng(self, draws: int) -> np.random.Generator:
+        return np.random.default_rng([self._seed, draws])
+
+    def _normal(self, draws: int, rows: int) -> np.ndarray:
+        return self._rng(draws).standard_normal((rows, self._number))
+
+
+def _sight(pose: np.ndarray, mark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return bearings (N, k) of landmarks (2, N, k), and their slopes by these two (2, N, k)."""
+    x, y, heading = (p[:, None] for p in pose)
+    home, inverse = mark
+    c, s = np.cos(home), np.sin(home)
+    along, across = c - inverse * x, s - inverse * y
+    slope = np.stack([along * c + across * s, across * x - along * y]) / (along**2 + across**2)
+    return home_anchored_bearing(Pose(x, y, heading), home, inverse), slope

@@ -1,0 +1,235 @@
+"""Null spaces in words: each direction is compared with what home, landmarks and scale can do.
+
+A sentence is only said of a direction that was verified to lie in the family that it names;
+whatever lies in none is described by its largest components, with their units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.io.naming import listing
+from homeward.lab.model import POLAR
+from homeward.lab.observability.home_words import freedom_of_home, names, slide_of_home
+from homeward.lab.observability.ranks import beyond, common, orthonormal
+from homeward.lab.observability.scene import CALIBRATIONS, UNITS, Scene
+
+ANGLE = 1e-4
+"""A direction lies in a family when the sine of the angle between them is below this."""
+SHARE = 0.05
+"""Components below this share of the largest are not named."""
+
+
+@dataclass(frozen=True)
+class Freedom:
+    """Something that no bearing tells."""
+
+    words: str
+    """One sentence."""
+    directions: np.ndarray
+    """(3 + 2 q + c, k), how the unknowns of the scene can change together."""
+
+
+def in_words(scene: Scene, null: np.ndarray, tolerance: float = ANGLE) -> list[Freedom]:
+    """Return what directions of the unknowns of a scene mean, most telling first.
+
+    Parameters
+    ----------
+    scene : Scene
+        Where everything is.
+    null : ndarray, shape (3 + 2 q + c, k)
+        Independent directions, in the units of the unknowns.
+    tolerance : float
+        The sine of the angle within which a direction counts as lying in a family.
+
+    Returns
+    -------
+    list of Freedom
+        Their directions together span those of `null`.
+    """
+    whole = orthonormal(null / scene.worth[:, None])
+    told = whole[:, :0]
+    freedoms: list[Freedom] = []
+    for family in FAMILIES:
+        block = family.block(scene)
+        found = beyond(common(whole, block, tolerance), told)
+        for words, directions in family.describe(scene, found) if found.size else []:
+            freedoms.append(Freedom(words, directions * scene.worth[:, None]))
+            told = orthonormal(np.hstack([told, directions]))
+    freedoms += [
+        Freedom(_components(scene, v), (v * scene.worth)[:, None]) for v in beyond(whole, told).T
+    ]
+    return sorted(freedoms, key=lambda f: not _moves_home(scene, f))
+
+
+Described = list[tuple[str, np.ndarray]]
+"""Words, and the directions that they are said of."""
+
+
+def _home_alone(scene: Scene, found: np.ndarray) -> Described:
+    """Home moves while robot and landmarks stay."""
+    moves = found[:POLAR] * scene.worth[:POLAR, None]
+    return [(freedom_of_home(scene, moves), found)]
+
+
+def _home_anywhere(scene: Scene, found: np.ndarray) -> Described:
+    """Home is free altogether, since landmarks may slide along their lines of sight."""
+    if np.linalg.matrix_rank(found[:POLAR], tol=1e-6) < POLAR:
+        return []
+    _, _, v = np.linalg.svd(found[:POLAR])
+    words = (
+        "home may lie anywhere as seen from the robot, facing any way: nothing is known of"
+        " the landmarks' distances, which make up for it"
+    )
+    return [(words, orthonormal(found @ v[:POLAR].T))]
+
+
+def _growth(scene: Scene) -> np.ndarray:
+    """Return the direction in which everything grows, and the speed with it."""
+    grow = np.zeros(len(scene.worth))
+    grow[:2] = scene.home[:2] - scene.poses[0, :2]
+    marks = slice(POLAR, POLAR + 2 * len(scene.landmarks))
+    grow[marks] = (scene.landmarks - scene.poses[0, :2]).ravel()
+    if "speed-scale" in scene.unknown:
+        grow[marks.stop + scene.unknown.index("speed-scale")] = 1.0
+    return orthonormal((grow / scene.worth)[:, None])
+
+
+def _scale(scene: Scene, found: np.ndarray) -> Described:
+    """Everything grows."""
+    scaled = "speed-scale" in scene.unknown
+    what = "the speed's scale and all distances" if scaled else "all distances"
+    words = f"{what} may grow or shrink together by any factor: nothing tells how large it is"
+    return [(words, found)]
+
+
+def _calibration(scene: Scene, found: np.ndarray) -> Described:
+    """Something of the calibration changes, and nothing else does."""
+    first = POLAR + 2 * len(scene.landmarks)
+    alone = np.abs(found[first:]).max(axis=1) > SHARE
+    names = [_plain(name) for name, is_in in zip(scene.unknown, alone, strict=True) if is_in]
+    return [(f"nothing tells {listing(names)}", found)]
+
+
+def _landmarks_alone(scene: Scene, found: np.ndarray) -> Described:
+    """Single landmarks that move while everything else stays."""
+    alike: dict[str, list[int]] = {}
+    for i in range(len(scene.landmarks)):
+        own = common(found, _mark_block(scene, i), ANGLE)
+        if own.shape[1]:
+            alike.setdefault(_mark_words(scene, i, own), []).append(i)
+    described = []
+    for words, which in alike.items():
+        block = np.hstack([_mark_block(scene, i) for i in which])
+        part = common(found, block, ANGLE)
+        described.append((f"{names(scene, np.array(which))} {words}", part))
+    return described
+
+
+def _mark_block(scene: Scene, i: int) -> np.ndarray:
+    return np.eye(len(scene.worth))[:, POLAR + 2 * i : POLAR + 2 * i + 2]
+
+
+def _mark_words(scene: Scene, i: int, found: np.ndarray) -> str:
+    """Say where landmark i may lie."""
+    if found.shape[1] == 2:
+        return "may lie anywhere"
+    move = found[POLAR + 2 * i : POLAR + 2 * i + 2, 0]
+    sight = _sight(scene, i)
+    if abs(move[0] * sight[1] - move[1] * sight[0]) < 1e-3 * np.hypot(*move):
+        return "may lie anywhere on the line of sight from the robot"
+    home = scene.landmarks[i] - scene.home[:2]
+    if abs(move[0] * home[1] - move[1] * home[0]) < 1e-3 * np.hypot(*move) * np.hypot(*home):
+        return "may lie anywhere on the line of sight from home"
+    return "may shift in one direction"
+
+
+def _home_and_sights(scene: Scene, found: np.ndarray) -> Described:
+    """Home moves, and some landmarks slide along their lines of sight."""
+    described = []
+    for v in found.T:
+        slides = np.hypot(*v[POLAR : POLAR + 2 * len(scene.landmarks)].reshape(-1, 2).T)
+        which = np.flatnonzero(slides > SHARE * slides.max())
+        one = which.size == 1
+        sliding = f"{names(scene, which)} {'slides' if one else 'slide'} along the"
+        sliding += f" {'line' if one else 'lines'} of sight from the robot"
+        moving = np.abs(v[:POLAR]).max() > 1e-6
+        home = v[:POLAR] * scene.worth[:POLAR]
+        words = f"{slide_of_home(scene, home)} while {sliding}" if moving else sliding
+        described.append((words, v[:, None]))
+    return described
+
+
+def _components(scene: Scene, v: np.ndarray) -> str:
+    """Describe a direction by its largest components, in their units, the largest first."""
+    q = len(scene.landmarks)
+    parts = [
+        (float(np.hypot(*v[:2])), "home's place", float(np.hypot(*v[:2])) * scene.length, "m"),
+        (abs(float(v[2])), "home's heading", abs(float(np.degrees(v[2]))), "°"),
+    ]
+    marks = np.hypot(*v[POLAR : POLAR + 2 * q].reshape(-1, 2).T)
+    parts += [(float(m), scene.names[i], float(m) * scene.length, "m") for i, m in enumerate(marks)]
+    for k, name in enumerate(scene.unknown):
+        size = abs(float(v[POLAR + 2 * q + k]))
+        real = size * float(scene.worth[POLAR + 2 * q + k])
+        parts.append((size, _plain(name), real, UNITS[CALIBRATIONS.index(name)]))
+    largest = max(size for size, *_ in parts)
+    named = sorted((p for p in parts if p[0] > 4 * SHARE * largest), reverse=True)
+    text = [f"{what} by {real:.2g} {unit}".rstrip() for _, what, real, unit in named[:4]]
+    more = f" and {len(named) - 4} more" if len(named) > 4 else ""
+    return "these can change together: " + ", ".join(text) + more
+
+
+def _plain(name: str) -> str:
+    """Return a calibration's name as one says it."""
+    return {"speed-scale": "the speed's scale", "turn-scale": "the turn rate's scale"}.get(
+        name, "the " + name.replace("-", " ")
+    )
+
+
+def _home_and_sight_block(scene: Scene) -> np.ndarray:
+    """Return orthonormal directions: home's pose, and each landmark along its line of sight."""
+    q = len(scene.landmarks)
+    block = np.zeros((len(scene.worth), POLAR + q))
+    block[:POLAR, :POLAR] = np.eye(POLAR)
+    for i in range(q):
+        block[POLAR + 2 * i : POLAR + 2 * i + 2, POLAR + i] = _sight(scene, i)
+    return block
+
+
+def _sight(scene: Scene, i: int) -> np.ndarray:
+    """Return the unit vector from where the robot saw landmark i, on average, to it."""
+    rows = scene.visible[:, i]
+    origin = scene.poses[rows if rows.any() else slice(None), :2].mean(axis=0)
+    away = scene.landmarks[i] - origin
+    return np.asarray(away / max(float(np.hypot(*away)), 1e-12))
+
+
+def _moves_home(scene: Scene, freedom: Freedom) -> bool:
+    return bool(np.abs(freedom.directions[:POLAR] / scene.worth[:POLAR, None]).max() > 1e-6)
+
+
+@dataclass(frozen=True)
+class Family:
+    """Directions with a common meaning."""
+
+    block: Callable[[Scene], np.ndarray]
+    """Returns orthonormal directions that span the family."""
+    describe: Callable[[Scene, np.ndarray], Described]
+    """Says what directions in it mean; nothing when it cannot."""
+
+
+FAMILIES = (
+    Family(lambda s: np.eye(len(s.worth))[:, :POLAR], _home_alone),
+    Family(_home_and_sight_block, _home_anywhere),
+    Family(_growth, _scale),
+    Family(lambda s: np.eye(len(s.worth))[:, POLAR + 2 * len(s.landmarks) :], _calibration),
+    Family(
+        lambda s: np.eye(len(s.worth))[:, POLAR : POLAR + 2 * len(s.landmarks)], _landmarks_alone
+    ),
+    Family(_home_and_sight_block, _home_and_sights),
+)
+"""In the order in which they are tried."""

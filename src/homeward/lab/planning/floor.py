@@ -1,0 +1,152 @@
+"""The geometry of a plan: where a robot can be, and what it sees from there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon
+from shapely.geometry.base import BaseGeometry
+
+from homeward.errors import InputError
+from homeward.lab.planning.settings import Plan
+
+EDGE = 1e-3
+"""Shelves hide as if smaller by this all round [m], and walls as if further out, lest one hides
+what hangs on its own face."""
+MOST_CELLS = 200_000
+MOST_CANDIDATES = 120
+SPACING = 0.5
+"""Between candidate places for landmarks along walls and shelves, at least [m]."""
+
+
+@dataclass(frozen=True)
+class Floor:
+    """A floor of n points on a grid, and lines of sight across it."""
+
+    outline: Polygon
+    shelves: tuple[Polygon, ...]
+    sight: BaseGeometry
+    """Where lines of sight may pass."""
+    x: np.ndarray
+    """(columns,), of the grid [m]."""
+    y: np.ndarray
+    """(rows,)"""
+    inside: np.ndarray
+    """(rows, columns), bool: where the robot can be, n of them."""
+
+    @property
+    def points(self) -> np.ndarray:
+        """(n, 2), where the robot can be [m]."""
+        row, column = np.nonzero(self.inside)
+        return np.stack([self.x[column], self.y[row]], axis=1)
+
+    def image(self, values: np.ndarray) -> np.ndarray:
+        """Return values (n,) as an image (rows, columns), NaN where the robot cannot be."""
+        image = np.full(self.inside.shape, np.nan)
+        image[self.inside] = values
+        return image
+
+    def sees(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
+        """Say which targets (q, 2) [m] can be seen from which origins (n, 2), shape (n, q)."""
+        # A prepared geometry works in memory of its own, so threads cannot share one.
+        sight = shapely.from_wkb(shapely.to_wkb(self.sight))
+        shapely.prepare(sight)
+        ends = np.empty((len(origins), len(targets), 2, 2))
+        ends[:, :, 0], ends[:, :, 1] = origins[:, None], targets[None]
+        return np.asarray(shapely.covers(sight, shapely.linestrings(ends)))
+
+
+def make_floor(plan: Plan) -> Floor:
+    """Return the floor of a plan.
+
+    Raises
+    ------
+    InputError
+        When a polygon crosses itself or has no area, home or a landmark is off the floor or in a
+        shelf, nothing of the floor is free, or the grid has too many points.
+    """
+    outline = _polygon(plan.outline, "outline")
+    shelves = tuple(_polygon(s, f"shelves.{i}") for i, s in enumerate(plan.shelves))
+    solid = shapely.union_all([s.buffer(-EDGE, join_style="mitre") for s in shelves])
+    sight = shapely.difference(outline.buffer(EDGE, join_style="mitre"), solid)
+    shapely.prepare(sight)
+    for name, place in plan.landmarks.items():
+        _on_floor(f"landmarks.{name}", place, outline, shelves, sight)
+    for i, place in enumerate(plan.candidates):
+        _on_floor(f"candidates.{i}", place, outline, shelves, sight)
+    _on_floor("home", (plan.home.x, plan.home.y), outline, shelves, sight)
+    free = shapely.difference(outline, shapely.union_all(list(shelves)))
+    free = free.buffer(-plan.clearance) if plan.clearance else free
+    west, south, east, north = outline.bounds
+    if plan.drive.length > np.hypot(east - west, north - south):
+        raise InputError(f"drive.length: {plan.drive.length:g} m is longer than the floor")
+    x, y = _grid(outline, plan.grid)
+    shapely.prepare(free)
+    inside = shapely.contains_xy(free, *np.meshgrid(x, y))
+    if not inside.any():
+        raise InputError("no point of the grid is free: see grid, clearance, outline and shelves")
+    return Floor(outline, shelves, sight, x, y, np.asarray(inside))
+
+
+def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
+    """Return places for further landmarks: the plan's, or evenly along all walls and shelves.
+
+    Returns
+    -------
+    ndarray, shape (k, 2)
+        At most `MOST_CANDIDATES` [m]; those in sight of the floor.
+    """
+    if plan.candidates:
+        return np.array(plan.candidates, float)
+    rings = [floor.outline.exterior, *(s.exterior for s in floor.shelves)]
+    spacing = max(SPACING, sum(r.length for r in rings) / MOST_CANDIDATES)
+    places = [
+        shapely.get_coordinates(r.interpolate(np.arange(0.5 * spacing, r.length, spacing)))
+        for r in rings
+    ]
+    every = np.vstack(places)
+    return np.asarray(every[shapely.covers(floor.sight, shapely.points(every))][:MOST_CANDIDATES])
+
+
+def _polygon(corners: tuple[tuple[float, float], ...], key: str) -> Polygon:
+    polygon = Polygon(corners)
+    if not polygon.is_valid:
+        reason = shapely.is_valid_reason(polygon).replace("[", " at (").replace("]", ")")
+        raise InputError(f"{key}: not a simple polygon: {reason.lower()}")
+    if polygon.area < EDGE**2:
+        raise InputError(f"{key}: the polygon has no area")
+    return polygon
+
+
+def _on_floor(
+    key: str,
+    place: tuple[float, float],
+    outline: Polygon,
+    shelves: tuple[Polygon, ...],
+    sight: BaseGeometry,
+) -> None:
+    point = shapely.Point(place)
+    if shapely.covers(sight, point) and not (
+        key == "home" and any(s.contains(point) for s in shelves)
+    ):
+        return
+    where = "outside the outline"
+    if outline.covers(point):
+        where = f"inside shelves.{next(i for i, s in enumerate(shelves) if s.covers(point))}"
+    raise InputError(f"{key}: ({place[0]:g}, {place[1]:g}) is {where}")
+
+
+def _grid(outline: Polygon, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return coordinates of the centres of square cells that cover the outline."""
+    west, south, east, north = outline.bounds
+    size = (east - west) / step, (north - south) / step
+    if max(size) > MOST_CELLS or size[0] * size[1] > MOST_CELLS:
+        raise InputError(
+            f"grid: {step:g} m makes more than {MOST_CELLS:,} points; choose a wider one"
+        )
+    columns, rows = (max(1, round(s)) for s in size)
+    x = west + (np.arange(columns) + 0.5) * (east - west) / columns
+    y = south + (np.arange(rows) + 0.5) * (north - south) / rows
+    return x, y

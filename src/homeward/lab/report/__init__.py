@@ -1,0 +1,1 @@
+"""Pages about studies, plans, the paper and observability."""

@@ -1,0 +1,157 @@
+"""Figures of observability: worlds that look the same, and how well a drive tells home."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+
+from homeward.lab.observability.study import ModelView
+from homeward.lab.observability.trace import Trace
+from homeward.lab.studies.observing import DriveView
+from homeward.runs.report.canvas import name_mark, new_figure, style
+from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
+from homeward.runs.report.words import name
+
+GHOSTS = 7
+"""So many other homes are drawn on each curve."""
+WORST_M = 3.0
+"""The colours of a map end at this error [m]."""
+BEST_M = 0.03
+MAP_IN = 5.3
+"""Width of the map of a drive, which its scale and the colour bar leave it [inch]."""
+COLOURS = "viridis_r"
+
+
+def draw_family(view: ModelView) -> Figure:
+    """Draw a drive past landmarks, and other homes and landmarks that give the same bearings."""
+    scene, q = view.drive.scene, len(view.drive.scene.names)
+    with style():
+        figure = new_figure(5.8)
+        axes = figure.add_subplot(aspect="equal")
+        for trace in view.family:
+            _draw_trace(axes, trace, q)
+        for mark in scene.landmarks[scene.stored]:
+            axes.plot(*zip(scene.home[:2], mark, strict=True), color=MUTED, lw=0.7, ls=":")
+        axes.plot(*scene.poses[:, :2].T, color=BLUE, lw=2.4, zorder=5)
+        _draw_arrow(axes, scene.poses[-1], 0.12 * scene.length, BLUE)
+        axes.plot(*scene.poses[0, :2], "o", ms=5, mfc="white", mec=BLUE, mew=1.2, zorder=6)
+        axes.plot(*scene.landmarks.T, "*", ms=13, color=INK, mec="white", zorder=6)
+        if q <= 12:
+            for text, mark in zip(scene.names, scene.landmarks, strict=True):
+                name_mark(axes, name(text), mark, (7, 4), annotation_clip=True, zorder=8)
+        _draw_home(axes, scene.home, scene.length)
+        _limit(axes, view)
+        axes.set(xlabel="x [m], the robot's first pose is the origin", ylabel="y [m]")
+        _legend(figure, axes, view)
+    return figure
+
+
+def _draw_trace(axes: Axes, trace: Trace, q: int) -> None:
+    """Draw a curve of homes with some of them, and of the landmarks where these move."""
+    homes = trace.homes
+    if np.ptp(homes[:, :2], axis=0).max() > 1e-6:
+        axes.plot(*homes[:, :2].T, color=ORANGE, lw=1.6, zorder=2)
+    for k in np.unique(np.linspace(0, len(homes) - 1, GHOSTS).astype(int)):
+        axes.plot(*homes[k, :2], marker=HOUSE, ms=8, color=ORANGE, mec="white", alpha=0.9, zorder=4)
+        _draw_arrow(axes, homes[k], 0.22, ORANGE)
+    for path in np.moveaxis(trace.landmarks(q), 1, 0):
+        if np.ptp(path, axis=0).max() > 1e-6:
+            axes.plot(*path.T, color=SKY, lw=1.2, zorder=1)
+
+
+def _draw_home(axes: Axes, home: np.ndarray, length: float) -> None:
+    _draw_arrow(axes, home, 0.16 * length, INK)
+    axes.plot(*home[:2], marker=HOUSE, ms=12, color=INK, mec="white", zorder=7)
+
+
+def _draw_arrow(axes: Axes, pose: np.ndarray, size: float, colour: str) -> None:
+    tip = pose[0] + size * np.cos(pose[2]), pose[1] + size * np.sin(pose[2])
+    arrow = {"arrowstyle": "-|>", "color": colour, "lw": 1.0, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", tip, (pose[0], pose[1]), arrowprops=arrow, annotation_clip=True, zorder=4)
+
+
+def _limit(axes: Axes, view: ModelView) -> None:
+    """Show everything that is real, and of the family what lies not too far from it."""
+    scene = view.drive.scene
+    real = np.vstack([scene.home[None, :2], scene.landmarks, scene.poses[:, :2]])
+    centre, reach = real.mean(axis=0), 1.3 * float(np.ptp(real, axis=0).max())
+    homes = [t.homes[:, :2] for t in view.family]
+    near = [h[np.abs(h - centre).max(axis=1) < reach] for h in homes]
+    everything = np.vstack([real, *near])
+    low, high = everything.min(axis=0), everything.max(axis=0)
+    margin = 0.08 * float((high - low).max()) + 0.1
+    axes.set(xlim=(low[0] - margin, high[0] + margin), ylim=(low[1] - margin, high[1] + margin))
+
+
+def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
+    axes.plot([], [], color=BLUE, lw=2.4, label="robot's path")
+    axes.plot([], [], "*", ms=11, color=INK, ls="none", label="landmark")
+    axes.plot([], [], marker=HOUSE, ms=9, color=INK, ls="none", label="home")
+    moves = [np.ptp(t.homes, axis=0).max() > 1e-6 for t in view.family]
+    if any(moves):
+        label = "home, if the bearings are to be the same"
+        axes.plot([], [], marker=HOUSE, ms=8, color=ORANGE, label=label)
+    q = len(view.drive.scene.names)
+    if any(np.ptp(t.landmarks(q), axis=0).max() > 1e-6 for t in view.family):
+        axes.plot([], [], color=SKY, label="the landmarks then")
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
+
+
+def draw_drive_view(view: DriveView) -> Figure:
+    """Draw the path coloured by how well each window tells the position, and that over time."""
+    drawn = np.vstack([np.zeros((1, 2)), view.poses[:, :2], _near(view)])
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
+    extent = float((high - low).max())
+    margin = 0.05 * extent + 0.2
+    low, high = low - margin, high + margin
+    # As high as the map needs: no room is left above it.
+    height = MAP_IN * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 1.2))
+    norm = LogNorm(BEST_M, WORST_M, clip=True)
+    with style():
+        figure = new_figure(height + 2.6)
+        top, bottom = figure.subplots(2, 1, height_ratios=[height, 1.7])
+        top.set_aspect("equal")
+        middles = np.array([(w.begin + w.end) / 2 for w in view.windows])
+        sigmas = np.array([w.position_sigma for w in view.windows])
+        nearest = np.searchsorted((middles[1:] + middles[:-1]) / 2, view.t)
+        lines = LineCollection(
+            list(np.stack([view.poses[:-1, :2], view.poses[1:, :2]], axis=1)),
+            cmap=COLOURS,
+            norm=norm,
+            lw=2.2,
+        )
+        lines.set_array(np.minimum(sigmas, WORST_M)[nearest[:-1]])
+        top.add_collection(lines)
+        for text, place, stored in zip(view.names, view.places, view.stored, strict=True):
+            top.plot(*place, "*", ms=9, color=INK if stored else MUTED, mec="white", zorder=5)
+            name_mark(top, name(text), place, (7, 4), annotation_clip=True, zorder=8)
+        _draw_home(top, np.zeros(3), 0.5 * extent)
+        top.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+        figure.colorbar(
+            lines, ax=top, label="position from home\nat best [m]", shrink=0.8, pad=0.02
+        )
+        _draw_time(bottom, view, middles, sigmas)
+    return figure
+
+
+def _draw_time(axes: Axes, view: DriveView, t: np.ndarray, sigmas: np.ndarray) -> None:
+    known = np.isfinite(sigmas)
+    axes.plot(t, np.where(known, sigmas, np.nan), color=BLUE, marker="o", ms=3)
+    for k in np.flatnonzero(~known):
+        w = view.windows[k]
+        axes.axvspan(w.begin, w.end, color=ORANGE, alpha=0.25, lw=0)
+    axes.set(
+        yscale="log", xlabel="time [s]", ylabel="position [m]", xlim=(0.0, float(view.t[-1]) or 1.0)
+    )
+    if not known.any():
+        axes.set_ylim(BEST_M, WORST_M)
+
+
+def _near(view: DriveView) -> np.ndarray:
+    """Return the landmarks that stand not too far from the path, shape (k, 2)."""
+    centre = view.poses[:, :2].mean(axis=0)
+    reach = 2.0 + 1.5 * float(np.ptp(view.poses[:, :2], axis=0).max())
+    return np.asarray(view.places[np.abs(view.places - centre).max(axis=1) < reach])

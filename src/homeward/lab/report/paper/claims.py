@@ -1,0 +1,269 @@
+"""What the paper says, judged by what came out: nothing here is said without a figure."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from homeward.lab.studies.paper.cases import DEAD_RECKONING, PI_HT
+from homeward.lab.studies.paper.layouts import BOUND, LONG, Outcome, Reading
+from homeward.lab.studies.paper.reproduction import LayoutStudy
+from homeward.lab.studies.paper.settings import PaperSettings
+from homeward.lab.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed, better_shares
+from homeward.lab.studies.paper.world import CaseName
+from homeward.lab.studies.study.statistics import root_mean_square
+from homeward.runs.report.words import count, listing, percent
+
+Readings = Mapping[tuple[CaseName, Reading], Outcome]
+MOST = 0.5
+"""A thing that is so in more layouts than this is so in most of them."""
+
+
+class Claim(NamedTuple):
+    """One sentence of the paper under one reading."""
+
+    claim: str
+    reading: str
+    verdict: str
+    figure: str
+    """The numbers that the verdict follows from."""
+    command: str
+    """What shows them for this reading alone."""
+
+
+def reading_words(reading: Reading, case: CaseName) -> str:
+    """Return a reading as words: "exact start, Q 2 x 2, stop at 5 cm, two faults"."""
+    words = [start_words(reading), f"Q {'2 x 2' if reading.meaning_of_Q == 'input' else 'n x n'}"]
+    if case != "4":
+        words.append(f"stop at {100 * reading.stop_radius:g} cm")
+    if case == "2":
+        words.append(count(reading.faults, "fault"))
+    if any(reading.disturbance):
+        words.append("twist noise {:g} m/s, {:g} rad/s".format(*reading.disturbance))
+    return ", ".join(words)
+
+
+def start_words(reading: Reading) -> str:
+    """Return the start of a reading as words."""
+    R, theta, alpha = reading.initial_error
+    if not any(reading.initial_error):
+        return "exact start"
+    return f"start off by {100 * R:g} cm, {theta:g}, {alpha:g} rad"
+
+
+def rivals(M: float | str) -> dict[str, str]:
+    """Return those of `FILTERS` that the paper holds against the EKF, as words."""
+    own = "M of ones (as printed)" if M == 1 else "M = H'" if M == "HT" else f"M = {M}"
+    return {
+        "A-EKF (one)": "the A-EKF of one parameter (the first wrong one)",
+        "A-EKF (all)": "the A-EKF of all",
+        "PI-EKF": f"the PI-EKF with {own}",
+        PI_HT: "the PI-EKF with M = H'",
+    }
+
+
+def verdict(readings: Readings, M: float | str) -> list[str]:
+    """Say in three sentences what holds, under which reading, and why.
+
+    `readings` are one or more of Cases 2 and 4, that of the settings first; `M` that of "PI-EKF".
+    """
+    called = rivals(M)
+    moved = {reading: o for (case, reading), o in readings.items() if case == "2"}
+    printed = next(iter(moved))
+    shares = {(r, n): better_shares(o, n, "EKF") for r, o in moved.items() for n in called}
+    wins = {n: sum(bool(np.all(shares[r, n] > MOST)) for r in moved) for n in called}
+    best, name = max(
+        ((r, n) for r in moved for n in ("PI-EKF", PI_HT)), key=lambda k: shares[k].min()
+    )
+    told = [f"{words} under {wins[n]} of {len(moved)}" for n, words in called.items()]
+    what = (
+        "What holds: in Case 2, where landmarks were moved, the error is smaller than the EKF's in "
+        "most layouts, for R, theta and alpha alike, with "
+        f"{listing(told)} {'reading' if len(moved) == 1 else 'readings'}."
+    )
+    which = (
+        f"Under which reading: {called[name]} does best under {reading_words(best, '2')}, where it "
+        f"beats the EKF in {triple(shares[best, name])} of the layouts and all three printed "
+        f"figures in {percent(beats_printed(moved[best], '2', name))}; {called['PI-EKF']}, under "
+        f"{reading_words(printed, '2')}, does so in {triple(shares[printed, 'PI-EKF'])} and in "
+        f"{percent(beats_printed(moved[printed], '2', 'PI-EKF'))}."
+    )
+    return [what, which, _why(readings, best, name, called[name])]
+
+
+def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
+    """Say what dead reckoning does under the best reading, and where the motion is disturbed."""
+    here = readings["2", best]
+    alone, ours, ekf = (median(here, n) for n in (DEAD_RECKONING, name, "EKF"))
+    words = (
+        f"Why: there dead reckoning, which is told of no bearing, is off by {alone[0]:.2g} cm in "
+        f"the median, {called} by {ours[0]:.2g} and the EKF by {ekf[0]:.2g} cm"
+    )
+    if alone[0] < min(ours[0], ekf[0]):
+        words += (
+            ": odometry beats every filter, and what trusts it more and the bearings less comes"
+            " nearer to it"
+        )
+    disturbed = [r for c, r in readings if c == "4" and any(r.disturbance)]
+    same = [
+        r
+        for r in disturbed
+        if (r.initial_error, r.meaning_of_Q) == (best.initial_error, best.meaning_of_Q)
+    ]
+    if same:
+        there = readings["4", same[0]]
+        alone, ours, ekf = (median(there, n) for n in (DEAD_RECKONING, name, "EKF"))
+        share = better_shares(there, name, "EKF")
+        words += (
+            "; where the robot does not move as commanded ({:g} m/s and {:g} rad/s a sample, Case "
+            "4), ".format(*same[0].disturbance)
+            + f"dead reckoning is off by {alone[0]:.2g} cm, the EKF by {ekf[0]:.2g} and "
+            f"{called} by {ours[0]:.2g}, less than the EKF in {triple(share)}"
+        )
+    return words + "."
+
+
+def claims(study: LayoutStudy) -> list[Claim]:
+    """Judge every sentence of the paper that a figure can judge."""
+    table = [*_start_claims(study)]
+    for start in study.starts:
+        table += [*_order_claims(study, start), *_convergence_claims(study, start)]
+    return sorted(table, key=lambda c: c.claim)
+
+
+def _start_claims(study: LayoutStudy) -> list[Claim]:
+    """Judge our own assumption of a start that is off, by the bound."""
+    table = []
+    for start in study.starts[1:]:
+        bounds, below = {}, 0
+        for case in ("2", "4"):
+            reading = study.reading(case, initial_error=start)
+            bounds[case] = 100 * root_mean_square(study.bounds[case, reading].of(BOUND)[:, 0])
+            below += sum(row[0] < bounds[case] for row in PRINTED[case].values())
+        table.append(
+            Claim(
+                "Not the paper's: the first estimate is off",
+                start_words(reading),
+                "the tables speak against it" if below == 6 else "the tables allow it",
+                f"{below} of the six printed R lie below the Cramér-Rao bound of it, "
+                f"{bounds['2']:.2f} cm in Case 2 and {bounds['4']:.2f} cm in Case 4",
+                command(study, reading),
+            )
+        )
+    return table
+
+
+def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
+    """Judge who errs less than the EKF, with landmarks moved and with none moved."""
+    sentences: list[tuple[str, CaseName, str, Sequence[str]]] = [
+        ("The PI-EKF errs less than the EKF (Table 2)", "2", "", ("PI-EKF", PI_HT)),
+        ("The A-EKF errs less than the EKF (Table 2)", "2", "", ("A-EKF (one)", "A-EKF (all)")),
+        ("PI-EKF in absence of faults (Table 3)", "1", "its caption, ", ("PI-EKF", PI_HT)),
+        ("PI-EKF in absence of faults (Table 3)", "4", "its text, ", ("PI-EKF", PI_HT)),
+    ]
+    table = []
+    for claim, case, where, names in sentences:
+        reading = study.reading(case, initial_error=start)
+        for name in names:
+            shares = better_shares(study.grid[case, reading], name, "EKF")
+            beaten = beats_printed(study.grid[case, reading], case, name)
+            figure = f"in {triple(shares)} of layouts; {percent(beaten)} below all printed"
+            said = f"{where}Case {case}, {name}, {start_words(reading)}"
+            table.append(Claim(claim, said, judged(shares), figure, command(study, reading)))
+    return table
+
+
+def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
+    """Judge what the paper says of convergence and of coming home."""
+    table = []
+    circle, precise, home = (study.reading(c, initial_error=start) for c in ("4", "1", "2"))
+    long = command(study, circle, {"assumed": {"circle_time": 200}})
+    for name in ("EKF", "A-EKF (all)", "PI-EKF", PI_HT):
+        early, late = (
+            _final(o, name) for o in (study.grid["4", circle], study.varied[LONG, "4", start])
+        )
+        falls = np.mean(late < early[: len(late)], axis=0)
+        words = " and ".join(_three(np.median(e, axis=0) * TO_PAPER_UNITS) for e in (early, late))
+        seconds = f"{study.settings.paper.assumed.circle_time:g} and 200 s"
+        said = f"Case 4, {name}, {start_words(circle)}"
+        figure = f"errors after {seconds}: {words}; smaller in {triple(falls)} of layouts"
+        table.append(Claim("It converges asymptotically", said, judged(falls), figure, long))
+
+        outcome = study.grid["2", home]
+        radius = 2 * home.stop_radius
+        share = np.array([np.mean(outcome.final_distance[outcome.names.index(name)] < radius)])
+        figure = f"truly within {100 * radius:g} cm of home in {percent(share[0])} of layouts"
+        said = f"Case 2, {name}, {start_words(home)}"
+        sure = "holds" if share[0] == 1 else "does not hold"
+        table.append(Claim("Homing is guaranteed", said, sure, figure, command(study, home)))
+
+        if any(start):
+            first = 0.6745 * np.array(start)  # the median size of a normal error
+            last = _final(study.grid["1", precise], name)
+            nearer = np.mean(last < first, axis=0)[[0, 2]]
+            figure = "R {:.2g} cm and alpha {:.2g} rad at the start, {:.2g} and {:.2g} at the end"
+            ends = (
+                (first * TO_PAPER_UNITS)[[0, 2]],
+                (np.median(last, axis=0) * TO_PAPER_UNITS)[[0, 2]],
+            )
+            table.append(
+                Claim(
+                    "It converges when precise information is given",
+                    f"Case 1, {name}, {start_words(precise)}",
+                    judged(nearer),
+                    figure.format(*ends[0], *ends[1])
+                    + f" in the median; below it in {triple(nearer)}",
+                    command(study, precise),
+                )
+            )
+    return table
+
+
+def judged(shares: np.ndarray) -> str:
+    """Return the verdict on something that holds in shares of the layouts."""
+    most = shares > MOST
+    if np.all(shares > 0.95):
+        return "holds"
+    return (
+        "holds in most layouts"
+        if most.all()
+        else "holds in part"
+        if most.any()
+        else "does not hold"
+    )
+
+
+def command(study: LayoutStudy, reading: Reading, change: Mapping[str, Any] | None = None) -> str:
+    """Return the command that shows one reading alone."""
+    tree = study.settings.read(reading).model_dump(mode="json")
+    for section, values in (change or {}).items():
+        tree[section] |= values
+    usual = PaperSettings().model_dump(mode="json")
+    words = ["homeward study paper"]
+    for section in ("printed", "assumed"):
+        for key, value in tree[section].items():
+            if value != usual[section][key]:
+                text = value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
+                words.append(f"--set '{section}.{key}={text}'")
+    return " ".join(words)
+
+
+def median(outcome: Outcome, name: str) -> np.ndarray:
+    """Return the median RMSE of R [cm], theta, alpha [rad], (3,)."""
+    return np.asarray(np.median(outcome.of(name), axis=0) * TO_PAPER_UNITS)
+
+
+def _final(outcome: Outcome, name: str) -> np.ndarray:
+    return np.asarray(outcome.final[outcome.names.index(name)])
+
+
+def _three(values: np.ndarray) -> str:
+    return "{:.2g} cm, {:.2g}, {:.2g} rad".format(*values)
+
+
+def triple(shares: np.ndarray) -> str:
+    """Return shares as "87, 83 and 87 %"."""
+    return listing([f"{100 * s:.0f}" for s in shares]) + " %"

@@ -1,0 +1,215 @@
+"""What `homeward study layouts` leaves behind: a page, figures, and every run."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+import yaml
+from markupsafe import Markup
+
+from homeward.io.table import write_csv
+from homeward.lab.report.below_bound import below_bound, note_below
+from homeward.lab.report.paper.claims import claims, reading_words, start_words, verdict
+from homeward.lab.report.paper.layout_figures import FIGURES, ROWS, errors_of
+from homeward.lab.studies.blocks.store import MARKER
+from homeward.lab.studies.paper.cases import FILTERS, PI_HT
+from homeward.lab.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading
+from homeward.lab.studies.paper.reproduction import LayoutStudy
+from homeward.lab.studies.paper.tables import (
+    TO_PAPER_UNITS,
+    beats_printed,
+    better_shares,
+    order_share,
+    printed_of,
+    printed_order,
+    printed_order_shares,
+)
+from homeward.lab.studies.paper.world import CaseName
+from homeward.lab.studies.study.statistics import wilson
+from homeward.runs.report.canvas import drawn
+from homeward.runs.report.output import whole_folder
+from homeward.runs.report.template import render
+from homeward.runs.report.words import percent
+
+CLAIMED = ("PI-EKF", "A-EKF", "EKF")
+"""The order that the paper tells of, least error first."""
+PAGE, DATA = "layouts.html", "layouts.csv"
+
+
+def write_layouts(directory: Path, study: LayoutStudy) -> None:
+    """Write the page, PNGs, and layouts.csv with every run; errors as `whole_folder`."""
+    with whole_folder(directory, MARKER) as scratch:
+        pictures = [
+            drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()
+        ]
+        write_csv(scratch / DATA, RUNS, _every_run(study))
+        (scratch / PAGE).write_text(_page(study, pictures), encoding="utf-8")
+
+
+def error_table(study: LayoutStudy) -> list[list[str]]:
+    """Return medians and 90 % of every RMSE from each start, the head first, as text."""
+    head = ["case", "filter", "start", "R [cm]", "theta [rad]", "alpha [rad]"]
+    rows = [[*head, "theta, R > 20 cm", "below all printed", "home", "layouts"]]
+    for case, name, start in product(STUDIED, ROWS, study.starts):
+        rmse = errors_of(study, case, name, start)
+        low, middle, high = np.nanquantile(rmse, [0.05, 0.5, 0.95], axis=0, method="inverted_cdf")
+        cells = [f"{m:.3g} ({a:.2g} to {b:.2g})" for a, m, b in zip(low, middle, high, strict=True)]
+        reading = study.reading(case, initial_error=start)
+        outcome = (study.bounds if name in (ROBUST, BOUND) else study.grid)[case, reading]
+        k = outcome.names.index(name)
+        far = f"{np.nanmedian(outcome.theta_far[k]):.3g}"
+        printed = printed_of(case, name)
+        beats = f"{100 * beats_printed(outcome, case, name):.1f} %" if printed else ""
+        home = np.mean(outcome.final_distance[k] < 2 * reading.stop_radius)
+        came = "" if case == "4" or name == BOUND else percent(float(home))
+        words = start_words(reading)
+        rows.append([case, name, words, *cells, far, beats, came, f"{len(rmse):,}"])
+    return rows
+
+
+def order_table(study: LayoutStudy) -> list[list[str]]:
+    """Return the shares of the orders over all layouts from each start, the head first."""
+    rows = [["case", "order", "start", "R", "theta", "alpha", "all three"]]
+    for case, start in product(STUDIED, study.starts):
+        reading = study.reading(case, initial_error=start)
+        outcome, words = study.grid[case, reading], start_words(reading)
+        n = outcome.rmse.shape[1]
+        for a_ekf in ("A-EKF (one)", "A-EKF (all)"):
+            order = " < ".join(a_ekf if name == "A-EKF" else name for name in CLAIMED)
+            shares = [_share(float(s), n) for s in order_share(outcome, CLAIMED, a_ekf)]
+            rows.append([case, order, words, *shares])
+            printed = [_share(s, n) for s in printed_order_shares(outcome, case, a_ekf)]
+            rows.append([case, f"as its table prints, {a_ekf}", words, *printed, ""])
+        for name in FILTERS[1:]:
+            better = [_share(float(s), n) for s in better_shares(outcome, name, "EKF")]
+            rows.append([case, f"{name} < EKF", words, *better, ""])
+    return rows
+
+
+def grid_table(study: LayoutStudy) -> list[list[str]]:
+    """Return the medians of every filter under every reading, and who beats the EKF, as text."""
+    better = [f"{name} < EKF [%]" for name in FILTERS[1:]]
+    printed = [f"{name} below printed [%]" for name in FILTERS[:-1]]
+    rows = [["case", "reading", *FILTERS, *better, *printed]]
+    for (case, reading), outcome in study.grid.items():
+        cells = [_medians(outcome.of(name)) for name in FILTERS]
+        wins = [
+            ", ".join(f"{100 * s:.0f}" for s in better_shares(outcome, name, "EKF"))
+            for name in FILTERS[1:]
+        ]
+        beats = [f"{100 * beats_printed(outcome, case, name):.1f}" for name in FILTERS[:-1]]
+        rows.append([case, reading_words(reading, case), *cells, *wins, *beats])
+    return rows
+
+
+def variant_table(study: LayoutStudy) -> list[list[str]]:
+    """Return the medians of each variant, and who beats the EKF, as text."""
+    rows = [["variant", "case", "start", *FILTERS, "PI-EKF < EKF [%]", f"{PI_HT} < EKF [%]"]]
+    for (name, case, start), outcome in study.varied.items():
+        wins = [
+            ", ".join(f"{100 * s:.0f}" for s in better_shares(outcome, pi, "EKF"))
+            for pi in ("PI-EKF", PI_HT)
+        ]
+        words = start_words(study.reading(case, initial_error=start))
+        rows.append([name, case, words, *(_medians(outcome.of(f)) for f in FILTERS), *wins])
+    return rows
+
+
+def claim_table(study: LayoutStudy) -> list[list[str]]:
+    """Return what the paper says and the verdict on it, the head first, as text."""
+    return [["claim", "reading", "verdict", "figure", "command"], *map(list, claims(study))]
+
+
+def _medians(rmse: np.ndarray) -> str:
+    return ", ".join(f"{v:.3g}" for v in np.median(rmse, axis=0) * TO_PAPER_UNITS)
+
+
+def _share(share: float, n: int) -> str:
+    low, high = wilson(round(share * n), n)
+    return f"{100 * share:.1f} % ({100 * low:.1f} to {100 * high:.1f})"
+
+
+def bound_ratio(study: LayoutStudy, case: CaseName, reading: Reading, name: str) -> np.ndarray:
+    """Return RMSE over all layouts of the bound, over the bound's, (3,): R, theta, alpha."""
+    outcome = study.bounds[case, reading]
+    bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0))
+    n = outcome.rmse.shape[1]
+    source = outcome if name in outcome.names else study.grid[case, reading]
+    return np.asarray(np.sqrt(np.nanmean(source.of(name)[:n] ** 2, axis=0)) / bound)
+
+
+def ratio_table(study: LayoutStudy) -> list[list[str]]:
+    """Return the bound, and RMSE over it, under all readings that the bound depends on, as text.
+
+    Where start and motion are exact the bound is nothing, and so no ratio is told.
+    """
+    rows = [["case", "reading", "bound: R [cm], theta, alpha [rad]", *ROWS[:-1]]]
+    for (case, reading), outcome in study.bounds.items():
+        bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0)) * TO_PAPER_UNITS
+        exact = not any((*reading.initial_error, *reading.disturbance))
+        ratios = [
+            "" if exact else ", ".join(f"{r:.2f}" for r in bound_ratio(study, case, reading, name))
+            for name in ROWS[:-1]
+        ]
+        cells = [", ".join(f"{v:.2g}" for v in bound), *ratios]
+        rows.append([case, reading_words(reading, case), *cells])
+    return rows
+
+
+def headline(study: LayoutStudy) -> str:
+    """Say in three sentences what came out."""
+    return " ".join(verdict(study.grid, study.settings.paper.printed.M))
+
+
+def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
+    settings = study.settings.model_dump(mode="json")
+    return render(
+        "layouts.html.j2",
+        verdict=verdict(study.grid, study.settings.paper.printed.M),
+        figures=pictures,
+        printed=[
+            (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED
+        ],
+        tables=[
+            ("What the paper says, judged", claim_table(study), 5),
+            ("Errors: median (and 5 to 95 %) over the layouts", error_table(study), 3),
+            ("The Cramér-Rao bound, and errors over it", ratio_table(study), 2),
+            ("Who beats whom", order_table(study), 3),
+            ("Every reading: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
+            ("What else it depends on: medians, likewise", variant_table(study), 3),
+        ],
+        below=note_below(_below(study)),
+        layouts=study.settings,
+        settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
+    )
+
+
+def _below(study: LayoutStudy) -> dict[str, str]:
+    """Return what is to be said of each that lies below its bound."""
+    found = {}
+    for (case, reading), outcome in study.bounds.items():
+        bounds = outcome.of(BOUND)
+        for name in ROWS[:-1]:
+            source = outcome if name in outcome.names else study.grid[case, reading]
+            errors = source.of(name)[: len(bounds)]
+            for k, quantity in enumerate(("R", "theta", "alpha")):
+                words = below_bound(errors[:, k], bounds[:, k])
+                found[f"{name} in Case {case}, {quantity}, {reading_words(reading, case)}"] = words
+    return found
+
+
+RUNS = ("case", "start", "filter", "layout", "R_cm", "theta_rad", "alpha_rad", "final_distance_m")
+
+
+def _every_run(study: LayoutStudy) -> Iterator[list[object]]:
+    """Yield `RUNS` of each: errors are RMSE in the paper's units, empty where there are none."""
+    for case, start, outcomes in product(STUDIED, study.starts, (study.grid, study.bounds)):
+        reading = study.reading(case, initial_error=start)
+        outcome, words = outcomes[case, reading], " ".join(f"{v:g}" for v in start)
+        for j, name in enumerate(outcome.names):
+            for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):
+                values = (*errors, outcome.final_distance[j, k])
+                yield [case, words, name, k, *(f"{v:.6g}" if v == v else "" for v in values)]

@@ -1,0 +1,165 @@
+"""Ray casting: which surface each ray meets first, and where.
+
+A ray is a unit vector in the camera's frame, whatever the camera's model. For a rectangle with
+corner o (seen from the camera) and normal n, ray d meets its plane at the distance ``1 / q0``, and
+tile coordinates there are ``q1 / q0`` and ``q2 / q0`` plus constants, with q = M d linear in d:
+nine products a pixel, and no other geometry. Each rectangle is tried only where its pyramid can be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
+from homeward.lab.simulation.render.rays.projection import Blocks, project, windows
+from homeward.lab.simulation.render.rays.surfaces import Surfaces
+from homeward.native.program import Program
+
+compiled = Program(
+    "homeward.lab.simulation.render.rays", {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"}, ("cast",)
+)
+"""As `homeward.vision.compiled`: the innermost loop in C, or None."""
+TINY = 1e-30
+"""No ray is seen to go so far as the inverse of this [m]."""
+
+
+class Viewpoint(NamedTuple):
+    """Where a camera is in the room and how it is turned."""
+
+    position: np.ndarray
+    """(3,) [m]"""
+    rotation: np.ndarray
+    """(3, 3), takes directions in the camera's frame (x along its axis, y left, z up) to the
+    room's."""
+
+
+def viewpoint(
+    x: float, y: float, height: float, heading: float, roll: float = 0.0, pitch: float = 0.0
+) -> Viewpoint:
+    """Return the viewpoint of a camera [m, rad]; first rolled about its axis, then pitched down."""
+    c, s = math.cos(heading), math.sin(heading)
+    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    return Viewpoint(np.array([x, y, height]), turned @ tilt_matrix(roll, pitch))
+
+
+@dataclass(frozen=True)
+class Hits:
+    """What rays meet; every array has the rays' shape."""
+
+    distance: np.ndarray
+    """In units of the ray's direction, infinite where it meets nothing."""
+    across: np.ndarray
+    """Tile coordinate along the surface's `right`."""
+    along: np.ndarray
+    """Tile coordinate along its `up`."""
+    surface: np.ndarray
+    """Index of the surface; -1 where the ray meets nothing."""
+
+    def window(self, rows: slice, columns: slice) -> Hits:
+        """Return a part of a picture's hits, as views."""
+        parts = self.distance, self.across, self.along, self.surface
+        return Hits(*(part[rows, columns] for part in parts))
+
+
+@dataclass(frozen=True)
+class Rays:
+    """The rays of a picture, of a camera of any model."""
+
+    planes: np.ndarray
+    """(3, h, w), unit vectors in the camera's frame, each component by itself; NaN where there is
+    no ray."""
+
+    @classmethod
+    def of(
+        cls, azimuth: np.ndarray, elevation: np.ndarray, dtype: type[np.floating] = np.float64
+    ) -> Rays:
+        """Return the rays of azimuths and elevations, (h, w) [rad]; float32 serves pictures."""
+        return cls(np.moveaxis(unit_vectors(azimuth, elevation), -1, 0).astype(dtype, order="C"))
+
+    @property
+    def directions(self) -> np.ndarray:
+        """Of all pixels, (h, w, 3)."""
+        return np.moveaxis(self.planes, 0, -1)
+
+    @cached_property
+    def blocks(self) -> Blocks:
+        """Where in the picture each part of space is."""
+        return Blocks.of(self.planes)
+
+
+def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
+    """Find what any rays meet, from where the view is.
+
+    Directions (..., 3) are in the camera's frame, of any length but 0.
+    """
+    hits = _nothing(directions.shape[:-1], np.float64)
+    projected = project(surfaces, *view)
+    limits = projected.limits.tolist()
+    for k, index in enumerate(projected.index.tolist()):
+        q = np.moveaxis(directions @ projected.matrix[k].T, -1, 0)
+        _meet(hits, index, limits[k], q)
+    return hits
+
+
+def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
+    """Find what the rays of a picture meet, in their precision.
+
+    Returns
+    -------
+    Hits
+        Of shape (h, w), with distances in metres.
+    """
+    planes = rays.planes
+    hits = _nothing(planes.shape[1:], planes.dtype.type)
+    projected = project(surfaces, *view)
+    covered = windows(projected, rays.blocks)
+    matrix, limits = projected.matrix.astype(planes.dtype), projected.limits.astype(planes.dtype)
+    if planes.dtype == np.float32 and (native := compiled()) is not None:
+        sizes = len(covered), len(matrix), *planes.shape[1:]
+        given = covered, projected.index.astype(np.int64), planes, matrix, limits
+        found = hits.distance, hits.across, hits.along, hits.surface
+        if native.cast(*sizes, *given, TINY, *found):
+            raise ValueError("a window outside of the picture")
+        return hits
+    for k, top, bottom, left, right in covered.tolist():
+        part = slice(top, bottom), slice(left, right)
+        q = tuple(np.tensordot(matrix[k], planes[:, *part], 1))
+        _meet(hits.window(*part), int(projected.index[k]), limits[k].tolist(), q)
+    return hits
+
+
+def points(hits: Hits, view: Viewpoint, directions: np.ndarray) -> np.ndarray:
+    """Return where rays met something, (..., 3) in room coordinates [m]; NaN where nothing."""
+    reach = np.where(hits.surface >= 0, hits.distance, np.nan)
+    return np.asarray(view.position + (directions * reach[..., None]) @ view.rotation.T)
+
+
+def _nothing(shape: tuple[int, ...], dtype: type[np.floating]) -> Hits:
+    return Hits(
+        np.full(shape, np.inf, dtype),
+        np.zeros(shape, dtype),
+        np.zeros(shape, dtype),
+        np.full(shape, -1, np.int16),
+    )
+
+
+def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarray]) -> None:
+    """Keep those hits on a rectangle that are nearer than what was met before.
+
+    `q` are three arrays of the shape of the hits, `limits` as in `Projected`.
+    """
+    shift_s, shift_t, s0, t0, s1, t1 = limits
+    distance = np.reciprocal(np.maximum(q[0], hits.distance.dtype.type(TINY)))
+    s, t = q[1] * distance + shift_s, q[2] * distance + shift_t
+    met = (q[0] > 0) & (distance < hits.distance)
+    met &= (s >= s0) & (s <= s1) & (t >= t0) & (t <= t1)
+    np.copyto(hits.distance, distance, where=met)
+    np.copyto(hits.across, s, where=met)
+    np.copyto(hits.along, t, where=met)
+    np.copyto(hits.surface, index, where=met)

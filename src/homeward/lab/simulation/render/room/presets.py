@@ -1,0 +1,163 @@
+"""Rooms that come with homeward: ten shapes and sizes, sparsely furnished."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from shapely import Polygon, contains_xy, points
+from shapely import distance as distance_between
+
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose, between
+from homeward.io.reading import is_there
+from homeward.io.settings import read_settings
+from homeward.lab.simulation.files import changed_scenario
+from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
+from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
+
+TRIES = 2000
+"""Draws of home and start before a room counts as too small."""
+FREE = 1.15
+"""The robot begins so far from every wall, for it drives an arc of 1 m across first [m]."""
+HOME_FREE = 0.6
+"""Home is so far from every wall [m]."""
+SPEED = 0.15
+"""[m/s]"""
+STOP_RADIUS = 0.005
+"""The robot is home within this distance [m]."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A room's shape and what stands in it."""
+
+    outline: tuple[tuple[float, float], ...]
+    """Corners [m]."""
+    height: float
+    """[m]"""
+    floor: str = "carpet"
+    boxes: int = 6
+    posters: int = 5
+
+
+def _oblong(width: float, depth: float) -> tuple[tuple[float, float], ...]:
+    return (0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth)
+
+
+PLANS = {
+    "study": Plan(_oblong(4.0, 3.2), 2.4, "wood"),
+    "bedroom": Plan(_oblong(5.0, 4.0), 2.4),
+    "living-room": Plan(
+        ((0, 0), (6.5, 0), (6.5, 3.5), (4.0, 3.5), (4.0, 5.5), (0, 5.5)), 2.5, "wood"
+    ),
+    "kitchen": Plan(_oblong(6.0, 4.0), 2.5, "tiles"),
+    "office": Plan(_oblong(7.0, 5.0), 2.7),
+    "corridor": Plan(_oblong(11.0, 3.4), 2.6, "tiles", posters=8),
+    "classroom": Plan(_oblong(9.0, 6.5), 3.0, boxes=8, posters=8),
+    "attic": Plan(((0, 0), (7, 1), (8, 5), (3, 6.5), (-1, 4)), 2.5, "wood", boxes=7),
+    "gallery": Plan(((0, 0), (10, 0), (10, 8), (5, 8), (5, 5), (0, 5)), 3.5, boxes=8, posters=12),
+    "hall": Plan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, posters=12),
+}
+"""By name, the smallest first, more or less."""
+
+
+def room(
+    name: str, seed: int = 0, distance: tuple[float, float] = (1.0, 4.0), moved: int = 3
+) -> RenderScenario:
+    """Return a room of `PLANS` with a homing drive through it; all that is drawn follows the seed.
+
+    The start is at a distance from home [m], least to greatest, as far as the room lets; so many
+    boxes stood elsewhere when home was stored.
+
+    Raises
+    ------
+    InputError
+        For another name.
+    """
+    if name not in PLANS:
+        raise InputError(f"no room {name!r}: there are {', '.join(PLANS)}")
+    plan = PLANS[name]
+    home, start = _poses(plan, np.random.default_rng([seed, list(PLANS).index(name)]), distance)
+    local = between(home, start)
+    return RenderScenario(
+        name=name,
+        seed=seed,
+        room=Walls(outline=plan.outline, height=plan.height, floor=plan.floor),
+        furnish=Furnish(boxes=plan.boxes, posters=plan.posters, movers=1, moved=moved),
+        home=RoomPose(x=home.x, y=home.y, heading=home.heading),
+        start=StartPose(
+            R=round(math.hypot(local.x, local.y), 3),
+            theta=round(math.atan2(local.y, local.x), 3),
+            alpha=round(local.heading, 3),
+            prior=False,
+        ),
+        odometry=OdometryErrors(
+            speed_sigma=0.005, turn_sigma=0.005, speed_scale_sigma=0.005, turn_scale_sigma=0.01
+        ),
+        trajectory=Homing(
+            speed=SPEED, duration=120.0, stop_radius=STOP_RADIUS, drives_unlocalised=True
+        ),
+    )
+
+
+def load_room(
+    source: str, seed: int | None = None, changes: Mapping[str, Any] | None = None
+) -> RenderScenario:
+    """Return a room by the name of a plan or from a YAML file, perhaps changed.
+
+    A seed stands for the file's; changes are keys in dots ("camera.width") to values.
+
+    Raises
+    ------
+    InputError
+        For a file that cannot be read, a key that does not exist, or a value out of range.
+    """
+    given = dict(changes or {})
+    if source in PLANS:
+        return changed_scenario(room(source, seed or 0), given)
+    path = Path(source)
+    if not is_there(path):
+        raise InputError(f"neither a file nor one of the rooms {', '.join(PLANS)}", path)
+    if seed is not None:
+        given["seed"] = seed
+    return changed_scenario(read_settings(path, RenderScenario), given)
+
+
+def _poses(
+    plan: Plan, rng: np.random.Generator, distance: tuple[float, float]
+) -> tuple[Pose, Pose]:
+    """Draw home and start, the way between them free of walls."""
+    corners = np.array(plan.outline, float)
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    floor = Polygon(corners)
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), -1).reshape(-1, 2)
+    # As far from all walls as one can be, roughly.
+    free = min(FREE, float(_from_walls(floor, grid).max()) - 0.05)
+    best: tuple[float, Pose, Pose] | None = None
+    for _ in range(TRIES):
+        (hx, hy), (sx, sy) = rng.uniform(low, high, (2, 2)).round(3).tolist()
+        headings = rng.uniform(-math.pi, math.pi, 2).round(3).tolist()
+        far = _from_walls(floor, np.linspace([hx, hy], [sx, sy], 9))
+        if far.min() < HOME_FREE or far[-1] < free:
+            continue
+        way = math.hypot(sx - hx, sy - hy)
+        home, start = Pose(hx, hy, headings[0]), Pose(sx, sy, headings[1])
+        if distance[0] <= way <= distance[1]:
+            return home, start
+        off = max(distance[0] - way, way - distance[1])
+        if best is None or off < best[0]:
+            best = off, home, start
+    if best is None:
+        raise InputError("the room is too small to drive in")
+    return best[1:]
+
+
+def _from_walls(floor: Polygon, places: np.ndarray) -> np.ndarray:
+    """Return how far places (n, 2) are from all walls [m]; 0 for those outside of them."""
+    far = distance_between(floor.exterior, points(places))
+    return np.where(contains_xy(floor, places), far, 0.0)

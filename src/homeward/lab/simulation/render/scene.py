@@ -1,0 +1,289 @@
+"""A scenario's room as surfaces, ready to be looked at: at home's time, or during the drive."""
+
+from __future__ import annotations
+
+import math
+import zlib
+from dataclasses import dataclass
+
+import numpy as np
+from shapely import Polygon, contains_xy
+
+from homeward.drives.cameras.camera import unit_vectors
+from homeward.lab.simulation.render.rays.raycast import Viewpoint
+from homeward.lab.simulation.render.rays.surfaces import (
+    Skin,
+    Surfaces,
+    block,
+    footprint,
+    rectangle,
+    upright,
+)
+from homeward.lab.simulation.render.room.light import Light, Lighting
+from homeward.lab.simulation.render.room.settings import Mover, RenderScenario
+from homeward.lab.simulation.render.shading.lighting import FAR, Lamp, light_on
+from homeward.lab.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
+
+POSTER_GAP = 0.002
+"""A poster hangs so far before its wall [m]."""
+STEP_ASIDE = 0.7
+"""Movers keep so far from the camera [m]."""
+TILES = {"plaster": 4.0, "carpet": 4.0, "wood": 4.0, "tiles": 4.0}
+"""One tile of a texture is so wide [m]; others: 1 m."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """The room as it stands, without its movers."""
+
+    scenario: RenderScenario
+    """Already furnished."""
+    at_home: bool
+    """Whether boxes stand where they stood when home was stored."""
+    things: tuple[str, ...]
+    """Names of everything that surfaces belong to, movers last."""
+    still: Surfaces
+    light: np.ndarray
+    """(surfaces, g, g), brightness at a grid of places on each, rows along `up`."""
+    textures: tuple[Texture, ...]
+    atlas: Atlas
+    lamps: tuple[Lamp, ...]
+    ambient: float
+
+    def at(self, t: float, view: Viewpoint) -> tuple[Surfaces, np.ndarray]:
+        """Return all surfaces and their light, movers where they are at time `t` [s].
+
+        Those whom the camera is in the way of step aside.
+        """
+        people = self._people(t, view)
+        if people is None:
+            return self.still, self.light
+        shone = light_on(people, self.lamps, self.ambient)
+        return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
+
+    def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
+        """Return what a robot at (x, y) [m] would stand in or outside of; None: it stands free."""
+        if not contains_xy(self.scenario.room.polygon, x, y):
+            return "a wall"
+        for name, box in self.scenario.boxes.items():
+            stand = box.where(self.at_home)
+            size = (box.size[0] + 2 * margin, box.size[1] + 2 * margin)
+            if math.dist(stand.at, (x, y)) > 0.5 * math.hypot(*size):
+                continue
+            below = box.base < self.scenario.camera.above_floor + margin
+            if below and contains_xy(Polygon(footprint(stand.at, stand.yaw, size)), x, y):
+                return name
+        return None
+
+    def _people(self, t: float, view: Viewpoint) -> Surfaces | None:
+        parts, scenario = list[Surfaces](), self.scenario
+        for name, mover in scenario.movers.items():
+            x, y, yaw = _aside(place_on_path(mover, t), view)
+            width, height = mover.size
+            seed, thing, body = _seed(scenario, name), self.things.index(name), 0.86 * height
+            skin = Skin(self.textures.index(Texture(mover.texture, seed)), 1.0)
+            size = (0.6 * width, width, body)
+            parts += block((x, y), yaw, size, 0.0, skin, thing, seed)
+            head = (0.45 * width, 0.4 * width, height - body)
+            parts += block((x, y), yaw, head, body, skin, thing, seed + 1)
+        return Surfaces.joined(parts) if parts else None
+
+
+def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
+    """Return the scene of a `furnished` scenario: as when home was stored, or as it is now."""
+    room = scenario.room
+    names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(room.outline)))]
+    names += [*scenario.boxes, *scenario.posters, *scenario.movers]
+    textures = _textures(scenario)
+    parts = [*_walls(scenario, textures), *_posters(scenario, textures, names)]
+    parts += [*_tags(scenario, textures, names, at_home)]
+    for name, box in scenario.boxes.items():
+        stand, seed = box.where(at_home), _seed(scenario, name)
+        skin = Skin(textures.index(Texture(box.texture, seed)), TILES.get(box.texture, 1.0))
+        parts += block(stand.at, stand.yaw, box.size, box.base, skin, names.index(name), seed)
+    still = Surfaces.joined(parts)
+    light = scenario.light(at_home)
+    lamps = _lamps(scenario, light)
+    return Scene(
+        scenario,
+        at_home,
+        tuple(names),
+        still,
+        light_on(still, lamps, light.ambient, casting=still),
+        tuple(textures),
+        build_atlas(tuple(textures)),
+        lamps,
+        light.ambient,
+    )
+
+
+def place_on_path(mover: Mover, t: float) -> tuple[float, float, float]:
+    """Return x, y [m] and heading [rad] of a mover at time `t` [s]."""
+    path = np.array(mover.path, float)
+    lengths = np.hypot(*np.diff(path, axis=0).T)
+    total = float(lengths.sum())
+    if total == 0.0 or mover.speed == 0.0:
+        return float(path[0, 0]), float(path[0, 1]), 0.0
+    way = (mover.speed * t) % (2 * total)
+    forth = way <= total
+    at = way if forth else 2 * total - way
+    knots = np.concatenate([[0.0], np.cumsum(lengths)])
+    leg = min(int(np.searchsorted(knots, at, "right")) - 1, len(lengths) - 1)
+    x, y = (float(np.interp(at, knots, path[:, i])) for i in (0, 1))
+    dx, dy = path[leg + 1] - path[leg]
+    return x, y, math.atan2(dy, dx) + (0.0 if forth else math.pi)
+
+
+def _aside(place: tuple[float, float, float], view: Viewpoint) -> tuple[float, float, float]:
+    """Return a mover's place, kept at a distance from the camera."""
+    x, y, yaw = place
+    dx, dy = x - view.position[0], y - view.position[1]
+    distance = math.hypot(dx, dy)
+    if distance >= STEP_ASIDE:
+        return place
+    if distance < 1e-9:
+        dx, dy, distance = -math.sin(yaw), math.cos(yaw), 1.0
+    away = STEP_ASIDE / distance
+    return float(view.position[0] + away * dx), float(view.position[1] + away * dy), yaw
+
+
+def _seed(scenario: RenderScenario, name: str) -> int:
+    """Return a seed that things of one name share in no two rooms."""
+    return zlib.crc32(f"{scenario.seed} {scenario.name} {name}".encode())
+
+
+def _textures(scenario: RenderScenario) -> list[Texture]:
+    """Return every texture of the room once."""
+    room, seed = scenario.room, scenario.seed
+    found = [Texture(kind, seed) for kind in (room.walls, room.floor, room.ceiling)]
+    for things in (scenario.boxes, scenario.posters, scenario.movers):
+        found += [Texture(thing.texture, _seed(scenario, n)) for n, thing in things.items()]
+    if scenario.tags is not None:
+        places = tag_places(scenario, at_home=False)
+        found += [tag_texture(scenario.tags.family, tag.number) for tag in places]
+    return list(dict.fromkeys(found))
+
+
+def _walls(scenario: RenderScenario, textures: list[Texture]) -> list[Surfaces]:
+    """Return floor, ceiling and walls, as things 0, 1, 2 and so on."""
+    room = scenario.room
+    corners = np.array(room.outline, float)
+    floor, ceiling, wall = (
+        Skin(textures.index(Texture(kind, scenario.seed)), TILES.get(kind, 1.0))
+        for kind in (room.floor, room.ceiling, room.walls)
+    )
+    low, (wide, deep) = corners.min(axis=0), np.ptp(corners, axis=0)
+    x, y = np.array([wide, 0.0, 0.0]), np.array([0.0, deep, 0.0])
+    parts = [
+        rectangle(np.array([*low, 0.0]), x, y, floor, 0),
+        rectangle(np.array([*low, room.height]), y, x, ceiling, 1),
+    ]
+    # Each wall shows another part of its texture, all along one line round the room.
+    along = 0.0
+    for i, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
+        skin = Skin(wall.texture, wall.tile, (along, 0.0))
+        parts.append(upright(b, a, 0.0, room.height, skin, 2 + i))
+        along += math.hypot(*(b - a)) / (wall.tile or 1.0) + 0.37
+    return parts
+
+
+def _posters(scenario: RenderScenario, textures: list[Texture], names: list[str]) -> list[Surfaces]:
+    corners = np.array(scenario.room.outline, float)
+    parts = []
+    for name, poster in scenario.posters.items():
+        a, b = corners[poster.wall], corners[(poster.wall + 1) % len(corners)]
+        along = (b - a) / math.hypot(*(b - a))
+        middle = a + poster.along * along + POSTER_GAP * np.array([-along[1], along[0]])
+        half = 0.5 * poster.size[0] * along
+        bottom = poster.height - poster.size[1] / 2
+        skin = Skin(textures.index(Texture(poster.texture, _seed(scenario, name))), None)
+        edges = middle + half, middle - half, bottom, bottom + poster.size[1]
+        parts.append(upright(*edges, skin, names.index(name)))
+    return parts
+
+
+@dataclass(frozen=True)
+class TagPlace:
+    """Where a tag hangs."""
+
+    number: int
+    thing: str
+    """What it hangs on."""
+    left: np.ndarray
+    """(2,), its ends on the ground as one looks at it [m]."""
+    right: np.ndarray
+    middle: float
+    """Height [m]."""
+
+    @property
+    def centre(self) -> np.ndarray:
+        """(3,), in room coordinates [m]."""
+        return np.array([*(self.left + self.right) / 2, self.middle])
+
+
+def tag_places(scenario: RenderScenario, at_home: bool) -> list[TagPlace]:
+    """Return where tags hang: box k bears numbers 4k to 4k + 3, and those on the walls follow."""
+    told, places = scenario.tags, list[TagPlace]()
+    if told is None:
+        return places
+    size = 1.34 * told.size  # with its white border
+
+    def hang(a: np.ndarray, b: np.ndarray, at: float, middle: float, thing: str) -> None:
+        """Hang the next tag before the face over the line from a to b, seen from its right."""
+        along = (b - a) / math.dist(a, b)
+        half = 0.5 * min(size, 0.95 * math.dist(a, b), 1.9 * middle) * along
+        centre = a + at * (b - a) + POSTER_GAP * np.array([along[1], -along[0]])
+        places.append(TagPlace(len(places), thing, centre - half, centre + half, middle))
+
+    for name, box in scenario.boxes.items():
+        stand = box.where(at_home)
+        base = footprint(stand.at, stand.yaw, box.size[:2])
+        for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
+            hang(a, b, 0.5, box.base + box.size[2] / 2, name)
+    corners = np.array(scenario.room.outline, float)
+    lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
+    ends = np.concatenate([[0.0], np.cumsum(lengths)])
+    for way in (np.arange(told.walls) + 0.5) / max(told.walls, 1) * ends[-1]:
+        wall = int(np.searchsorted(ends, way)) - 1
+        a, b = corners[wall], corners[(wall + 1) % len(corners)]
+        hang(b, a, 1 - (way - ends[wall]) / lengths[wall], told.height, f"wall {wall}")
+    return places
+
+
+def _tags(
+    scenario: RenderScenario, textures: list[Texture], names: list[str], at_home: bool
+) -> list[Surfaces]:
+    """Return the tags as surfaces."""
+    parts = []
+    for tag in tag_places(scenario, at_home):
+        assert scenario.tags is not None
+        skin = Skin(textures.index(tag_texture(scenario.tags.family, tag.number)), None)
+        half = math.dist(tag.left, tag.right) / 2
+        edges = tag.left, tag.right, tag.middle - half, tag.middle + half
+        parts.append(upright(*edges, skin, names.index(tag.thing)))
+    return parts
+
+
+def _lamps(scenario: RenderScenario, light: Lighting) -> tuple[Lamp, ...]:
+    """Return everything that shines: lamps, and the sun."""
+    lamps = [Lamp(np.array(lamp.at), lamp.power) for lamp in light.lights or (_lamp(scenario),)]
+    if (sun := light.sun) is not None:
+        outline = np.array(scenario.room.outline)
+        a, b = outline[sun.wall], outline[(sun.wall + 1) % len(outline)]
+        along, half = (b - a) / math.dist(a, b), np.array(sun.size) / 2
+        left, right = (a + (sun.along + side * half[0]) * along for side in (-1, 1))
+        edges = left, right, sun.height - half[1], sun.height + half[1]
+        window = upright(*edges, Skin(0, None), 0)
+        towards = unit_vectors(np.array(sun.azimuth), np.array(sun.elevation))
+        middle = window.at(np.array([0.5]), np.array([0.5]))[0, 0]
+        lamps.append(Lamp(middle + FAR * towards, sun.power, window))
+    return tuple(lamps)
+
+
+def _lamp(scenario: RenderScenario) -> Light:
+    """Return a lamp under the ceiling, over home if the room's middle is outside of it."""
+    corners = np.array(scenario.room.outline, float)
+    x, y = corners.mean(axis=0).tolist()
+    if not contains_xy(scenario.room.polygon, x, y):
+        x, y = scenario.home.x, scenario.home.y
+    return Light(at=(x, y, 0.92 * scenario.room.height))

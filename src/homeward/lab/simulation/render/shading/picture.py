@@ -1,0 +1,233 @@
+"""Pictures: what the rays of a camera meet, textured, lit and taken by a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from homeward.lab.simulation.render.rays.raycast import Rays, Viewpoint, cast, points
+from homeward.lab.simulation.render.rays.surfaces import Surfaces
+from homeward.lab.simulation.render.room.camera import RoomCamera
+from homeward.lab.simulation.render.scene import Scene
+from homeward.lab.simulation.render.shading.textures import LEVELS, SIZE, Atlas
+from homeward.vision.opencv import opencv
+
+SHEET = 1024
+"""Samples are looked up in rows of so many."""
+_SIZES = (SIZE / 2.0 ** np.arange(LEVELS)).astype(np.float32)
+MEAN_GREY = 115.0
+"""The exposure aims at this mean [grey levels of 255]."""
+
+
+NOTHING = 65535
+"""Is seen where a camera has no ray."""
+
+
+@dataclass(frozen=True)
+class PixelTruth:
+    """What each pixel's middle shows; arrays of shape (height, width)."""
+
+    point: np.ndarray
+    """(height, width, 3), in room coordinates [m]."""
+    distance: np.ndarray
+    """From the camera [m]; infinite where the camera has no ray."""
+    thing: np.ndarray
+    """Index into the scene's `things`; `NOTHING` where there is no ray."""
+
+
+@lru_cache(maxsize=2)
+def rays_of(
+    camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
+) -> Rays:
+    """Return the rays of a camera's pixels, or of so many by so many parts of each."""
+    rows, columns = np.indices((camera.height * oversampling, camera.width * oversampling))
+    middle = [(part + 0.5) / oversampling - 0.5 for part in (columns, rows)]
+    return Rays.of(*camera.directions(*middle), dtype)
+
+
+def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
+    """Return the exact truth of every pixel's middle, in double precision."""
+    rays = rays_of(camera)
+    surfaces, _ = scene.at(t, view)
+    hits = cast(surfaces, view, rays)
+    thing = np.where(hits.surface >= 0, surfaces.thing[hits.surface], NOTHING)
+    return PixelTruth(points(hits, view, rays.directions), hits.distance, thing)
+
+
+def picture(
+    scene: Scene,
+    view: Viewpoint,
+    t: float,
+    camera: RoomCamera,
+    rng: np.random.Generator | None = None,
+) -> np.ndarray:
+    """Take a picture.
+
+    Parameters
+    ----------
+    scene : Scene
+        The room.
+    view : Viewpoint
+        Where the camera is.
+    t : float
+        When [s].
+    camera : RoomCamera
+        Its projection, size, noise and exposure.
+    rng : Generator, optional
+        Of noise and exposure; None: without either.
+
+    Returns
+    -------
+    ndarray, shape (height, width, 3), uint8
+        Blue, green, red.
+    """
+    surfaces, light = scene.at(t, view)
+    rays = _samples(surfaces, view, camera)
+    colour = _textured(rays, surfaces, view, scene.atlas, camera.pixel_angle)
+    colour *= _grey(_lit(rays, surfaces, light))
+    colour[rays.surface < 0] = 0.0
+    seen = np.mean(rays.surface[: camera.width * camera.height] >= 0)
+    return _exposed(_gathered(rays, colour, camera), camera, float(seen), rng)
+
+
+@dataclass(frozen=True)
+class _Samples:
+    """What is to be shaded: the middle of each pixel, then parts of those that lie on an edge.
+
+    A pixel whose four rays meet one surface needs but one sample, since the texture's level fits
+    its size. Arrays over n samples.
+    """
+
+    across: np.ndarray
+    along: np.ndarray
+    distance: np.ndarray
+    """From the camera [m]."""
+    surface: np.ndarray
+    edge: np.ndarray
+    """(m,), flat indices of the pixels on edges; the last 4 m samples are theirs."""
+
+
+def _samples(surfaces: Surfaces, view: Viewpoint, camera: RoomCamera) -> _Samples:
+    """Cast four rays a pixel, and join those that meet one surface."""
+    cv2 = opencv()
+
+    hits = cast(surfaces, view, rays_of(camera, 2, np.float32))
+    # Where there is no ray any distance will do.
+    distance = np.where(hits.surface < 0, np.float32(1.0), hits.distance)
+    four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
+    met = [hits.surface[i::2, j::2] for i, j in four]
+    one = (met[0] == met[1]) & (met[0] == met[2]) & (met[0] == met[3])
+    edge = np.flatnonzero(~one)
+    row, column = np.divmod(edge, camera.width)
+    on_edges = np.concatenate([2 * (2 * row + i) * camera.width + 2 * column + j for i, j in four])
+    size = (camera.width, camera.height)
+
+    def gathered(values: np.ndarray) -> np.ndarray:
+        middle = cv2.resize(values, size, interpolation=cv2.INTER_AREA).ravel()
+        return np.concatenate([middle, values.ravel().take(on_edges)])
+
+    surface = np.concatenate([met[0].ravel(), hits.surface.ravel().take(on_edges)])
+    return _Samples(
+        gathered(hits.across),
+        gathered(hits.along),
+        gathered(distance),
+        surface.astype(np.intp),
+        edge,
+    )
+
+
+def _gathered(rays: _Samples, colour: np.ndarray, camera: RoomCamera) -> np.ndarray:
+    """Return the image of shaded samples (n, 3), float32."""
+    image = colour[: camera.width * camera.height]
+    parts = colour[camera.width * camera.height :]
+    image[rays.edge] = parts.reshape(4, -1, 3).mean(axis=0)
+    return image.reshape(camera.height, camera.width, 3)
+
+
+def _textured(
+    rays: _Samples, surfaces: Surfaces, view: Viewpoint, atlas: Atlas, step: float
+) -> np.ndarray:
+    """Return the colour of each sample, blended from the two mip levels next to its size."""
+    level = _level(rays, surfaces, view, step)
+    fine = np.clip(level, 0.0, LEVELS - 1.001).astype(np.intp)
+    texture = (surfaces.texture * LEVELS).take(rays.surface) + fine
+    across = rays.across - np.floor(rays.across)
+    down = np.ceil(rays.along) - rays.along
+    size = _SIZES.take(fine)
+    samples = []
+    for step in (0, 1):
+        x = atlas.left.ravel().take(texture + step) + across * size - np.float32(0.5)
+        y = atlas.top.ravel().take(texture + step) + down * size - np.float32(0.5)
+        samples.append(_looked_up(atlas.image, x, y).astype(np.float32))
+        size *= np.float32(0.5)
+    samples[1] -= samples[0]
+    samples[1] *= _grey(np.clip(level - fine.astype(np.float32), 0.0, 1.0))
+    return np.asarray(samples[0] + samples[1])
+
+
+def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> np.ndarray:
+    """Return the mip level at which a texel is as large as a sample's footprint, float32.
+
+    The footprint at distance rho on a plane at distance h is ``step rho`` across and
+    ``step rho^2 / h`` along; it is taken as the square of the same area.
+    """
+    plane = np.abs(np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - view.position))
+    side = np.linalg.norm(surfaces.right, axis=1) / surfaces.tiles[:, 0]
+    constant = np.log2(step * SIZE / side) - 0.5 * np.log2(np.maximum(plane, 1e-3))
+    level = np.float32(1.5) * np.log2(rays.distance)
+    return np.asarray(level + constant.astype(np.float32).take(rays.surface))
+
+
+def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
+    """Return the light that falls on each sample, float32."""
+    grid = light.shape[1]
+    scale = ((grid - 1) / surfaces.tiles).astype(np.float32)
+    first = -surfaces.offset * (grid - 1) / surfaces.tiles
+    first[:, 1] += grid * np.arange(len(first))
+    first = first.astype(np.float32)
+    x = rays.across * scale[:, 0].take(rays.surface) + first[:, 0].take(rays.surface)
+    y = rays.along * scale[:, 1].take(rays.surface) + first[:, 1].take(rays.surface)
+    return _looked_up(light.reshape(-1, grid), x, y)
+
+
+def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Interpolate an image at places x, y (n,), in its pixels; one row each, or a number."""
+    cv2 = opencv()
+    # OpenCV wants a sheet, and no side of it longer than 2^15.
+    n = x.size
+    sheet = np.zeros((2, -(-n // SHEET), SHEET), np.float32)
+    sheet.reshape(2, -1)[:, :n] = x, y
+    found = np.asarray(cv2.remap(image, *sheet, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    return np.asarray(found.reshape(-1, *image.shape[2:])[:n])
+
+
+def _exposed(
+    image: np.ndarray, camera: RoomCamera, seen: float, rng: np.random.Generator | None
+) -> np.ndarray:
+    """Return what the sensor makes of light, of which a share is seen: exposure, noise, grey."""
+    cv2 = opencv()
+
+    gain = MEAN_GREY * seen / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
+    if rng is None:
+        return np.asarray(cv2.convertScaleAbs(image, alpha=gain))
+    gain *= math.exp(camera.exposure_sigma * rng.standard_normal())
+    image *= np.float32(gain)
+    grain = np.float32(camera.noise) * rng.standard_normal(image.shape[:2], np.float32)
+    # Rounded and kept within 0 and 255.
+    return np.asarray(cv2.add(image, _grey(grain), dtype=cv2.CV_8U))
+
+
+def _grey(values: np.ndarray) -> np.ndarray:
+    """Return values (...) as three channels that are alike, (..., 3)."""
+    # Three times as fast as to broadcast along an axis of three.
+    return np.asarray(opencv().merge([values] * 3)).reshape(*values.shape, 3)
+
+
+def png(image: np.ndarray) -> bytes:
+    """Return an image as a PNG file, level 1: noise does not get smaller by trying harder."""
+    cv2 = opencv()
+
+    return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])

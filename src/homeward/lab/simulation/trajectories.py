@@ -1,0 +1,313 @@
+"""Control of a simulated robot: from the time and its estimate to a command, until it is done.
+
+A robot with a goal is driven by `homeward.control`, as a real one is; only what it does without a
+pose, a search, and drives that follow a script on the true pose are made here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Protocol, assert_never
+
+import numpy as np
+
+from homeward.control.driver import Driver
+from homeward.control.following import Path
+from homeward.control.goals import UNSEEN, BearingGoal, Belief, Goal, PointGoal, RouteGoal, State
+from homeward.control.laws import law_named
+from homeward.control.limits import Limits
+from homeward.control.watchdog import Fault
+from homeward.errors import InputError
+from homeward.estimator import Status
+from homeward.geometry.frames import Pose, Twist, bearing, between
+from homeward.lab.simulation.repeating import place_of
+from homeward.lab.simulation.scenario import (
+    ByPoints,
+    Circle,
+    Course,
+    Homing,
+    Repeat,
+    Teach,
+    Waypoints,
+)
+
+Command = Twist | None
+"""None where the drive is done."""
+SEARCH_RADIUS = 0.5
+"""Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
+SAME_CIRCLES = 3
+"""It goes round so often before the arc widens: most places need no wider one."""
+NARROW = math.pi
+"""A camera that sees less of the way round [rad] sees each landmark from a part of a circle alone,
+whose breadth across the line of sight is at most half of what all of it has: it looks round."""
+LOOK_RATE = 0.6
+"""At so much [rad/s]: in 10 s."""
+LOOKS_PER_ROUND = 3
+"""From three places of a circle each landmark is seen from a base that is broad enough."""
+STANDS_S = 2.0
+"""A robot that loses its pose on the way stands for so long before it searches [s]."""
+LOOKAHEAD = 0.4
+"""The point on the line that a scripted drive steers at is so far ahead [m]."""
+TURN_ACCELERATION = 1.0
+"""Between way points the turn rate changes at most so fast [rad/s^2]."""
+LINE_STEP = 0.01
+"""The line through the way points is taken as points this far apart [m]."""
+LONGEST_LINE = 1e5
+"""[m]; its points are all held in memory."""
+
+
+def exact(pose: Pose, seen: Mapping[str, float] = UNSEEN) -> Belief:
+    """Return the belief of a robot that is given its true pose."""
+    return Belief(Status.LOCALISED, pose, np.zeros((3, 3)), seen)
+
+
+class Control(Protocol):
+    """Control of one drive."""
+
+    gave_up: str = ""
+    """Why, where it gave up."""
+
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command at `t` [s], later than at the call before, in the home frame."""
+
+
+def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None = None) -> Control:
+    """Return the control of a scenario's drive that begins at `start` in the home frame.
+
+    `home` has the home bearings [rad] by their ids.
+    """
+    control = _make_control(scenario, start, home or {})
+    spin = scenario.trajectory.spin
+    return SpinFirst(spin, control) if spin else control
+
+
+def _make_control(scenario: Course, start: Pose, home: Mapping[str, float]) -> Control:
+    truly = scenario.estimator == "truth"
+    match scenario.trajectory:
+        case Homing() as drive:
+            looks = scenario.view < NARROW and not truly
+            return GoalControl(homing_goal(drive, home), limits_of(drive), scenario.view, looks)
+        case Circle() as drive:
+            return CircleControl(drive)
+        case Waypoints() as drive if truly:
+            return LineControl(drive, _line(drive, scenario.home.pose, start))
+        case Waypoints() | Teach() as drive:
+            corners = _corners(drive, scenario.home.pose, start)
+            dwell = drive.dwell if isinstance(drive, Teach) else None
+            stops = (
+                [] if dwell is None else [(i, None, dwell, str(i)) for i in range(1, len(corners))]
+            )
+            goal = RouteGoal("the way", Path(corners, stops))
+            return GoalControl(goal, limits_of(drive), scenario.view)
+        case Repeat() as drive:
+            goal = RouteGoal(drive.route, place_of(drive).route(drive.route).path)
+            return GoalControl(goal, limits_of(drive), scenario.view, blocked=drive.blocked)
+        case other:
+            assert_never(other)
+
+
+def homing_goal(drive: Homing, home: Mapping[str, float]) -> Goal:
+    """Return home as the goal of a drive, by its law; `home` has the home bearings [rad]."""
+    if slope := law_named(drive.law):
+        return BearingGoal(slope, home, drive.landmark_distance)
+    return PointGoal("home", 0.0, 0.0, law="paper" if drive.law == "paper" else "lyapunov")
+
+
+def limits_of(drive: Homing | Teach | Repeat | Waypoints) -> Limits:
+    """Return a robot's limits, with what a drive gives; the paper's robot has no others."""
+    given = {"speed": drive.speed, "turn_rate": drive.max_turn_rate, "patience": math.inf}
+    if isinstance(drive, Homing | Waypoints):
+        given["radius"] = drive.stop_radius
+    if isinstance(drive, Homing) and (drive.law == "paper" or drive.drives_unlocalised):
+        given |= {"coast": math.inf, "largest_sigma": math.inf}
+    if isinstance(drive, Homing) and drive.law == "paper":
+        given |= {"acceleration": math.inf, "turn_acceleration": math.inf}
+    return Limits(**given)
+
+
+class SpinFirst(Control):
+    """A full turn on the spot at a rate [rad/s], a rest of 1 s, and then another control."""
+
+    def __init__(self, rate: float, then: Control) -> None:
+        self._rate, self._then, self._turns_s = rate, then, math.tau / abs(rate)
+
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command; see `Control`."""
+        if t < self._turns_s + 1.0:
+            return Twist(0.0, self._rate if t < self._turns_s else 0.0)
+        twist = self._then.twist(t, belief)
+        self.gave_up = self._then.gave_up
+        return twist
+
+
+class Search:
+    """Circles through one point, wider and wider: far landmarks need a wide base.
+
+    A camera with a narrow `view` [rad] sees what is ahead of it alone, and again from the same part
+    of the circle, hardly across the line of sight; so the robot stops there and looks round.
+    """
+
+    def __init__(self, speed: float, view: float = math.tau) -> None:
+        self._speed, self._look_s = speed, math.tau / LOOK_RATE if view < NARROW else 0.0
+        self._since: float | None = None
+
+    def twist(self, t: float) -> Twist:
+        """Return the command at `t` [s]; the search begins with the first one."""
+        if self._since is None:
+            self._since = t
+        drive_s = math.tau * SEARCH_RADIUS / (LOOKS_PER_ROUND * self._speed)
+        looks, now = divmod(t - self._since, self._look_s + drive_s)
+        if now < self._look_s:
+            return Twist(0.0, LOOK_RATE)
+        rounds = (looks + (now - self._look_s) / drive_s) / LOOKS_PER_ROUND
+        doubled = math.floor(math.log2(1.0 + rounds / SAME_CIRCLES))
+        return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**doubled))
+
+    def end(self) -> None:
+        """Let the next search begin anew."""
+        self._since = None
+
+
+class GoalControl(Control):
+    """The driver of `homeward.control`, and a search where it stands for want of a pose.
+
+    Parameters
+    ----------
+    goal : Goal
+        In the home frame.
+    limits : Limits
+        Of the driver.
+    view : float
+        Of the camera [rad].
+    looks_round : bool
+        Whether the robot looks round once where it arrives, for what home saw behind it, and goes
+        on from there.
+    blocked : (float, float), optional
+        When something is in the way [s].
+    """
+
+    def __init__(
+        self,
+        goal: Goal,
+        limits: Limits,
+        view: float = math.tau,
+        looks_round: bool = False,
+        blocked: tuple[float, float] | None = None,
+    ) -> None:
+        self.driver, self._goal = Driver(limits), goal
+        self._search = Search(limits.speed, view)
+        self._blocked = blocked or (math.inf, math.inf)
+        self._looks_round, self._looks_until = looks_round, -math.inf
+        self._lost_since: float | None = None
+        self._has_driven = False
+
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command; see `Control`."""
+        driver = self.driver
+        if t < self._looks_until:
+            return Twist(0.0, LOOK_RATE)
+        if driver.state is State.IDLE:
+            driver.go(t, self._goal)
+        begin, end = self._blocked
+        faults = (Fault("blocked"),) if begin <= t < end else ()
+        twist = driver.command(t, belief, faults)
+        if driver.state is State.ARRIVED and self._looks_round:
+            self._looks_round, self._looks_until = False, t + math.tau / LOOK_RATE
+            driver.go(t, self._goal)
+            return Twist(0.0, LOOK_RATE)
+        if not driver.active:
+            self.gave_up = driver.reason if driver.state is State.FAILED else ""
+            return None
+        if driver.state is not State.HELD or not driver.is_lost:
+            self._lost_since = None
+            self._has_driven = self._has_driven or driver.state is State.DRIVING
+            self._search.end()
+            return twist
+        if self._lost_since is None:
+            self._lost_since = t
+        stands = self._has_driven and t < self._lost_since + STANDS_S
+        return twist if stands else self._search.twist(t)
+
+
+class CircleControl(Control):
+    """Constant speed and turn rate."""
+
+    def __init__(self, trajectory: Circle) -> None:
+        self._twist = Twist(trajectory.speed, trajectory.omega)
+
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command; see `Control`."""
+        return self._twist
+
+
+class LineControl(Control):
+    """Script of a drive along a line, at constant speed, by the true pose; no robot runs it."""
+
+    def __init__(self, trajectory: Waypoints, line: np.ndarray) -> None:
+        self._trajectory, self._line, self._aim = trajectory, line, 0
+        self._last_t, self._last_omega = 0.0, 0.0
+
+    def twist(self, t: float, belief: Belief) -> Command:
+        """Return the command; see `Control`."""
+        assert belief.pose is not None
+        distance = self._aim_ahead_of(belief.pose)
+        error = float(bearing(belief.pose, *self._line[self._aim]))
+        if self._is_done(error, distance):
+            return None
+        wanted = self._turn_rate(error, distance)
+        change = TURN_ACCELERATION * (t - self._last_t)
+        omega = max(self._last_omega - change, min(self._last_omega + change, wanted))
+        self._last_t, self._last_omega = t, omega
+        return Twist(self._trajectory.speed, omega)
+
+    def _is_done(self, error: float, distance: float) -> bool:
+        """Say whether the last point is reached, or passed by."""
+        if self._aim < len(self._line) - 1:
+            return False
+        passed = distance < LOOKAHEAD and abs(error) > math.pi / 2
+        return passed or distance < self._trajectory.stop_radius
+
+    def _aim_ahead_of(self, pose: Pose) -> float:
+        """Let the aim run along the line until it is far enough ahead; return its distance."""
+        while True:
+            x, y = self._line[self._aim]
+            distance = math.hypot(x - pose.x, y - pose.y)
+            if distance >= LOOKAHEAD or self._aim == len(self._line) - 1:
+                return distance
+            self._aim += 1
+
+    def _turn_rate(self, error: float, distance: float) -> float:
+        """Return the turn rate of the arc to a point at bearing `error`; behind, turn hard."""
+        most = self._trajectory.max_turn_rate
+        if abs(error) > math.pi / 2:
+            return math.copysign(most, error)
+        return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
+
+
+def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
+    """Return the line from `start` through the way points, shape (n, 2), in the home frame [m].
+
+    Raises
+    ------
+    InputError
+        When it is too long to be held.
+    """
+    knots = _corners(trajectory, home, start)
+    lengths = np.hypot(*np.diff(knots, axis=0).T)
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    if not along[-1] <= LONGEST_LINE:
+        raise InputError(f"trajectory.points: {along[-1]:.3g} m to drive, {LONGEST_LINE:g} at most")
+    fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
+    return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)
+
+
+def _corners(trajectory: ByPoints, home: Pose, start: Pose) -> np.ndarray:
+    """Return the start and the way points, shape (n, 2), in the home frame [m]."""
+    corners = [(start.x, start.y)]
+    for x, y in trajectory.points:
+        local = between(home, Pose(x, y, 0.0))
+        corners.append((local.x, local.y))
+    if trajectory.end_at_home:
+        corners.append((0.0, 0.0))
+    return np.array(corners, float)

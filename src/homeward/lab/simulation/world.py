@@ -1,0 +1,226 @@
+"""The simulated world: where landmarks stand, where they stood, and what home stored of them."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.drives.drive import HomeBearing
+from homeward.errors import InputError
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, between, compose
+from homeward.lab.simulation.geometry import first_surface, in_view
+from homeward.lab.simulation.scenario import Course, Listed, OnSurfaces, Ring, Room, Scenario
+
+TRIES = 1000
+"""A landmark that finds no free place in so many draws has none."""
+IN_FRONT = 0.01
+"""A surface can carry a landmark where the room is free this far in front of it [m]."""
+
+
+class Stream(enum.IntEnum):
+    """Sources of chance; each has its own generator, so that none disturbs another."""
+
+    LAYOUT = 0
+    FAULTS = 1
+    HOME = 2
+    PRIOR = 3
+    TIMES = 4
+    ODOMETRY = 5
+    ODOMETRY_CONSTANTS = 6
+    VISIBILITY = 7
+    BEARINGS = 8
+    WRONG_IDS = 9
+    FURNITURE = 10
+    IMAGES = 11
+    TILT = 12
+
+
+def generator(scenario: Course, stream: Stream) -> np.random.Generator:
+    """Return the generator of one source of chance."""
+    return np.random.default_rng([scenario.seed, int(stream)])
+
+
+def quantise(value: float, decimals: int) -> float:
+    """Round to what a log would hold, without a negative zero."""
+    return round(float(value), decimals) + 0.0
+
+
+@dataclass(frozen=True)
+class World:
+    """The truth about the landmarks. Arrays run over `ids`, q of them."""
+
+    ids: tuple[str, ...]
+    places: np.ndarray
+    """(q, 2), where they stand during the drive, in room coordinates [m]."""
+    stood: np.ndarray
+    """(q, 2), where they stood when home was stored, in room coordinates [m]."""
+    fault: np.ndarray
+    """(q,), stored minus true bearing at the home camera [rad]; 0 for those not moved."""
+    home: Pose
+    """In room coordinates."""
+
+    @property
+    def in_home_frame(self) -> np.ndarray:
+        """(q, 2), where they stand during the drive, in the home frame [m]."""
+        local = between(self.home, Pose(self.places[:, 0], self.places[:, 1], 0.0))
+        return np.stack([local.x, local.y], axis=-1)
+
+    @property
+    def moved(self) -> dict[str, float]:
+        """Id of each moved landmark to its fault [rad]."""
+        return {i: float(f) for i, f in zip(self.ids, self.fault, strict=True) if f != 0.0}
+
+
+def build_world(scenario: Scenario) -> World:
+    """Place the landmarks and move those that have to be.
+
+    Raises
+    ------
+    InputError
+        Where the room has no place for them, or home cannot have seen those that moved.
+    """
+    ids, places = _place(scenario)
+    still = World(ids, places, places, np.zeros(len(ids)), scenario.home.pose)
+    return _move(still, scenario)
+
+
+def home_bearings(world: World, scenario: Scenario) -> dict[str, HomeBearing]:
+    """Return what the camera stored at home of each landmark that it had in view there.
+
+    Raises
+    ------
+    InputError
+        When it had none in view.
+    """
+    camera, sigma = _home_camera(scenario), scenario.noise.home_sigma
+    noise = sigma * generator(scenario, Stream.HOME).standard_normal(len(world.ids))
+    true = bearing(camera, world.places[:, 0], world.places[:, 1])
+    stored = wrap(true + world.fault + noise)
+    seen = in_view(camera, world.stood, scenario.visibility, scenario.room)
+    if not seen.any():
+        raise InputError("visibility: home has no landmark in view")
+    return {
+        world.ids[i]: HomeBearing(quantise(stored[i], 5), sigma if sigma > 0 else math.nan)
+        for i in np.flatnonzero(seen)
+    }
+
+
+def _home_camera(scenario: Scenario) -> Pose:
+    return compose(scenario.home.pose, scenario.home_mount.pose)
+
+
+def _place(scenario: Scenario) -> tuple[tuple[str, ...], np.ndarray]:
+    """Return ids and places (q, 2) in room coordinates."""
+    layout, rng = scenario.landmarks, generator(scenario, Stream.LAYOUT)
+    if isinstance(layout, Listed):
+        return tuple(layout.at), np.array(list(layout.at.values()), float)
+    if isinstance(layout, Ring):
+        places = _ring(layout, scenario.home.pose, rng)
+    else:
+        assert scenario.room is not None  # the scenario has checked it
+        places = _on_surfaces(layout, scenario.room, rng)
+    width = len(str(layout.count))
+    return tuple(f"L{i:0{width}d}" for i in range(1, layout.count + 1)), places
+
+
+def _ring(layout: Ring, home: Pose, rng: np.random.Generator) -> np.ndarray:
+    angle = 2 * math.pi * np.arange(layout.count) / layout.count
+    angle = angle + rng.uniform(-layout.jitter, layout.jitter, layout.count)
+    distance = rng.uniform(*layout.distance, layout.count)
+    place = compose(home, Pose(distance * np.cos(angle), distance * np.sin(angle), 0.0))
+    return np.stack([place.x, place.y], axis=-1)
+
+
+def _on_surfaces(layout: OnSurfaces, room: Room, rng: np.random.Generator) -> np.ndarray:
+    """Draw places uniformly along walls and shelf faces, kept where far enough from the others."""
+    rectangles = [room.bounds, *room.shelves]
+    lengths = np.array([2 * (x1 - x0 + y1 - y0) for x0, y0, x1, y1 in rectangles])
+    places: list[tuple[float, float]] = []
+    tries = 0
+    while len(places) < layout.count:
+        which = int(rng.choice(len(rectangles), p=lengths / lengths.sum()))
+        x, y, nx, ny = _on_edge(rectangles[which], rng.uniform(0.0, lengths[which]))
+        side = -IN_FRONT if which == 0 else IN_FRONT
+        far = all(math.hypot(x - a, y - b) >= layout.spacing for a, b in places)
+        if far and room.free(x + side * nx, y + side * ny):
+            places.append((x, y))
+            tries = 0
+        tries += 1
+        if tries > TRIES:
+            raise InputError(
+                f"landmarks.count: the room has no place for {layout.count} landmarks"
+                f" {layout.spacing:g} m apart"
+            )
+    return np.array(places)
+
+
+def _on_edge(
+    rectangle: tuple[float, float, float, float], along: float
+) -> tuple[float, float, float, float]:
+    """Return the point so far along a rectangle's outline, and the outward normal there."""
+    x0, y0, x1, y1 = rectangle
+    width, depth = x1 - x0, y1 - y0
+    if along < width:
+        return x0 + along, y0, 0.0, -1.0
+    if along < width + depth:
+        return x1, y0 + along - width, 1.0, 0.0
+    if along < 2 * width + depth:
+        return x1 - (along - width - depth), y1, 0.0, 1.0
+    return x0, y1 - (along - 2 * width - depth), -1.0, 0.0
+
+
+def _move(world: World, scenario: Scenario) -> World:
+    """Give the moved landmarks a place of old from which home saw them off by their faults."""
+    faults = scenario.moved.faults or _draw_faults(world, scenario)
+    stood, fault = world.stood.copy(), world.fault.copy()
+    for name, value in faults.items():
+        if name not in world.ids:
+            raise InputError(f"moved.faults.{name}: no such landmark")
+        i = world.ids.index(name)
+        old = _old_place(world.places[i], value, scenario)
+        if old is None:
+            raise InputError(f"moved.faults.{name}: home would not have had it in view there")
+        stood[i], fault[i] = old, value
+    return World(world.ids, world.places, stood, fault, world.home)
+
+
+def _draw_faults(world: World, scenario: Scenario) -> dict[str, float]:
+    """Draw which landmarks moved and by how much, where home had their old place in view."""
+    rng, q = generator(scenario, Stream.FAULTS), len(world.ids)
+    sizes = rng.uniform(*scenario.moved.fault, q) * rng.choice([-1.0, 1.0], q)
+    faults: dict[str, float] = {}
+    for i in rng.permutation(q):
+        if len(faults) == scenario.moved.count:
+            break
+        # The other sign only where the first would have been out of view.
+        for value in (float(sizes[i]), -float(sizes[i])):
+            if _old_place(world.places[i], value, scenario) is not None:
+                faults[world.ids[i]] = value
+                break
+    if len(faults) < scenario.moved.count:
+        raise InputError("moved.count: home cannot have had so many moved landmarks in view")
+    return faults
+
+
+def _old_place(place: np.ndarray, fault: float, scenario: Scenario) -> np.ndarray | None:
+    """Return where home saw a landmark off by its fault.
+
+    On the surface in that direction, or else as far away as it is now; None when the home camera
+    would have had neither in view.
+    """
+    camera, room = _home_camera(scenario), scenario.room
+    dx, dy = place[0] - camera.x, place[1] - camera.y
+    direction = math.atan2(dy, dx) + fault
+    distances = [math.hypot(dx, dy)]
+    if room is not None:
+        distances.insert(0, first_surface(camera.x, camera.y, direction, room))
+    ray = np.array([math.cos(direction), math.sin(direction)])
+    for distance in distances:
+        old = np.array([camera.x, camera.y]) + distance * ray
+        if in_view(camera, old[None, :], scenario.visibility, room)[0]:
+            return np.asarray(old)
+    return None

@@ -1,0 +1,176 @@
+"""Finished blocks in a folder: each written whole or not at all, none ever lost or counted twice.
+
+MARKER           the settings in words; it tells that the folder is ours
+blocks/          manifest.json (the settings, from which the key of the study is made)
+                 and NAME.npz, one for each finished block
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+from pydantic import BaseModel
+
+from homeward.errors import InputError
+from homeward.io.reading import is_there, naming, opened, read_small
+from homeward.io.writing import whole_file
+
+Arrays = dict[str, np.ndarray]
+"""What a block leaves: names to arrays, text as ``str`` arrays."""
+
+MARKER = "study.yaml"
+"""The settings of a study; a folder that holds it is one of ours."""
+LARGEST_MANIFEST = 2**26
+"""[byte]; settings as JSON are a few times as long as in YAML."""
+_KEY = "__study__"
+
+
+class BlockStore:
+    """The finished blocks of one study in one folder.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when it does not exist.
+    settings : mapping
+        Everything that the results depend on, as plain JSON values. A folder whose blocks were
+        made with others, or by another version of homeward, is refused.
+    marker : str
+        File of the folder that gets `settings` as YAML when the folder is made.
+
+    Raises
+    ------
+    InputError
+        When the folder holds another study, something else, or cannot be written.
+    """
+
+    def __init__(self, folder: Path, settings: Mapping[str, Any], marker: str) -> None:
+        self.folder = folder
+        tree = {"homeward": our_version(), **settings}
+        text = json.dumps(tree, sort_keys=True)
+        self.key = hashlib.sha256(text.encode()).hexdigest()
+        self._blocks = folder / "blocks"
+        with naming(folder, "cannot be written"):
+            self._claim(tree, marker)
+
+    def __contains__(self, name: str) -> bool:
+        """Tell whether a block is finished and whole."""
+        return self._read(name) is not None
+
+    def save(self, name: str, arrays: Arrays) -> None:
+        """Keep a finished block; it appears whole, whatever happens meanwhile."""
+        path = self._path(name)
+        with naming(path, "cannot be written"), whole_file(path) as scratch:
+            # mypy: a mapping may not hold allow_pickle, which is another argument
+            np.savez_compressed(scratch, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
+
+    def load(self, name: str) -> Arrays:
+        """Return a finished block.
+
+        Raises
+        ------
+        InputError
+            When there is none.
+        """
+        arrays = self._read(name)
+        if arrays is None:
+            raise InputError("missing or damaged; run the study again", self._path(name))
+        return arrays
+
+    def _path(self, name: str) -> Path:
+        return self._blocks / f"{name}.npz"
+
+    def _read(self, name: str) -> Arrays | None:
+        """Return a block, or None when it is missing, damaged, or another study's."""
+        try:
+            # Opened here: of a damaged file NumPy would leave it open.
+            with opened(self._path(name)) as stream, np.load(stream) as file:
+                arrays = {k: file[k] for k in file.files}
+        except Exception:  # whatever zip, zlib and NumPy make of a damaged file: it counts as none
+            return None
+        key = arrays.pop(_KEY, None)
+        return arrays if key is not None and str(key) == self.key else None
+
+    def _claim(self, tree: dict[str, Any], marker: str) -> None:
+        """Make the folder ours, or check that its blocks are of this very study."""
+        manifest = self._blocks / "manifest.json"
+        if is_there(manifest):
+            self._refuse_change(manifest, tree)
+            return
+        new = not is_there(self.folder)
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            # First of all: what happens now, the folder is known to be ours.
+            words = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+            _write_text(self.folder / marker, words)
+            self._blocks.mkdir(exist_ok=True)
+            _write_text(manifest, json.dumps(tree, indent=1))
+        except BaseException:
+            if new:  # a full disk leaves nothing behind
+                shutil.rmtree(self.folder, ignore_errors=True)
+            raise
+
+    def _refuse_change(self, manifest: Path, tree: dict[str, Any]) -> None:
+        try:
+            before = json.loads(read_small(manifest, LARGEST_MANIFEST, "a manifest"))
+        except (ValueError, RecursionError):
+            raise InputError("damaged; choose another output folder", manifest) from None
+        change = _first_change(before, json.loads(json.dumps(tree)))
+        if change is not None:
+            raise InputError(
+                f"holds the blocks of another study: {change}; choose another output folder, "
+                "or delete this one",
+                self.folder,
+            )
+
+
+def store_of(settings: BaseModel, folder: Path) -> BlockStore:
+    """Return the store of a study in a folder, new or resumed; errors as `BlockStore`."""
+    tree = settings.model_dump(mode="json", by_alias=True, exclude_none=True)
+    return BlockStore(folder, tree, MARKER)
+
+
+def our_version() -> str:
+    """Return the version of homeward, as it is installed."""
+    try:
+        return version("homeward")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def _write_text(path: Path, text: str) -> None:
+    with whole_file(path) as scratch:
+        scratch.write_text(text, encoding="utf-8")
+
+
+def _first_change(before: Any, now: Any, key: str = "") -> str | None:
+    """Say the first difference between two trees of plain values; None when there is none."""
+    if before == now:
+        return None
+    if isinstance(before, dict) and isinstance(now, dict):
+        for k in [*before, *(k for k in now if k not in before)]:
+            here = f"{key}.{k}" if key else str(k)
+            if k not in now:
+                return f"{here} is gone"
+            if k not in before:
+                return f"{here} is new"
+            if (change := _first_change(before[k], now[k], here)) is not None:
+                return change
+    if isinstance(before, list) and isinstance(now, list) and len(before) == len(now):
+        for i, (a, b) in enumerate(zip(before, now, strict=True)):
+            if (change := _first_change(a, b, f"{key}.{i}")) is not None:
+                return change
+    return f"{key} was {_short(before)}, is {_short(now)}"
+
+
+def _short(value: Any) -> str:
+    text = json.dumps(value)
+    return text if len(text) <= 40 else text[:39] + "…"

@@ -1,0 +1,261 @@
+"""The paper's Cases 1, 2 and 4 over thousands of random layouts and fault sets, in blocks.
+
+What `homeward study layouts` asks: the filters under every reading of what the paper leaves
+open, what else their order depends on, and on the first layouts the robust localiser and the
+Cramer-Rao bound.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from functools import partial
+from itertools import product
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple
+
+import numpy as np
+from pydantic import Field
+
+from homeward.drives.drive import NonNegative, Positive
+from homeward.io.settings import validated
+from homeward.io.strict import Strict
+from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.store import MARKER, Arrays, BlockStore
+from homeward.lab.studies.paper.cases import FILTERS, draw, run_filter
+from homeward.lab.studies.paper.many import Errors, errors_over, run_many
+from homeward.lab.studies.paper.robust import bound_errors, run_robust
+from homeward.lab.studies.paper.settings import PaperSettings
+from homeward.lab.studies.paper.world import CaseName, World
+
+STUDIED: tuple[CaseName, ...] = ("1", "2", "4")
+"""The cases with a printed table; Case 1 by the caption of Table 3, Case 4 by its text."""
+BOUND, ROBUST = "bound", "robust"
+
+Start = tuple[float, float, float]
+"""Standard deviations of the first estimate's error: R [m], theta, alpha [rad]."""
+FIXED: dict[CaseName, set[str]] = {"1": {"faults"}, "4": {"faults", "stop_radius"}}
+"""What a case does not depend on."""
+
+LONG = "circle for 200 s"
+"""Of Case 4 alone."""
+VARIANTS: dict[str, dict[str, Any]] = {
+    "bearings exact": {"assumed": {"bearing_sigma": 0.0}},
+    "bearing noise 0.05 rad": {"assumed": {"bearing_sigma": 0.05}},
+    "bearing noise 0.22 rad, as R says": {"assumed": {"bearing_sigma": 0.05**0.5}},
+    "R a standard deviation": {"assumed": {"meaning_of_R": "deviation"}},
+    "Q of the states, R a deviation": {
+        "assumed": {"meaning_of_Q": "state", "meaning_of_R": "deviation"}
+    },
+    "Pi 0.5": {"printed": {"Pi": 0.5}},
+    "Pi 0.5, stop at 15 cm": {"printed": {"Pi": 0.5}, "assumed": {"stop_radius": 0.15}},
+    "Pi 0.005": {"printed": {"Pi": 0.005}},
+    "faults up to 0.2 rad": {"assumed": {"fault": (0.05, 0.2)}},
+    "all landmarks in sight": {"assumed": {"visibility": 1.0}},
+    "samples every 0.1 s": {"printed": {"sample_time": 0.1}},
+    "samples every 0.025 s": {"printed": {"sample_time": 0.025}},
+    LONG: {"assumed": {"circle_time": 200.0}},
+}
+"""What else the order may depend on: name to what is changed in `PaperSettings`."""
+
+
+BLOCK, SLOW_BLOCK = 250, 10
+"""Layouts in a block of filters, and of the robust localiser and the bound."""
+
+
+class Reading(NamedTuple):
+    """One way to read what the paper leaves open: values of `Assumed`."""
+
+    initial_error: Start
+    meaning_of_Q: Literal["input", "state"]
+    stop_radius: float
+    faults: int
+    disturbance: tuple[float, float]
+
+
+class Grid(Strict):
+    """Values that are run in every combination, beside those of `paper.assumed`.
+
+    M needs none: the PI-EKF runs with that of `paper.printed` and with H'.
+    """
+
+    initial_error: tuple[tuple[NonNegative, NonNegative, NonNegative], ...] = (
+        (0.0, 0.0, 0.0),
+        (0.05, 0.1, 0.1),
+    )
+    meaning_of_Q: tuple[Literal["input", "state"], ...] = ("input", "state")
+    stop_radius: tuple[Positive, ...] = (0.05, 0.15, 0.25)
+    faults: tuple[Annotated[int, Field(ge=0)], ...] = (2, 1, 3)
+    disturbance: tuple[tuple[NonNegative, NonNegative], ...] = ((0.0, 0.0), (0.02, 0.2))
+
+
+class LayoutSettings(Strict):
+    """How much of it is computed."""
+
+    layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    """Random layouts and fault sets of every reading."""
+    varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
+    """The first so many of them for each of `VARIANTS`."""
+    robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
+    """The first so many for the robust localiser and the bound."""
+    grid: Grid = Grid()
+    paper: PaperSettings = PaperSettings()
+    """What all of it starts from; its `runs` is not used."""
+
+    def axis(self, name: str) -> tuple[Any, ...]:
+        """Return the values of one field of `Reading`, those of `paper` first."""
+        own = getattr(self.paper.assumed, name)
+        return tuple(dict.fromkeys((own, *getattr(self.grid, name))))
+
+    def readings(self, case: CaseName) -> list[Reading]:
+        """Return every reading of a case; the first is that of `paper`."""
+        fixed = FIXED.get(case, set())
+        axes = (self.axis(k)[: 1 if k in fixed else None] for k in Reading._fields)
+        return [Reading(*values) for values in product(*axes)]
+
+    def bounded(self, case: CaseName) -> list[Reading]:
+        """Return the readings of a case that the bound depends on: of start and disturbance."""
+        first = self.readings(case)[0]
+        return [
+            first._replace(initial_error=start, disturbance=noise)
+            for start, noise in product(self.axis("initial_error"), self.axis("disturbance"))
+        ]
+
+    def read(self, reading: Reading) -> PaperSettings:
+        """Return the settings of a reading."""
+        return changed(self.paper, {"assumed": reading._asdict()})
+
+
+class Block(NamedTuple):
+    """Some layouts of one case, for some filters, the robust localiser or the bound."""
+
+    settings: PaperSettings
+    case: CaseName
+    names: tuple[str, ...]
+    """Of `FILTERS`, or `ROBUST`, or `BOUND`."""
+    first: int
+    last: int
+    """The layout after the last one."""
+
+
+@dataclass(frozen=True)
+class Outcome(Errors):
+    """One case over many layouts: what is kept of each filter, (names, layouts, ...)."""
+
+    names: tuple[str, ...]
+    moved: np.ndarray
+    """(layouts,), how many landmarks were moved."""
+
+    def of(self, name: str) -> np.ndarray:
+        """Return the RMSE of one filter, shape (layouts, 3)."""
+        return np.asarray(self.rmse[self.names.index(name)])
+
+
+def run_block(block: Block) -> Arrays:
+    """Run every filter of a block through its worlds; layout k is the same in any block."""
+    settings, case = block.settings, block.case
+    worlds = [draw(case, settings, k) for k in range(block.first, block.last)]
+    kept = [_errors(name, case, worlds, settings) for name in block.names]
+    arrays = {f.name: np.array([getattr(e, f.name) for e in kept]) for f in fields(Errors)}
+    return {**arrays, "moved": np.array([w.moved.sum() for w in worlds])}
+
+
+def _errors(name: str, case: CaseName, worlds: Sequence[World], settings: PaperSettings) -> Errors:
+    """Run one filter, the robust localiser or the bound through worlds."""
+    if name in FILTERS and settings.measurements == "model":
+        return run_many(name, case, worlds, settings)
+    one = {ROBUST: run_robust, BOUND: bound_errors}.get(name, partial(_run_one, name))
+    parts = [one(case, world, settings) for world in worlds]
+    columns = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Errors))
+    return Errors(*columns)
+
+
+def _run_one(name: str, case: CaseName, world: World, settings: PaperSettings) -> Errors:
+    run = run_filter(name, case, world, settings)
+    return errors_over(run.errors, run.pose)
+
+
+def changed(paper: PaperSettings, change: Mapping[str, Mapping[str, Any]]) -> PaperSettings:
+    """Return settings with some of them changed, by section and key."""
+    tree = paper.model_dump()
+    for section, values in change.items():
+        tree[section] = {**tree[section], **values}
+    return validated(PaperSettings, tree)
+
+
+@dataclass(frozen=True)
+class Question:
+    """One variant of the settings in one case: what is run, and over how many layouts."""
+
+    settings: PaperSettings
+    case: CaseName
+    names: tuple[str, ...]
+    layouts: int
+
+    def blocks(self) -> dict[str, Block]:
+        """Return its blocks by names that tell everything they depend on."""
+        tree = self.settings.model_dump(mode="json", exclude={"runs"})
+        text = json.dumps([tree, self.case, self.names], sort_keys=True)
+        key = hashlib.sha256(text.encode()).hexdigest()[:16]
+        size = BLOCK if set(self.names) <= set(FILTERS) else SLOW_BLOCK
+        size = size if self.settings.measurements == "model" else 1
+        blocks = {}
+        for first in range(0, self.layouts, size):
+            last = min(first + size, self.layouts)
+            name = f"{key}-{first:07d}-{last:07d}"
+            blocks[name] = Block(self.settings, self.case, self.names, first, last)
+        return blocks
+
+
+def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
+    """Return the store of a folder; the names of its blocks tell their settings."""
+    return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
+
+
+def ask(work: Work, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
+    """Answer questions, block by block; what the store holds already is not computed again."""
+    blocks = {label: question.blocks() for label, question in questions.items()}
+    work.finish(run_block, {name: b for some in blocks.values() for name, b in some.items()})
+    return {
+        label: _outcome(questions[label].names, [work.store.load(name) for name in some])
+        for label, some in blocks.items()
+    }
+
+
+def _outcome(names: tuple[str, ...], parts: list[Arrays]) -> Outcome:
+    columns = {f.name: np.concatenate([p[f.name] for p in parts], axis=1) for f in fields(Errors)}
+    return Outcome(names=names, moved=np.concatenate([p["moved"] for p in parts]), **columns)
+
+
+def grid_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
+    """Return every reading of every case, for the paper's filters and dead reckoning."""
+    return {
+        (case, reading): Question(settings.read(reading), case, FILTERS, settings.layouts)
+        for case in STUDIED
+        for reading in settings.readings(case)
+    }
+
+
+def bound_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
+    """Return the first layouts for the robust localiser and the bound."""
+    number = min(settings.robust, settings.layouts)
+    return {
+        (case, reading): Question(settings.read(reading), case, (ROBUST, BOUND), number)
+        for case in STUDIED
+        for reading in settings.bounded(case)
+    }
+
+
+def varied_questions(settings: LayoutSettings) -> dict[tuple[str, CaseName, Start], Question]:
+    """Return each of `VARIANTS` in each case and from each start."""
+    number = min(settings.varied, settings.layouts)
+    asked = {}
+    for case, start in product(STUDIED, settings.axis("initial_error")):
+        paper = settings.read(settings.readings(case)[0]._replace(initial_error=start))
+        for name, change in VARIANTS.items():
+            if name == LONG and case != "4":
+                continue
+            asked[name, case, start] = Question(changed(paper, change), case, FILTERS, number)
+    return asked

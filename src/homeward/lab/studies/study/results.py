@@ -1,0 +1,148 @@
+"""The results of a study: arrays with names, and one netCDF file."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from homeward.errors import InputError
+from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.store import BlockStore, our_version
+from homeward.lab.studies.study.plan import Plan, block_name
+from homeward.lab.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.lab.studies.study.runs import run_block, run_seed
+
+
+@dataclass(frozen=True)
+class Results:
+    """Everything that came out of a study."""
+
+    plan: Plan
+    run: dict[str, np.ndarray]
+    """Quantities of `RUN`, (scenarios, estimators, runs); NaN beyond the runs of a scenario."""
+    series: dict[str, np.ndarray]
+    """Quantities of `SERIES`, (scenarios, estimators, runs, times)."""
+    failure: np.ndarray
+    """(scenarios, estimators, runs), why a run failed; empty where it did not."""
+
+    @property
+    def number(self) -> int:
+        """How many runs there were; a drive in which nothing is random has one an estimator."""
+        return len(self.plan.contenders) * sum(case.runs for case in self.plan.cases)
+
+    @property
+    def failed(self) -> np.ndarray:
+        """Which runs failed, (scenarios, estimators, runs)."""
+        return np.asarray(self.failure != "")
+
+
+def run_study(plan: Plan, work: Work) -> Results:
+    """Compute what is left of a study, and return all of it.
+
+    Raises
+    ------
+    HomewardError
+        As `homeward.lab.studies.blocks.finish.Work.finish`.
+    """
+    work.finish(run_block, plan.blocks())
+    return _gather(plan, work.store)
+
+
+def _gather(plan: Plan, store: BlockStore) -> Results:
+    """Put the blocks together."""
+    study = plan.study
+    shape = len(plan.cases), len(plan.contenders), study.runs
+    run = {name: np.full(shape, np.nan) for name in RUN}
+    series = {name: np.full((*shape, plan.times.size), np.nan, np.float32) for name in SERIES}
+    failure = np.full(shape, "", dtype=object)
+    for i in range(shape[0]):
+        runs = plan.cases[i].runs
+        for first in range(0, runs, study.block):
+            block = store.load(block_name(i, first))
+            part = slice(first, min(first + study.block, runs))
+            try:
+                for name in RUN:
+                    run[name][i, :, part] = block[name]
+                for name in SERIES:
+                    series[name][i, :, part] = block[name]
+                failure[i, :, part] = block[FAILURE]
+            except (KeyError, ValueError):
+                what = f"block {block_name(i, first)} is not of this study; delete it"
+                raise InputError(what, store.folder) from None
+    return Results(plan, run, series, failure.astype(np.str_))
+
+
+def to_dataset(results: Results) -> Any:
+    """Return results as an `xarray.Dataset` whose variables carry units and meanings."""
+    xarray: Any = import_module("xarray")
+    plan, study = results.plan, results.plan.study
+    dims = ("scenario", "estimator", "run")
+    data: dict[str, Any] = {}
+    for name, quantity in RUN.items():
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
+        data[name] = (dims, results.run[name], attributes)
+    for name, quantity in SERIES.items():
+        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
+        data[name] = ((*dims, "time"), results.series[name], attributes)
+    words = {"long_name": "why the run failed; empty where it did not"}
+    data[FAILURE] = (dims, results.failure.astype(object), words)
+
+    seeds = [run_seed(study.seed, k) for k in range(study.runs)]
+    coordinates: dict[str, Any] = {
+        "scenario": [case.label for case in plan.cases],
+        "estimator": [contender.label for contender in plan.contenders],
+        "run": np.arange(study.runs),
+        "time": ("time", plan.times, {"units": "s", "long_name": "since the drive began"}),
+        "seed": ("run", np.array(seeds), {"long_name": "seed of the scenario of each run"}),
+    }
+    for key in study.grid:
+        values = _coordinate([case.point.get(key, np.nan) for case in plan.cases])
+        coordinates[_name(f"scenario {key}")] = ("scenario", values)
+    for key in sorted({key for entry in study.drives for key in entry.grid}):
+        values = _coordinate([getattr(case.scenario, key, np.nan) for case in plan.cases])
+        coordinates[_name(f"drive {key}")] = ("scenario", values)
+    for key in sorted({key for contender in plan.contenders for key in contender.point}):
+        found = [contender.point.get(key, np.nan) for contender in plan.contenders]
+        coordinates[_name(f"estimator {key}")] = ("estimator", _coordinate(found))
+    attributes = {
+        "title": study.name,
+        "source": f"homeward {our_version()}",
+        "study": json.dumps(study.model_dump(mode="json", by_alias=True, exclude_none=True)),
+        "estimator_settings": json.dumps(
+            {c.label: c.settings.model_dump(mode="json") for c in plan.contenders}
+        ),
+    }
+    return xarray.Dataset(data, coordinates, attributes)
+
+
+def write_netcdf(results: Results, path: Path) -> None:
+    """Write results as one compressed netCDF 4 file.
+
+    Raises
+    ------
+    OSError
+        When it cannot be written.
+    """
+    dataset = to_dataset(results)
+    compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
+    # In memory first: on a disk that is full, HDF5 may end the whole process.
+    content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
+    path.write_bytes(content)
+
+
+def _coordinate(values: list[Any]) -> Any:
+    """Return numbers as numbers, and anything else as words."""
+    if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        return np.array(values, float)
+    words = [v if isinstance(v, str) else json.dumps(v) for v in values]
+    return np.array(words, dtype=object)
+
+
+def _name(text: str) -> str:
+    """Return a name that netCDF takes for a coordinate."""
+    return "_".join(text.replace("/", " ").split())

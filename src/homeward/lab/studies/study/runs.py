@@ -1,0 +1,275 @@
+"""The runs of a block: simulated, estimated, measured; what fails is told and ends nothing."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.estimator import Estimator
+from homeward.geometry.angles import wrap
+from homeward.lab.simulation.scenario import Scenario
+from homeward.lab.simulation.simulate import prepare, simulate
+from homeward.lab.studies.blocks.store import Arrays
+from homeward.lab.studies.study.plan import Contender, StudyBlock
+from homeward.lab.studies.study.quantities import FAILURE, RUN, SERIES
+from homeward.lab.studies.study.recordings import Recording, recorded_trial
+from homeward.lab.studies.study.trial import Trial, simulated_trial
+from homeward.registry import make_estimator
+from homeward.runs.scoring import Accuracy, Errors, errors, score
+from homeward.runs.single_run import with_start
+from homeward.track import Track, track_of
+from homeward.track import run as follow
+
+if TYPE_CHECKING:
+    from homeward.lab.filters.ekf import ExtendedKalmanFilter
+    from homeward.lab.filters.settings import Engine
+
+TOGETHER = 100
+"""Runs whose drives are held at once."""
+LONGEST_REASON = 200
+"""Letters of the reason of a failure that are kept."""
+
+
+def run_seed(seed: int, run: int) -> int:
+    """Return the seed of the scenario of run number `run` in a study with a seed."""
+    state = np.random.SeedSequence([seed, run]).generate_state(1, np.uint64)
+    return int(state[0] >> np.uint64(1))  # so that it fits a signed integer of netCDF
+
+
+def run_block(block: StudyBlock) -> Arrays:
+    """Run a block: every estimator through every run.
+
+    Returns
+    -------
+    dict of ndarray
+        The quantities of `RUN`, (estimators, runs); of `SERIES`, (estimators, runs, times); and
+        `FAILURE`, (estimators, runs), the reason where a run failed.
+    """
+    shape = len(block.contenders), block.last - block.first
+    kept: Arrays = {name: np.full(shape, np.nan) for name in RUN}
+    kept |= {name: np.full((*shape, block.times.size), np.nan, np.float32) for name in SERIES}
+    failures = [[""] * shape[1] for _ in range(shape[0])]
+    each = _open_loop if block.study.loop == "open" else _closed_loop
+    for first in range(block.first, block.last, TOGETHER):
+        for j, run, found in each(block, range(first, min(first + TOGETHER, block.last))):
+            i = run - block.first
+            if isinstance(found, Exception):
+                failures[j][i] = _reason(found)
+            else:
+                for name, value in found.items():
+                    kept[name][j, i] = value
+    return {**kept, FAILURE: np.array(failures, dtype=np.str_)}
+
+
+Found = dict[str, float | np.ndarray]
+"""What is known of one run, by the names of `RUN` and `SERIES`."""
+T = TypeVar("T")
+
+
+def _tried(function: Callable[[], T]) -> T | Exception:
+    """Return what a function returns or raises: one of a million runs must not end the others."""
+    try:
+        return function()
+    except Exception as error:
+        return error
+
+
+def _reason(error: Exception) -> str:
+    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
+
+
+def _closed_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
+    """Yield estimator, run and what came of it, where each estimator steers its own drives."""
+    for run in runs:
+        for j, contender in enumerate(block.contenders):
+            yield j, run, _tried(partial(_steered, contender, block, run))
+
+
+def _steered(contender: Contender, block: StudyBlock, run: int) -> Found:
+    began, case = time.process_time(), block.case.scenario
+    assert isinstance(case, Scenario)  # who steers cannot do so in a log
+    seed = run_seed(block.study.seed, run)
+    own = case.model_copy(update={"seed": seed, "estimator": contender.estimator})
+    estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
+    simulation = simulate(own, estimator)
+    track = track_of(estimator, simulation.estimates)
+    seconds = time.process_time() - began
+    return _measure(simulated_trial(simulation), estimator, track, block) | {"seconds": seconds}
+
+
+def _open_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
+    """Yield the same where all run over the same drives: compiled filters side by side."""
+    together: dict[Any, list[tuple[int, int, Trial, Drive, Any]]] = {}
+    for run in runs:
+        trial = _tried(partial(_recorded, block.case.scenario, run_seed(block.study.seed, run)))
+        for j, contender in enumerate(block.contenders):
+            if isinstance(trial, Exception):
+                yield j, run, trial
+                continue
+            made = _tried(partial(_made, contender, block.case.scenario, trial.drive))
+            if isinstance(made, Exception):
+                yield j, run, made
+            elif key := _alike(contender, made[1]):
+                together.setdefault(key, []).append((j, run, trial, *made))
+            else:
+                yield j, run, _tried(partial(_followed, trial, *made, block))
+    for (_, engine), entries in together.items():
+        yield from _side_by_side(entries, engine, block, len(runs))
+
+
+def _recorded(case: Scenario | Recording, seed: int) -> Trial:
+    if isinstance(case, Recording):
+        return recorded_trial(case, seed)
+    return simulated_trial(simulate(case.model_copy(update={"seed": seed, "estimator": "truth"})))
+
+
+def _made(
+    contender: Contender, case: Scenario | Recording, drive: Drive
+) -> tuple[Drive, Estimator]:
+    """Return the drive with the start prior that an estimator gets, and the estimator."""
+    if isinstance(case, Recording):
+        _, drive = with_start(drive, contender.estimator)
+    return drive, make_estimator(contender.estimator, drive, contender.settings)
+
+
+def _followed(trial: Trial, drive: Drive, estimator: Estimator, block: StudyBlock) -> Found:
+    began = time.process_time()
+    track = follow(drive, estimator)
+    seconds = time.process_time() - began
+    return _measure(trial, estimator, track, block) | {"seconds": seconds}
+
+
+def _alike(
+    contender: Contender, estimator: Estimator
+) -> tuple[ExtendedKalmanFilter, Engine] | None:
+    """Return what filters have in common that run side by side; None for what does not."""
+    engine: Engine = getattr(contender.settings, "engine", "interpreter")
+    if engine == "interpreter":
+        return None
+    # Imported here alone: whoever studies the localiser needs nothing symbolic.
+    from homeward.lab.engine.estimators.side_by_side import batch_kind
+
+    kind = batch_kind(estimator)
+    return None if kind is None else (kind, engine)
+
+
+def _side_by_side(
+    entries: list[tuple[int, int, Trial, Drive, Any]],
+    engine: Engine,
+    block: StudyBlock,
+    runs: int,
+) -> Iterator[tuple[int, int, Found | Exception]]:
+    from homeward.lab.engine.estimators.side_by_side import run_side_by_side
+
+    began = time.process_time()
+    drives, filters = [e[3] for e in entries], [e[4] for e in entries]
+    tracks = _tried(lambda: run_side_by_side(drives, filters, engine, block.case.runs / runs))
+    seconds: Found = {"seconds": (time.process_time() - began) / len(entries)}
+    alone = [None] * len(entries) if isinstance(tracks, Exception) else tracks
+    for (j, run, trial, drive, own), track in zip(entries, alone, strict=True):
+        if track is None:
+            yield j, run, _tried(partial(_followed, trial, drive, own, block))
+        else:
+            found = _tried(partial(_measure, trial, own, track, block))
+            yield j, run, found if isinstance(found, Exception) else found | seconds
+
+
+def _measure(trial: Trial, estimator: Estimator, track: Track, block: StudyBlock) -> Found:
+    """Return every quantity of one run that is known."""
+    begin, end = trial.drive.span
+    found: Found = {
+        "duration": end - begin,
+        "final_distance": trial.final_distance,
+        "pose_share": 0.0,
+        **_landmarks(trial, estimator),
+    }
+    if block.study.loop == "closed":
+        found["reached_home"] = float(trial.final_distance <= block.study.home_radius)
+    if not track.t.size:
+        return found
+    assert trial.drive.truth is not None  # every trial has it
+    e = errors(track, trial.drive.truth)
+    metrics = score(track, trial.drive.truth)
+    found["pose_share"] = _known(metrics.pose_share)
+    found["first_pose"] = _known(metrics.first_pose_after_s)
+    found["nis"] = _known(metrics.innovation_nis_mean)
+    times, longest = begin + block.times, 1.5 * block.study.interval
+    found |= {
+        "position_error": _latest(times, e.t, e.position, longest),
+        "heading_error": _latest(times, e.t, e.heading, longest),
+        "nees_over_time": _latest(times, e.t, e.nees, longest),
+    }
+    return found | _bounds(times, trial, longest) | _errors(e, metrics.accuracy)
+
+
+def _known(value: float | None) -> float:
+    return math.nan if value is None else value
+
+
+def _errors(e: Errors, total: Accuracy | None) -> Found:
+    """Return errors over the whole run, and how they split into bias and oscillation."""
+    if total is None:
+        return {}
+    late = e.t >= (e.t[0] + e.t[-1]) / 2
+    mean_x, mean_y = float(e.x[late].mean()), float(e.y[late].mean())
+    left = (e.x[late] - mean_x) ** 2 + (e.y[late] - mean_y) ** 2
+    return {
+        "position_rmse": total.position.rmse,
+        "R_rmse": total.R.rmse,
+        "theta_rmse": total.theta.rmse,
+        "heading_rmse": total.heading.rmse,
+        "position_max": total.position.max,
+        "position_bias": math.hypot(mean_x, mean_y),
+        "position_oscillation": float(np.sqrt(left.mean())),
+        "nees": total.nees_mean,
+        "nees_inside_95": total.nees_inside_95_share,
+    }
+
+
+def _bounds(times: np.ndarray, trial: Trial, longest: float) -> Found:
+    stamps, bound = trial.stamps, trial.bound
+    position, heading = bound[:, 0, 0] + bound[:, 1, 1], bound[:, 2, 2]
+    finite = np.isfinite(position)
+    if not finite.any():
+        return {}
+    return {
+        "position_bound": float(np.sqrt(position[finite].mean())),
+        "heading_bound": float(np.sqrt(heading[finite].mean())),
+        "position_bound_over_time": _latest(times, stamps, np.sqrt(position), longest),
+        "heading_bound_over_time": _latest(times, stamps, np.sqrt(heading), longest),
+    }
+
+
+def _latest(
+    times: np.ndarray, stamps: np.ndarray, values: np.ndarray, longest: float
+) -> np.ndarray:
+    """Return the latest value at each time, NaN where there is none as young as `longest` [s]."""
+    if not stamps.size:
+        return np.full(times.shape, np.nan)
+    row = np.searchsorted(stamps, times + 1e-9, side="right") - 1
+    age = times - stamps[np.maximum(row, 0)]
+    return np.asarray(np.where((row >= 0) & (age < longest), values[np.maximum(row, 0)], np.nan))
+
+
+def _landmarks(trial: Trial, estimator: Estimator) -> Found:
+    """Return what became of the moved landmarks, as far as the estimator says."""
+    known, home, true = estimator.landmarks(), trial.drive.home_bearings(), trial.true_home
+    found: Found = {}
+    judged = {m.landmark: m.moved for m in known if m.moved is not None}
+    if judged and trial.none_else:
+        named = {landmark for landmark, moved in judged.items() if moved}
+        found["moved_right"] = float(named == trial.moved)
+    # The stored bearing holds the fault and the noise of home; the truth is where it stands.
+    moved = [m for m in known if m.landmark in trial.moved]
+    if moved:
+        stored = np.array([wrap(home[m.landmark] - true[m.landmark]) for m in moved])
+        now = [wrap(m.home_bearing_estimated - true[m.landmark]) for m in moved]
+        found["moved_bearing_stored"] = float(np.sqrt(np.mean(stored**2)))
+        found["moved_bearing_error"] = float(np.sqrt(np.mean(np.square(now))))
+    return found

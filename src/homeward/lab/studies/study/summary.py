@@ -1,0 +1,221 @@
+"""A study in numbers and tables: per scenario and estimator, over its runs; failures first."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.io.naming import number, share
+from homeward.lab.studies.study.results import Results
+from homeward.lab.studies.study.statistics import (
+    Interval,
+    Pairing,
+    adjusted,
+    mean,
+    paired,
+    quantiles,
+    rmse_interval,
+    root_mean_square,
+    wilson,
+)
+
+FEWEST_SHARE = 0.2
+"""Over time, means are told while at least this share of the runs goes on."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """One estimator in one scenario."""
+
+    scenario: str
+    estimator: str
+    rmse: float
+    """Of the position, over all runs [m]."""
+    quantiles: np.ndarray
+    """(5,), `QUANTILES` of the runs' RMSE of the position [m]."""
+    bound: float
+    """Cramer-Rao bound on `rmse` [m]; NaN where it is not known."""
+    heading_rmse: float
+    """[rad]"""
+    nees: np.ndarray
+    """(5,), `QUANTILES` of the runs' mean NEES: 3 when consistent."""
+    home: float
+    """Share of runs that ended at home; NaN in the open loop."""
+    home_interval: tuple[float, float]
+    """95 % interval of that share (Wilson)."""
+    moved_right: float
+    """Share of runs in which exactly the moved landmarks were named; NaN if it names none."""
+    no_pose: int
+    """Runs that never had a pose."""
+    failed: int
+    """Runs that ended in an error."""
+    runs: int
+    seconds: float
+    """Processor time of a run, median [s]."""
+
+    @property
+    def ratio(self) -> float:
+        """RMSE over bound."""
+        return self.rmse / self.bound
+
+
+def lines(results: Results) -> list[Line]:
+    """Return a line for each scenario and estimator, in order."""
+    return [
+        _line(results, i, j)
+        for i in range(len(results.plan.cases))
+        for j in range(len(results.plan.contenders))
+    ]
+
+
+def _line(results: Results, i: int, j: int) -> Line:
+    runs = results.plan.cases[i].runs
+    run = {name: values[i, j, :runs] for name, values in results.run.items()}
+    failed = results.failed[i, j, :runs]
+    home = run["reached_home"]
+    arrived, judged = int(np.nansum(home)), int(np.isfinite(home).sum())
+    return Line(
+        scenario=results.plan.cases[i].label,
+        estimator=results.plan.contenders[j].label,
+        rmse=root_mean_square(run["position_rmse"]),
+        quantiles=quantiles(run["position_rmse"]),
+        bound=root_mean_square(run["position_bound"]),
+        heading_rmse=root_mean_square(run["heading_rmse"]),
+        nees=quantiles(run["nees"]),
+        home=arrived / judged if judged else np.nan,
+        home_interval=wilson(arrived, judged),
+        moved_right=mean(run["moved_right"]),
+        no_pose=int(np.sum(~failed & np.isnan(run["position_rmse"]))),
+        failed=int(failed.sum()),
+        runs=failed.size,
+        seconds=float(quantiles(run["seconds"])[2]),
+    )
+
+
+def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.ndarray:
+    """Return the mean of a series over the runs that go on, (times,), or the root mean square.
+
+    NaN where fewer than `FEWEST_SHARE` of the runs go on.
+    """
+    values = np.asarray(results.series[name][i, j, : results.plan.cases[i].runs], float)
+    here = ~np.isnan(values)
+    with warnings.catch_warnings(), np.errstate(over="ignore"):
+        warnings.simplefilter("ignore", RuntimeWarning)  # of times without a run
+        found = np.nanmean(values**2 if root else values, axis=0)
+    enough = here.sum(axis=0) >= max(FEWEST_SHARE * len(values), 1)
+    return np.asarray(np.where(enough, np.sqrt(found) if root else found, np.nan))
+
+
+def failures(results: Results) -> dict[str, int]:
+    """Return each reason for which runs failed, with their number, the most frequent first."""
+    reasons, counts = np.unique(results.failure[results.failed], return_counts=True)
+    order = np.argsort(-counts, kind="stable")
+    return {str(reasons[k]): int(counts[k]) for k in order}
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What a study says, estimator by estimator, each beside the one that it names first."""
+
+    closed: bool
+    """Whether each steered its own drives."""
+    first: str
+    """The estimator that the others are compared with."""
+    lines: list[Line]
+    rmse: list[Interval]
+    """Of each line [m]."""
+    pairings: list[Pairing]
+    """Of each line with that of the first in its scenario."""
+    p: np.ndarray
+    """Of each line, adjusted for the number of all comparisons; NaN of the first itself."""
+
+
+def summary(results: Results) -> Summary:
+    """Return lines, intervals and tests of a study."""
+    rmse, cases = results.run["position_rmse"], results.plan.cases
+    pairs = [(i, j) for i in range(len(cases)) for j in range(len(results.plan.contenders))]
+    parts = [(rmse[i, j, : cases[i].runs], rmse[i, 0, : cases[i].runs]) for i, j in pairs]
+    pairings = [paired(*both) for both in parts]
+    p = [np.nan if j == 0 else found.p for (_, j), found in zip(pairs, pairings, strict=True)]
+    return Summary(
+        results.plan.study.loop == "closed",
+        results.plan.contenders[0].label,
+        lines(results),
+        [rmse_interval(own) for own, _ in parts],
+        pairings,
+        adjusted(p),
+    )
+
+
+def table(found: Summary) -> list[list[str]]:
+    """Return the table of the terminal and of the page, its head first, as text.
+
+    Failures are told first. A column in which nothing is known is left out.
+    """
+    head = ["scenario", "estimator", "failed", "no pose", "RMSE [m]", "5 to 95 % of runs"]
+    head += ["RMSE / bound", f"x {found.first}", "p", "heading [deg]", "NEES"]
+    head += [*(["reached home"] if found.closed else []), "moved right", "time of a run [s]"]
+    rows, before = [head], ""
+    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+        shown = line.scenario if line.scenario != before else ""
+        before = line.scenario
+        rows.append(
+            [
+                shown,
+                line.estimator,
+                f"{line.failed} of {line.runs}" if line.failed else "",
+                f"{line.no_pose} of {line.runs}" if line.no_pose else "",
+                with_interval(rmse),
+                _span(line.quantiles[0], line.quantiles[4]),
+                number(line.ratio),
+                "" if line.estimator == found.first else with_interval(pair.ratio),
+                probability(p),
+                number(float(np.degrees(line.heading_rmse))),
+                number(float(line.nees[2])),
+                *([share(line.home)] if found.closed else []),
+                share(line.moved_right),
+                number(line.seconds),
+            ]
+        )
+    known = [k for k in range(len(head)) if k < 2 or any(row[k] for row in rows[1:])]
+    return [[row[k] for k in known] for row in rows]
+
+
+EXACT = (
+    *("scenario", "estimator", "runs", "failed", "no_pose", "rmse_m", "rmse_low_m", "rmse_high_m"),
+    *("bound_m", "ratio", "ratio_low", "ratio_high", "p_adjusted", "heading_rmse_rad"),
+    *("nees_median", "reached_home_share", "moved_right_share", "seconds_median"),
+)
+"""Columns of `exact_table`."""
+
+
+def exact_table(found: Summary) -> list[list[object]]:
+    """Return the same to the last bit, units in the head; ratio and p are against the first."""
+    rows: list[list[object]] = [list(EXACT)]
+    for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
+        rows.append(
+            [
+                *(line.scenario, line.estimator, line.runs, line.failed, line.no_pose, *rmse),
+                *(line.bound, *pair.ratio, float(p), line.heading_rmse, float(line.nees[2])),
+                *(line.home, line.moved_right, line.seconds),
+            ]
+        )
+    return rows
+
+
+def with_interval(found: Interval) -> str:
+    """Return a value and its interval; empty where it is not known."""
+    if np.isnan(found.low):
+        return number(found.value)
+    return f"{number(found.value)} ({number(found.low)} to {number(found.high)})"
+
+
+def probability(p: float) -> str:
+    """Return a p-value; empty where it is not known."""
+    return "" if np.isnan(p) else "< 0.001" if p < 1e-3 else f"{p:.2g}"
+
+
+def _span(low: float, high: float) -> str:
+    return "" if np.isnan(low) else f"{number(low)} to {number(high)}"

@@ -1,0 +1,133 @@
+"""A drive with ground truth, and what estimators are scored by: moved landmarks and the bound."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, bearing, compose, polar_covariance_to_pose, to_polar
+from homeward.lab.bounds import posterior_bound
+from homeward.lab.simulation.scenario import Scenario
+from homeward.lab.simulation.simulate import Simulation
+
+MAX_SIGMAS = 5.0
+"""A sighting with a larger error is not of the landmark whose id it carries."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """A drive with ground truth, and what its estimators are scored by."""
+
+    drive: Drive
+    moved: frozenset[str]
+    """Landmarks that are, at the end, not where home saw them."""
+    stamps: np.ndarray
+    """(n,), of the bearings [s]."""
+    bound: np.ndarray
+    """(n, 3, 3), posterior Cramer-Rao bound of (x [m], y [m], heading [rad]) given the sightings so
+    far; infinite where it is unknown."""
+    none_else: bool = True
+    """Whether `moved` is complete."""
+    true_home: dict[str, float] = field(default_factory=dict)
+    """True home bearings of all landmarks, in the robot's home frame [rad]."""
+    final_distance: float = math.nan
+    """True distance from home at the end [m]."""
+
+
+def unknown_bound(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bearing stamps of a drive, (n,) [s], and a bound of infinity, (n, 3, 3)."""
+    stamps = np.unique(drive.sightings.t)
+    return stamps, np.full((stamps.size, 3, 3), np.inf)
+
+
+def drive_bound(
+    drive: Drive,
+    case: Scenario,
+    marks: np.ndarray,
+    column: np.ndarray,
+    moved: np.ndarray,
+    *,
+    carried: np.ndarray | None = None,
+    start_covariance: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bearing stamps of a simulated drive, (n,) [s], and the bound there, (n, 3, 3).
+
+    The estimator that the bound is for is given the camera extrinsics, the noise, which landmarks
+    moved and which sightings carry a wrong id; constant errors of the odometry count as zero. The
+    bound is infinite where it is unknown: without noise, or with another camera at home.
+
+    Parameters
+    ----------
+    drive : Drive
+        With ground truth.
+    case : Scenario
+        Noise and extrinsics.
+    marks : ndarray, shape (m, 2)
+        True positions in the home frame [m]; a landmark that moves on the way has two rows.
+    column : ndarray, shape (k,)
+        The row of `marks` that each sighting is of.
+    moved : ndarray, shape (m,), bool
+        Which of `marks` home did not see where they are.
+    carried : ndarray, shape (n - 1,), bool, optional
+        Steps between stamps on which the robot was carried.
+    start_covariance : ndarray, shape (3, 3), optional
+        Of the start prior.
+    """
+    noise, seen, truth = case.noise, drive.sightings, drive.truth
+    same_camera = case.home_sensor is None or case.home_sensor == case.sensor
+    if truth is None or not (same_camera and noise.bearing_sigma > 0 and noise.home_sigma > 0):
+        return unknown_bound(drive)
+    stamps = np.unique(seen.t)
+    if not stamps.size:
+        return unknown_bound(drive)
+    poses, row = np.stack(truth.at(stamps), axis=1), np.searchsorted(stamps, seen.t)
+    camera = compose(Pose(*poses[row].T), case.sensor.pose)
+    error = wrap(seen.bearing - bearing(camera, *marks[column].T))
+    right = np.abs(error) < MAX_SIGMAS * noise.bearing_sigma
+    visible = np.zeros((stamps.size, len(marks)), bool)
+    visible[row[right], column[right]] = True
+    dt, step = np.diff(stamps), np.diff(poses, axis=0)
+    turn = wrap(step[:, 2])
+    arc = np.hypot(step[:, 0], step[:, 1]) / np.sinc(turn / 2 / np.pi)
+    return stamps, posterior_bound(
+        poses,
+        np.stack([arc / dt, turn / dt], axis=1),
+        dt,
+        marks,
+        visible,
+        bearing_sigma=noise.bearing_sigma,
+        home_sigma=noise.home_sigma,
+        speed_sigma=case.odometry.speed_sigma,
+        turn_sigma=case.odometry.turn_sigma,
+        moved=moved,
+        mount=case.sensor.pose,
+        carried=carried,
+        start_covariance=start_covariance,
+    )
+
+
+def _start_covariance(case: Scenario) -> np.ndarray | None:
+    """Return the covariance of the start prior, (x, y, heading); None where there is none."""
+    if not case.start.prior:
+        return None
+    start = to_polar(case.start.in_home_frame(case.home.pose))
+    sigmas = case.start.sigma_R, case.start.sigma_theta, case.start.sigma_alpha
+    return polar_covariance_to_pose(start, np.diag(np.square(sigmas)))
+
+
+def simulated_trial(simulation: Simulation) -> Trial:
+    """Return the trial of a simulation."""
+    drive, world, case = simulation.drive, simulation.world, simulation.scenario
+    ids, marks = list(world.ids), world.in_home_frame
+    column = np.array([ids.index(name) for name in drive.sightings.landmark], int)
+    moved = np.array([i in world.moved or i not in drive.home for i in ids])
+    stamps, bound = drive_bound(
+        drive, case, marks, column, moved, start_covariance=_start_covariance(case)
+    )
+    true_home = dict(zip(ids, np.arctan2(*marks.T[::-1]).tolist(), strict=True))
+    final = simulation.final_distance
+    return Trial(drive, frozenset(world.moved), stamps, bound, True, true_home, final)

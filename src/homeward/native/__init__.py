@@ -1,0 +1,1 @@
+"""Programs in C, compiled when first needed, for the processor that runs them."""

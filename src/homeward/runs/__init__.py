@@ -1,0 +1,1 @@
+"""A drive from input to report: estimator runs, scores, tuning, pages and recordings."""

@@ -1,0 +1,102 @@
+"""Two runs of a drive side by side: consistency and accuracy where both have answers.
+
+A run that has a pose sooner includes more of the time in which poses are worst, and must not score
+worse for it.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.estimator import Estimator
+from homeward.localizer.tunables import GATE
+from homeward.runs.scoring import Errors, accuracy, errors
+from homeward.track import Innovations, run
+
+CONSISTENT = {"NIS": 1.0, "NEES": 3.0}
+"""Means of a consistent estimator."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """Scores of a held-out drive where both runs of it have answers."""
+
+    nis: float
+    """Mean normalised innovation squared; 1 when consistent."""
+    log_likelihood: float
+    """Of an innovation, mean."""
+    pose_share: float
+    """Share of rows with a pose, in this run."""
+    rmse_m: float
+    """Of the position; NaN without truth."""
+    nees: float
+    """Mean; 3 when consistent; NaN without truth."""
+
+    @property
+    def log_inconsistency(self) -> dict[str, float]:
+        """Size of the logarithm of NIS and of NEES over their consistent values."""
+        values = {"NIS": self.nis, "NEES": self.nees}
+        return {word: abs(math.log(value / CONSISTENT[word])) for word, value in values.items()}
+
+
+class EvaluatedRun(NamedTuple):
+    """Scores of one run of a drive."""
+
+    pose_share: float
+    errors: Errors | None
+    innovations: Innovations
+
+
+def evaluated(drive: Drive, estimator: Estimator) -> EvaluatedRun:
+    """Run an estimator on a drive."""
+    track, truth = run(drive, estimator), drive.truth
+    off = None if truth is None else errors(track, truth)
+    return EvaluatedRun(float(track.has_pose.mean()), off, track.innovations)
+
+
+def checks(before: EvaluatedRun, after: EvaluatedRun) -> tuple[Check, Check]:
+    """Return the scores of two runs of a drive, at the times and innovations that both have."""
+    return _check(before, after), _check(after, before)
+
+
+def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
+    """Return the scores of a run where another run of the drive has answers, too."""
+    off = None
+    if one.errors is not None and other.errors is not None:
+        off = accuracy(_rows(one.errors, np.isin(one.errors.t, other.errors.t)))
+    theirs = set(stamps(other.innovations))
+    both = [stamp in theirs for stamp in stamps(one.innovations)]
+    square, likelihood = (values[both] for values in log_likelihoods(one.innovations))
+    return Check(
+        nis=float(square.mean()) if square.size else math.nan,
+        log_likelihood=float(likelihood.mean()) if square.size else math.nan,
+        pose_share=one.pose_share,
+        rmse_m=math.nan if off is None else off.position.rmse,
+        nees=math.nan if off is None else off.nees_mean,
+    )
+
+
+def stamps(i: Innovations) -> list[tuple[float, str]]:
+    """Return when each innovation was, and of which landmark."""
+    return list(zip(i.t.tolist(), i.landmark.tolist(), strict=True))
+
+
+def _rows(errors: Errors, chosen: np.ndarray) -> Errors:
+    """Return those of the rows, (m,), that are chosen."""
+    names = [field.name for field in dataclasses.fields(errors)]
+    return Errors(**{name: getattr(errors, name)[chosen] for name in names})
+
+
+def log_likelihoods(i: Innovations) -> tuple[np.ndarray, np.ndarray]:
+    """Return the squares of innovations over their variances, at most the gate's, and what follows.
+
+    The second is the log-likelihood, (m,) like the first; an outlier is as likely as at the gate.
+    """
+    square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
+    return square, -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)

@@ -1,0 +1,194 @@
+"""What all figures by matplotlib share: type, and the way to SVG and PNG.
+
+Figures are made through matplotlib's objects alone, so nothing here touches pyplot's global state.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from homeward.errors import printable
+from homeward.runs.report.palette import INK, MUTED, RULE
+
+WIDTH_IN = 7.2
+"""Width of every figure [inch]; the page scales it."""
+
+GAP_IN = 0.06
+"""Between the labels of ticks at least [inch]."""
+
+_STYLE: dict[str, Any] = {
+    "font.size": 9.0,
+    "axes.labelsize": 9.0,
+    "axes.labelpad": 7.0,
+    "axes.edgecolor": MUTED,
+    "axes.labelcolor": INK,
+    "axes.linewidth": 0.6,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.formatter.useoffset": False,
+    "grid.color": RULE,
+    "grid.linewidth": 0.6,
+    "xtick.color": MUTED,
+    "ytick.color": MUTED,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.size": 0.0,
+    "ytick.major.size": 0.0,
+    "text.color": INK,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "legend.handlelength": 1.4,
+    "legend.columnspacing": 3.6,
+    "lines.solid_capstyle": "round",
+    "lines.linewidth": 1.2,
+    "svg.fonttype": "none",
+    "figure.facecolor": "white",
+    "axes.facecolor": "none",
+    "figure.constrained_layout.use": True,
+}
+
+
+@contextmanager
+def style(salt: str = "homeward") -> Iterator[None]:
+    """Draw in homeward's style within this block; `salt` makes ids in the SVG unique to it."""
+    rc: Any = {**_STYLE, "svg.hashsalt": salt}
+    with matplotlib.rc_context(rc), warnings.catch_warnings():
+        # Landmarks have any names; a box instead of a letter is no reason to stop.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from font")
+        yield
+
+
+def plain(label: str) -> str:
+    """Return a label that somebody chose so that it is drawn as it is, not as a formula."""
+    return printable(label).replace("$", r"\$")
+
+
+def new_figure(height_in: float) -> Figure:
+    """Return an empty figure of the common width, to be made and drawn within `style`."""
+    figure = Figure(figsize=(WIDTH_IN, height_in))
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png(figure: Figure, dpi: float = 150) -> bytes:
+    """Return a figure as PNG."""
+    out = io.BytesIO()
+    with style():
+        figure.savefig(out, format="png", dpi=dpi, metadata={"Software": None})
+    return out.getvalue()
+
+
+def drawn(
+    folder: Path, name: str, caption: str, figure: Figure, vector: bool = False
+) -> tuple[str, Markup]:
+    """Write a figure into a folder as a PNG file, and perhaps as an SVG file.
+
+    Returns its caption, plain words of ours, and its SVG for a page.
+    """
+    drawing = svg(figure, caption)
+    (folder / f"{name}.png").write_bytes(png(figure))
+    if vector:
+        (folder / f"{name}.svg").write_text(svg_file(drawing), encoding="utf-8")
+    return caption, Markup(drawing)  # matplotlib has escaped every text in it
+
+
+def svg(figure: Figure, label: str) -> str:
+    """Return a figure as an SVG element on no ground, to stand in a page, with nothing to fetch.
+
+    `label`, plain words of ours, says what it shows to those who hear the page.
+    """
+    out = io.StringIO()
+    with style(label):
+        figure.savefig(out, format="svg", facecolor="none", metadata={"Date": None})
+    text = out.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, count=1, flags=re.DOTALL)
+    text = re.sub(r'<g id="[A-Za-z]+[\dA-Za-z.]*_\d+">', "<g>", text)
+    # In tags alone: what the figure says keeps its digits.
+    text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
+    head, body = text.split(">", 1)
+    box = re.search(r'viewBox="[^"]*"', head)
+    assert box is not None
+    return f'<svg {box[0]} role="img" aria-label="{label}">{body}'
+
+
+def svg_file(drawing: str) -> str:
+    """Return an element from `svg` as a file of its own, on white."""
+    head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
+    ground = '<rect width="100%" height="100%" fill="white"/>'
+    tag, body = drawing.replace("<svg", head, 1).split(">", 1)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{tag}>{ground}{body}\n'
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist], most: int = 4) -> None:
+    """Put a legend below a figure, in as many columns (at most `most`) as it has room for."""
+    for columns in range(most, 0, -1):
+        legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
+        if legend.get_window_extent().width <= figure.bbox.width:
+            return
+        if columns > 1:
+            legend.remove()
+
+
+def uncrowd(figure: Figure) -> None:
+    """Leave out ticks along x whose labels would touch: every other, or more of them."""
+    figure.draw_without_rendering()
+    for axis in (axes.xaxis for axes in figure.axes):
+        low, high = sorted(axis.get_view_interval())
+        shown = [tick for tick in axis.get_major_ticks() if low <= tick.get_loc() <= high]
+        boxes = [tick.label1.get_window_extent() for tick in shown if tick.label1.get_visible()]
+        gap = figure.dpi * GAP_IN
+        step = 1
+        while any(a.x1 + gap > b.x0 for a, b in pairwise(boxes[::step])):
+            step += 1
+        if step > 1:
+            kept = shown[::step]
+            axis.set_ticks([t.get_loc() for t in kept], [t.label1.get_text() for t in kept])
+
+
+def quantile_bar(
+    axes: Axes, place: float, values: np.ndarray, colour: str, hollow: bool = False
+) -> None:
+    """Draw five quantiles as a thin and a thick line and a dot, or `hollow` without the thick one.
+
+    What is infinite is drawn up to 1e12.
+    """
+    shown = np.clip(values, 1e-12, 1e12)
+    axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
+    if not hollow:
+        half = shown[[1, 3]]
+        axes.plot(half, (place, place), color=colour, lw=4, solid_capstyle="butt", alpha=0.6)
+    face, edge = ("white", colour) if hollow else (colour, "white")
+    axes.plot(shown[2], place, "o", ms=5, color=face, mec=edge, mew=0.8)
+
+
+def name_mark(
+    axes: Axes, text: str, at: np.ndarray, offset: tuple[float, float], **options: Any
+) -> None:
+    """Write a name that somebody chose, as it is, so many points beside a place (2,)."""
+    options |= {"in_layout": False, "parse_math": False}
+    axes.annotate(text, (at[0], at[1]), offset, textcoords="offset points", **options)
+
+
+def bare(axes: Axes) -> None:
+    """Take grid, ticks and frame from axes."""
+    axes.grid(False)
+    axes.set_yticks([])
+    axes.spines[:].set_visible(False)

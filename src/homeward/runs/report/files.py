@@ -1,0 +1,79 @@
+"""The plain files of a run: estimate.csv, trajectory.tum, landmarks.csv and metrics.json."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable
+from decimal import Decimal
+from pathlib import Path
+
+import numpy as np
+
+from homeward.estimator import LandmarkEstimate
+from homeward.io.table import write_csv
+from homeward.runs.scoring import Metrics
+from homeward.track import Track
+
+ESTIMATE_HEADER = "t,x,y,heading,R,theta,alpha,sigma_x,sigma_y,sigma_heading,status"
+LANDMARKS_HEADER = (
+    "landmark,x,y,distance,sigma_distance,home_bearing_stored,home_bearing_estimated,"
+    "moved_probability,moved,sightings,moved_at"
+)
+
+
+def write_estimate(file: Path, track: Track) -> None:
+    """Write estimate.csv: a row per row of the track, empty fields where there is no pose.
+
+    Metres, radians, seconds; nine significant digits, and times to the last bit.
+    """
+    polar = np.column_stack([track.R, track.theta, track.heading])
+    poses = np.column_stack([track.x, track.y, track.heading, polar, track.sigmas])
+    rows = (
+        [repr(t), *map(number, pose), status.value]
+        for t, pose, status in zip(track.t.tolist(), poses.tolist(), track.status, strict=True)
+    )
+    write_csv(file, ESTIMATE_HEADER.split(","), rows)
+
+
+def write_trajectory(file: Path, track: Track, epoch: int = 0) -> None:
+    """Write trajectory.tum, rows with a pose only: t x y z qx qy qz qw in the home frame.
+
+    The format of the TUM RGB-D benchmark, which evo reads. Times are those of the log's clock:
+    `epoch` [s] is added to those of the drive, without loss.
+    """
+    with file.open("w", encoding="utf-8", newline="\n") as out:
+        for row in np.flatnonzero(track.has_pose):
+            half = track.heading[row] / 2
+            values = (track.x[row], track.y[row], 0.0, 0.0, 0.0, math.sin(half), math.cos(half))
+            t = float(track.t[row])
+            time = str(Decimal(repr(t)) + epoch) if epoch else repr(t)
+            out.write(" ".join([time, *map(number, values)]) + "\n")
+
+
+def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
+    """Write landmarks.csv; `moved` is yes, no or empty, `moved_at` a time of the drive [s]."""
+    rows = (
+        [
+            landmark.landmark,
+            *map(number, (landmark.x, landmark.y, landmark.distance, landmark.sigma_distance)),
+            *map(number, (landmark.home_bearing_stored, landmark.home_bearing_estimated)),
+            number(landmark.moved_probability),
+            {True: "yes", False: "no", None: ""}[landmark.moved],
+            landmark.sightings,
+            repr(landmark.moved_at) if math.isfinite(landmark.moved_at) else "",
+        ]
+        for landmark in landmarks
+    )
+    write_csv(file, LANDMARKS_HEADER.split(","), rows)
+
+
+def write_metrics(file: Path, metrics: Metrics) -> None:
+    """Write metrics.json: plain numbers with units in the keys, absent where not known."""
+    text = json.dumps(metrics.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
+    file.write_text(text + "\n", encoding="utf-8")
+
+
+def number(value: float) -> str:
+    """Return a number to nine significant digits, or nothing where there is none."""
+    return f"{value:.9g}" if math.isfinite(value) else ""

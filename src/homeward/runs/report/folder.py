@@ -1,0 +1,93 @@
+"""The output folder of a run, written whole or not at all."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from homeward.drives.drive import Drive
+from homeward.drives.images import Images
+from homeward.errors import InputError, without
+from homeward.runs.report.files import (
+    write_estimate,
+    write_landmarks,
+    write_metrics,
+    write_trajectory,
+)
+from homeward.runs.report.output import whole_folder
+from homeward.runs.report.summary import summarise
+from homeward.runs.report.versions import write_settings
+from homeward.runs.scoring import score
+from homeward.track import Track
+
+SETTINGS_FILE = "run.yaml"
+"""Written last: a folder that holds it is a whole run of ours."""
+ESTIMATE = "estimate.csv"
+PAGE, RECORDING = "report.html", "run.mcap"
+"""These need the extra report."""
+VIEWS = ("foxglove.json", "rerun.rbl")
+"""A layout for Foxglove and a blueprint for Rerun, copied next to `RECORDING`. Rerun applies the
+blueprint (docs/make_blueprint.py) only to a recording whose file name is run."""
+
+
+def missing_extra() -> InputError | None:
+    """Return what to say of a run that gets no `PAGE` and no `RECORDING`; None where it does."""
+    try:
+        import_module("homeward.runs.report.page")
+        import_module("homeward.runs.report.mcap")
+    except ModuleNotFoundError as error:
+        if (told := without(error)) is None:
+            raise
+        return told
+    return None
+
+
+def write_run(
+    directory: Path,
+    drive: Drive,
+    track: Track,
+    settings: Mapping[str, Any],
+    images: Images | None = None,
+) -> str:
+    """Write the output files of a run, and return its summary in words.
+
+    The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap with `VIEWS`,
+    report.html and run.yaml; without the extra report neither log nor page. They replace those of
+    an earlier run; nothing else in the folder is touched.
+    `settings` is every setting used, as plain data; run.yaml contains it, and the versions of
+    everything under ``versions``. `images` are written to run.mcap.
+
+    Returns
+    -------
+    str
+        `summarise` of the run.
+
+    Raises
+    ------
+    InputError
+        When the folder holds something that is not an earlier run, or cannot be written.
+    """
+    metrics = score(track, drive.truth)
+    summary = summarise(drive, track, metrics)
+    pages = missing_extra() is None
+    with whole_folder(directory, SETTINGS_FILE) as scratch:
+        write_estimate(scratch / ESTIMATE, track)
+        write_trajectory(scratch / "trajectory.tum", track, drive.settings.epoch or 0)
+        write_landmarks(scratch / "landmarks.csv", track.landmarks)
+        write_metrics(scratch / "metrics.json", metrics)
+        if pages:
+            from homeward.runs.report.mcap import write_recording
+            from homeward.runs.report.page import write_page
+
+            write_recording(scratch / RECORDING, drive, track, images)
+            for name in VIEWS:
+                view = files("homeward.runs.report").joinpath("templates", name)
+                (scratch / name).write_bytes(view.read_bytes())
+            write_page(scratch / PAGE, drive, track, metrics, settings)
+        write_settings(scratch / SETTINGS_FILE, settings)
+    for file in () if pages else (RECORDING, PAGE, *VIEWS):  # none of another run should stay
+        (directory / file).unlink(missing_ok=True)
+    return summary

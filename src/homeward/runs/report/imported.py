@@ -1,0 +1,78 @@
+"""A drive at a glance, for whoever wants to see whether it was understood."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from homeward.drives.drive import Drive
+from homeward.io.naming import natural
+from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.runs.report.canvas import new_figure, plain, style
+from homeward.runs.report.palette import BLUE, INK, MUTED, VERMILLION
+
+LABELS, CLEAR = (1.14, 1.25, 1.36), 0.12
+"""How far out labels stand, of a circle of 1, and how far apart those equally far out are [rad]."""
+MOST_DRAWN = 100
+"""Landmarks that are drawn, at home and on the way; of more the first."""
+
+
+def glance(drive: Drive) -> Figure:
+    """Draw where odometry alone leads, what was seen from home, and the bearings over time.
+
+    `drive` needs odometry, sightings and home bearings.
+    """
+    with style():
+        figure = new_figure(6.4)
+        grid = figure.add_gridspec(2, 2, height_ratios=(1.15, 1))
+        way, rose = figure.add_subplot(grid[0, 0]), figure.add_subplot(grid[0, 1], polar=True)
+        path = dead_reckoning(drive.odometry, drive.odometry.t)
+        way.plot(path.x, path.y, color=BLUE)
+        way.plot(0, 0, marker="o", color=INK)
+        way.annotate("start", (0, 0), (5, 5), textcoords="offset points")
+        way.set(title="Where odometry alone leads", xlabel="[m]", aspect="equal")
+        way.set_adjustable("datalim")
+
+        drawn = itertools.islice(drive.home.items(), MOST_DRAWN)
+        home = sorted((seen.bearing, natural(name), name) for name, seen in drawn)
+        bearings = np.array([bearing for bearing, _, _ in home])
+        for radius, (bearing, _, name) in zip(label_radii(bearings), home, strict=True):
+            rose.plot([bearing] * 2, [0.0, 1.0], color=BLUE, lw=0.8)
+            rose.text(bearing, radius, plain(name[:8]), ha="center", va="center", fontsize=7)
+        rose.set(yticks=[], theta_zero_location="N")
+        rose.set_title("What the camera saw at home", pad=22)
+        rose.set_xticks(np.arange(4) * math.pi / 2, ["", "", "", ""])
+        rose.annotate("ahead", (0.0, 0.55), ha="center", color=MUTED, fontsize=7)
+
+        lines = figure.add_subplot(grid[1, :])
+        s = drive.sightings
+        names = list(dict.fromkeys(s.landmark.tolist()))[:MOST_DRAWN]
+        for k, name in enumerate(sorted(names, key=natural)):
+            seen = s.landmark == name
+            colour = f"C{k % 7}" if name in drive.home else MUTED
+            since = s.t[seen] - drive.span[0]
+            lines.plot(since, np.degrees(s.bearing[seen]), ".", ms=2, color=colour)
+        lines.set(
+            title="Bearings on the way; grey: not seen from home", xlabel="[s]", ylabel="[deg]"
+        )
+        lines.set_ylim(-185, 185)
+        lines.axhline(0, color=VERMILLION, lw=0.5)
+    return figure
+
+
+def label_radii(bearings: np.ndarray) -> list[float]:
+    """Return how far out to write the label of each of sorted bearings, (n,) [rad].
+
+    As near as it is clear of those before it; where none is, where the last label is the oldest.
+    """
+    last = dict.fromkeys(LABELS, -math.inf)
+    radii = []
+    for bearing in bearings.tolist():
+        free = (radius for radius, at in last.items() if bearing - at >= CLEAR)
+        radius = next(free, min(last, key=last.__getitem__))
+        last[radius] = bearing
+        radii.append(radius)
+    return radii

@@ -1,0 +1,121 @@
+"""The page of a place: what stood where over its visits, and what moves often."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from markupsafe import Markup
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from homeward.io.reading import naming
+from homeward.places.place import Place
+from homeward.runs.report import words
+from homeward.runs.report.canvas import legend_below, new_figure, plain, style, svg
+from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMILLION
+from homeward.runs.report.place.words import date, info_lines
+from homeward.runs.report.template import render
+
+MOST_NAMED = 60
+"""Of so many landmarks at most the names are drawn."""
+MOST_ROWS = 200
+"""Landmarks and visits in a table: the most restless, and the last."""
+
+
+def write_page(file: Path, place: Place) -> None:
+    """Write the page of a place; `InputError` where that cannot be written."""
+    when, usual = place.visits[-1].when, place.usual_rate
+    stays = place.stays(when)
+    sigmas = dict(zip(place.map.names, place.map.sigmas.tolist(), strict=True))
+    restless = sorted(place.standings, key=lambda n: -place.standings[n].rate(usual))
+    html = render(
+        "place.html.j2",
+        words=words,
+        place=place,
+        date=date,
+        lines=info_lines(place),
+        figures={
+            "map": Markup(svg(_draw_map(place), "The place as seen from above")),
+            "visits": Markup(svg(_draw_visits(place), "What each visit found")),
+        },
+        landmarks=[
+            (n, place.standings[n], stays[n], place.standings[n].rate(usual), sigmas[n])
+            for n in restless[:MOST_ROWS]
+        ],
+        visits=place.visits[: -MOST_ROWS - 1 : -1],
+    )
+    with naming(file, "cannot be written"):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(html, encoding="utf-8")
+
+
+def _draw_map(place: Place) -> Figure:
+    """Draw the landmarks as they are believed to stand at the last visit, and how they moved."""
+    stays = place.stays(place.visits[-1].when)
+    with style():
+        figure = new_figure(5.2)
+        axes = figure.add_subplot()
+        before: dict[str, tuple[float, float]] = {}
+        for event in place.events:
+            if event.what == "moved" and event.landmark in before:
+                xs, ys = zip(before[event.landmark], (event.x, event.y), strict=True)
+                axes.plot(xs, ys, color=ORANGE, lw=0.8, alpha=0.7, zorder=1)
+                axes.plot(*before[event.landmark], ".", color=ORANGE, ms=3, zorder=1)
+            if event.what in ("new", "moved"):
+                before[event.landmark] = event.x, event.y
+            elif event.what == "forgotten":
+                axes.plot(event.x, event.y, "x", color=MUTED, ms=4, zorder=1)
+        for name, (x, y) in zip(place.map.names, place.map.positions.tolist(), strict=True):
+            shade = 0.15 + 0.85 * stays[name]
+            axes.plot(x, y, "o", color=BLUE, alpha=shade, ms=6, zorder=2)
+            if len(stays) <= MOST_NAMED:
+                axes.annotate(
+                    plain(name[:8]), (x, y), (4, 3), textcoords="offset points", fontsize=7
+                )
+        for number, (route, way) in enumerate(place.routes.items(), 1):
+            x, y, _ = way.poses.T
+            named = number * len(x) // (len(place.routes) + 1)  # each elsewhere: ways overlap
+            axes.plot(x, y, color=MUTED, lw=1.6, zorder=1)
+            axes.annotate(plain(route), (x[named], y[named]), (5, 4), textcoords="offset points")
+            for node in way.waypoints:
+                axes.plot(node.x, node.y, "D", color=MUTED, ms=5, zorder=2)
+        size = 0.025 * max(place.map.size, 1e-3)
+        for home in place.homes:
+            pose = place.home_pose(home)
+            axes.fill(*(np.array(HOUSE) * size + (pose.x, pose.y)).T, color=INK, zorder=3)
+            axes.annotate(plain(home), (pose.x, pose.y), (7, -9), textcoords="offset points")
+        axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
+        axes.set_adjustable("datalim")
+        marks = [
+            Line2D(
+                [], [], marker="o", ls="", color=BLUE, label="landmark; the paler, the less sure"
+            ),
+            Line2D([], [], marker=".", color=ORANGE, label="where it stood before"),
+            Line2D([], [], marker="x", ls="", color=MUTED, label="forgotten"),
+        ]
+        if place.routes:
+            marks.append(Line2D([], [], marker="D", color=MUTED, label="route, with way points"))
+        legend_below(figure, marks)
+    return figure
+
+
+def _draw_visits(place: Place) -> Figure:
+    """Draw what each visit found of the landmarks: stayed, moved, gone and new."""
+    kinds = (("stayed", BLUE), ("moved", ORANGE), ("new", MUTED), ("gone", VERMILLION))
+    with style():
+        figure = new_figure(2.2)
+        axes = figure.add_subplot()
+        number = np.array([v.number for v in place.visits])
+        foot = np.zeros(len(number))
+        for kind, colour in kinds:
+            height = np.array([float(getattr(v, kind)) for v in place.visits])
+            if kind == "gone":
+                axes.bar(number, -height, color=colour, label=kind)
+                continue
+            axes.bar(number, height, bottom=foot, color=colour, label=kind)
+            foot += height
+        axes.set(xlabel="visit", ylabel="landmarks")
+        axes.grid(False, axis="x")
+        legend_below(figure, axes.get_legend_handles_labels()[0])
+    return figure

@@ -1,0 +1,103 @@
+"""What all plots of a page share: their look, their tools, and how they get into the page.
+
+They are Bokeh's: its script is a quarter of plotly's, draws on a canvas, which stays quick with
+thousands of points under a slider, and needs no network and no `eval`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from bokeh.core.json_encoder import serialize_json
+from bokeh.document import Document
+from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, Span, UIElement, WheelZoomTool
+from bokeh.plotting import figure
+from bokeh.resources import Resources
+from jinja2.utils import htmlsafe_json_dumps
+from markupsafe import Markup
+
+from homeward.runs.report.palette import INK
+
+FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif"
+TYPE = "12px"
+THEMED = "ink"
+"""Tag of what is drawn in the colour of the text; the page's script follows dark and light."""
+CURSOR = "cursor"
+"""Tag of the lines that show the slider's moment."""
+
+
+def new_plot(height: int, y_label: str, **options: Any) -> figure:
+    """Return an empty plot over the time of a drive, to be zoomed along it, `height` in px.
+
+    `options` are those of `bokeh.plotting.figure`.
+    """
+    drag, wheel = BoxZoomTool(dimensions="width"), WheelZoomTool(dimensions="width")
+    wheel.modifiers = {"ctrl": True}
+    plot = figure(
+        height=height,
+        sizing_mode="stretch_width",
+        tools=[drag, PanTool(dimensions="width"), wheel, ResetTool()],
+        active_drag=drag,
+        active_scroll=wheel,
+        y_axis_label=y_label,
+        min_border_left=76,
+        **options,
+    )
+    plot.xgrid.visible = False
+    cursor = Span(dimension="height", line_width=1, line_color=INK, tags=[CURSOR, THEMED])
+    plot.add_layout(cursor)
+    return restyled(plot)
+
+
+def restyled(plot: figure) -> figure:
+    """Return a plot in the page's style: its type, no frame, tools that show when wanted."""
+    plot.toolbar.logo = None
+    plot.toolbar.autohide = True
+    plot.toolbar_inner = True
+    plot.background_fill_color = plot.border_fill_color = None
+    plot.outline_line_color = None
+    for axis in plot.axis:
+        axis.axis_label_text_font = axis.major_label_text_font = FONT
+        axis.axis_label_text_font_size = axis.major_label_text_font_size = TYPE
+        axis.axis_label_text_font_style = "normal"
+        axis.axis_line_color = axis.major_tick_line_color = axis.minor_tick_line_color = None
+    return plot
+
+
+def add_hover(plot: figure, tip: str, *renderers: Any, **options: Any) -> None:
+    """Let a tip show over `renderers`; Bokeh escapes what it puts for each ``@column``."""
+    plot.add_tools(HoverTool(renderers=list(renderers), tooltips=tip, **options))
+
+
+def embedded(plots: Mapping[str, UIElement]) -> Markup:
+    """Return plots as JSON to stand in a script element: {doc, roots}, the roots id to name.
+
+    Bokeh numbers its models by process; here they are numbered by their place, so that the same
+    plots give the same text.
+    """
+    document = Document()
+    for plot in plots.values():
+        document.add_root(plot)
+    numbers: dict[str, str] = {}
+    doc = _renumbered(document.to_json(deferred=False), numbers)
+    roots = {numbers[plot.id]: name for name, plot in plots.items()}
+    return htmlsafe_json_dumps({"doc": doc, "roots": roots}, dumps=serialize_json)
+
+
+def script() -> Markup:
+    """Return the script that draws them, to stand in a script element."""
+    (text,) = Resources(mode="inline", components=["bokeh"]).js_raw[:1]
+    return Markup(text)
+
+
+def _renumbered(tree: Any, numbers: dict[str, str]) -> Any:
+    """Return a tree of JSON with the ids of models replaced by the order in which they come."""
+    if isinstance(tree, dict):
+        return {
+            key: numbers.setdefault(value, f"m{len(numbers)}")
+            if key == "id" and isinstance(value, str)
+            else _renumbered(value, numbers)
+            for key, value in tree.items()
+        }
+    return [_renumbered(v, numbers) for v in tree] if isinstance(tree, list | tuple) else tree

@@ -1,0 +1,159 @@
+"""What the page's slider shows: the robot, its ellipse and its bearings at moments of the drive."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from homeward.drives.drive import Drive, Sightings
+from homeward.io.naming import natural
+from homeward.runs.report.palette import LEVEL_COLOURS, STATUS_COLOURS, UNJUDGED, colour, levels
+from homeward.runs.report.words import name
+from homeward.track import Track
+
+MOST_MOMENTS = 1500
+"""Moments of a drive that the slider tells apart."""
+MOST_CELLS = 40_000
+"""Bearings, and places of landmarks, that a page holds; with more there are fewer moments."""
+USED, REJECTED, NEW = 0, 1, 2
+"""What became of a bearing; new is one of a landmark that is not mapped yet."""
+
+
+def moments(drive: Drive, track: Track) -> dict[str, Any]:
+    """Return plain data for the page's script; lengths [m], angles [rad], times [s of the drive].
+
+    Returns
+    -------
+    dict
+        ``opening``, the moment to begin with: the nearest to the middle that has a pose, and
+        bearings if any has; ``t`` and what there is at each of these times, None where there is
+        nothing: ``pose`` (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``,
+        ``status`` and ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of
+        (number into ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`),
+        ``known`` a row of ``history``, whose rows hold (x, y, level of `LEVEL_COLOURS`) of each of
+        ``names``.
+    """
+    per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
+    most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
+    rows = _chosen(track, drive.sightings, most)
+    names = sorted({*track.history.landmark, *drive.sightings.landmark.tolist()}, key=natural)
+    number = {landmark: i for i, landmark in enumerate(names)}
+    history, known = _history(track, names, rows)
+    reasons = list(dict.fromkeys(track.reason[row] for row in rows))
+    statuses = list(STATUS_COLOURS)
+    mount = drive.settings.sensor
+    t = track.t[rows] - track.t[:1]
+    poses = _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4)
+    seen = bearings_at(drive, track, rows)
+    return {
+        "t": _rounded(t, 3),
+        "opening": min(
+            range(rows.size),
+            key=lambda i: (poses[i] is None, not seen[i], abs(t[i] - t[-1] / 2)),
+        ),
+        "pose": poses,
+        "cov": _rows(track.covariance[rows][:, [0, 0, 1], [0, 1, 1]], 8),
+        "sigma_heading": _rounded(track.sigmas[rows, 2], 5),
+        "truth": _truth(drive, track.t[rows]),
+        "status": [statuses.index(track.status[row]) for row in rows],
+        "reason": [reasons.index(track.reason[row]) for row in rows],
+        "seen": [
+            [(number[i], round(direction, 4), fate) for i, direction, fate in here] for here in seen
+        ],
+        "known": known,
+        "history": history,
+        "names": [name(i, 60) for i in names],
+        "ids": names,
+        "statuses": [status.value for status in statuses],
+        "reasons": reasons,
+        "camera": list(mount.pose),
+        "colours": {
+            "status": list(STATUS_COLOURS.values()),
+            "moved": LEVEL_COLOURS,
+            "unjudged": colour(UNJUDGED),
+        },
+    }
+
+
+def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
+    """Return the bearings at each of some rows (m,) of a track, and what became of them.
+
+    Returns
+    -------
+    list of lists of (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`)
+    """
+    judged = track.innovations
+    wanted = set(track.t[rows].tolist())
+    here = np.isin(judged.t, track.t[rows])
+    fates = zip(judged.t[here], judged.landmark[here], judged.accepted[here], strict=True)
+    fate = {(float(t), str(i)): USED if ok else REJECTED for t, i, ok in fates}
+    yaw = drive.settings.sensor.yaw
+    at = {
+        t: [
+            (i, bearing + yaw, fate.get((t, i), NEW))
+            for i, bearing in bearings.items()
+            if math.isfinite(bearing)
+        ]
+        for t, bearings, _ in drive.sightings.stamps()
+        if t in wanted
+    }
+    return [at.get(t, []) for t in track.t[rows].tolist()]
+
+
+def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
+    """Return rows of a track, evenly in time, those with most bearings first."""
+    before, after = (np.searchsorted(sightings.t, track.t, side) for side in ("left", "right"))
+    seen = after - before
+    if track.t.size <= most:
+        return np.arange(track.t.size)
+    edges = np.linspace(track.t[0], track.t[-1], most)
+    groups = np.split(np.arange(track.t.size), np.searchsorted(track.t, edges[1:-1]))
+    best = [group[np.argmax(seen[group])] for group in groups if group.size]
+    return np.unique([0, *best, track.t.size - 1])
+
+
+def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[list[Any]], list[int]]:
+    """Return what was known of the landmarks, and which row of it each row of the track has."""
+    history = track.history
+    if not history.t.size or not names:
+        return [], [-1] * rows.size
+    most = min(history.t.size, max(2, MOST_CELLS // len(names)))
+    kept = np.unique(np.linspace(0, history.t.size - 1, most).astype(int))
+    columns = {name: i for i, name in enumerate(history.landmark)}
+    level = levels(history.moved_probability)
+    table = [
+        [
+            None
+            if name not in columns or not math.isfinite(history.x[k, columns[name]])
+            else [
+                round(float(history.x[k, columns[name]]), 3),
+                round(float(history.y[k, columns[name]]), 3),
+                int(level[k, columns[name]]),
+            ]
+            for name in names
+        ]
+        for k in kept
+    ]
+    known = np.searchsorted(history.t[kept], track.t[rows], side="right") - 1
+    return table, known.tolist()
+
+
+def _truth(drive: Drive, t: np.ndarray) -> list[list[float | None] | None]:
+    """Return true poses, where the truth covers these times."""
+    if drive.truth is None or not drive.truth.t.size:
+        return [None] * t.size
+    pose = np.column_stack(drive.truth.at(t))
+    pose[(t < drive.truth.t[0]) | (t > drive.truth.t[-1])] = np.nan
+    return _rows(pose, 3)
+
+
+def _rows(values: np.ndarray, digits: int) -> list[list[float | None] | None]:
+    """Return rows as lists, None where one holds a NaN."""
+    return [row if np.isfinite(row).all() else None for row in np.round(values, digits).tolist()]
+
+
+def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
+    """Return numbers as a list, None where there is none."""
+    return [v if math.isfinite(v) else None for v in np.round(values, digits).tolist()]

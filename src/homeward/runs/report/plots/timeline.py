@@ -1,0 +1,138 @@
+"""Who was seen when, a row per landmark, in the colour of what it was thought to be then."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from bokeh.models import ColumnDataSource, FixedTicker, PlainText, Range1d
+from bokeh.plotting import figure
+
+from homeward.drives.drive import Sightings
+from homeward.io.naming import natural
+from homeward.runs.report import words
+from homeward.runs.report.palette import INK, LEVELS, MOVED, UNJUDGED, colour, levels
+from homeward.runs.report.plots.look import THEMED, add_hover, new_plot
+from homeward.runs.report.plots.thinning import runs, thin_dots
+from homeward.track import Track
+
+MOST_ROWS = 40
+"""Landmarks on the timeline."""
+MOST_REJECTED = 200
+"""Rejected sightings marked, of each landmark."""
+BINS = 800
+"""Steps of time that a row tells apart."""
+
+
+def timeline(track: Track, sightings: Sightings, span: Range1d) -> figure:
+    """Return who was seen when; moved ones first, then the most seen."""
+    shown = _shown(track, sightings)
+    plot = new_plot(60 + 19 * len(shown), "", x_range=span, y_range=Range1d(len(shown) - 0.4, -0.6))
+    plot.ygrid.visible = False
+    plot.xaxis.axis_label = "time [s]"
+    plot.yaxis.ticker = FixedTicker(ticks=list(range(len(shown))))
+    # Plain: Bokeh would take a name between dollar signs for a formula.
+    plot.yaxis.major_label_overrides = {
+        row: PlainText(words.name(i, 14)) for row, i in enumerate(shown)
+    }
+    _draw_presence(plot, shown, track, sightings)
+    _draw_rejections(plot, shown, track)
+    _mark_moves(plot, shown, track)
+    return plot
+
+
+def _shown(track: Track, sightings: Sightings) -> list[str]:
+    """Return the ids of the rows, from the top."""
+    moved = {m.landmark for m in track.landmarks if m.moved}
+    seen = Counter(sightings.landmark.tolist())
+    return sorted(seen, key=lambda i: (i not in moved, -seen[i], natural(i)))[:MOST_ROWS]
+
+
+def _draw_presence(plot: figure, shown: list[str], track: Track, sightings: Sightings) -> None:
+    """Draw a bar wherever a landmark was seen, coloured by its probability of having moved."""
+    edges = np.linspace(0.0, float(track.t[-1] - track.t[0]), BINS + 1)
+    if edges[-1] <= 0.0:
+        return
+    bars: list[tuple[Any, ...]] = []
+    for row, landmark in enumerate(shown):
+        t = sightings.t[sightings.landmark == landmark] - track.t[0]
+        present = np.histogram(t, edges)[0] > 0
+        shades = np.where(present, _levels(track, landmark, edges), -2)
+        for first, last, level in runs(shades.tolist()):
+            if level != -2:
+                said = f"moved with probability {words.percent(level / LEVELS)}"
+                said = "not judged" if level == UNJUDGED else said
+                span, name = (float(edges[first]), float(edges[last])), words.name(landmark, 60)
+                bars.append((row, *span, colour(level), name, said))
+    drawn = plot.hbar(
+        y="row",
+        left="left",
+        right="right",
+        height=0.5,
+        fill_color="colour",
+        line_color=None,
+        source=_source(("row", "left", "right", "colour", "name", "said"), bars),
+    )
+    add_hover(plot, "<b>@name</b> seen from @left{0.0} to @right{0.0} s<br>then: @said", drawn)
+
+
+def _source(names: tuple[str, ...], rows: list[tuple[Any, ...]]) -> ColumnDataSource:
+    return ColumnDataSource({name: [row[k] for row in rows] for k, name in enumerate(names)})
+
+
+def _levels(track: Track, landmark: str, edges: np.ndarray) -> np.ndarray:
+    """Return the level of a landmark's probability of having moved in each bin of time."""
+    history = track.history
+    if landmark not in history.landmark:
+        return np.full(edges.size - 1, UNJUDGED)
+    chance = history.moved_probability[:, history.landmark.index(landmark)]
+    rows = history.at(edges[1:] + track.t[0])
+    return levels(np.where(rows >= 0, chance[rows], np.nan))
+
+
+def _draw_rejections(plot: figure, shown: list[str], track: Track) -> None:
+    """Mark the sightings that a gate rejected."""
+    seen = track.innovations
+    ratio = seen.value / seen.sigma
+    entries = seen.by_landmark()
+    rejected: list[tuple[Any, ...]] = []
+    for row, landmark in enumerate(shown):
+        mine = entries.get(landmark, np.empty(0, int))
+        mine = mine[~seen.accepted[mine]]
+        mine = mine[thin_dots(np.abs(ratio[mine]), MOST_REJECTED)]
+        name, when = words.name(landmark, 60), (seen.t[mine] - track.t[0]).tolist()
+        rejected += [(t, row, name, r) for t, r in zip(when, ratio[mine].tolist(), strict=True)]
+    ticks = plot.scatter(
+        "t",
+        "row",
+        marker="dash",
+        angle=math.pi / 2,
+        size=11,
+        line_color=INK,
+        line_width=1.4,
+        tags=[THEMED],
+        source=_source(("t", "row", "name", "ratio"), rejected),
+    )
+    add_hover(plot, "<b>@name</b> rejected at @t{0.0} s<br>@ratio{0.0} sigma off", ticks)
+
+
+def _mark_moves(plot: figure, shown: list[str], track: Track) -> None:
+    """Mark when landmarks moved during the drive."""
+    moves = [
+        (m.moved_at - track.t[0], shown.index(m.landmark), words.name(m.landmark, 60))
+        for m in track.landmarks
+        if m.landmark in shown and math.isfinite(m.moved_at)
+    ]
+    marks = plot.scatter(
+        "t",
+        "row",
+        marker="diamond",
+        size=12,
+        fill_color="white",
+        line_color=MOVED,
+        line_width=1.6,
+        source=_source(("t", "row", "name"), moves),
+    )
+    add_hover(plot, "<b>@name</b> moved at @t{0.0} s", marks)

@@ -1,0 +1,47 @@
+"""Pages from templates: everything that is put in is escaped, and nothing may be missing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import yaml
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from homeward.io.reading import shipped
+from homeward.runs.report.versions import versions
+
+GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(encoding="utf-8"))
+"""Each term of the reports and the documentation, and its meaning."""
+
+
+def render(template: str, **values: Any) -> str:
+    """Return a page of the package's templates, filled with `values`, `versions` among them."""
+    environment = Environment(
+        loader=PackageLoader("homeward.runs.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.globals |= {"h2": heading, "contents": contents}
+    return environment.get_template(template).render(versions=versions(), **values)
+
+
+def heading(words: str) -> Markup:
+    """Return the heading of a section, with a link to it."""
+    anchor = _anchor(words)
+    link = Markup('<a href="#{}" aria-label="Link to this section">#</a>').format(anchor)
+    return Markup('<h2 id="{}">{} {}</h2>').format(anchor, words, link)
+
+
+def contents(sections: Sequence[str]) -> Markup:
+    """Return links to sections, by the words of their headings."""
+    links = (Markup('<a href="#{}">{}</a>').format(_anchor(s), s) for s in sections)
+    return Markup('<nav aria-label="Contents"><p>{}</p></nav>').format(Markup(" · ").join(links))
+
+
+def _anchor(words: str) -> str:
+    return re.sub(r"\W+", "-", words).strip("-").lower()

@@ -1,0 +1,157 @@
+"""A run in a place: what is known of it beforehand, and what it is afterwards."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Collection
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from homeward.drives.drive import Drive
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Estimator
+from homeward.io.table import quoted
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.smoothing import smooth
+from homeward.places.files import is_place, load_place, newest, save_place, update_place
+from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
+from homeward.places.telling import fingerprint, last_look, require_name, told_by
+from homeward.places.visiting import FIRST_HOME, first_place, merged
+from homeward.track import Track
+
+if TYPE_CHECKING:
+    from homeward.runs.single_run import RunSettings
+
+
+@dataclass(frozen=True)
+class ToStore:
+    """What of a visit its place is to keep by name."""
+
+    home: str | None = None
+    home_at: float | None = None
+    """Where the drive was then; None: at its end [s after its first sample]."""
+    route: str | None = None
+    """The way, smoothed."""
+
+
+NOTHING = ToStore()
+
+
+def in_place(run: RunSettings, drive: Drive) -> Drive:
+    """Return the drive of a run, dated by `place_used`, as it knows its place.
+
+    Raises
+    ------
+    InputError
+        When the place is damaged.
+    """
+    if run.place is None or not run.place_version or run.when is None:
+        return drive
+    return load_place(run.place, run.place_version).visited_by(drive, run.when, run.place_home)
+
+
+def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
+    """Return which version of its place a run knows, and on which day; nothing without a place.
+
+    The version is 0 where there is none yet, so that the run repeats when there is one.
+    """
+    if run.place is None:
+        return {}
+    version = run.place_version
+    if version is None:
+        version = newest(run.place) if is_place(Path(run.place)) else 0
+    return {"place_version": version, "when": day_of(run, drive)}
+
+
+def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
+    """Refuse before a run of minutes what `save_visit` would refuse after it.
+
+    Raises
+    ------
+    InputError
+        When the place knows the drive, or has a home or route of the name that is to be stored, or
+        is new and has not the home that is asked for, or the drive has no such time.
+    """
+    homes: Collection[str] = (FIRST_HOME,)
+    routes: Collection[str] = ()
+    if run.place is not None and run.place_version:
+        place = load_place(run.place, run.place_version)
+        place.require_new(drive.name, fingerprint(drive))
+        homes, routes = place.homes, place.routes
+    elif run.place_home not in (None, FIRST_HOME):
+        raise InputError(
+            f"no home {quoted(str(run.place_home))}: the place is new, and its home {FIRST_HOME}"
+        )
+    if store.home is not None:
+        require_name("home", store.home, homes)
+    if store.route is not None:
+        require_name("route", store.route, routes)
+    first, last = drive.span
+    if store.home_at is not None and not 0.0 <= store.home_at <= last - first:
+        raise InputError(f"{store.home_at:g} s is no time of a drive of {last - first:.1f} s")
+
+
+def day_of(run: RunSettings, drive: Drive) -> float:
+    """Return the day of a run's visit [days since 1970]; `InputError` where that has no date."""
+    epoch, when = drive.settings.epoch, run.when
+    if when is None:
+        when = (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
+    if not FIRST_DAY <= when <= LAST_DAY:
+        raise InputError(f"the day of the visit, {when:g} since 1970, has no date")
+    return when
+
+
+def save_visit(
+    run: RunSettings,
+    drive: Drive,
+    estimator: Estimator,
+    track: Track,
+    store: ToStore = NOTHING,
+) -> tuple[Place, list[str]]:
+    """Merge a run into the newest version of its place, and save that.
+
+    Parameters
+    ----------
+    run, drive, estimator, track
+        From `prepare` and `finish`.
+    store : ToStore
+        What the place is to keep by name.
+
+    Returns
+    -------
+    place : Place
+        The place afterwards.
+    reasons : list of str
+        Why something was not stored in it.
+
+    Raises
+    ------
+    HomewardError
+        When there is too little to be kept, or the place cannot be written.
+    """
+    assert isinstance(estimator, Localizer)  # `prepare` has checked it
+    assert run.place is not None
+    told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
+    lost: list[str] = []
+    if store.home is not None:
+        until = math.inf if store.home_at is None else drive.span[0] + store.home_at
+        try:
+            told = told.store_home(store.home, *last_look(drive, track, until))
+        except HomewardError as error:  # it costs the home, not the visit
+            lost.append(str(error))
+    if store.route is not None:
+        try:
+            told = told.store_route(store.route, smooth(drive, estimator.settings))
+        except HomewardError as error:
+            lost.append(f"route {quoted(store.route)}: {error}")
+    if not run.place_version:
+        after = first_place(Path(run.place).name, estimator, told)
+        save_place(after, run.place, 0)
+    else:
+        after, _ = update_place(run.place, lambda known: merged(known, told))
+    for what, name, kept in (("home", store.home, told.homes), ("route", store.route, told.routes)):
+        if name in kept and name not in (after.homes if what == "home" else after.routes):
+            lost.append(f"{what} {quoted(str(name))} was not stored")
+    return after, lost

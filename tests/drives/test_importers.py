@@ -1,0 +1,514 @@
+"""CSV of any columns, separators and units becomes the drive that it is."""
+
+import csv
+import math
+import time
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from homeward.drives.folder import read_folder
+from homeward.drives.importers.columns import unit_in
+from homeward.drives.importers.reading import about_home, drive_of, understand
+from homeward.drives.importers.sheet import sheet
+from homeward.drives.opening import sample_drive
+from homeward.errors import InputError
+from homeward.runs.report.canvas import png
+from homeward.runs.report.imported import glance
+
+
+def rows(name):
+    with (sample_drive() / name).open() as stream:
+        return list(csv.DictReader(stream))[:400]
+
+
+@pytest.fixture
+def odd(tmp_path):
+    """The sample's beginning in ms, mm/s, deg/s and deg, with other separators and marks."""
+
+    def write(name, head, lines):
+        (tmp_path / name).write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
+        return tmp_path / name
+
+    degrees = lambda text: repr(math.degrees(float(text)))  # noqa: E731
+    return [
+        write(
+            "wheels.csv",
+            "Time [ms];Speed [mm/s];Yaw rate [deg/s]",
+            (
+                f"{1e3 * float(r['t'])};{1e3 * float(r['v'])};{degrees(r['omega'])}".replace(
+                    ".", ","
+                )
+                for r in rows("odometry.csv")
+            ),
+        ),
+        write(
+            "seen.txt",
+            "# time  tag_id   angle",
+            (
+                f"{1e3 * float(r['t'])}  {r['landmark']}   {degrees(r['bearing'])}"
+                for r in rows("bearings.csv")
+            ),
+        ),
+        write(
+            "home.tsv",
+            "marker\tbearing_deg",
+            (f"{r['landmark']}\t{degrees(r['bearing'])}" for r in rows("home.csv")),
+        ),
+        write(
+            "mocap.csv",
+            "timestamp_us,pos_x (cm),pos_y (cm),yaw (deg)",
+            (
+                f"{1e6 * float(r['t'])},{1e2 * float(r['x'])},{1e2 * float(r['y'])},"
+                f"{degrees(r['heading'])}"
+                for r in rows("truth.csv")
+            ),
+        ),
+    ]
+
+
+def test_other_separators_marks_names_and_units_are_the_same_drive(odd):
+    found = understand(odd)
+    drive, plain = drive_of(found, "odd"), read_folder(sample_drive())
+    for mine, same in (
+        *((getattr(drive.odometry, k), getattr(plain.odometry, k)) for k in ("t", "v", "omega")),
+        *((getattr(drive.sightings, k), getattr(plain.sightings, k)) for k in ("t", "bearing")),
+        *((getattr(drive.truth, k), getattr(plain.truth, k)) for k in ("t", "x", "y", "heading")),
+    ):
+        assert mine.size >= 390
+        assert mine == pytest.approx(same[: mine.size], abs=1e-9)
+    assert drive.sightings.landmark.tolist() == plain.sightings.landmark[:400].tolist()
+    home = {name: seen.bearing for name, seen in plain.home.items()}
+    assert {n: s.bearing for n, s in drive.home.items()} == pytest.approx(home)
+    how = {(one.kind, one.column.role): one.how for one in found}
+    assert how["odometry", "v"] == "named"
+    assert how["bearings", "t"] == "as odometry"
+    assert how["bearings", "bearing"] == "guessed: more than a turn"
+
+
+def test_no_header_and_a_sign_are_told(tmp_path):
+    bare = tmp_path / "bare.csv"
+    bare.write_text("0,0.1,10\n0.1,0.1,20\n")
+    with pytest.raises(InputError, match=r"not recognised as .* Its columns are '1', '2', '3'"):
+        understand([bare])
+    found = understand([bare], ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
+    assert [one.how for one in found] == ["told"] * 3
+    table = found[0].table
+    assert table["omega"] == pytest.approx(np.radians([-10, -20]))
+
+
+def written(folder, **texts):
+    """The files of these texts, without their headers."""
+    for name, text in texts.items():
+        (folder / f"{name}.csv").write_text(text.partition("\n")[2])
+    return [folder / f"{name}.csv" for name in texts]
+
+
+def test_numbers_of_columns_are_no_landmarks(tmp_path):
+    """Columns 1, 2, 3 of a file without a header were taken for tags of these names."""
+    seen, home = SEEN.replace("L", ""), AT_HOME.replace("L", "")
+    files = written(tmp_path, odometry=TWISTS, bearings=seen, home=home)
+    plain = drive_of(understand(files, FILES_TOLD), "plain")
+    assert plain.odometry.v.tolist() == [0.1, 0.2, 0.3]
+    assert plain.sightings.landmark.tolist() == ["1", "2", "1"]
+    assert plain.home["2"].bearing == -0.5
+    # One of them without a header: no file need be named.
+    for name, text in (("bearings", seen), ("home", home)):
+        (tmp_path / f"{name}.csv").write_text(text)
+    drive = drive_of(understand(files, ["t=1, v=2, omega=-3"]), "one")
+    assert drive.odometry.omega.tolist() == [-0.2, 0.1, 0.0]
+    written(tmp_path, bearings=seen)
+    with pytest.raises(InputError, match=r"name the file, as in --columns 'bearings.csv: t=1"):
+        understand(files, ["t=1, v=2, omega=3"])
+    with pytest.raises(InputError, match="no file has a column '3'"):
+        understand(files, ["home.csv: landmark=3"])
+
+
+FILES_TOLD = (
+    "odometry.csv: t=1[s], v=2, omega=3",
+    "bearings.csv: t=1, landmark=2, bearing=3",
+    "home.csv:landmark=1,bearing=2",
+)
+
+
+def circle(form):
+    """Rows of half a turn to the left on a circle of 1 m, by time and heading."""
+    return "".join(form(t, a) + "\n" for t, a in enumerate(np.linspace(0, np.pi, 5)))
+
+
+def tum(t, a):
+    return f"{t}.0 {math.sin(a)} {1 - math.cos(a)} 0 0 0 {math.sin(a / 2)} {math.cos(a / 2)}"
+
+
+def echoed(t, a):
+    """A nav_msgs/Odometry as ``ros2 topic echo --csv`` prints it."""
+    pose = [math.sin(a), 1 - math.cos(a), 0, 0, 0, math.sin(a / 2), math.cos(a / 2)]
+    numbers = [*pose, *[0.0] * 36, np.pi / 4, 0.0, 0.0, 0.0, 0.0, np.pi / 4, *[0.0] * 36]
+    return ",".join(
+        [str(1 + t // 4), str(t % 4 * 250_000_000), "odom", "base_link", *map(repr, numbers)]
+    )
+
+
+@pytest.mark.parametrize("name", ["odom.tum", "robot_pose.txt"])
+def test_a_tum_trajectory_is_odometry_or_the_true_path(tmp_path, name):
+    (tmp_path / name).write_text(circle(tum))
+    (tmp_path / "b.csv").write_text(SEEN)
+    (tmp_path / "h.csv").write_text(AT_HOME)
+    files = [tmp_path / each for each in (name, "b.csv", "h.csv")]
+    drive = drive_of(understand(files), "tum")
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
+    (tmp_path / "truth.tum").write_text(circle(tum))
+    (tmp_path / "odometry.csv").write_text(TWISTS)
+    files = [*files[1:], tmp_path / "truth.tum", tmp_path / "odometry.csv"]
+    heading = drive_of(understand(files), "tum").truth.heading
+    assert heading == pytest.approx(np.linspace(0, np.pi, 5))
+    with pytest.raises(InputError, match="nothing tells odometry"):
+        drive_of(understand(files[:-1]), "tum")
+    told = drive_of(understand(files, ["truth.tum: t=1[ms], x=2[cm]"]), "told").truth
+    assert told.t == pytest.approx(np.arange(5) / 1000)
+    assert told.x == pytest.approx(np.sin(np.linspace(0, np.pi, 5)) / 100)
+
+
+def test_odometry_as_ros2_topic_echo_prints_it(tmp_path):
+    files = [tmp_path / name for name in ("echo.csv", "b.csv", "h.csv")]
+    texts = circle(echoed), SEEN.replace("0.", "1."), AT_HOME
+    for file, text in zip(files, texts, strict=True):
+        file.write_text(text)
+    drive = drive_of(understand(files), "echo")
+    assert drive.odometry.t.tolist() == [1.0, 1.25, 1.5, 1.75, 2.0]
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 5)
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 5)
+    # Poses alone, of a PoseStamped.
+    cells = [row.split(",") for row in texts[0].splitlines()]
+    files[0].write_text("".join(",".join([*row[:3], *row[4:11]]) + "\n" for row in cells))
+    poses = drive_of(understand(files), "poses").odometry
+    assert poses.omega == pytest.approx([np.pi] * 4 + [0])
+
+
+def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text("Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
+    for text, unit in (("t=Time [ms]", "ms"), ("t=Time [ms][s]", "s"), ("t=when", "s")):
+        (found,) = (one for one in understand([file], [text]) if one.column.role == "t")
+        assert (found.unit, found.how) == (unit, "told")
+
+
+def test_commas_may_stand_in_the_names_of_columns(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text('when,"Speed, filtered",w\n0,0.1,0\n0.1,0.1,0\n')
+    found = understand([file], ["t=when, v=Speed, filtered[m/s]"])
+    assert [one.column.name for one in found] == ["when", "Speed, filtered", "w"]
+
+
+def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
+    """A deviation of 0.57 deg is none of 0.57 rad, nor is home ahead of a robot full of radians."""
+    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
+    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
+    seen.write_text("t,std,id,bearing\n0,0.57,A,12.5\n0.1,0.57,B,-80\n")
+    home.write_text("id,bearing,std\nA,-3.5,0.57\nB,5.25,\n")
+    found = understand([odometry, seen, home])
+    drive = drive_of(found, "degrees")
+    assert drive.sightings.sigma == pytest.approx(np.radians([0.57, 0.57]))
+    assert drive.home["A"].bearing == pytest.approx(math.radians(-3.5))
+    assert drive.home["A"].sigma == pytest.approx(math.radians(0.57))
+    how = {(one.kind, one.column.role): (one.unit, one.how) for one in found}
+    assert how["bearings", "sigma"] == ("deg", "as bearing")
+    assert how["home", "bearing"] == ("deg", "as bearings")
+
+
+def test_numbers_may_head_the_columns_of_landmarks(tmp_path):
+    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
+    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
+    seen.write_text("t,7,12\n0,0.5,\n0.1,,-1.25\n")
+    home.write_text("landmark,bearing\n7,0.4\n12,0.1\n")
+    drive = drive_of(understand([odometry, seen, home]), "tags")
+    assert drive.sightings.landmark.tolist() == ["7", "12"]
+    assert drive.sightings.bearing.tolist() == [0.5, -1.25]
+
+
+def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
+    log = tmp_path / "odom.csv"
+    head = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.angular.z"
+    stamps = (1_700_000_000_000_000_000, 1_700_000_000_050_000_000)
+    log.write_text("\n".join([head, *(f"{t},1,0.1,0.2" for t in stamps)]))
+    seen, home = tmp_path / "b.csv", tmp_path / "h.csv"
+    seen.write_text("stamp,id,bearing\n1700000000000000000,A,0.5\n")
+    home.write_text("id,bearing\nA,0.4\n")
+    found = understand([home, seen, log])
+    assert found[0].range == "1700000000 to 1700000000.05 s"
+    drive = drive_of(found, "bag")
+    assert drive.settings.epoch == 1_700_000_000
+    assert drive.odometry.t == pytest.approx([0.0, 0.05], abs=1e-6)
+    assert drive.sightings.t.tolist() == [0.0]
+
+
+TWISTS = "t,v,omega\n0,0.1,0.2\n0.5,0.2,-0.1\n1,0.3,0\n"
+SEEN = "t,landmark,bearing\n0.25,L1,0.5\n0.25,L2,-1.25\n0.75,L1,0.75\n"
+AT_HOME = "landmark,bearing\nL1,0.25\nL2,-0.5\n"
+ODDITIES = {
+    "German": {
+        "odometry": "Zeit;Geschwindigkeit;Drehrate\n0;0,1;0,2\n0,5;0,2;-0,1\n1;0,3;0\n",
+        "bearings": "Zeit;Landmarke;Peilung\n0,25;L1;0,5\n0,25;L2;-1,25\n0,75;L1;0,75\n",
+        "home": "Marke;Winkel (°)\nL1;14,32394487827058\nL2;-28,64788975654116\n",
+    },
+    "a column a landmark": {
+        "bearings": "t,L1,L2\n0.25,0.5,-1.25\n0.75,0.75,\n",
+        "home": "L1,L2\n0.25,-0.5\n",
+    },
+    "named columns of bearings": {
+        "bearings": "time,bearing_L1_rad,bearing_L2_rad\n0.25,0.5,-1.25\n0.75,0.75,NaN\n",
+    },
+    "all in one": {
+        "odometry": "t,v,omega,L1,L2\n0,0.1,0.2,,\n0.25,,,0.5,-1.25\n0.5,0.2,-0.1,,\n"
+        "0.75,,,0.75,\n1,0.3,0,,\n",
+        "bearings": None,
+    },
+    "units below": {
+        "odometry": "t,v,omega\nms,mm/s,rad/s\n0,100,0.2\n500,200,-0.1\n1000,300,0\n",
+        "bearings": "t,id,angle\n[ms],-,[rad]\n250,L1,0.5\n250,L2,-1.25\n750,L1,0.75\n",
+    },
+    "titles above": {
+        "odometry": "Log of Monday\n\nt;v;omega\n0;0.1;0.2;\n0.5;0.2;-0.1;\n1;0.3;0;\n",
+    },
+    "holes": {
+        "odometry": TWISTS + "1.2,n/a,0\n",
+        "bearings": SEEN + "0.8,L2,-\n",
+    },
+    "sorted by landmark": {
+        "bearings": "t,id,bearing\n0.25,L1,0.5\n0.75,L1,0.75\n0.25,L2,-1.25\n",
+    },
+    "a row too late": {
+        "odometry": "t,v,omega\n0,0.1,0.2\n1,0.3,0\n0.5,0.2,-0.1\n",
+    },
+    "thousands": {
+        "odometry": "t [ms];v;omega\n0;0,1;0,2\n500;0,2;-0,1\n1.000,0;0,3;0\n",
+        "bearings": SEEN.replace("t,", "t [s],"),
+    },
+    "seconds and nanoseconds": {
+        "odometry": "stamp.sec,stamp.nanosec,linear.x,angular.z\n"
+        "0,0,0.1,0.2\n0,500000000,0.2,-0.1\n1,0,0.3,0\n",
+    },
+    "velocities": {
+        "odometry": "Time (s),Linear velocity (m/s),Angular velocity (rad/s)\n"
+        + TWISTS.partition("\n")[2],
+    },
+}
+
+
+@pytest.mark.parametrize("odd", ODDITIES)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "cp1252"])
+def test_oddities_are_understood(tmp_path, odd, encoding):
+    texts = {"odometry": TWISTS, "bearings": SEEN, "home": AT_HOME} | ODDITIES[odd]
+    for name, text in texts.items():
+        if text is not None:
+            (tmp_path / f"{name}.csv").write_bytes(text.encode(encoding))
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "odd")
+    assert drive.odometry.t == pytest.approx([0, 0.5, 1])
+    assert drive.odometry.v == pytest.approx([0.1, 0.2, 0.3])
+    assert drive.odometry.omega == pytest.approx([0.2, -0.1, 0])
+    assert drive.sightings.t.tolist() == [0.25, 0.25, 0.75]
+    assert drive.sightings.landmark.tolist() == ["L1", "L2", "L1"]
+    assert drive.sightings.bearing == pytest.approx([0.5, -1.25, 0.75])
+    assert {i: s.bearing for i, s in drive.home.items()} == pytest.approx({"L1": 0.25, "L2": -0.5})
+    lacking = {reason: n for reason, n in drive.remarks.items() if "missing" in reason}
+    assert len(lacking) == (2 if odd == "holes" else 0)
+
+
+def test_dates_are_unix_time_and_numbers_are_names(tmp_path):
+    files = {
+        "odometry.csv": "time,v,omega\n2026-11-23 12:00:00.5,0.1,0\n2026-11-23 12:00:01,0.1,0\n",
+        "bearings.csv": "time,id,bearing\n2026-11-23T13:00:00.75+01:00,3.0,0.5\n",
+        "home.csv": "id,bearing\n3,0.25\n",
+    }
+    for name, text in files.items():
+        (tmp_path / name).write_text(text)
+    drive = drive_of(understand([tmp_path / name for name in files]), "dates")
+    assert drive.settings.epoch == 1795435200
+    assert drive.odometry.t.tolist() == [0.5, 1.0]
+    assert drive.sightings.t.tolist() == [0.75]
+    assert drive.sightings.landmark.tolist() == [*drive.home] == ["3"]
+
+
+def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
+    """Half a turn to the left on a circle of 1 m, as quaternions; and the truth as TUM has it."""
+    turn = np.linspace(0, np.pi, 5)
+    odom = ["t,position.x,position.y,orientation.x,orientation.y,orientation.z,orientation.w"]
+    truth = ["# timestamp tx ty tz qx qy qz qw"]
+    for t, a in enumerate(turn):
+        half = f"{math.sin(a / 2)}", f"{math.cos(a / 2)}"
+        odom.append(",".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0", "0", *half]))
+        truth.append(" ".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0 0 0", *half]))
+    texts = {"my-odom.csv": odom, "mocap.txt": truth, "b.csv": [SEEN], "h.csv": [AT_HOME]}
+    for name, lines in texts.items():
+        (tmp_path / name).write_text("\n".join(lines) + "\n")
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
+    assert drive.truth.heading == pytest.approx(turn)
+    (tmp_path / "my-odom.csv").rename(tmp_path / "wheels.csv")
+    with pytest.raises(InputError, match=r"second file with truth|nothing tells odometry"):
+        drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+
+
+def test_odometry_and_bearings_may_share_a_file(tmp_path):
+    log, home = tmp_path / "log.csv", tmp_path / "home.csv"
+    log.write_text("t,v,w,id,bearing\n0,0.1,0,,\n0.05,,,A,0.3\n0.1,0.2,0,,\n")
+    home.write_text("id,bearing\nA,0.4\n")
+    drive = drive_of(understand([log, home]), "log")
+    assert drive.odometry.v.tolist() == [0.1, 0.2]
+    assert drive.sightings.landmark.tolist() == ["A"]
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "unit"),
+    [
+        *(("Time (ms)", "time", "ms"), ("t_us", "time", "us"), ("time", "time", None)),
+        *(("v_mm_s", "speed", "mm/s"), ("w [°/s]", "rate", "deg/s"), ("yaw_rate", "rate", None)),
+        *(("angle_degrees", "angle", "deg"), ("bearing", "angle", None), ("x mm", "length", "mm")),
+        ("v [rad/s]", "speed", None),
+    ],
+)
+def test_units_in_names(name, quantity, unit):
+    assert unit_in(name, quantity) == unit
+
+
+@pytest.mark.parametrize(
+    ("text", "columns", "complaint"),
+    [
+        ("", (), "empty file"),
+        ("alone\n1\n2\n", (), "no table"),
+        (
+            "a,b\n1,2\n3,4\n",
+            (),
+            r"not recognised as odometry \(time, speed, turn rate\), detections \(time, landmark "
+            r"id, bearing\), .* as in --columns 't=a'",
+        ),
+        (
+            ",".join(f"c{k}" for k in range(89)) + ("\n" + "1," * 88 + "1") * 2,
+            (),
+            r"'c11', \.\.\. \(89 in all\)",
+        ),
+        ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v is 'x'"),
+        ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
+        ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
+        ("t,v,w\n9,1,0\n0,1,0\n", (), "nothing tells bearings"),
+        (
+            "t,v,w\n0,1,0\n2,1,0\n1.5,1,0\n3,1,0\n0,1,0\n",
+            (),
+            "row 6: time runs backwards by 3 s: 0.0 after 3.0; rows may be up to 1 s out of order",
+        ),
+        ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
+        ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
+        ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields where 3 are due"),
+        ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
+        ("t,v,w\n0,300,0\n", (), "too fast for m/s; say its unit"),
+        ("t,left_vel,right_vel,w\n0,1,1,0\n", (), "may both be v"),
+        ("t,v,w\n0,1,0\n", ("v=speed",), "no file has a column 'speed'"),
+        ("t,v,w\n0,1,0\n", ("v=v[furlong]",), "units of v are m/s"),
+        ("t,v,w\n0,1,0\n", ("mass=v",), "a column is one of"),
+        ("t,v,w\n0,1,0\n", ("v",), "must be ROLE=COLUMN"),
+        ("t,v,w\n0,1,0\n", (), "nothing tells bearings"),
+        ('t,v,w\n0,1,0\n0,1,0\n0,"1,0\n', (), "not CSV: unexpected end of data"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(tmp_path, text, columns, complaint):
+    file = tmp_path / "odd.csv"
+    file.write_text(text)
+    with pytest.raises(InputError, match=complaint) as found:
+        drive_of(understand([file], columns), "odd")
+    assert len(str(found.value).splitlines()) == 1
+
+
+def test_many_columns_and_many_ids_take_no_long_time(tmp_path):
+    """One row of 100,000 commas took 30 s: each name was taken apart for each role."""
+    commas, wide, home = (tmp_path / f"{name}.csv" for name in ("commas", "wide", "home"))
+    begin = time.process_time()
+    for count in (100_000, 1_000_000):
+        commas.write_text("," * count + "\n")
+        with pytest.raises(InputError, match="columns; at most 10,000 are read"):
+            understand([commas])
+    assert time.process_time() - begin < 2.0
+    ids = [f"L{k}" for k in range(5000)]
+    wide.write_text(f"t,{','.join(ids)}\n" + f"0{',0.5' * 5000}\n")
+    home.write_text("id,bearing\n" + "".join(f"{name},0.5\n" for name in ids))
+    odometry = tmp_path / "odometry.csv"
+    odometry.write_text(TWISTS)
+    begin = time.process_time()
+    drive = drive_of(understand([odometry, wide, home]), "wide")
+    assert drive.sightings.t.size == len(drive.home) == 5000
+    png(glance(drive))  # drew 5,000 labels
+    assert time.process_time() - begin < 6.0
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe\x00", b"\x00" * 5000, b"a;b\n" * 3])
+def test_no_bytes_make_it_stumble(tmp_path, data):
+    file = tmp_path / "junk.csv"
+    file.write_bytes(data)
+    with pytest.raises(InputError):
+        understand([file])
+
+
+@given(
+    st.lists(st.text("tvwxy id,;\t|\"'#%-.019e\n[ms]ΩNa", max_size=40), min_size=1, max_size=12),
+    st.lists(st.text("t=vw[ms]-,x", max_size=12), max_size=2),
+)
+@settings(
+    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, columns):
+    file = tmp_path / "any.csv"
+    file.write_text("t,v,w\n" + "\n".join(lines), encoding="utf-8")
+    said = ""
+    try:
+        found = understand([file], columns)
+        assert all(one.range is not None for one in found)
+    except InputError as error:
+        said = str(error)
+    assert len(said.splitlines()) <= 1
+
+
+def test_a_decimal_comma_is_none_where_commas_part_fields(tmp_path):
+    file = tmp_path / "a.csv"
+    file.write_text("t,v\n1,5\n")
+    assert not sheet(file).decimal_comma
+
+
+def test_stamps_of_one_clock_in_two_units_are_understood(tmp_path):
+    odometry = "\n".join(f"{1_700_000_000_000_000_000 + k * 100_000_000},1,0" for k in range(50))
+    (tmp_path / "odom.csv").write_text(f"t,v,w\n{odometry}\n")
+    seen = "\n".join(f"{1_700_000_000 + k / 10},a,0.5" for k in range(50))
+    (tmp_path / "seen.csv").write_text(f"t,id,angle\n{seen}\n")
+    (tmp_path / "home.csv").write_text("id,angle\na,0.3\n")
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "two units")
+    assert drive.span == pytest.approx((0.0, 4.9), abs=1e-3)
+
+
+def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
+    hours = ["2026-11-23 12:00:00", "", "nan", "2026-11-23 12:00:00.5"]
+    (tmp_path / "odom.csv").write_text("date,v,w\n" + "".join(f"{h},1,0\n" for h in hours))
+    found = understand([tmp_path / "odom.csv"])
+    assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
+    (tmp_path / "odom.csv").write_text("date,v,w\n23.11.2026 12:00:00,1,0\n")
+    with pytest.raises(InputError, match="neither a number nor a time like 2026-11-23 12:00"):
+        understand([tmp_path / "odom.csv"])
+
+
+@pytest.mark.parametrize(
+    ("home", "says"),
+    [
+        (["1", "2", "3"], []),
+        (["1", "2"], ["Home saw 2 of the 3", "home has '1' and '2'."]),
+        (["001", "002", "003"], ["Home saw 0 of the 3", "The drive has '1', '2' and '3'; home"]),
+        (["1", "2", "3", "4"], []),
+    ],
+)
+def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
+    (tmp_path / "odom.csv").write_text("t,v,w\n0,1,0\n0.5,1,0\n")
+    (tmp_path / "seen.csv").write_text("t,id,angle\n0,1,0\n0,2,1\n0,3,2\n")
+    (tmp_path / "home.csv").write_text("id,angle\n" + "".join(f"{name},0.1\n" for name in home))
+    told = about_home(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
+    assert len(told) == bool(says)
+    assert all(words in told[0] for words in says)

@@ -1,0 +1,27 @@
+"""The machine's compiler, without which its tests are skipped, and what it compiles at once."""
+
+import casadi as ca
+import pytest
+
+from homeward.lab.engine.native.source import NativeProgram
+from homeward.lab.engine.program.stages import Program, Symbolic
+from homeward.native.compiler import NativeError, find_compiler
+
+try:
+    COMPILER = find_compiler()
+except NativeError as error:
+    pytest.skip(f"native engine: {error}", allow_module_level=True)
+
+
+def toy(value=2.0):
+    """A program that takes no time to compile: y = value * sin(x)."""
+    x = ca.SX.sym("x")
+    return Program({"part": (Symbolic(ca.Function("f", [x], [value * ca.sin(x)], ["x"], ["y"])),)})
+
+
+def answer(program):
+    """What it says of x = 0.5."""
+    native = NativeProgram(program)
+    native.variables["x"][:] = 0.5
+    native.part("part")()
+    return float(native.variables["y"][0])

@@ -1,0 +1,252 @@
+"""The map of a plan against the bound along a drive, brute force, and what must always hold."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.bounds import dead_reckoning_closed_form, ring_closed_form
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose, between
+from homeward.lab.bounds import posterior_bound
+from homeward.lab.planning.accuracy import Arcs, home_sees
+from homeward.lab.planning.advice import best_places
+from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.floor import candidate_places, make_floor
+from homeward.lab.planning.settings import Plan, load_plan
+
+SQUARE = [(0, 0), (6, 0), (6, 6), (0, 6)]
+SHELF = [(2, 2.5), (3.5, 2.5), (3.5, 3), (2, 3)]
+
+
+def plan(**changes):
+    rng = np.random.default_rng(4)
+    marks = {f"L{k}": tuple(p) for k, p in enumerate(rng.uniform(0.2, 5.8, (7, 2)))}
+    values = {
+        "outline": SQUARE,
+        "landmarks": marks,
+        "home": {"x": 1.0, "y": 1.2, "heading": 0.4},
+        "grid": 1.0,
+        "further": 0,
+        "limits": {"position": 0.5, "heading": 0.2, "landmarks": 4},
+    }
+    return Plan.model_validate({**values, **changes})
+
+
+def without(p, *names):
+    kept = {k: v for k, v in p.landmarks.items() if k not in names}
+    return p.model_copy(update={"landmarks": kept})
+
+
+def told(p, h, places, marks):
+    arcs, stored = Arcs(p), home_sees(p, make_floor(p), marks)
+    visible = np.ones((len(places), len(marks)), bool)
+    return arcs, arcs.told(places, marks, visible, stored, h).each, stored
+
+
+@pytest.mark.parametrize("h", [0, 1, 3])
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"drive": {"turn": 0.0, "stops": 5}},
+        {"drive": {"turn": -1.5, "stops": 2, "length": 2.0}},
+        {"odometry": {"speed_sigma": 0.0, "turn_sigma": 0.0}},
+    ],
+)
+def test_a_fix_is_the_bound_along_its_arc(h, changes):
+    p = plan(**changes)
+    marks = np.array(list(p.landmarks.values()))
+    places = np.array([[2.0, 3.1], [4.4, 0.9]])
+    arcs, each, stored = told(p, h, places, marks)
+    fix = arcs.fix(each.sum(axis=1))
+    home, n = p.home.pose, p.drive.stops
+    dt = p.drive.length / p.drive.speed / (n - 1)
+    seen = between(home, Pose(marks[:, 0], marks[:, 1], 0.0))
+    for k, place in enumerate(places):
+        room = arcs.stops[h] + [*place, 0.0]
+        path = between(home, Pose(*room.T))
+        bound = posterior_bound(
+            np.stack(path, axis=1),
+            np.tile([p.drive.speed, p.drive.turn / (n - 1) / dt], (n - 1, 1)),
+            np.full(n - 1, dt),
+            np.stack([seen.x, seen.y], axis=1),
+            np.ones((n, len(marks)), bool),
+            bearing_sigma=p.sensor.bearing_sigma,
+            home_sigma=p.sensor.home_sigma,
+            speed_sigma=p.odometry.speed_sigma,
+            turn_sigma=p.odometry.turn_sigma,
+            moved=~stored,
+        )[-1]
+        assert fix.position[k] == pytest.approx(np.sqrt(bound[0, 0] + bound[1, 1]), rel=1e-5)
+        assert fix.heading[k] == pytest.approx(np.sqrt(bound[2, 2]), rel=1e-5)
+
+
+def test_closed_forms():
+    position, exact, heading, exactly = ring_closed_form()
+    assert position == pytest.approx(exact, rel=1e-4)
+    assert heading == pytest.approx(exactly, rel=1e-4)
+    found, closed = dead_reckoning_closed_form(1000)
+    np.testing.assert_allclose(found, closed, rtol=1e-5)
+
+
+@given(st.integers(0, 10**6), st.booleans())
+@settings(max_examples=25, deadline=None)
+def test_a_further_landmark_never_makes_it_worse(seed, narrow):
+    rng = np.random.default_rng(seed)
+    sensor = {"field_of_view": 2.0} if narrow else {}
+    p = plan(sensor=sensor, shelves=[SHELF])
+    floor = make_floor(p)
+    marks = candidate_places(p, floor)[rng.choice(40, 7, replace=False)]
+    places = floor.points[::5]
+    visible, stored = floor.sees(places, marks), home_sees(p, floor, marks)
+    arcs = Arcs(p)
+    for h in range(0, len(arcs.headings), 3):
+        each = arcs.told(places, marks, visible, stored, h).each
+        fewer, more = arcs.fix(each[:, :-1].sum(axis=1)), arcs.fix(each.sum(axis=1))
+        assert np.all(more.position <= fewer.position * (1 + 1e-6))
+        assert np.all(more.heading <= fewer.heading * (1 + 1e-6))
+
+
+@pytest.mark.parametrize("sensor", [{}, {"field_of_view": 2.5}, {"range": [0.5, 4.0]}])
+def test_hidden_landmarks_are_landmarks_that_are_not_there(sensor):
+    p = plan(sensor=sensor, shelves=[SHELF])
+    view = analyse(p)
+    for i, name in enumerate(p.landmarks):
+        np.testing.assert_allclose(view.hidden[:, i], analyse(without(p, name)).score, rtol=1e-6)
+    both = analyse(without(p, "L1", "L4")).begins
+    assert view.pair_share[1, 4] == view.pair_share[4, 1] == both[view.sample].mean()
+    begins = (view.hidden <= 1)[view.sample]
+    np.testing.assert_allclose(np.diag(view.pair_share), begins.mean(axis=0))
+    assert np.all(view.pair_safe <= view.safe[view.sample])
+    assert np.all(view.safe <= view.begins)
+
+
+def test_a_moved_landmark_is_between_in_place_and_hidden():
+    view = analyse(plan())
+    assert np.all(view.moved <= view.hidden[view.sample] * (1 + 1e-9))
+    assert np.all(view.moved >= view.score[view.sample, None] * (1 - 1e-9))
+    assert np.any(view.moved < view.hidden[view.sample] * 0.999)
+
+
+def test_three_landmarks_are_needed_and_two_with_a_survey():
+    loose = {"position": 1.0, "heading": 0.3, "landmarks": 1}
+    names = [f"L{k}" for k in range(7)]
+    for kept, survey, told_somewhere in ((2, None, False), (3, None, True), (2, 0.02, True)):
+        p = without(plan(limits=loose, landmark_sigma=survey), *names[kept:])
+        assert np.isfinite(analyse(p).position).any() == told_somewhere
+
+
+def test_knowing_the_places_is_better():
+    unknown, known = analyse(plan()), analyse(plan(landmark_sigma=0.02))
+    assert np.all(known.position < unknown.position)
+
+
+def test_shelves_and_walls_hide():
+    p = plan(
+        shelves=[SHELF], outline=[(0, 0), (6, 0), (6, 3), (5, 3), (5, 6), (0, 6)], landmarks={}
+    )
+    floor = make_floor(p)
+    on_face = np.array([[2.7, 2.5]])
+    below, above, beside = [2.7, 1.0], [2.7, 5.0], [5.5, 0.5]
+    assert floor.sees(np.array([below, above]), on_face)[:, 0].tolist() == [True, False]
+    assert not floor.sees(np.array([beside]), np.array([[4.9, 5.9]]))[0, 0]
+    free = ~np.isnan(floor.image(np.ones(len(floor.points))))
+    taken = {(3, 5), (4, 5), (5, 5), (2, 2), (2, 3)}  # the notch of the outline, and the shelf
+    assert {tuple(map(int, cell)) for cell in np.argwhere(~free)} == taken
+
+
+def test_the_first_place_is_the_best_one():
+    p = plan(further=1, candidates=[(0, 1), (0, 5), (3, 6), (6, 3), (5, 0)])
+    chosen, candidates = best_places(p, make_floor(p), Arcs(p), lambda done: None)
+    worst = {}
+    for c in map(tuple, candidates):
+        more = p.model_copy(update={"landmarks": {**p.landmarks, "new": c}})
+        view = analyse(more.model_copy(update={"further": 0}))
+        scores = np.column_stack([view.score, view.hidden]).max(axis=1)
+        worst[c] = np.minimum(scores, 3.0).mean()
+    assert tuple(chosen[0]) == min(worst, key=worst.get)
+
+
+def test_advice_never_makes_it_worse_and_never_beats_all_places():
+    view = analyse(plan(further=3, shelves=[SHELF], grid=0.5))
+    assert len(view.advice.places) == 3
+    assert np.all(np.diff(view.advice.share) >= 0)
+    assert np.all(np.diff(view.advice.safe) >= 0)
+    assert view.advice.safe[-1] <= view.advice.best_safe
+
+
+def test_threads_do_not_matter():
+    first, again = (analyse(plan(grid=0.2, shelves=[SHELF])) for _ in range(2))
+    np.testing.assert_array_equal(first.hidden, again.hidden)
+    np.testing.assert_array_equal(first.pair_share, again.pair_share)
+
+
+def test_a_plan_without_landmarks_tells_nothing():
+    view = analyse(plan(landmarks={}, further=2))
+    assert not view.begins.any()
+    assert np.isinf(view.position).all()
+    assert not view.safe.any()
+
+
+@pytest.mark.parametrize(
+    ("changes", "word"),
+    [
+        ({"outline": [(0, 0), (6, 6), (6, 0), (0, 6)]}, "outline: not a simple polygon"),
+        ({"outline": [(0, 0), (3, 0), (6, 0)]}, "outline"),
+        ({"shelves": [[(2, 2), (4, 4), (4, 2), (2, 4)]]}, "shelves.0: not a simple polygon"),
+        ({"home": {"x": 2.5, "y": 2.7}, "shelves": [SHELF]}, "home: .* inside shelves.0"),
+        ({"home": {"x": 9, "y": 2}}, "home: .* outside"),
+        ({"landmarks": {"far": (9, 9)}}, "landmarks.far: .* outside"),
+        ({"landmarks": {"in": (2.5, 2.7)}, "shelves": [SHELF]}, "landmarks.in: .* inside"),
+        ({"grid": 1e-4}, "grid"),
+        ({"grid": 1e-300}, "grid"),
+        ({"clearance": 3.5}, "free"),
+        ({"shelves": [[(-1, -1), (7, -1), (7, 7), (-1, 7)]]}, "inside shelves.0"),
+        ({"candidates": [(9, 9)]}, "candidates.0"),
+    ],
+)
+def test_degenerate_plans_are_refused(changes, word):
+    with pytest.raises(InputError, match=word):
+        analyse(plan(**changes))
+
+
+def test_plans_come_with_homeward():
+    assert load_plan("warehouse").landmarks
+    with pytest.raises(InputError, match="warehouse"):
+        load_plan("no-such-plan")
+
+
+THREADS = """
+import threading
+import subprocess
+import sys
+
+import numpy as np
+from homeward.lab.planning.floor import make_floor
+from homeward.lab.planning.settings import load_plan
+
+plan = load_plan("warehouse")
+floor, marks = make_floor(plan), np.array(list(plan.landmarks.values()))
+parts = np.array_split(floor.points, 8)
+ready, found = threading.Barrier(len(parts)), [None] * len(parts)
+
+def look(k):
+    ready.wait()
+    found[k] = floor.sees(parts[k], marks)
+
+threads = [threading.Thread(target=look, args=[k]) for k in range(len(parts))]
+for thread in threads:
+    thread.start()
+for thread in threads:
+    thread.join()
+assert np.array_equal(np.vstack(found), floor.sees(floor.points, marks))
+"""
+
+
+def test_threads_may_look_across_one_floor_at_once():
+    # In a process of its own: it died of a segmentation fault.
+    subprocess.run([sys.executable, "-c", THREADS], check=True, timeout=120)

@@ -1,0 +1,318 @@
+"""Rendered pictures: what they show, that they repeat, and what a room refuses."""
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from rooms import scenario
+from shapely import Polygon, contains_xy
+
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose, Twist, advance, bearing, compose
+from homeward.io.settings import validated
+from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.rays.raycast import viewpoint
+from homeward.lab.simulation.render.rays.surfaces import footprint
+from homeward.lab.simulation.render.room.furnish import furnished
+from homeward.lab.simulation.render.room.presets import PLANS, load_room, room
+from homeward.lab.simulation.render.room.settings import Mover, RenderScenario
+from homeward.lab.simulation.render.scene import build_scene, place_on_path
+from homeward.lab.simulation.render.shading.textures import (
+    KINDS,
+    LEVELS,
+    PAD,
+    Texture,
+    build_atlas,
+    paint,
+)
+from homeward.lab.simulation.trajectories import SEARCH_RADIUS
+
+cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
+HERE = Pose(0.5, 0.3, 1.0)
+
+
+def crate(**changes):
+    return {"crate": {"at": [4.0, 2.0], "size": [0.6, 0.6, 0.9]} | changes}
+
+
+def test_a_box_is_seen_where_it_stands_and_home_saw_it_where_it_stood():
+    eye = Eye(scenario(boxes=crate(stood={"at": [2.0, 3.5]})))
+    index = eye.now.things.index("crate")
+    for truth, place in (
+        (eye.home_truth(), Pose(0.0, 0.0, 0.0)),
+        (eye.truth(0.0, HERE, 1), HERE),
+    ):
+        columns = np.flatnonzero((truth.thing == index).any(axis=0))
+        middle = math.pi - 2 * math.pi * (columns.mean() + 0.5) / 128
+        local = (0.0, 1.5) if place is not HERE else (2.0, 0.0)
+        assert middle == pytest.approx(float(bearing(place, *local)), abs=0.05)
+
+
+def test_a_picture_changes_at_the_crate_alone_when_the_crate_moves():
+    camera = {"width": 256, "height": 64, "noise": 0.0, "exposure_sigma": 0.0}
+    there = Eye(scenario(boxes=crate(), camera=camera))
+    gone = Eye(scenario(boxes=crate(at=[4.0, 3.4]), camera=camera))
+    crates = [
+        (eye.truth(0.0, HERE, 1).thing == eye.now.things.index("crate")).any(axis=0)
+        for eye in (there, gone)
+    ]
+    a, b = (eye.look(0.0, HERE, 1).astype(float) for eye in (there, gone))
+    away = ~(crates[0] | crates[1])
+    # The exposure and the shadow change a little all over.
+    assert np.median(abs(a - b)[:, away]) <= 2
+    assert np.median(abs(a - b)[:, crates[0]].max(axis=0)) > 15
+
+
+def test_pictures_repeat_and_differ_only_by_noise():
+    made = scenario(camera={"width": 128, "height": 32, "noise": 2.0})
+    first, again = Eye(made).look(1.0, HERE, 4), Eye(made).look(1.0, HERE, 4)
+    np.testing.assert_array_equal(first, again)
+    other = Eye(made).look(1.0, HERE, 5)
+    spread = (first.astype(float) - other).std()
+    assert 2.0 < spread < 4.5
+    seeded = Eye(made.model_copy(update={"seed": 1})).look(1.0, HERE, 4)
+    assert np.any(seeded != first)
+
+
+def test_the_seam_is_not_seen():
+    """A picture turned by half the image shows across its seam what the other shows inside."""
+    eye = Eye(scenario(boxes=crate()))
+    ahead = eye.look(0.0, HERE, 1)
+    back = eye.look(0.0, Pose(HERE.x, HERE.y, HERE.heading + math.pi), 1)
+    difference = np.abs(np.roll(ahead, 64, axis=1).astype(int) - back)
+    assert difference.max() <= 2
+
+
+def test_edges_are_smoothed():
+    """An edge at half a pixel has the grey between its sides."""
+    eye = Eye(scenario(boxes=crate(texture="cloth"), camera={"width": 512, "height": 32}))
+    wide = Eye(scenario(boxes=crate(texture="cloth"), camera={"width": 2048, "height": 128}))
+    small, large = (e.look(0.0, HERE, 1).astype(float) for e in (eye, wide))
+    shrunk = large.reshape(32, 4, 512, 4, 3).mean(axis=(1, 3))
+    assert np.quantile(abs(small - shrunk), 0.99) < 12
+
+
+@pytest.mark.parametrize("projection", ["equirectangular", "cylindrical"])
+def test_the_truth_of_a_pixel_is_on_its_ray(projection):
+    camera = {"width": 128, "height": 32, "projection": projection, "roll": 0.05, "pitch": -0.1}
+    eye = Eye(scenario(boxes=crate(), camera=camera))
+    truth, view = eye.truth(0.0, HERE, 1), eye.view(HERE, 1)
+    local = (truth.point - view.position) @ view.rotation
+    columns = (math.pi - np.arctan2(local[..., 1], local[..., 0])) * 128 / (2 * math.pi) - 0.5
+    np.testing.assert_allclose(columns, np.broadcast_to(np.arange(128), columns.shape), atol=1e-9)
+    slope = local[..., 2] / np.hypot(local[..., 0], local[..., 1])
+    above = slope if projection == "cylindrical" else np.arctan(slope)
+    rows = 15.5 - above * 128 / (2 * math.pi)
+    np.testing.assert_allclose(rows, np.broadcast_to(np.arange(32)[:, None], rows.shape), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(local, axis=-1), truth.distance, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_textures_repeat_without_a_seam(kind):
+    tile = paint(Texture(kind, 3))
+    inner = np.abs(np.diff(tile, axis=1)).mean(axis=(0, 2))
+    seam = np.abs(tile[:, 0] - tile[:, -1]).mean()
+    if kind != "print":  # a poster is shown once, with a frame round it
+        assert seam <= inner.max() + 1e-6
+    assert tile.min() >= 0.0
+    assert tile.max() <= 1.0
+
+
+def test_mip_levels_keep_the_mean():
+    texture = Texture("cardboard", 5)
+    atlas, mean = build_atlas((texture,)), paint(texture).mean()
+    for level in range(LEVELS):
+        n = paint(texture).shape[0] >> level
+        x, y = int(atlas.left[0, level]), int(atlas.top[0, level])
+        tile = atlas.image[y : y + n, x : x + n]
+        assert tile.mean() / 255 == pytest.approx(mean, abs=0.005)
+        # Across its edges a tile goes on as at the other side, both ways.
+        np.testing.assert_array_equal(atlas.image[y : y + n, x - PAD : x], tile[:, -PAD:])
+        np.testing.assert_array_equal(atlas.image[y + n : y + n + PAD, x : x + n], tile[:PAD])
+
+
+def test_a_mover_walks_to_and_fro_at_its_speed():
+    mover = Mover(path=((0, 0), (3, 0), (3, 4)), speed=0.5)
+    places = np.array([place_on_path(mover, t)[:2] for t in np.arange(0, 60, 0.5)])
+    steps = np.hypot(*np.diff(places, axis=0).T)
+    assert steps.max() <= 0.25 + 1e-9
+    assert np.median(steps) == pytest.approx(0.25)
+    np.testing.assert_allclose(place_on_path(mover, 28.0)[:2], [0, 0], atol=1e-9)
+    np.testing.assert_allclose(place_on_path(mover, -14.0)[:2], [3, 4], atol=1e-9)
+
+
+def test_movers_step_aside_for_the_camera():
+    scene = build_scene(scenario(movers={"cat": {"path": [[3.0, 2.0]], "size": [0.3, 0.4]}}))
+    surfaces, _ = scene.at(0.0, viewpoint(3.0, 2.0, 0.5, 0.0))
+    corners = surfaces.at(np.array([0.0, 1.0]), np.array([0.0, 1.0]))
+    cat = corners[surfaces.thing == scene.things.index("cat")].reshape(-1, 3)
+    assert np.hypot(cat[:, 0] - 3.0, cat[:, 1] - 2.0).min() > 0.4
+
+
+def test_shadows_fall_behind_a_box():
+    lamp = [{"at": [1.0, 2.0, 2.0]}]
+    without = build_scene(scenario(lights=lamp)).light[0]
+    shaded = build_scene(scenario(lights=lamp, boxes=crate(at=[3.0, 2.0]))).light[0]
+    darker = np.argwhere(shaded < without - 0.01)
+    assert len(darker)
+    assert (darker[:, 1] >= 6).all()  # columns run along x, of 6 m in 16 places
+    assert (shaded <= without + 1e-6).all()
+
+
+SUN = {"wall": 0, "along": 3.0, "height": 1.4, "size": [1.0, 0.8], "azimuth": -1.5708}
+
+
+@pytest.mark.parametrize("power", [0.0, 2.0])
+def test_a_poster_casts_no_shadow_on_its_wall(power):
+    """The grid on a wall is so coarse that it would be seen all round the poster."""
+    poster = {"wall": 1, "along": 2.0, "height": 1.2, "size": [1.5, 1.5], "texture": "painted"}
+    light = {"lights": [{"at": [1.0, 2.0, 2.0]}]}
+    if power:
+        light["sun"] = SUN | {"azimuth": -2.2, "power": power}
+    bare, hung = (
+        build_scene(scenario(posters=posters, **light)).light[:6]
+        for posters in ({}, {"poster": poster})
+    )
+    np.testing.assert_array_equal(bare, hung)
+
+
+def test_the_sun_comes_in_by_its_window_alone():
+    """Due south at 45 deg: the patch on the floor is the window, moved by its height."""
+    sun = SUN | {"elevation": math.pi / 4}
+    floor = [build_scene(scenario(**more)).light[0] for more in ({}, {"sun": sun})]
+    brighter = floor[1] > cv2.resize(floor[0], (64, 64)) + 0.5
+    up, across = np.argwhere(brighter).T
+    step = np.array([6.0, 4.0]) / 63
+    assert across.min() * step[0] == pytest.approx(2.5, abs=0.1)
+    assert across.max() * step[0] == pytest.approx(3.5, abs=0.1)
+    assert up.min() * step[1] == pytest.approx(1.0, abs=0.1)
+    assert up.max() * step[1] == pytest.approx(1.8, abs=0.1)
+
+
+def test_a_box_in_the_sun_casts_a_shadow():
+    sun = SUN | {"elevation": math.pi / 4}
+    free, shaded = (
+        build_scene(scenario(sun=sun, boxes=crate(at=[x, 0.9]))).light[0] for x in (5.5, 3.0)
+    )
+    assert (shaded > free[32, 0] + 0.5).sum() < 0.7 * (free > free[32, 0] + 0.5).sum()
+
+
+def test_light_when_home_was_stored_is_another():
+    made = scenario(ambient=0.9, sun=SUN, home_light={"ambient": 0.2})
+    now, then = build_scene(made), build_scene(made, at_home=True)
+    assert now.light.min() - then.light.min() == pytest.approx(0.7, abs=0.02)
+    assert then.light.max() < now.light.max() - 1
+
+
+@pytest.mark.parametrize("name", PLANS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_rooms_hold_what_they_say_and_leave_the_way_free(name, seed):
+    made = furnished(room(name, seed))
+    assert len(made.boxes) == PLANS[name].boxes
+    assert len(made.posters) == PLANS[name].posters
+    assert sum(box.stood is not None for box in made.boxes.values()) == 3
+    home = made.home.pose
+    start = compose(home, made.start.in_home_frame(home))
+    for share in np.linspace(0, 1, 11):
+        x, y = home.x + share * (start.x - home.x), home.y + share * (start.y - home.y)
+        assert contains_xy(made.room.polygon, x, y)
+        for box in made.boxes.values():
+            for stand in (box, box.stood or box):
+                base = Polygon(footprint(stand.at, stand.yaw, box.size[:2]))
+                assert not contains_xy(base, x, y)
+                assert math.hypot(stand.at[0] - x, stand.at[1] - y) > 0.6
+    for turned in np.linspace(0, 2 * math.pi, 30):
+        on_arc = advance(start, Twist(0.1, 0.1 / SEARCH_RADIUS), turned * SEARCH_RADIUS / 0.1)
+        for box in made.boxes.values():
+            size = (box.size[0] + 0.3, box.size[1] + 0.3)
+            base = Polygon(footprint(box.at, box.yaw, size))
+            assert not contains_xy(base, on_arc.x, on_arc.y)
+
+
+def test_furnishing_twice_changes_nothing():
+    once = furnished(room("office", 2))
+    assert furnished(once) == once
+
+
+def test_chance_adds_to_what_is_listed_and_takes_none_of_its_names():
+    listed = {"box 1": {"at": [5, 3], "size": [0.5, 0.5, 0.5]}}
+    hung = {"box 2": {"wall": 0, "along": 1.0}}
+    made = furnished(scenario(boxes=listed, posters=hung, furnish={"boxes": 2}))
+    assert set(made.boxes) == {"box 1", "box 3", "box 4"}
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"room": {"outline": [[0, 0], [4, 4], [4, 0], [0, 4]]}}, "cross"),
+        ({"room": {"outline": [[0, 0], [4, 0]]}}, "outline"),
+        ({"room": {"outline": [[0, 0], [0, 0], [4, 0], [4, 4]]}}, "the same"),
+        ({"room": {"outline": [[0, 0], [6, 0], [6, 4], [0, 4]], "walls": "gold"}}, "walls"),
+        ({"room": {"outline": [[0, 0], [6, 0], [6, 4]], "height": float("nan")}}, "height"),
+        ({"home": {"x": 9.0, "y": 2.0}}, "home: outside"),
+        ({"camera": {"width": 100000}}, "width"),
+        ({"camera": {"width": 128, "height": 128}}, "height"),
+        ({"camera": {"above_floor": 3.0}}, "ceiling"),
+        ({"boxes": {"b": {"at": [1, 1], "size": [0, 1, 1]}}}, "boxes.b.size"),
+        ({"posters": {"p": {"wall": 4, "along": 1.0}}}, "4 walls"),
+        ({"posters": {"p": {"wall": 0, "along": 1.0, "height": 2.4}}}, "higher than the wall"),
+        ({"posters": {"p": {"wall": 0, "along": 9.0}}}, "beyond the wall"),
+        ({"movers": {"m": {"path": []}}}, "path"),
+        ({"movers": {"m": {"path": [[50, 50]]}}}, "outside the room"),
+        ({"lights": [{"at": [1, 1, 7]}]}, "lights.0"),
+        ({"home_light": {"lights": [{"at": [1, 1, 7]}]}}, "home_light.lights.0"),
+        ({"sun": SUN | {"wall": 7}}, "sun.wall: the room has 4 walls"),
+        ({"sun": SUN | {"along": 5.8}}, "sun: beyond the wall"),
+        ({"home_light": {"sun": SUN | {"height": 2.4}}}, "home_light.sun: higher than the wall"),
+        (
+            {
+                "boxes": {"x": {"at": [1, 1], "size": [1, 1, 1]}},
+                "posters": {"x": {"wall": 0, "along": 1}},
+            },
+            "twice",
+        ),
+        ({"boxes": {"floor": {"at": [1, 1], "size": [1, 1, 1]}}}, "twice"),
+        ({"furnish": {"boxes": 100}}, "no place"),
+        ({"furnish": {"moved": 1}}, "moved"),
+        ({"trajectory": {"kind": "waypoints", "points": [[7, 7]]}}, "points.0: outside"),
+        ({"trajectory": {"kind": "teach", "points": [[7, 7]]}}, "points.0: outside"),
+        ({"trajectory": {"kind": "repeat", "place": "p", "route": "r"}}, "repeats no route"),
+        ({"spam": 1}, "spam"),
+    ],
+)
+def test_hostile_rooms_are_refused_in_one_line(changes, words):
+    with pytest.raises(InputError, match=words) as caught:
+        Eye(scenario(**changes))
+    assert "\n" not in str(caught.value)
+
+
+def test_hostile_files_are_refused_in_one_line(tmp_path):
+    path = tmp_path / "room.yaml"
+    for text, words in [("", "start"), ("[1]", "not a mapping"), ("a: [", "not YAML")]:
+        path.write_text(text)
+        with pytest.raises(InputError, match=words):
+            load_room(str(path))
+    with pytest.raises(InputError, match="neither a file nor one of the rooms"):
+        load_room("cellar")
+
+
+def test_running_into_a_box_is_said():
+    eye = Eye(scenario(boxes=crate(at=[2.5, 2.3])))
+    with pytest.raises(InputError, match="runs into crate"):
+        eye.look(3.0, HERE, 1)
+    with pytest.raises(InputError, match="runs into a wall"):
+        eye.look(3.0, Pose(9.0, 0.0, 0.0), 1)
+    with pytest.raises(InputError, match="home: in crate"):
+        Eye(scenario(boxes=crate(stood={"at": [2.0, 2.0]})))
+
+
+def test_the_room_in_the_docs_renders():
+    text = (Path(__file__).resolve().parents[3] / "docs" / "do" / "rooms.md").read_text("utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    eye = Eye(validated(RenderScenario, yaml.safe_load(example)))
+    assert eye.home_picture().shape == (192, 768, 3)
+    assert len(eye.scenario.boxes) == 5
+    assert sum(box.stood is not None for box in eye.scenario.boxes.values()) == 2

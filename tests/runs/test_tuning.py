@@ -1,0 +1,171 @@
+"""`homeward tune`: the noise of a robot's sensors, from its logs."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli.commands import call, first_seconds
+
+from benchmarks.odometry_noise import drive_of
+from homeward.drives.drive import (
+    Drive,
+    DriveSettings,
+    HomeBearing,
+    KnownLandmarks,
+    Odometry,
+    Sightings,
+)
+from homeward.errors import HomewardError
+from homeward.io.settings import parse_settings
+from homeward.runs import tuning
+from homeward.runs.held_out import Check, EvaluatedRun, checks
+from homeward.runs.scoring import Errors
+from homeward.runs.tuning import Noise, Tuning, tune
+from homeward.track import Innovations
+
+
+def untold(seconds):
+    """A drive of which nothing is told, three times better than is usual, and its truth."""
+    drive = drive_of(1.0, 0.3, 1)[0].drive
+
+    def cut(table):
+        return table.rows(table.t <= table.t[0] + seconds)
+
+    return dataclasses.replace(
+        drive,
+        odometry=cut(drive.odometry),
+        sightings=dataclasses.replace(
+            cut(drive.sightings), sigma=np.full(cut(drive.sightings).t.size, np.nan)
+        ),
+        truth=cut(drive.truth),
+        settings=DriveSettings(),
+    ), drive.settings
+
+
+def test_what_a_drive_was_made_of_is_learnt_and_honest():
+    drive, true = untold(60.0)
+    fractions = []
+    found = tune([drive], fractions.append)
+    assert fractions == sorted(fractions)
+    assert fractions[-1] == 1.0
+    assert found.noise.bearing_sigma == pytest.approx(true.sensor.bearing_sigma, rel=0.6)
+    assert found.noise.speed_sigma == pytest.approx(true.odometry.speed_sigma, rel=0.7)
+    assert found.noise.turn_sigma == pytest.approx(true.odometry.turn_sigma, rel=0.7)
+    (before,), (after,) = found.before, found.after
+    assert after.log_likelihood > before.log_likelihood
+    assert abs(after.nis - 1.0) < abs(before.nis - 1.0)
+    assert abs(np.log(after.nees / 3.0)) < abs(np.log(before.nees / 3.0))
+
+
+def likelihoods_of(gain):
+    """Stand in for runs: 500 innovations, each likelier by `gain` the smaller the speed's noise."""
+
+    def likelihoods(drives, noise):
+        steps = np.log2(noise.speed_sigma)
+        return {(0, float(k), "door"): -steps * g for k, g in enumerate(gain)}, False
+
+    return likelihoods
+
+
+@pytest.mark.parametrize(("by_chance", "speed"), [(1.0, 0.02), (0.0, 0.02 / 2**7.5)])
+def test_what_lasting_errors_make_likelier_by_chance_is_not_learnt(monkeypatch, by_chance, speed):
+    chance = np.repeat(np.random.default_rng(1).normal(size=50), 10)  # each error lasts ten looks
+    gain = 0.05 + by_chance * (chance - chance.mean())
+    monkeypatch.setattr(tuning, "_likelihoods", likelihoods_of(gain))
+    noise = tuning._search([], Noise(0.01, 0.02, 0.03), ("speed_sigma",), lambda: None)
+    assert noise.speed_sigma == pytest.approx(speed)
+    assert noise == noise._replace(bearing_sigma=0.01, turn_sigma=0.03)
+
+
+def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
+    def judged(late):
+        t = np.arange(late, 10.0)
+        off = np.where(t < 5, 4.0, 1.0)  # the first poses are the worst
+        nees, zero = 3.0 * off, np.zeros(t.size)
+        same = Errors(t, np.ones(t.size), *6 * (off,), nees, off, zero, zero, zero)
+        one = np.ones(t.size)
+        return EvaluatedRun(
+            0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0)
+        )
+
+    late, soon = checks(judged(5), judged(0))
+    assert late == dataclasses.replace(soon, pose_share=late.pose_share)
+    assert (late.rmse_m, late.nees, late.nis) == (1.0, 3.0, 1.0)
+    assert soon.pose_share > late.pose_share
+
+
+def test_too_short_a_drive_is_refused():
+    drive, _ = untold(2.0)
+    with pytest.raises(HomewardError, match="are needed"):
+        tune([drive], lambda _: None)
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-4])
+def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
+    places = {f"L{k}": (3.0 * np.cos(k), 3.0 * np.sin(k)) for k in range(6)}
+    home = {i: HomeBearing(float(np.arctan2(y, x)), 0.01) for i, (x, y) in places.items()}
+    t = np.arange(0.0, 20.0, 0.05)
+    stamps, chance = np.arange(0.1, 19.9, 0.2), np.random.default_rng(0)
+    seen = [
+        (s, i, b.bearing + 0.01 * chance.normal(), np.nan) for s in stamps for i, b in home.items()
+    ]
+    survey = {i: {"x": x, "y": y} for i, (x, y) in places.items()}
+    drive = Drive(
+        name="still",
+        odometry=Odometry(t, np.zeros(t.size), np.full(t.size, turn)),
+        sightings=Sightings.of_rows(seen),
+        home=home,
+        settings=DriveSettings(),
+        known=KnownLandmarks(frame="home", landmarks=survey),
+    )
+    with pytest.raises(HomewardError, match="moves too little"):
+        tune([drive], lambda _: None)
+
+
+def test_deviations_that_sightings_bring_are_left_alone():
+    drive, _ = untold(40.0)
+    told = np.full(drive.sightings.t.size, 0.01)
+    own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=told))
+    calls = []
+    found = tune([own], calls.append)
+    assert not found.tells_bearings
+    assert "sensor" not in found.settings.model_fields_set
+    assert calls == sorted(calls)
+    assert calls[-1] == 1.0
+    assert calls[-2] < 1.0
+
+
+def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
+    check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=np.nan, nees=np.nan)
+    found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [check], [check])
+    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
+    said = call("tune", "sample").stdout
+    lines = said.partition("for drive.yaml:\n")[2]
+    assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
+    assert "sample" in said
+    assert "worse" not in said
+    facts = json.loads(call("tune", "sample", "--json").stdout)
+    assert facts["settings"]["sensor"] == {"bearing_sigma": 0.01}
+    assert facts["held_out"][0]["after"]["rmse_m"] is None
+
+
+def test_lines_that_make_answers_less_consistent_are_reported(monkeypatch):
+    before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
+    after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
+    found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])
+    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
+    assert "NEES got worse by these lines" in call("tune", "sample").output
+
+
+def test_the_command_says_so_in_one_line(tmp_path):
+    answer = call("tune", first_seconds(tmp_path / "short", 5.0))
+    assert answer.exit_code == 1
+    assert "are needed" in answer.stderr
+    assert "Traceback" not in answer.output
+
+
+def test_a_missing_log_is_refused(tmp_path):
+    answer = call("tune", tmp_path / "nothing")
+    assert answer.exit_code == 2
