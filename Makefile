@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
+.PHONY: install demo plan test core-environment test-core test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -22,8 +22,18 @@ demo: install
 plan: install
 	$(BIN)/homeward plan warehouse --out out/plan
 
+# MARK='not core': without the tests of test-core, where that has run.
 test: install
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest $(if $(MARK),-m "$(MARK)")
+
+# The tests of the core, in an environment of its own that has neither vision, lab nor studio.
+core-environment: install
+	$(PYTHON) -m venv .venv-core$(OTHER)
+	.venv-core$(OTHER)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt '.[bags,live,report]' evo hypothesis pytest pytest-xdist
+	cd .venv-core$(OTHER)/lib/python3*/site-packages/homeward && rm -rf lab studio vision
+
+test-core: core-environment
+	.venv-core$(OTHER)/bin/python -m pytest -m core
 
 # The tests whose result can depend on the Python version, for a second Python (PYTHON=python3.13).
 test-interpreter: install
@@ -107,4 +117,4 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 clean:
-	rm -rf $(VENV) .venv-ros-* out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-ros-* .venv-core* out build dist src/*.egg-info

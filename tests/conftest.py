@@ -1,6 +1,7 @@
 """What tests of several rooms share."""
 
 import os
+import re
 from collections.abc import Generator
 from pathlib import Path
 
@@ -35,6 +36,17 @@ INTERPRETER = (
 validation, pickling, subprocesses, threads and sockets. Numerical results are tested once."""
 
 
+CORE = (
+    *("control/", "drives/", "geometry/", "io/", "live/", "localizer/", "odometry/", "places/"),
+    *("runs/", "test_track"),
+)
+"""Tests of the core, which `make test-core` runs where vision, lab and studio are not installed."""
+OUTSIDE_CORE = re.compile(
+    r"homeward\.(lab|vision|studio)\b|\b(benchmarks|live_rig|made_up_study)\b"
+)
+"""A file of these folders that mentions one of these needs more than the core."""
+
+
 @pytest.hookimpl(wrapper=True, optionalhook=True)
 def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
     """Start one worker more than cores: a third of the time tests wait for other processes."""
@@ -42,21 +54,32 @@ def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import the tests of `make test-interpreter` alone where no others are wanted."""
-    if config.option.markexpr != "interpreter" or not collection_path.name.startswith("test_"):
+    """Import no other tests where only those of the interpreter or of the core are wanted."""
+    wanted = {"interpreter": _is_of_interpreter, "core": _is_of_core}.get(config.option.markexpr)
+    if wanted is None or not collection_path.name.startswith("test_"):
         return None
-    return not _is_of_interpreter(collection_path) or None
+    return not wanted(collection_path) or None
 
 
 def _is_of_interpreter(file: Path) -> bool:
     return file.relative_to(Path(__file__).parent).as_posix().startswith(INTERPRETER)
 
 
+def _is_of_core(file: Path) -> bool:
+    name = file.relative_to(Path(__file__).parent).as_posix()
+    return name.startswith(CORE) and not OUTSIDE_CORE.search(file.read_text(encoding="utf-8"))
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of `make test-interpreter`, and keep shared fixtures on one worker."""
+    """Mark the tests of `make test-interpreter` and `make test-core`.
+
+    Tests that share a fixture stay on one worker.
+    """
     for item in items:
         if _is_of_interpreter(item.path):
             item.add_marker("interpreter")
+        if _is_of_core(item.path):
+            item.add_marker("core")
         if group := _shared_fixture(item):
             item.add_marker(pytest.mark.xdist_group(group))
 
@@ -81,6 +104,12 @@ def data_dir() -> Path:
     if not place.is_dir():
         pytest.skip("no real data: set HOMEWARD_DATA to the folder that holds MRCLAM_Dataset6")
     return place
+
+
+@pytest.fixture
+def lab() -> None:
+    """Skip a test of the core that runs a filter of the lab, where the lab is not installed."""
+    pytest.importorskip("homeward.lab", reason="only the core is installed")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -112,6 +112,7 @@ def test_dead_reckoning_goes_on_with_the_last_known_twist():
     assert dead_reckoning(lost, T).x == pytest.approx(0.0)
 
 
+@pytest.mark.usefixtures("lab")
 @pytest.mark.parametrize("name", ["ekf", "schmidt"])
 def test_filters_widen_over_unknown_motion(name):
     odometry = Odometry(T, np.full(T.size, 0.3), np.zeros(T.size))

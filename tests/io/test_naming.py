@@ -31,6 +31,7 @@ def test_different_names_never_have_one_key():
         assert sorted(rng.permutation(names).tolist(), key=natural) == sorted(names, key=natural)
 
 
+@pytest.mark.usefixtures("lab")
 @pytest.mark.parametrize("estimator", ["robust", "ekf"])
 def test_every_estimator_lists_its_landmarks_so(estimator):
     names = [f"L{i}" for i in (10, 2, 11, 1, 3)]

@@ -31,6 +31,7 @@ def bad(tmp_path, monkeypatch):
     return "bad_one:Bad"
 
 
+@pytest.mark.usefixtures("lab")
 def test_several_estimators_share_a_page_and_one_that_fails_ends_nothing(short, bad, tmp_path):
     out = tmp_path / "out"
     result = done(call("run", short, "--estimator", f"robust, ekf,{bad}", "--out", out))
@@ -78,6 +79,7 @@ def test_what_cannot_be_compared_is_one_line(short, tmp_path, words, told):
     assert not out.exists()
 
 
+@pytest.mark.usefixtures("lab")
 def test_without_truth_the_page_shows_what_each_claims(short, tmp_path):
     (short / "truth.csv").unlink()
     out = tmp_path / "out"
