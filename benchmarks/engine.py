@@ -38,8 +38,8 @@ from benchmarks.timing import (
     start_up,
     wall,
 )
+from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
-from homeward.lab.engine.batch.recorded import run_recorded
 from homeward.lab.engine.native.source import NativeProgram
 from homeward.lab.engine.program.stages import filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter

@@ -16,9 +16,7 @@ import numpy as np
 
 from homeward.lab.engine.batch.homing import HomingResult, run_homing
 from homeward.lab.engine.cuda.device import CudaError, gpu
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
 from homeward.lab.model import PolarModel
 
 STEPS = 400

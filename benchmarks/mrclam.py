@@ -19,7 +19,7 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.geometry.frames import Pose
-from homeward.lab.studies.study.recordings import falsified
+from homeward.lab.studies.study.trial import falsified
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.runs.scoring import Errors, errors, statistics

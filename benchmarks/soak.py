@@ -23,8 +23,7 @@ from typing import Any
 import numpy as np
 
 from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.live_client import SimulatedRobotClient, play
-from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
 from homeward.live.messages import (
     Answer,
     BearingsIn,

@@ -149,7 +149,7 @@ def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Compariso
 
 def relit(scenario: Any, light: str) -> Any:
     """Return a scenario whose light is another one than when home was stored."""
-    from homeward.lab.simulation.render.room.light import Light, Lighting, Sun
+    from homeward.lab.simulation.render.room.settings import Light, Lighting, Sun
 
     changes: dict[str, Any] = {"home_light": Lighting()}
     outline, home = np.array(scenario.room.outline), scenario.home

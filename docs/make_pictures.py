@@ -17,7 +17,7 @@ from rerun.experimental import ViewerClient
 from homeward.lab.observability.study import observe
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.report.observe.figures import draw_family
+from homeward.lab.report.observe import draw_family
 from homeward.lab.report.plan.figures import draw_begin
 from homeward.lab.simulation.render.eye import Eye
 from homeward.lab.simulation.render.room.presets import load_room

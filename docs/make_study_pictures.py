@@ -7,7 +7,7 @@ minutes of a processor for the paper's layouts, and ten minutes for the two tuni
 import argparse
 from pathlib import Path
 
-from homeward.lab.report.paper.layout_figures import FIGURES
+from homeward.lab.report.paper.layout_page import FIGURES
 from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.studies.blocks.finish import Work
 from homeward.lab.studies.blocks.store import store_of

@@ -8,8 +8,7 @@ from functools import partial
 
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.mrclam import HOME, data
-from homeward.lab.studies.study.recordings import Recording, recorded_trial
-from homeward.lab.studies.study.trial import Trial
+from homeward.lab.studies.study.trial import Recording, Trial, recorded_trial
 
 ROBOTS = (1, 2, 3, 4, 5)
 SET_6 = "MRCLAM_Dataset6"

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.geometry.frames import Polar, Pose, bearing, from_polar
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, augmented_ekf
 
 DT = 0.05
 GUARD = 0.01

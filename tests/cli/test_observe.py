@@ -5,8 +5,7 @@ import pytest
 import yaml
 from commands import call, done
 
-from homeward.lab.report.observe.figures import draw_drive_view
-from homeward.lab.report.observe.page import drive_summary
+from homeward.lab.report.observe import draw_drive_view, drive_summary
 from homeward.lab.studies.observing import observe_drive
 from homeward.runs.single_run import RunSettings, prepare
 

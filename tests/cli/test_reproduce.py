@@ -11,21 +11,20 @@ from lab.studies.chores import in_this_process
 
 from homeward.cli import options
 from homeward.lab.report.paper.claims import verdict
-from homeward.lab.report.paper.figures import FIGURES, figures_of
-from homeward.lab.report.paper.page import found, sentences
+from homeward.lab.report.paper.page import FIGURES, figures_of, found, sentences
 from homeward.lab.studies.blocks.finish import Work
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
 from homeward.lab.studies.paper.layouts import Question, Reading, ask, open_store
-from homeward.lab.studies.paper.reproduction import reproduce
-from homeward.lab.studies.paper.settings import Assumed, PaperSettings, Printed
-from homeward.lab.studies.paper.tables import (
+from homeward.lab.studies.paper.reproduction import (
     PRINTED,
     beats_printed,
     better_shares,
     printed_order,
     printed_order_shares,
+    reproduce,
     rows,
 )
+from homeward.lab.studies.paper.settings import Assumed, PaperSettings, Printed
 from homeward.lab.studies.paper.world import CASES, draw_world
 
 OFF = (0.05, 0.1, 0.1)

@@ -15,7 +15,7 @@ from homeward.lab.studies.paper.layouts import Block, Question, run_block
 from homeward.lab.studies.paper.settings import Assumed, Imaged, PaperSettings
 
 pytest.importorskip("cv2", reason="images need the extra `vision`")
-from homeward.lab.report.paper.figures import draw_panorama
+from homeward.lab.report.paper.page import draw_panorama
 from homeward.lab.studies.paper.images import draw_image_world
 
 ONE = Assumed(faults=1, longest=2.0)

@@ -7,7 +7,7 @@ from lab.model_by_hand import complex_jacobian, rates, rk4, scene
 
 from homeward.geometry.angles import guarded_inverse, wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
-from homeward.lab.filters.augmented import augmented_ekf
+from homeward.lab.filters.ekf import augmented_ekf
 from homeward.lab.model import (
     POLAR,
     PolarModel,

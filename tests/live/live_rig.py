@@ -4,8 +4,7 @@ from functools import partial
 
 from homeward.geometry.frames import Twist
 from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.live_client import SimulatedRobotClient
-from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
 from homeward.lab.simulation.trajectories import make_control
 from homeward.live.messages import Departure, Event, StoreRoute
 from homeward.live.session import Session

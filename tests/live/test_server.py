@@ -16,8 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import in_turn
 from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.live_client import SimulatedRobotClient, play
-from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
 from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
 from homeward.live.server import Address, Server, address
 from homeward.live.session import Session
@@ -419,7 +418,7 @@ def test_too_many_messages_of_one_client_cost_another_nothing():
     [(b"x" * 200_000, "a line of more than 65,536 bytes came"), (b"", "no hello within")],
 )
 def test_a_simulated_robot_is_refused_by_what_is_no_session(sent, words, monkeypatch):
-    monkeypatch.setattr("homeward.lab.simulation.live_client.HELLO_S", 0.5)
+    monkeypatch.setattr("homeward.lab.simulation.live_robot.HELLO_S", 0.5)
 
     async def whole():
         async def serve(reader, writer):

@@ -22,8 +22,7 @@ from live_rig import SCENARIO
 
 from homeward.geometry.frames import Twist as Command
 from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.live_client import SimulatedRobotClient
-from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
 from homeward.live.messages import (
     Answer,
     BearingsIn,

@@ -4,8 +4,8 @@ import numpy as np
 import yaml
 
 from homeward.lab.studies.study.plan import make_plan
-from homeward.lab.studies.study.quantities import RUN, SERIES
 from homeward.lab.studies.study.results import Results
+from homeward.lab.studies.study.runs import RUN, SERIES
 from homeward.lab.studies.study.settings import load_study
 
 

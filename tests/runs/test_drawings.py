@@ -9,9 +9,15 @@ from made_up_study import made_up_study
 
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import Plan
-from homeward.lab.report.below_bound import MARK, below_bound, note_below
 from homeward.lab.report.plan.figures import draw_accuracy, draw_begin, draw_hidden
-from homeward.lab.report.study.figures import draw_nees, draw_overview, draw_rmse
+from homeward.lab.report.study.figures import (
+    MARK,
+    below_bound,
+    draw_nees,
+    draw_overview,
+    draw_rmse,
+    note_below,
+)
 from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.report.study.page import PAGE, write_study
 from homeward.lab.studies.study.summary import summary, table

@@ -8,7 +8,7 @@ from made_up_study import made_up_study
 from homeward.lab.observability.study import observe
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.report.observe.page import write_model_view
+from homeward.lab.report.observe import write_model_view
 from homeward.lab.report.plan.page import write_plan
 from homeward.lab.report.study.page import write_study
 from homeward.runs.report.folder import write_run

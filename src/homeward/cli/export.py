@@ -27,8 +27,7 @@ def export(
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
     from homeward.io.settings import validated
-    from homeward.lab.engine.export.source import MARKER, project
-    from homeward.lab.engine.export.work import most_work
+    from homeward.lab.engine.export.source import MARKER, most_work, project
     from homeward.lab.filters.settings import FilterSettings
     from homeward.runs.report.output import check_output, whole_folder
 

@@ -7,12 +7,10 @@ from lab.model_by_hand import scene
 from homeward.control.laws import homing
 from homeward.geometry.frames import from_polar
 from homeward.lab.engine.batch import interpreted as noise
+from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import homing_program, run_homing
-from homeward.lab.engine.batch.recorded import run_recorded
 from homeward.lab.engine.program import stages
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.proportional_integral import ProportionalIntegralFilter
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
 from homeward.lab.model import PolarModel
 from homeward.native.compiler import NativeError, find_compiler
 

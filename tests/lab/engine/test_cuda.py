@@ -12,15 +12,14 @@ import pytest
 from test_batch import KINDS, RUNS, loop
 
 from homeward.errors import HomewardError
-from homeward.lab.engine.batch import execution, homing, recorded
+from homeward.lab.engine.batch import execution, homing
+from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
 from homeward.lab.engine.batch.job import Job, Result, empty_result, shaped
-from homeward.lab.engine.batch.recorded import run_recorded
 from homeward.lab.engine.cuda.device import CudaError, bindings, compiled, gpu
 from homeward.lab.engine.cuda.execution import argument_of, outputs_of
 from homeward.lab.engine.cuda.source import cuda_source
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, augmented_ekf
 from homeward.lab.model import PolarModel
 
 HERE = Path(__file__).parent
@@ -56,7 +55,7 @@ def job_of(monkeypatch, call) -> Job:
 
     with monkeypatch.context() as patch:
         patch.setattr(homing, "execute", catch)
-        patch.setattr(recorded, "execute", catch)
+        patch.setattr(execution, "execute", catch)
         with pytest.raises(Caught) as caught:
             call()
     return caught.value.args[0]
@@ -161,7 +160,7 @@ def test_given_noise_and_recorded_runs(monkeypatch, tmp_path):
 
 
 def kind_variables(kind):
-    return recorded.filter_program(kind).shapes
+    return execution.filter_program(kind).shapes
 
 
 @needs_cpp

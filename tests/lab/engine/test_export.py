@@ -22,8 +22,7 @@ from benchmarks.mcu import (
     samples,
     scene,
 )
-from homeward.lab.engine.export.source import FUNCTIONS
-from homeward.lab.engine.export.work import most_work
+from homeward.lab.engine.export.source import FUNCTIONS, most_work
 from homeward.lab.filters.settings import FilterSettings
 
 HERE = Path(__file__).parent

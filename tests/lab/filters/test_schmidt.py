@@ -4,11 +4,13 @@ import numpy as np
 from lab.model_by_hand import scene
 from test_steps import DT, drive
 
-from homeward.lab.engine.program.generic import BELIEF
-from homeward.lab.engine.program.interpreter import Interpreter
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.schmidt import SchmidtFilter
-from homeward.lab.filters.steps import predict_function, update_function
+from homeward.lab.engine.program.kernels import BELIEF, Interpreter
+from homeward.lab.filters.ekf import (
+    ExtendedKalmanFilter,
+    SchmidtFilter,
+    predict_function,
+    update_function,
+)
 from homeward.lab.model import PolarModel
 
 Q = 5

@@ -8,19 +8,22 @@ from numpy_oracle import Oracle
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
 from homeward.lab.engine.estimators.runner import filter_kernels
-from homeward.lab.engine.program.generic import (
+from homeward.lab.engine.program.kernels import (
     BELIEF,
     GenericPredict,
     GenericUpdate,
+    Interpreter,
     UnscentedPredict,
 )
-from homeward.lab.engine.program.interpreter import Interpreter
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.proportional_integral import ProportionalIntegralFilter
-from homeward.lab.filters.schmidt import SchmidtFilter
-from homeward.lab.filters.steps import predict_function, update_function
-from homeward.lab.filters.unscented import UnscentedFilter
+from homeward.lab.filters.ekf import (
+    ExtendedKalmanFilter,
+    ProportionalIntegralFilter,
+    SchmidtFilter,
+    UnscentedFilter,
+    augmented_ekf,
+    predict_function,
+    update_function,
+)
 from homeward.lab.model import PolarModel
 
 DT = 0.05

@@ -5,11 +5,14 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.lab.engine.program.generic import BELIEF
-from homeward.lab.engine.program.interpreter import Interpreter
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.steps import predict_function, update_function
-from homeward.lab.filters.unscented import UnscentedFilter, cholesky
+from homeward.lab.engine.program.kernels import BELIEF, Interpreter
+from homeward.lab.filters.ekf import (
+    ExtendedKalmanFilter,
+    UnscentedFilter,
+    cholesky,
+    predict_function,
+    update_function,
+)
 from homeward.lab.model import PolarModel
 
 Q, DT = 5, 0.2

@@ -3,9 +3,14 @@
 import numpy as np
 import pytest
 
-from homeward.lab.observability.lie import codistribution, model_point, observe_model
+from homeward.lab.observability.lie import (
+    codistribution,
+    evaluate,
+    model_point,
+    observe_model,
+    precise_rank,
+)
 from homeward.lab.observability.paper import printed_matrix, rank_table
-from homeward.lab.observability.precise import evaluate, precise_rank
 from homeward.lab.observability.ranks import rank
 
 

@@ -7,9 +7,14 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between, compose
 from homeward.lab.observability.lie import observe_model
-from homeward.lab.observability.motions import MOTIONS, make_scene
 from homeward.lab.observability.scene import CALIBRATIONS
-from homeward.lab.observability.study import model_scene, observe, observe_motions
+from homeward.lab.observability.study import (
+    MOTIONS,
+    make_scene,
+    model_scene,
+    observe,
+    observe_motions,
+)
 from homeward.lab.observability.trace import trace_family
 from homeward.lab.observability.words import in_words
 

@@ -13,8 +13,7 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.planning.accuracy import Arcs, home_sees
-from homeward.lab.planning.advice import best_places
-from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.analysis import analyse, best_places
 from homeward.lab.planning.floor import candidate_places, make_floor
 from homeward.lab.planning.settings import Plan, load_plan
 

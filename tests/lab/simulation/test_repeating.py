@@ -10,7 +10,6 @@ from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.files import changed_scenario, load_scenario, scenario_yaml
-from homeward.lab.simulation.repeating import settled
 from homeward.lab.simulation.scenario import (
     Listed,
     Noise,
@@ -22,7 +21,7 @@ from homeward.lab.simulation.scenario import (
     Teach,
 )
 from homeward.lab.simulation.simulate import prepare, simulate
-from homeward.lab.simulation.trajectories import SEARCH_RADIUS
+from homeward.lab.simulation.trajectories import SEARCH_RADIUS, settled
 from homeward.places.files import save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import Standing

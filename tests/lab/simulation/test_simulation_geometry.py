@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.geometry import first_surface, hidden, in_view
 from homeward.lab.simulation.scenario import Room, Visibility
+from homeward.lab.simulation.world import first_surface, hidden, in_view
 
 ROOM = Room(bounds=(0, 0, 10, 6), shelves=((4, 2, 6, 3),))
 

@@ -14,8 +14,7 @@ import pytest
 from lab.studies import chores
 
 from homeward.errors import HomewardError, InputError
-from homeward.lab.studies.blocks.finish import Where, Work
-from homeward.lab.studies.blocks.pool import on_processes
+from homeward.lab.studies.blocks.finish import Where, Work, on_processes
 from homeward.lab.studies.blocks.store import BlockStore
 
 SETTINGS = {"runs": 4, "noise": {"sigma": [0.1, 0.2]}}

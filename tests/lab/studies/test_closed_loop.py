@@ -8,13 +8,15 @@ from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, advance, bearing, from_polar
 from homeward.lab.engine.batch.homing import homing_program
-from homeward.lab.engine.program.generic import BELIEF
-from homeward.lab.engine.program.interpreter import Interpreter
+from homeward.lab.engine.program.kernels import BELIEF, Interpreter
 from homeward.lab.engine.program.stages import Machine
-from homeward.lab.filters.augmented import augmented_ekf
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.proportional_integral import ProportionalIntegralFilter
-from homeward.lab.filters.steps import predict_function, update_function
+from homeward.lab.filters.ekf import (
+    ExtendedKalmanFilter,
+    ProportionalIntegralFilter,
+    augmented_ekf,
+    predict_function,
+    update_function,
+)
 from homeward.lab.model import PolarModel
 
 Q, DT, SPEED = 5, 0.05, 0.125

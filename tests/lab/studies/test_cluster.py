@@ -13,8 +13,7 @@ import pytest
 from lab.studies import chores
 
 from homeward.errors import HomewardError, InputError
-from homeward.lab.studies.blocks.cluster import on_cluster
-from homeward.lab.studies.blocks.finish import Where, Work
+from homeward.lab.studies.blocks.finish import Where, Work, on_cluster
 from homeward.lab.studies.blocks.store import BlockStore
 
 dask = pytest.importorskip("dask")
@@ -76,7 +75,7 @@ def test_an_interrupted_cluster_study_goes_on_elsewhere(tmp_path):
 
 
 def test_a_scheduler_that_does_not_answer_is_one_line(monkeypatch):
-    monkeypatch.setattr("homeward.lab.studies.blocks.cluster.CONNECT_S", 0.2)
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.CONNECT_S", 0.2)
     for address in ("tcp://127.0.0.1:9", "nonsense://x"):
         with pytest.raises(InputError, match="no Dask scheduler answers"):
             next(on_cluster(chores.square, {"0": 0}, scheduler=address))

@@ -10,10 +10,9 @@ from lab.studies.chores import in_this_process
 from runs.figure_faults import faults
 
 from homeward.lab.report.paper.claims import claims, command
-from homeward.lab.report.paper.layout_figures import FIGURES
-from homeward.lab.report.paper.layout_page import CLAIMED, grid_table, headline
+from homeward.lab.report.paper.layout_page import CLAIMED, FIGURES, grid_table, headline
 from homeward.lab.studies.blocks.finish import Work
-from homeward.lab.studies.paper.cases import FILTERS, run_filter
+from homeward.lab.studies.paper.cases import FAR, FILTERS, errors_over, run_filter, run_many
 from homeward.lab.studies.paper.layouts import (
     BOUND,
     LONG,
@@ -28,17 +27,17 @@ from homeward.lab.studies.paper.layouts import (
     open_store,
     run_block,
 )
-from homeward.lab.studies.paper.many import FAR, errors_over, run_many
-from homeward.lab.studies.paper.reproduction import layout_settings, study_layouts
-from homeward.lab.studies.paper.robust import bound_errors, run_robust
-from homeward.lab.studies.paper.settings import Assumed, PaperSettings, Printed
-from homeward.lab.studies.paper.tables import (
+from homeward.lab.studies.paper.reproduction import (
     PRINTED,
     beats_printed,
     better_shares,
+    layout_settings,
     order_share,
     printed_order_shares,
+    study_layouts,
 )
+from homeward.lab.studies.paper.robust import bound_errors, run_robust
+from homeward.lab.studies.paper.settings import Assumed, PaperSettings, Printed
 from homeward.lab.studies.paper.world import draw_world, fault_count
 
 SETTINGS = PaperSettings()

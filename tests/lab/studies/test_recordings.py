@@ -10,13 +10,13 @@ from cli.commands import call, done, first_seconds, refused
 from lab.studies.chores import in_this_process
 
 from homeward.drives.opening import open_drive
-from homeward.lab.studies.study.recordings import (
+from homeward.lab.studies.study.settings import load_study
+from homeward.lab.studies.study.trial import (
     Recording,
     falsified,
     recorded_trial,
     with_dropped,
 )
-from homeward.lab.studies.study.settings import load_study
 from homeward.registry import make_estimator
 from homeward.runs.scoring import score
 from homeward.track import run

@@ -83,9 +83,9 @@ def simulate(
     with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
     """
     from homeward.lab.simulation.files import SCENARIO, load_scenario, write_simulation
-    from homeward.lab.simulation.repeating import settled
     from homeward.lab.simulation.simulate import prepare
     from homeward.lab.simulation.simulate import simulate as run_simulation
+    from homeward.lab.simulation.trajectories import settled
     from homeward.registry import make_estimator
     from homeward.runs.report.output import check_output, whole_folder
 
@@ -144,8 +144,7 @@ def _play(
     scenario: Scenario, where: str, pace: float, json: bool, route: str | None, teach: bool
 ) -> None:
     """Be a robot until it is home, or has done what it was to do with a route, or has given up."""
-    from homeward.lab.simulation.live_client import SimulatedRobotClient, Task, play
-    from homeward.lab.simulation.live_robot import LiveRobot
+    from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, Task, play
     from homeward.lab.simulation.trajectories import make_control
     from homeward.live.messages import FollowRoute, StoreRoute
     from homeward.live.server import address

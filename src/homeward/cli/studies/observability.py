@@ -19,7 +19,7 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
     The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
     """
     from homeward.lab.observability.study import observe
-    from homeward.lab.report.observe.page import (
+    from homeward.lab.report.observe import (
         PAGE,
         SETTINGS_FILE,
         model_summary,
@@ -79,7 +79,7 @@ def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
 
     The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
     """
-    from homeward.lab.report.observe.page import (
+    from homeward.lab.report.observe import (
         PAGE,
         SETTINGS_FILE,
         drive_summary,

@@ -14,7 +14,7 @@ from homeward.cli.terminal import table as print_rows
 
 if TYPE_CHECKING:
     from homeward.lab.studies.blocks.finish import Where
-    from homeward.lab.studies.paper.tables import Row
+    from homeward.lab.studies.paper.reproduction import Row
 
 IMAGE_RUNS = 10
 """Layouts per case when every sample must be rendered."""
@@ -37,8 +37,8 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     from homeward.lab.studies.blocks.finish import Work
     from homeward.lab.studies.paper.layouts import open_store
     from homeward.lab.studies.paper.reproduction import reproduce as run_cases
+    from homeward.lab.studies.paper.reproduction import rows
     from homeward.lab.studies.paper.settings import PaperSettings
-    from homeward.lab.studies.paper.tables import rows
     from homeward.runs.report.output import check_output
 
     if values.get("measurements") == "images":

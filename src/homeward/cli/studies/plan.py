@@ -112,8 +112,7 @@ def _plan(source: str, out: Path, json: bool) -> None:
     from homeward.lab.planning.analysis import analyse
     from homeward.lab.planning.floor import make_floor
     from homeward.lab.planning.settings import load_plan
-    from homeward.lab.report.plan.page import PAGE, SETTINGS_FILE, write_plan
-    from homeward.lab.report.plan.words import plan_summary
+    from homeward.lab.report.plan.page import PAGE, SETTINGS_FILE, plan_summary, write_plan
     from homeward.runs.report.output import check_output
 
     settings = load_plan(source)

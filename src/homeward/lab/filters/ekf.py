@@ -1,16 +1,27 @@
-"""The multi-rate extended Kalman filter: predict at every sample, update with what is visible."""
+"""The multi-rate extended Kalman filter, its relatives, and their steps as CasADi functions."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import ClassVar
 
 import casadi as ca
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Integration
-from homeward.lab.filters.belief import Belief, Measurement, Prediction, Updated
-from homeward.lab.model import POLAR, PolarModel, Step, discretise
+from homeward.lab.filters.belief import (
+    Belief,
+    Measurement,
+    Prediction,
+    Updated,
+    as_dict,
+    belief_symbols,
+    measurement_symbols,
+    prediction_symbols,
+)
+from homeward.lab.model import INPUTS, POLAR, PolarModel, Step, discretise
 
 
 @dataclass(frozen=True)
@@ -96,3 +107,184 @@ class ExtendedKalmanFilter:
 def mirror(matrix: ca.SX) -> ca.SX:
     """Return the matrix with its lower triangle mirrored: symmetric to the last bit."""
     return ca.tril2symm(ca.tril(matrix))
+
+
+def augmented_ekf(
+    q: int,
+    estimated: Iterable[int] | None = None,
+    integration: Integration = "rk4",
+    guard: float = PolarModel.guard,
+) -> ExtendedKalmanFilter:
+    """Return the paper's A-EKF: an EKF whose state carries the parameters theta_p behind it.
+
+    They walk at random with covariance Qd, which is given to each step in the last entries of
+    `state_variance`; P is block-diagonal at the start.
+
+    Parameters
+    ----------
+    q : int
+        Landmarks.
+    estimated : iterable of int, optional
+        Which beta* are parameters; None: all.
+    integration : {"rk4", "euler"}
+        How the model is discretised.
+    guard : float
+        See `homeward.lab.model.PolarModel` [m].
+
+    Raises
+    ------
+    ValueError
+        If an index is repeated or is no landmark.
+    """
+    chosen = tuple(range(q)) if estimated is None else tuple(estimated)
+    if len(set(chosen)) != len(chosen) or not all(0 <= i < q for i in chosen):
+        raise ValueError(f"parameters {chosen} must be distinct landmarks out of 0 .. {q - 1}")
+    return ExtendedKalmanFilter(PolarModel(q, chosen, guard), integration)
+
+
+@dataclass(frozen=True)
+class ProportionalIntegralFilter(ExtendedKalmanFilter):
+    """The paper's PI-EKF: predict with F(X, U) + Pi kappa, kappa <- kappa + M e.
+
+    e is the innovation of this stamp, zero in the rows that are not visible, that were rejected,
+    or that have just entered; it steers the predictions that follow.
+    """
+
+    integral: ClassVar[bool] = True
+
+    def propagate(self, belief: Belief, prediction: Prediction) -> Step:
+        """Return the step of the mean, corrected by Pi kappa, and its Jacobians."""
+        step = super().propagate(belief, prediction)
+        return step._replace(state=step.state + prediction.proportional @ belief.integral)
+
+    def update(self, belief: Belief, seen: Measurement) -> Updated:
+        """Update as the EKF does, and add M e to the integral."""
+        updated = super().update(belief, seen)
+        used = updated.innovation * updated.accepted
+        integral = belief.integral + seen.integral_gain @ used
+        return replace(updated, belief=replace(updated.belief, integral=integral))
+
+
+@dataclass(frozen=True)
+class SchmidtFilter(ExtendedKalmanFilter):
+    """The EKF with doubtful home bearings as "consider" parameters.
+
+    They stand in the state of the augmented model with a gain of zero: what is stored of them is
+    never changed, nor is their variance, but their correlation with the rest is carried along. So
+    the gate opens and the pose widens by as much as a wrong home bearing could do.
+
+    References
+    ----------
+    Schmidt, "Application of State-Space Methods to Navigation Problems", 1966; Jazwinski,
+    "Stochastic Processes and Filtering Theory", 1970, section 8.4.
+    """
+
+    separable: ClassVar[bool] = False
+
+    @property
+    def considered(self) -> slice:
+        """The home bearings in the state."""
+        return slice(self.model.n - len(self.model.estimated), self.model.n)
+
+
+UPDATE_OUTPUTS = ("innovation", "innovation_variance", "accepted")
+
+
+@lru_cache(maxsize=64)
+def predict_function(kind: ExtendedKalmanFilter) -> ca.Function:
+    """Return belief x prediction -> belief, with the field names as names."""
+    belief = belief_symbols(kind.model, kind.integral)
+    prediction = prediction_symbols(kind.model, kind.integral)
+    after = as_dict(kind.predict(belief, prediction))
+    return named_function("predict", as_dict(belief) | as_dict(prediction), after)
+
+
+@lru_cache(maxsize=64)
+def update_function(kind: ExtendedKalmanFilter) -> ca.Function:
+    """Return belief x measurement -> belief, innovation, innovation_variance, accepted."""
+    belief = belief_symbols(kind.model, kind.integral)
+    seen = measurement_symbols(kind.model, kind.integral)
+    updated = kind.update(belief, seen)
+    outputs = as_dict(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
+    return named_function("update", as_dict(belief) | as_dict(seen), outputs)
+
+
+@lru_cache(maxsize=64)
+def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
+    """Return belief x prediction -> state, by_state, by_input: what grows linearly with q."""
+    belief = belief_symbols(kind.model, kind.integral)
+    prediction = prediction_symbols(kind.model, kind.integral)
+    step = kind.propagate(belief, prediction)
+    return named_function("propagate", as_dict(belief) | as_dict(prediction), step._asdict())
+
+
+def named_function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+    """Return a dense function of named symbols; its outputs' names get the suffix ``_out``."""
+    dense = [ca.densify(v) for v in outputs.values()]
+    # An output may carry the name of an input: CasADi wants the two apart.
+    named = [f"{k}_out" for k in outputs]
+    return ca.Function(name, list(inputs.values()), dense, list(inputs), named)
+
+
+LEAST_PIVOT = 1e-18
+"""A smaller variance, given the rest, counts as none: it has no sigma points of its own."""
+
+
+@dataclass(frozen=True)
+class UnscentedFilter(ExtendedKalmanFilter):
+    """The UKF on the paper's model; its update is Kalman's, since that model measures states.
+
+    State and input together, N numbers, are spread over 2 N points of equal weight, at sqrt(N)
+    standard deviations along the columns of the root of their covariance. That is kappa = 0, the
+    narrowest spread at which no weight is negative, and no covariance can become indefinite.
+
+    References
+    ----------
+    Julier, Uhlmann, "Unscented Filtering and Nonlinear Estimation", Proc. IEEE 92(3), 2004.
+    """
+
+    separable: ClassVar[bool] = False
+
+    def predict(self, belief: Belief, prediction: Prediction) -> Belief:
+        """Carry the sigma points over one step; state_variance is added to what they become."""
+        n = self.model.n
+        size = n + INPUTS
+        spread = ca.sqrt(size) * ca.diagcat(
+            cholesky(belief.covariance), cholesky(prediction.input_covariance)
+        )
+        step, points = self.step(), []
+        for shift in ca.horzsplit(ca.horzcat(spread, -spread)):
+            state, control = belief.state + shift[:n], prediction.control + shift[n:]
+            points.append(step(state, control, prediction.dt, prediction.stored, belief.active))
+        mean = sum(points, ca.SX(n, 1)) / (2 * size)
+        off = ca.horzcat(*(point - mean for point in points))
+        covariance = off @ off.T / (2 * size) + ca.diag(prediction.state_variance)
+        return replace(belief, state=mean, covariance=mirror(covariance))
+
+    def step(self) -> ca.Function:
+        """Return state, control, dt, stored, active -> state after a step."""
+        belief = belief_symbols(self.model, self.integral)
+        prediction = prediction_symbols(self.model, self.integral)
+        state = self.propagate(belief, prediction).state
+        by = prediction.control, prediction.dt, prediction.stored, belief.active
+        return ca.Function("step", [belief.state, *by], [state])
+
+
+def cholesky(matrix: ca.SX) -> ca.SX:
+    """Return L, lower triangular, with L L' the matrix; a direction without variance is left out.
+
+    Parameters
+    ----------
+    matrix : SX, shape (n, n)
+        Symmetric and at least positive semidefinite.
+    """
+    n = matrix.shape[0]
+    root = ca.SX.zeros(n, n)
+    for j in range(n):
+        pivot = matrix[j, j] - ca.sumsqr(root[j, :j])
+        there = pivot > LEAST_PIVOT
+        root[j, j] = ca.sqrt(there * pivot)
+        inverse = there / ca.sqrt(ca.fmax(pivot, LEAST_PIVOT))
+        for i in range(j + 1, n):
+            root[i, j] = inverse * (matrix[i, j] - ca.dot(root[i, :j], root[j, :j]))
+    return root

@@ -8,9 +8,8 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, bearing, compose
-from homeward.lab.simulation.geometry import in_view
 from homeward.lab.simulation.scenario import Course, OdometryErrors, Scenario
-from homeward.lab.simulation.world import Stream, World, generator, quantise
+from homeward.lab.simulation.world import Stream, World, generator, in_view, quantise
 
 
 class Wheels:

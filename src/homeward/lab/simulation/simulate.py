@@ -15,11 +15,10 @@ from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.course import Driven, before, drive_course
-from homeward.lab.simulation.log import Log
-from homeward.lab.simulation.repeating import as_visitor
+from homeward.lab.simulation.course import Driven, Log, before, drive_course
 from homeward.lab.simulation.scenario import Scenario
 from homeward.lab.simulation.sensing import Camera
+from homeward.lab.simulation.trajectories import as_visitor
 from homeward.lab.simulation.world import World, build_world, home_bearings
 
 

@@ -1,12 +1,13 @@
 """Control of a simulated robot: from the time and its estimate to a command, until it is done.
 
-A robot with a goal is driven by `homeward.control`, as a real one is; only what it does without a
-pose, a search, and drives that follow a script on the true pose are made here.
+A robot with a goal is driven by `homeward.control`, as a real one is. This module adds the search
+of a robot without a pose, scripted drives on the true pose, and the place of a repeated route.
 """
 
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
 from typing import Protocol, assert_never
 
@@ -18,19 +19,67 @@ from homeward.control.goals import UNSEEN, BearingGoal, Belief, Goal, PointGoal,
 from homeward.control.laws import law_named
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Fault
+from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, bearing, between
-from homeward.lab.simulation.repeating import place_of
 from homeward.lab.simulation.scenario import (
     ByPoints,
     Circle,
     Course,
     Homing,
     Repeat,
+    Scenario,
     Teach,
     Waypoints,
 )
+from homeward.places.files import load_place, newest
+from homeward.places.place import Place
+
+
+def settled(scenario: Scenario) -> Scenario:
+    """Return a scenario that names the version of its place, and the day: it repeats as it is.
+
+    Raises
+    ------
+    InputError
+        When there is no such place or route.
+    """
+    told = scenario.trajectory
+    if not isinstance(told, Repeat):
+        return scenario
+    version = told.version or newest(told.place)
+    place = load_place(told.place, version)
+    place.route(told.route)
+    where = os.path.realpath(told.place)
+    now = {"place": where, "version": version, "when": _day(told, place)}
+    return scenario.model_copy(update={"trajectory": told.model_copy(update=now)})
+
+
+def place_of(told: Repeat) -> Place:
+    """Return the place whose route is repeated; `InputError` where it cannot be read."""
+    return load_place(told.place, told.version)
+
+
+def as_visitor(scenario: Scenario, drive: Drive) -> Drive:
+    """Return a drive that knows the place whose route it repeats; of any other scenario as it is.
+
+    Raises
+    ------
+    InputError
+        When the place cannot be read.
+    """
+    told = scenario.trajectory
+    if not isinstance(told, Repeat):
+        return drive
+    place = place_of(told)
+    return place.visited_by(drive, _day(told, place))
+
+
+def _day(told: Repeat, place: Place) -> float:
+    """Return the day of a repeat [days since 1970]."""
+    return place.visits[-1].when + 1.0 if told.when is None else told.when
+
 
 Command = Twist | None
 """None where the drive is done."""

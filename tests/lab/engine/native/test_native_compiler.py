@@ -11,8 +11,8 @@ import pytest
 from native_rig import COMPILER, answer, toy
 from test_steps import run
 
-from homeward.lab.engine.choice import choose
 from homeward.lab.engine.estimators.runner import filter_kernels
+from homeward.lab.engine.native.source import choose
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import PolarModel
 from homeward.native import compiler, library

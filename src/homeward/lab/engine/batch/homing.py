@@ -15,8 +15,7 @@ from homeward.geometry.frames import Polar, Twist
 from homeward.lab.engine.batch.execution import BatchEngine, Precision, execute
 from homeward.lab.engine.batch.job import Draw, Given, Job, Result, given_values
 from homeward.lab.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.steps import named_function
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
 from homeward.lab.model import POLAR, discretise, true_bearings, unicycle_rates
 
 Law = Callable[[Polar, ca.SX], Twist]

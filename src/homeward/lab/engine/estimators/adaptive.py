@@ -13,8 +13,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, Tuning
 from homeward.lab.filters.carrier import Angles, Held, Known, Outputs
+from homeward.lab.filters.ekf import UPDATE_OUTPUTS
 from homeward.lab.filters.settings import Engine
-from homeward.lab.filters.steps import UPDATE_OUTPUTS
 from homeward.lab.model import POLAR
 
 FIRST_S, LAST_S = 4.0, 64.0

@@ -10,10 +10,8 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
-from homeward.lab.engine.choice import choose
-from homeward.lab.engine.native.source import NativeProgram, Source, source_of
-from homeward.lab.engine.program.generic import BELIEF
-from homeward.lab.engine.program.interpreter import Kernel
+from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
+from homeward.lab.engine.program.kernels import BELIEF, Kernel
 from homeward.lab.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
 from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs
 from homeward.lab.filters.ekf import ExtendedKalmanFilter

@@ -24,10 +24,10 @@ from homeward.lab.filters.settings import (
 Maker = Callable[[Drive, Any], Estimator]
 
 
-def _engine(module: str, name: str) -> Any:
+def _engine(name: str) -> Any:
     """Return a function that makes a symbolic filter; `InputError` without the extra filters."""
     try:
-        return getattr(import_module(f"homeward.lab.engine.estimators.{module}"), name)
+        return getattr(import_module("homeward.lab.engine.estimators.paper"), name)
     except ModuleNotFoundError as error:
         raise without(error) or error from None
 
@@ -36,7 +36,7 @@ def _filter(name: str) -> Maker:
     """Return a function that makes one of the paper's filters for a drive."""
 
     def for_drive(drive: Drive, settings: NoiseSettings) -> Estimator:
-        make, robot = _engine("paper", name), drive.settings.robot
+        make, robot = _engine(name), drive.settings.robot
         made: Estimator = make(drive.home, settings=settings, samples=_samples(drive), **robot)
         return made
 
@@ -47,7 +47,7 @@ def _peer(name: str) -> Maker:
     """Return a function that makes one of their peers for a drive."""
 
     def for_drive(drive: Drive, settings: Strict) -> Estimator:
-        make, config = _engine("peers", name), _engine("told", "Told")
+        make, config = _engine(name), _engine("Told")
         known = name, known_home(drive.home), drive.settings
         made: Estimator = make(config(*known, settings, _samples(drive)))
         return made

@@ -13,8 +13,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from homeward.lab.engine.native.emit import CIRCULAR, FORMS, Code, Node
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.steps import propagate_function
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, propagate_function
 from homeward.lab.model import POLAR, PolarModel
 
 Place = Callable[[str, int], str]

@@ -10,11 +10,21 @@ from functools import cached_property, lru_cache
 
 import casadi as ca
 
-from homeward.lab.engine.program.generic import GenericPredict, GenericUpdate, UnscentedPredict
-from homeward.lab.engine.program.interpreter import Interpreter, Kernel, allocate
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
-from homeward.lab.filters.steps import predict_function, propagate_function, update_function
-from homeward.lab.filters.unscented import UnscentedFilter
+from homeward.lab.engine.program.kernels import (
+    GenericPredict,
+    GenericUpdate,
+    Interpreter,
+    Kernel,
+    UnscentedPredict,
+    allocate,
+)
+from homeward.lab.filters.ekf import (
+    ExtendedKalmanFilter,
+    UnscentedFilter,
+    predict_function,
+    propagate_function,
+    update_function,
+)
 
 Shapes = dict[str, tuple[int, ...]]
 COMPILES_UP_TO = 20

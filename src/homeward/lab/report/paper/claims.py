@@ -10,9 +10,14 @@ import numpy as np
 
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, PI_HT
 from homeward.lab.studies.paper.layouts import BOUND, LONG, Outcome, Reading
-from homeward.lab.studies.paper.reproduction import LayoutStudy
+from homeward.lab.studies.paper.reproduction import (
+    PRINTED,
+    TO_PAPER_UNITS,
+    LayoutStudy,
+    beats_printed,
+    better_shares,
+)
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.tables import PRINTED, TO_PAPER_UNITS, beats_printed, better_shares
 from homeward.lab.studies.paper.world import CaseName
 from homeward.lab.studies.study.statistics import root_mean_square
 from homeward.runs.report.words import count, listing, percent

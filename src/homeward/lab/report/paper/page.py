@@ -1,27 +1,278 @@
-"""What `homeward study paper` leaves behind: figures, and a page beside the paper's tables."""
+"""Figures and page of `homeward study paper`: results next to the paper's tables."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import yaml
 from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Arc
 
+from homeward.geometry.angles import wrap
 from homeward.io.table import write_csv
 from homeward.lab.report.paper.claims import median, triple, verdict
-from homeward.lab.report.paper.figures import QUANTITIES, figures_of
-from homeward.lab.studies.paper.cases import DEAD_RECKONING
+from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS
 from homeward.lab.studies.paper.layouts import Reading
-from homeward.lab.studies.paper.reproduction import Reproduction
-from homeward.lab.studies.paper.tables import PRINTED, TO_PAPER_UNITS, better_shares, rows
-from homeward.lab.studies.paper.world import CaseName, fault_count
-from homeward.runs.report.canvas import drawn
+from homeward.lab.studies.paper.reproduction import (
+    PRINTED,
+    TO_PAPER_UNITS,
+    Reproduction,
+    better_shares,
+    rows,
+)
+from homeward.lab.studies.paper.world import CaseName, World, fault_count
+from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
 from homeward.runs.report.output import whole_folder
+from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
 from homeward.runs.report.template import render
 from homeward.runs.report.versions import write_settings
 from homeward.runs.report.words import count, listing
+
+COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=True))
+QUANTITIES = ("R [cm]", "theta [rad]", "alpha [rad]")
+
+
+def draw_geometry(*_: object) -> Figure:
+    """Draw home, robot and one landmark, with the angles and distances of the model."""
+    robot, mark, heading = np.array([2.2, 1.0]), np.array([1.3, 3.0]), 0.35
+    with style():
+        figure = new_figure(4.6)
+        axes = figure.add_subplot(aspect="equal")
+        axes.set_axis_off()
+        for tip in ((3.6, 0.0), (0.0, 3.4)):
+            axes.annotate("", tip, (0, 0), arrowprops={"arrowstyle": "->", "color": MUTED})
+        ahead = 2.2 + 1.3 * np.cos(heading), 1.0 + 1.3 * np.sin(heading)
+        axes.annotate("", ahead, (2.2, 1.0), arrowprops={"arrowstyle": "-|>", "color": INK})
+        axes.plot(*zip(robot, (3.3, 1.0), strict=True), color=MUTED, lw=0.7, ls=":")
+        for a, b, label, colour in (
+            ((0, 0), robot, "$R$", BLUE),
+            ((0, 0), mark, "$D^*_i$", GREEN),
+            (robot, mark, "$d_i$", VERMILLION),
+        ):
+            axes.plot(*zip(a, b, strict=True), color=colour, lw=1.4)
+            middle = (np.array(a) + b) / 2
+            at = float(middle[0]), float(middle[1])
+            axes.annotate(label, at, xytext=(5, 5), textcoords="offset points", color=colour)
+        to_mark = float(np.arctan2(*(mark - robot)[::-1]))
+        theta = float(np.arctan2(robot[1], robot[0]))
+        _arc(axes, (0, 0), 1.0, 0.0, theta, r"$\theta$", BLUE)
+        _arc(axes, (0, 0), 0.6, 0.0, float(np.arctan2(mark[1], mark[0])), r"$\beta^*_i$", GREEN)
+        _arc(axes, robot, 0.8, 0.0, heading, r"$\alpha$", INK)
+        _arc(axes, robot, 0.55, heading, to_mark, r"$\beta_i$", VERMILLION)
+        axes.plot(0, 0, marker=HOUSE, ms=13, color=INK, mec="white")
+        axes.plot(*robot, "o", ms=9, color=BLUE)
+        axes.plot(*mark, "*", ms=14, color=GREEN)
+        for words, x, y in (("home O", 0, 0), ("robot P", *robot), ("landmark i", *mark)):
+            axes.annotate(words, (x, y), xytext=(-6, -16), textcoords="offset points", ha="center")
+        axes.set(xlim=(-0.6, 3.9), ylim=(-0.5, 3.5))
+    return figure
+
+
+def _arc(
+    axes: Axes,
+    centre: tuple[float, float] | np.ndarray,
+    radius: float,
+    start: float,
+    end: float,
+    label: str,
+    colour: str,
+) -> None:
+    """Draw an angle [rad] with its letter."""
+    x, y = float(centre[0]), float(centre[1])
+    arc = Arc((x, y), 2 * radius, 2 * radius, theta1=np.degrees(start), theta2=np.degrees(end))
+    arc.set_color(colour)
+    axes.add_patch(arc)
+    middle, reach = (start + end) / 2, radius + 0.14
+    where = x + reach * np.cos(middle), y + reach * np.sin(middle)
+    axes.text(*where, label, color=colour, ha="center", va="center")
+
+
+def draw_errors(result: Reproduction, case: CaseName, *names: str) -> Figure:
+    """Draw the estimation errors of filters over time in the median run of a case."""
+    runs = [(name, result.shown[case].runs[name]) for name in names]
+    figure = _draw_panels([(r.t, r.errors, name, COLOURS[name], 1.2) for name, r in runs])
+    with style():
+        for axes in figure.axes:
+            axes.axhline(0, color=MUTED, lw=0.6)
+            axes.set_ylabel(f"error of {axes.get_ylabel()}")
+    return figure
+
+
+def _draw_panels(lines: list[tuple[np.ndarray, np.ndarray, str, str, float]]) -> Figure:
+    """Draw lines over time: t [s], R, theta and alpha (k, 3), label, colour and width."""
+    with style():
+        figure = new_figure(5.4)
+        panels = figure.subplots(3, 1, sharex=True)
+        for k, (axes, quantity) in enumerate(zip(panels, QUANTITIES, strict=True)):
+            for t, values, label, colour, width in lines:
+                axes.plot(t, values[:, k] * TO_PAPER_UNITS[k], color=colour, lw=width, label=label)
+            axes.set_ylabel(quantity)
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the way home in the plane as one filter saw it, and as it was."""
+    run, world = result.shown[case].runs[name], result.shown[case].world
+    with style():
+        figure = new_figure(5.6)
+        axes = figure.add_subplot(aspect="equal")
+        _draw_landmarks(axes, world)
+        axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="truth")
+        R, theta = run.state[:, 0], run.state[:, 1]
+        axes.plot(R * np.cos(theta), R * np.sin(theta), color=COLOURS[name], label=name)
+        axes.plot(*run.pose[0, :2], "o", mfc="white", mec=INK, label="start")
+        axes.plot(0, 0, marker=HOUSE, ms=11, color=INK, mec="white", ls="none", label="home")
+        axes.set(xlabel="x [m]", ylabel="y [m]")
+        figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
+    return figure
+
+
+def _draw_landmarks(axes: Axes, world: World) -> None:
+    """Draw where landmarks stand, and in which direction home stored the wrong ones."""
+    wrong = world.faults != 0
+    axes.plot(*world.landmarks[~wrong].T, "*", ms=9, color=GREEN, ls="none", label="landmark")
+    if wrong.any():
+        axes.plot(*world.landmarks[wrong].T, "*", ms=9, color=VERMILLION, ls="none", label="moved")
+    far = np.hypot(*world.landmarks.T)
+    for i in np.flatnonzero(wrong):
+        old = far[i] * np.array([np.cos(world.stored[i]), np.sin(world.stored[i])])
+        axes.plot(*zip((0, 0), old, strict=True), color=VERMILLION, lw=0.8, ls="--")
+
+
+def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the estimated home bearings that were wrong over time, with 3 sigma.
+
+    Where none was wrong, all that were estimated.
+    """
+    run, world = result.shown[case].runs[name], result.shown[case].world
+    n = run.state.shape[1] - len(run.estimated)
+    wrong = [k for k, i in enumerate(run.estimated) if world.faults[i]]
+    wrong = wrong or list(range(len(run.estimated)))
+    with style():
+        figure = new_figure(1.4 + 1.5 * len(wrong))
+        panels = figure.subplots(len(wrong), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, k in zip(panels, wrong, strict=True):
+            i = run.estimated[k]
+            truth = world.true_home_bearings[i]
+            error = wrap(run.state[:, n + k] - truth)
+            band = 3 * np.sqrt(np.maximum(run.variance[:, n + k], 0))
+            axes.fill_between(run.t, error - band, error + band, color=COLOURS[name], alpha=0.12)
+            axes.plot(run.t, error, color=COLOURS[name], label=f"{name}, with 3 sigma")
+            axes.axhline(0.0, color=INK, lw=0.8, label="truth")
+            axes.axhline(world.faults[i], color=MUTED, ls="--", label="as home stored it")
+            reach = 1.6 * abs(world.faults[i]) or 0.5
+            axes.set(ylim=(-reach, reach), ylabel=rf"error of $\beta^*_{i + 1}$ [rad]")
+        panels[-1].set_xlabel("time [s]")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
+    return figure
+
+
+def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
+    """Draw the pose over time as one filter saw it, and as it was."""
+    run = result.shown[case].runs[name]
+    truth = run.state[:, :3] - run.errors
+    truth[:, 1:] = np.unwrap(truth[:, 1:], axis=0)
+    return _draw_panels(
+        [(run.t, truth, "truth", INK, 1.0), (run.t, run.state, name, COLOURS[name], 1.2)]
+    )
+
+
+def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
+    """Draw the home image of a case with its features, and the landmarks among them."""
+    world = result.shown[case].world
+    assert world.sight is not None
+    image, home = world.sight.home_image, world.sight.home
+    height, width = image.shape
+    with style():
+        figure = new_figure(0.4 + WIDTH_IN * height / width)
+        axes = figure.add_subplot()
+        axes.imshow(image, cmap="gray", vmin=0, vmax=255, aspect="auto", gid="photograph")
+        axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")
+        for moved, colour, words in ((False, GREEN, "landmarks"), (True, VERMILLION, "moved")):
+            rows = world.sight.landmarks[world.moved == moved]
+            if not rows.size:  # or the legend would name what is not there
+                continue
+            (marks,) = axes.plot(home.column[rows], home.row[rows], "o", color=colour, label=words)
+            marks.set(markersize=9, markerfacecolor="none", markeredgewidth=1.6)
+        bare(axes)
+        axes.set(xlim=(-0.5, width - 0.5), ylim=(height - 0.5, -0.5))
+        axes.set_xticks(
+            (np.array([4, 3, 2, 1, 0]) * width / 4 - 0.5).clip(0),
+            ["-180°", "-90°", "0°", "90°", "180°"],
+        )
+        axes.set_xlabel("bearing from the camera's axis at home")
+        figure.legend(loc="outside upper center", ncols=3)
+    return figure
+
+
+class Drawing(NamedTuple):
+    """A figure of a reproduction."""
+
+    caption: str
+    draw: Callable[..., Figure]
+    """Of a reproduction, a case, and the filters."""
+    case: CaseName = "2"
+    filters: tuple[str, ...] = ()
+    """Of which it draws one run over time."""
+
+
+FIGURES: dict[str, Drawing] = {
+    "geometry": Drawing("Geometry of the problem: home, robot, one landmark", draw_geometry),
+    "errors_case_1": Drawing(
+        "Case 1, homing with exact landmark information: estimation errors",
+        *(draw_errors, "1", FILTERS),
+    ),
+    "errors_case_2": Drawing(
+        "Case 2, homing with moved landmarks and a varying visible set: estimation errors",
+        *(draw_errors, "2", FILTERS),
+    ),
+    "path_case_3": Drawing(
+        "Case 3: the way home of the A-EKF with one wrong home bearing",
+        *(draw_path, "3 (one fault)", ("A-EKF (one)",)),
+    ),
+    "parameter_case_3": Drawing(
+        "Case 3: the wrong home bearing as the A-EKF estimates it",
+        *(draw_parameter, "3 (one fault)", ("A-EKF (one)",)),
+    ),
+    "parameters_case_3": Drawing(
+        "Case 3, several wrong home bearings, all of them parameters",
+        *(draw_parameter, "3 (several)", ("A-EKF (all)",)),
+    ),
+    "pose_pi_ekf_case_4": Drawing(
+        "Case 4, PI-EKF in absence of faults: the pose against time", draw_pose, "4", ("PI-EKF",)
+    ),
+    "errors_case_4": Drawing(
+        "Case 4, open loop on a circle: estimation errors", draw_errors, "4", FILTERS
+    ),
+}
+"""By file name, in the order of the page."""
+PANORAMA = Drawing("Case 2: the panorama stored at home, with extracted features", draw_panorama)
+
+
+def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[], Figure]]]:
+    """Return all figures of a reproduction, with captions: with images, the panorama too.
+
+    The caption of a figure over time names the run and the percentile of each filter drawn.
+    """
+    imaged = result.settings.measurements == "images"
+    figures: dict[str, tuple[str, Callable[[], Figure]]] = {}
+    for name, d in (FIGURES | ({"panorama_case_2": PANORAMA} if imaged else {})).items():
+        caption = d.caption
+        if d.filters:
+            shown = result.shown[d.case]
+            where = listing([f"{filter_} {shown.percentile[filter_]:.0f}" for filter_ in d.filters])
+            caption += f" (run {shown.number}; percentile of its error of R: {where})"
+        figures[name] = caption, partial(d.draw, result, d.case, *d.filters)
+    return figures
+
 
 SETTINGS_FILE = "reproduce.yaml"
 """Tells that the folder is ours; it holds the settings once all is written."""

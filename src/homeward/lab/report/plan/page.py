@@ -1,4 +1,4 @@
-"""What `homeward plan` leaves behind: maps, a table of the floor, and a page to look at."""
+"""Sentences and page of `homeward plan`, its maps, and a table of the floor."""
 
 from __future__ import annotations
 
@@ -12,12 +12,106 @@ from homeward.io.table import write_csv
 from homeward.lab.planning.accuracy import Arcs
 from homeward.lab.planning.analysis import PlanView
 from homeward.lab.report.plan.figures import costliest, draw_accuracy, draw_begin, draw_hidden
-from homeward.lab.report.plan.words import plan_summary, worst_pairs
 from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn
 from homeward.runs.report.files import number
 from homeward.runs.report.output import whole_folder
 from homeward.runs.report.template import render
+
+RIGID = 3
+"""Landmarks in common without which home cannot be fixed."""
+
+
+def plan_summary(view: PlanView) -> str:
+    """Say from where homing can begin, what the worst case is, and what would help."""
+    trouble = _trouble(view)
+    if trouble:
+        return " ".join([trouble, *_advice(view)])
+    limits = view.plan.limits
+    begin = (
+        f"Homing can begin from {words.percent(float(view.begins.mean()))} of the floor: there"
+        f" {words.count(limits.landmarks, 'landmark')} at least are seen that home sees too, and"
+        f" at best the position is known to {words.quantity(limits.position, 'm')}, the heading"
+        f" to {words.degrees(limits.heading)}."
+    )
+    return " ".join([begin, *_worst(view), *_advice(view)])
+
+
+def _trouble(view: PlanView) -> str:
+    """Say why homing can begin nowhere, when that is so."""
+    seen = int(view.stored.sum())
+    if not view.names:
+        return "There is no landmark: nothing can be told anywhere."
+    if not seen:
+        return "Home sees no landmark: nothing can be told anywhere."
+    if view.begins.any():
+        return ""
+    told = np.isfinite(view.position)
+    text = "Homing can begin nowhere: "
+    if seen < RIGID and view.plan.landmark_sigma is None:
+        circle = " (with two, home may lie anywhere on a circle through them)" if seen == 2 else ""
+        return text + f"home sees only {words.count(seen, 'landmark')}, and it takes three{circle}."
+    most = int(view.common.max())
+    if most < view.plan.limits.landmarks:
+        return (
+            f"{text}{words.count(most, 'landmark')} at most are seen both there and from home, and"
+            f" the limit asks for {view.plan.limits.landmarks}."
+        )
+    if not told.any():
+        return text + "the pose is not told anywhere."
+    return (
+        f"{text}the position is known to {words.quantity(float(view.position.min()), 'm')} and the"
+        f" heading to {words.degrees(float(view.heading.min()))} at the very best, which is beyond"
+        " the limits wherever enough landmarks are in common."
+    )
+
+
+def _worst(view: PlanView) -> list[str]:
+    """Say what hiding one landmark, or two, does."""
+    all_in_place = float(view.begins.mean())
+    safe = float(view.safe.mean())
+    parts = [f"Whichever one landmark is hidden, {words.percent(safe)} remain."]
+    costly = costliest(view)
+    if costly:
+        kept = float((view.hidden[:, costly[0]] <= 1).mean())
+        parts.append(
+            f"The worst to lose is {words.name(view.names[costly[0]])}: without it,"
+            f" {words.percent(kept)} instead of {words.percent(all_in_place)}."
+        )
+    pair = worst_pairs(view, 1)
+    if pair:
+        i, j, share = pair[0]
+        parts.append(
+            f"The worst two are {words.name(view.names[i])} and {words.name(view.names[j])}:"
+            f" without both, {words.percent(share)}."
+        )
+    return parts
+
+
+def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
+    """Return pairs of landmarks, and the share of the floor that is left without both."""
+    q = len(view.names)
+    pairs = [(i, j, float(view.pair_share[i, j])) for i in range(q) for j in range(i)]
+    whole = float(view.begins[view.sample].mean())
+    return sorted((p for p in pairs if p[2] < whole), key=lambda p: p[2])[:most]
+
+
+def _advice(view: PlanView) -> list[str]:
+    """Say where further landmarks would help."""
+    advice = view.advice
+    if not len(advice.places):
+        asked = view.plan.further and len(advice.candidates)
+        return ["No further landmark among the candidate places would help."] if asked else []
+    places = [f"({x:.1f}, {y:.1f})" for x, y in advice.places]
+    what = "a further landmark" if len(places) == 1 else f"{len(places)} further landmarks"
+    where = words.listing(places)
+    return [
+        f"The best {'place' if len(places) == 1 else 'places'} found for {what}: {where}; from"
+        f" {words.percent(float(advice.share[-1]))} of the floor homing could then begin, from"
+        f" {words.percent(float(advice.safe[-1]))} whichever one is hidden (now"
+        f" {words.percent(float(advice.share[0]))} and {words.percent(float(advice.safe[0]))})."
+    ]
+
 
 SETTINGS_FILE = "plan.yaml"
 """Written last: a folder that holds it is whole output of ours; it repeats the plan."""

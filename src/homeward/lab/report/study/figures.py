@@ -1,10 +1,10 @@
-"""Figures of a study: what came out, over time, and over the settings of a grid."""
+"""Figures of a study: results, errors over time, and estimators below their bound."""
 
 from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,6 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
-from homeward.lab.report.below_bound import MARK, below_bound
 from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.studies.study.results import Results
 from homeward.lab.studies.study.summary import Line, lines, over_time
@@ -27,6 +26,45 @@ from homeward.runs.report.canvas import (
     uncrowd,
 )
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED, RULE
+from homeward.runs.report.words import listing
+
+MARK = "†"
+"""Of such an estimator in a figure."""
+MOST = 6
+"""Of them are named."""
+CHANCE, FEWEST = 3.0, 10
+"""Standard errors that chance explains 999 times in 1000, and runs that it takes to know them."""
+
+
+def below_bound(errors: np.ndarray, bounds: np.ndarray) -> str:
+    """Say how far an RMSE lies below its bound, and whether by chance; nothing where it does not.
+
+    Parameters
+    ----------
+    errors, bounds : ndarray, shape (runs,)
+        RMSE of each run, and the bound on it; NaN where not known.
+    """
+    known = np.isfinite(errors) & np.isfinite(bounds)
+    excess = (errors**2 - bounds**2)[known]
+    if not excess.size or excess.mean() >= 0.0:
+        return ""
+    share = np.sqrt(np.mean(errors[known] ** 2) / np.mean(bounds[known] ** 2))
+    error = excess.std() / np.sqrt(excess.size)
+    told = excess.size >= FEWEST and -excess.mean() > CHANCE * error
+    return f"{100 * share:.1f} % of it, {'which is not chance' if told else 'perhaps by chance'}"
+
+
+def note_below(found: Mapping[str, str]) -> str:
+    """Return the note of a page on those that `below_bound` found, by name; empty without any."""
+    told = [f"{name} ({words})" for name, words in found.items() if words]
+    if not told:
+        return ""
+    return (
+        f"{MARK} RMSE below its bound: {listing(told, MOST)}. The bound is of the mean over all"
+        " drives, for estimators without a bias: over few runs chance gets below it, and so does an"
+        " estimator whose errors are drawn towards what it expects."
+    )
+
 
 OVERVIEW, OVER_TIME = "overview", "rmse_over_time"
 """Names of figures that not every study has."""

@@ -7,7 +7,6 @@ from pathlib import Path
 import yaml
 from markupsafe import Markup
 
-from homeward.lab.report.below_bound import note_below
 from homeward.lab.report.study.figures import (
     MOST_PANELS,
     MOST_ROWS,
@@ -15,6 +14,7 @@ from homeward.lab.report.study.figures import (
     OVERVIEW,
     below,
     figures,
+    note_below,
 )
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.study.results import Results, write_netcdf

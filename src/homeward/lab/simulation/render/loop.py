@@ -12,8 +12,7 @@ from homeward.drives.drive import Drive, HomeBearing
 from homeward.estimator import Estimator, LandmarkEstimate
 from homeward.geometry.frames import Pose
 from homeward.io.one_thread import one_thread
-from homeward.lab.simulation.course import Driven, before, drive_course
-from homeward.lab.simulation.log import Log
+from homeward.lab.simulation.course import Driven, Log, before, drive_course
 from homeward.lab.simulation.render.eye import Eye
 from homeward.lab.simulation.render.rays.raycast import trace
 from homeward.lab.simulation.render.shading.picture import NOTHING

@@ -1,16 +1,21 @@
-"""A scenario's room as surfaces, ready to be looked at: at home's time, or during the drive."""
+"""A room as lit surfaces, at home's time or during the drive.
+
+Light is a share from everywhere, lamps by Lambert's law, and the shadows that they cast. The sun is
+a lamp far away that shines through a window alone: from outside, walls are not seen.
+"""
 
 from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from shapely import Polygon, contains_xy
 
 from homeward.drives.cameras.camera import unit_vectors
-from homeward.lab.simulation.render.rays.raycast import Viewpoint
+from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace
 from homeward.lab.simulation.render.rays.surfaces import (
     Skin,
     Surfaces,
@@ -19,10 +24,62 @@ from homeward.lab.simulation.render.rays.surfaces import (
     rectangle,
     upright,
 )
-from homeward.lab.simulation.render.room.light import Light, Lighting
-from homeward.lab.simulation.render.room.settings import Mover, RenderScenario
-from homeward.lab.simulation.render.shading.lighting import FAR, Lamp, light_on
+from homeward.lab.simulation.render.room.settings import Light, Lighting, Mover, RenderScenario
 from homeward.lab.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
+
+GRID, SUN_GRID = 16, 64
+"""Light is known at so many places along each side of a surface, and smooth between them; where the
+sun draws edges, at so many."""
+REACH = 2.5
+"""A lamp's light has fallen to half at this distance [m]."""
+FAR = 100.0
+"""The sun is so far away [m]."""
+FLAT = 0.005
+"""What lies so flat on a surface, as posters and tags do, casts no shadow on it [m]: it hides what
+it would darken, and between places of the grid that shadow would reach beyond its edges."""
+
+
+@dataclass(frozen=True)
+class Lamp:
+    """A point that shines."""
+
+    at: np.ndarray
+    """(3,) [m]"""
+    power: float
+    window: Surfaces | None = None
+    """The sun's: one rectangle, seen from outside; its light does not fall with the distance."""
+
+
+def light_on(
+    surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None = None
+) -> np.ndarray:
+    """Return the light on surfaces, with the shadows that others, or they themselves, cast.
+
+    Returns
+    -------
+    ndarray, shape (n, g, g), float32
+        Rows along `up`, columns along `right`.
+    """
+    grid = SUN_GRID if any(lamp.window is not None for lamp in lamps) else GRID
+    b, a = np.mgrid[0 : 1 : grid * 1j, 0 : 1 : grid * 1j].reshape(2, -1)
+    places, normal = surfaces.at(a, b), surfaces.normal
+    total = np.full(places.shape[:2], ambient)
+    for lamp in lamps:
+        towards, seen = lamp.at - places, Viewpoint(lamp.at, np.eye(3))
+        distance = np.maximum(np.linalg.norm(towards, axis=-1), 1e-6)
+        above = np.maximum(np.einsum("nmi,ni->nm", towards, normal), 0.0)
+        lit = lamp.power * above / distance
+        if lamp.window is None:
+            lit /= 1.0 + (distance / REACH) ** 2
+        else:
+            lit *= trace(lamp.window, seen, -towards).surface >= 0
+        if casting is not None and lit.any():
+            bright = lit > 0
+            met = trace(casting, seen, -towards[bright]).distance
+            lit[bright] *= (1.0 - met) * above[bright] < FLAT
+        total += lit
+    return total.reshape(-1, grid, grid).astype(np.float32)
+
 
 POSTER_GAP = 0.002
 """A poster hangs so far before its wall [m]."""

@@ -1,18 +1,217 @@
-"""What is left of a study, computed wherever there are processors, and kept as it comes."""
+"""The missing blocks of a study: computed by a pool of processes or a Dask cluster, and stored."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Generator, Mapping
-from contextlib import closing
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from importlib import import_module
+from multiprocessing.connection import Connection
+from typing import Any, TypeVar
+from uuid import uuid4
 
-from homeward.errors import InputError
-from homeward.lab.studies.blocks.cluster import on_cluster
-from homeward.lab.studies.blocks.pool import on_processes
-from homeward.lab.studies.blocks.store import Arrays, BlockStore
+from homeward.errors import HomewardError, InputError
+from homeward.lab.engine.batch.execution import available_threads
+from homeward.lab.studies.blocks.store import Arrays, BlockStore, our_version
 
 Argument = TypeVar("Argument")
+CONNECT_S = 10.0
+"""A scheduler that does not answer for so long is not there [s]."""
+
+
+def on_cluster(
+    function: Callable[[Argument], Arrays],
+    arguments: Mapping[str, Argument],
+    scheduler: str,
+) -> Generator[tuple[str, Arrays]]:
+    """Yield (name, result) of each block as it finishes, computed by a Dask scheduler's workers.
+
+    They have the same homeward installed; the function is of a module, so that they can import it,
+    and arguments can be pickled. A block whose worker is lost goes to another one; each name is
+    yielded once.
+
+    Raises
+    ------
+    HomewardError
+        When no scheduler answers, its workers have no homeward or another, or blocks kill their
+        workers again and again.
+    """
+    distributed: Any = import_module("distributed")
+    with closing(_connected(distributed, scheduler)) as client:
+        _check_workers(client)
+        token = uuid4().hex[:8]
+        futures = {
+            client.submit(function, argument, key=f"homeward-{token}-{name}", pure=False): name
+            for name, argument in arguments.items()
+        }
+        try:
+            with client.as_current():
+                completed = distributed.as_completed(futures)
+            for future in completed:
+                result = future.result()
+                name = futures.pop(future)
+                future.release()
+                yield name, result
+        except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+            raise HomewardError(
+                f"the workers are lost ({type(error).__name__}); finished blocks are kept, and "
+                "the same command goes on from them"
+            ) from error
+        finally:
+            with suppress(Exception):
+                client.cancel(list(futures), reason="the study ends")
+
+
+def _connected(distributed: Any, scheduler: str) -> Any:
+    """Return a client of the scheduler."""
+    try:
+        return distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError(f"no Dask scheduler answers at {scheduler}") from error
+
+
+def _check_workers(client: Any) -> None:
+    """Refuse workers with another homeward than ours, or none."""
+    try:
+        found = client.run(our_version)
+    except Exception as error:
+        raise InputError(
+            f"the Dask workers cannot import this version of homeward ({type(error).__name__}: "
+            f"{error})"
+        ) from error
+    for address, version in found.items():
+        if version != our_version():
+            raise InputError(
+                f"Dask worker {address} has homeward {version}; here it is {our_version()}"
+            )
+
+
+MOST_BREAKAGES = 3
+"""Pools that may break one after the other without a single block finished."""
+AHEAD = 2
+"""Blocks handed out per process, so that none waits."""
+
+
+def on_processes(
+    function: Callable[[Argument], Arrays],
+    arguments: Mapping[str, Argument],
+    processes: int | None,
+) -> Generator[tuple[str, Arrays]]:
+    """Yield (name, result) of each block as it finishes, computed by a pool of processes.
+
+    Workers ignore the interrupt from the keyboard and end when the generator is closed, or when
+    this process is gone, however it went.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that workers can import it.
+    arguments : mapping of name to argument
+        What can be pickled.
+    processes : int or None
+        None: as many as there are processors.
+
+    Raises
+    ------
+    HomewardError
+        When workers die again and again.
+    """
+    waiting, breakages = dict(arguments), 0
+    count = min(processes or available_threads(), max(len(waiting), 1))
+    while waiting:
+        try:
+            with closing(_round(function, waiting, count)) as results:
+                for name, result in results:
+                    breakages = 0
+                    del waiting[name]
+                    yield name, result
+        except BrokenProcessPool:
+            breakages += 1
+            if breakages >= MOST_BREAKAGES:
+                raise HomewardError(
+                    "worker processes die before they finish a block (out of memory?); finished "
+                    "blocks are kept, and the same command goes on from them"
+                ) from None
+
+
+def _round(
+    function: Callable[[Argument], Arrays], arguments: Mapping[str, Argument], processes: int
+) -> Generator[tuple[str, Arrays]]:
+    """Compute blocks with one pool, until all are done or it breaks."""
+    # Spawned workers share nothing with this process, its threads and its locks.
+    context = multiprocessing.get_context("spawn")
+    # Its end is what workers wait for: it comes too when this process is killed.
+    lifeline, ours = context.Pipe(duplex=False)
+    left = iter(list(arguments.items()))
+    with (
+        _one_thread_each(),
+        ProcessPoolExecutor(processes, context, _begin_worker, (lifeline,)) as pool,
+    ):
+        running: dict[Future[Arrays], str] = {}
+        try:
+            while True:
+                while len(running) < AHEAD * processes and (item := next(left, None)):
+                    with _interrupt_held_back():
+                        running[pool.submit(function, item[1])] = item[0]
+                if not running:
+                    return
+                for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    result = future.result()
+                    yield running.pop(future), result
+        finally:
+            if running:
+                ours.close()
+            pool.shutdown(cancel_futures=True)
+
+
+@contextmanager
+def _interrupt_held_back() -> Iterator[None]:
+    """Take Ctrl-C at the end of a block; processes that begin in it never do.
+
+    They import for a second or more before `_begin_worker` could say so.
+    """
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _begin_worker(lifeline: Connection) -> None:
+    """Leave the keyboard to the parent, and end when it no longer wants us."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
+
+
+def _end_with(lifeline: Connection) -> None:
+    with suppress(EOFError, OSError):
+        lifeline.recv()
+    os._exit(1)
+
+
+@contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Let the workers that begin within the block use one thread of linear algebra each."""
+    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+    before: dict[str, Any] = {name: os.environ.get(name) for name in names}
+    os.environ.update(dict.fromkeys(names, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,14 @@ from homeward.io.settings import validated
 from homeward.io.strict import Strict
 from homeward.lab.studies.blocks.finish import Work
 from homeward.lab.studies.blocks.store import MARKER, Arrays, BlockStore
-from homeward.lab.studies.paper.cases import FILTERS, draw, run_filter
-from homeward.lab.studies.paper.many import Errors, errors_over, run_many
+from homeward.lab.studies.paper.cases import (
+    FILTERS,
+    Errors,
+    draw,
+    errors_over,
+    run_filter,
+    run_many,
+)
 from homeward.lab.studies.paper.robust import bound_errors, run_robust
 from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, World

@@ -30,8 +30,7 @@ from homeward.geometry.frames import (
     to_polar,
 )
 from homeward.lab.bounds import posterior_bound
-from homeward.lab.studies.paper.cases import polar_errors
-from homeward.lab.studies.paper.many import Errors, errors_over
+from homeward.lab.studies.paper.cases import Errors, errors_over, polar_errors
 from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, World
 from homeward.registry import make_estimator

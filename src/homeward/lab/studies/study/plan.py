@@ -16,8 +16,8 @@ from homeward.io.settings import nested, validated
 from homeward.io.strict import Strict
 from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.scenario import Scenario
-from homeward.lab.studies.study.recordings import Recording, recorded
 from homeward.lab.studies.study.settings import StudySettings
+from homeward.lab.studies.study.trial import Recording, recorded
 from homeward.registry import estimator_settings
 
 MOST_CELLS = 10_000

@@ -14,8 +14,7 @@ from homeward.errors import InputError
 from homeward.lab.studies.blocks.finish import Work
 from homeward.lab.studies.blocks.store import BlockStore, our_version
 from homeward.lab.studies.study.plan import Plan, block_name
-from homeward.lab.studies.study.quantities import FAILURE, RUN, SERIES
-from homeward.lab.studies.study.runs import run_block, run_seed
+from homeward.lab.studies.study.runs import FAILURE, RUN, SERIES, run_block, run_seed
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from homeward.io.reading import is_there, shipped_yaml
 from homeward.io.settings import read_tree, validated
 from homeward.io.strict import Strict
 from homeward.lab.simulation.files import PRESETS, load_scenario
-from homeward.lab.studies.study.recordings import Recording
+from homeward.lab.studies.study.trial import Recording
 from homeward.registry import settings_model
 
 VERSION_KEY = "homeward"

@@ -1,1 +1,0 @@
-"""What cannot be told: pages and drawings of observability."""
