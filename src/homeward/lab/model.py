@@ -25,14 +25,8 @@ INPUTS = 2
 def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) -> Any:
     """Return D*_i, a landmark's distance from home [m], from two bearings and the pose.
 
-    Parameters
-    ----------
-    polar : sequence of R [m], theta [rad], alpha [rad]
-        Pose of the robot.
-    beta, stored : float, ndarray or SX
-        Its bearing now, and from home [rad].
-    guard : float
-        Of the inverse, in units of a sine; see `homeward.geometry.angles.guarded_inverse`.
+    `polar` is the robot's R [m], theta, alpha [rad]; `beta` and `stored` are the bearings from the
+    robot and from home [rad]; `guard` is that of `homeward.geometry.angles.guarded_inverse`.
     """
     R, theta, alpha = polar
     phi = beta + alpha
@@ -42,14 +36,8 @@ def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) ->
 def home_anchored_bearing(pose: Pose, home: Any, inverse: Any) -> Any:
     """Return the bearing [rad] of a landmark that stands on its home ray; nothing is singular home.
 
-    Parameters
-    ----------
-    pose : Pose
-        x, y [m], heading [rad].
-    home : float, ndarray or SX
-        Its home bearing beta* [rad].
-    inverse : float, ndarray or SX
-        Its inverse distance from home [1/m]; zero stands for infinitely far.
+    `home` is its home bearing beta* [rad], `inverse` its inverse distance from home [1/m]; zero
+    stands for infinitely far.
     """
     x = apply("cos", home) - inverse * pose.x
     y = apply("sin", home) - inverse * pose.y
@@ -191,15 +179,7 @@ def _by_rows(f: ca.SX, x: ca.SX) -> ca.SX:
 
 
 def unicycle_rates(pose: ca.SX, control: ca.SX) -> ca.SX:
-    """Return d(x, y, heading)/dt of the unicycle, which is singular nowhere: for truth.
-
-    Parameters
-    ----------
-    pose : SX, shape (3,)
-        x [m], y [m], heading [rad].
-    control : SX, shape (2,)
-        v [m/s], omega [rad/s].
-    """
+    """Return d(x, y, heading)/dt by v [m/s] and omega [rad/s] of the unicycle, singular nowhere."""
     return ca.vertcat(control[0] * ca.cos(pose[2]), control[0] * ca.sin(pose[2]), control[1])
 
 

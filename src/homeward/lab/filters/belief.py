@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import casadi as ca
 
@@ -72,44 +73,20 @@ class Updated:
     """(q,), 1 where the innovation passed the gate and was used."""
 
 
-def belief_symbols(model: PolarModel, integral: bool) -> Belief:
-    """Return fresh symbols for a belief."""
-    n = model.n
-    return Belief(
-        ca.SX.sym("state", n),
-        ca.SX.sym("covariance", n, n),
-        ca.SX.sym("active", model.q),
-        ca.SX.sym("integral", n if integral else 0),
-    )
+Part = TypeVar("Part", Belief, Prediction, Measurement)
 
 
-def prediction_symbols(model: PolarModel, integral: bool) -> Prediction:
-    """Return fresh symbols for the parameters of a predicting step."""
-    n = model.n
-    size = n if integral else 0
-    return Prediction(
-        ca.SX.sym("control", INPUTS),
-        ca.SX.sym("dt"),
-        ca.SX.sym("stored", model.q),
-        ca.SX.sym("input_covariance", INPUTS, INPUTS),
-        ca.SX.sym("state_variance", n),
-        ca.SX.sym("proportional", size, size),
-    )
+def shapes(model: PolarModel, integral: bool) -> dict[str, tuple[int, ...]]:
+    """Return the shape of each variable that goes into a step, by the name of its field."""
+    n, q, k = model.n, model.q, model.n if integral else 0
+    sizes: dict[str, tuple[int, ...]] = {"covariance": (n, n), "input_covariance": (INPUTS, INPUTS)}
+    sizes |= {"integral": (k,), "proportional": (k, k), "integral_gain": (k, q if integral else 0)}
+    sizes |= {"state": (n,), "state_variance": (n,), "control": (INPUTS,)}
+    sizes |= dict.fromkeys(("active", "stored", "bearings", "mask", "variance"), (q,))
+    return sizes | dict.fromkeys(("dt", "gate", "minimum_visible"), (1,))
 
 
-def measurement_symbols(model: PolarModel, integral: bool) -> Measurement:
-    """Return fresh symbols for the parameters of an updating step."""
-    q = model.q
-    return Measurement(
-        ca.SX.sym("bearings", q),
-        ca.SX.sym("mask", q),
-        ca.SX.sym("variance", q),
-        ca.SX.sym("gate"),
-        ca.SX.sym("minimum_visible"),
-        ca.SX.sym("integral_gain", model.n if integral else 0, q if integral else 0),
-    )
-
-
-def as_dict(symbols: Belief | Prediction | Measurement) -> dict[str, ca.SX]:
-    """Return the fields by name, in order."""
-    return {f.name: getattr(symbols, f.name) for f in fields(symbols)}
+def symbols(part: type[Part], model: PolarModel, integral: bool) -> Part:
+    """Return fresh symbols for a part of what goes into a step."""
+    sizes = shapes(model, integral)
+    return part(*(ca.SX.sym(f.name, *sizes[f.name]) for f in fields(part)))

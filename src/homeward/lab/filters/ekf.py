@@ -11,16 +11,7 @@ import casadi as ca
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Integration
-from homeward.lab.filters.belief import (
-    Belief,
-    Measurement,
-    Prediction,
-    Updated,
-    as_dict,
-    belief_symbols,
-    measurement_symbols,
-    prediction_symbols,
-)
+from homeward.lab.filters.belief import Belief, Measurement, Prediction, Updated, symbols
 from homeward.lab.model import INPUTS, POLAR, PolarModel, Step, discretise
 
 
@@ -117,24 +108,10 @@ def augmented_ekf(
 ) -> ExtendedKalmanFilter:
     """Return the paper's A-EKF: an EKF whose state carries the parameters theta_p behind it.
 
-    They walk at random with covariance Qd, which is given to each step in the last entries of
-    `state_variance`; P is block-diagonal at the start.
-
-    Parameters
-    ----------
-    q : int
-        Landmarks.
-    estimated : iterable of int, optional
-        Which beta* are parameters; None: all.
-    integration : {"rk4", "euler"}
-        How the model is discretised.
-    guard : float
-        See `homeward.lab.model.PolarModel` [m].
-
-    Raises
-    ------
-    ValueError
-        If an index is repeated or is no landmark.
+    They are the home bearings beta* of the landmarks `estimated` out of q, None: of all. They walk
+    at random with covariance Qd, which is given to each step in the last entries of
+    `state_variance`; P is block-diagonal at the start. Raises `ValueError` if an index is repeated
+    or is no landmark.
     """
     chosen = tuple(range(q)) if estimated is None else tuple(estimated)
     if len(set(chosen)) != len(chosen) or not all(0 <= i < q for i in chosen):
@@ -193,29 +170,29 @@ UPDATE_OUTPUTS = ("innovation", "innovation_variance", "accepted")
 @lru_cache(maxsize=64)
 def predict_function(kind: ExtendedKalmanFilter) -> ca.Function:
     """Return belief x prediction -> belief, with the field names as names."""
-    belief = belief_symbols(kind.model, kind.integral)
-    prediction = prediction_symbols(kind.model, kind.integral)
-    after = as_dict(kind.predict(belief, prediction))
-    return named_function("predict", as_dict(belief) | as_dict(prediction), after)
+    belief = symbols(Belief, kind.model, kind.integral)
+    prediction = symbols(Prediction, kind.model, kind.integral)
+    after = vars(kind.predict(belief, prediction))
+    return named_function("predict", vars(belief) | vars(prediction), after)
 
 
 @lru_cache(maxsize=64)
 def update_function(kind: ExtendedKalmanFilter) -> ca.Function:
     """Return belief x measurement -> belief, innovation, innovation_variance, accepted."""
-    belief = belief_symbols(kind.model, kind.integral)
-    seen = measurement_symbols(kind.model, kind.integral)
+    belief = symbols(Belief, kind.model, kind.integral)
+    seen = symbols(Measurement, kind.model, kind.integral)
     updated = kind.update(belief, seen)
-    outputs = as_dict(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
-    return named_function("update", as_dict(belief) | as_dict(seen), outputs)
+    outputs = vars(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
+    return named_function("update", vars(belief) | vars(seen), outputs)
 
 
 @lru_cache(maxsize=64)
 def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
     """Return belief x prediction -> state, by_state, by_input: what grows linearly with q."""
-    belief = belief_symbols(kind.model, kind.integral)
-    prediction = prediction_symbols(kind.model, kind.integral)
+    belief = symbols(Belief, kind.model, kind.integral)
+    prediction = symbols(Prediction, kind.model, kind.integral)
     step = kind.propagate(belief, prediction)
-    return named_function("propagate", as_dict(belief) | as_dict(prediction), step._asdict())
+    return named_function("propagate", vars(belief) | vars(prediction), step._asdict())
 
 
 def named_function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
@@ -263,8 +240,8 @@ class UnscentedFilter(ExtendedKalmanFilter):
 
     def step(self) -> ca.Function:
         """Return state, control, dt, stored, active -> state after a step."""
-        belief = belief_symbols(self.model, self.integral)
-        prediction = prediction_symbols(self.model, self.integral)
+        belief = symbols(Belief, self.model, self.integral)
+        prediction = symbols(Prediction, self.model, self.integral)
         state = self.propagate(belief, prediction).state
         by = prediction.control, prediction.dt, prediction.stored, belief.active
         return ca.Function("step", [belief.state, *by], [state])
@@ -273,10 +250,7 @@ class UnscentedFilter(ExtendedKalmanFilter):
 def cholesky(matrix: ca.SX) -> ca.SX:
     """Return L, lower triangular, with L L' the matrix; a direction without variance is left out.
 
-    Parameters
-    ----------
-    matrix : SX, shape (n, n)
-        Symmetric and at least positive semidefinite.
+    The matrix (n, n) is symmetric and at least positive semidefinite.
     """
     n = matrix.shape[0]
     root = ca.SX.zeros(n, n)

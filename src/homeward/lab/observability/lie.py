@@ -43,19 +43,10 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 
 
 def evaluate(function: ca.Function, arguments: Sequence[ArrayLike]) -> list[list[Any]]:
-    """Run the operations of a function of SX one by one, on numbers of `DIGITS` digits.
+    """Return the output of a function of SX row by row, computed in numbers of `DIGITS` digits.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX, with one dense output, made of sums, products, quotients, sines, cosines and roots.
-    arguments : sequence of array_like, each of shape (k,)
-        Its inputs, which are taken as exact.
-
-    Returns
-    -------
-    list of lists of mpf
-        The output, row by row.
+    The function has one dense output, made of sums, products, quotients, sines, cosines and roots.
+    Its arguments, each (k,), are taken as exact.
     """
     rows, columns = function.size_out(0)
     numbers = [np.asarray(a, float).tolist() for a in arguments]

@@ -39,15 +39,10 @@ class Rank:
 
 
 def rank(matrix: np.ndarray, columns: np.ndarray | None = None) -> Rank:
-    """Return rank and null space of a matrix by its scaled singular values.
+    """Return rank and null space of a matrix (m, n) by its scaled singular values.
 
-    Parameters
-    ----------
-    matrix : ndarray, shape (m, n)
-        Finite.
-    columns : ndarray, shape (n,), optional
-        What a unit of each column is worth; by default rows and columns are scaled in turn until
-        all have norms near one, so that units do not matter.
+    `columns` is the unit of each column; by default rows and columns are scaled in turn until all
+    have norms near one, so that units do not matter.
     """
     scale = np.ones(matrix.shape[1]) if columns is None else columns
     scaled = matrix * scale

@@ -44,14 +44,8 @@ def make_scene(
 ) -> Scene:
     """Return a drive of 12 s past landmarks that are all seen all the time, and by home.
 
-    Parameters
-    ----------
-    landmarks : int
-        How many, at generic places 1.5 to 3 m from home; for "circle", all on one circle with it.
-    motion : str
-        One of `MOTIONS`.
-    unknown, compass, distances
-        As in `Scene`.
+    They stand at generic places 1.5 to 3 m from home; for the motion "circle", all on one circle
+    with it. `unknown`, `compass` and `distances` are those of `Scene`.
     """
     marks = _on_a_circle(landmarks) if motion == "circle" else _around(landmarks)
     if motion == "towards":

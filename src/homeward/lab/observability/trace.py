@@ -43,13 +43,9 @@ class Trace:
 def trace_family(scene: Scene) -> list[Trace]:
     """Follow the null space of a scene, and return curves of worlds that look the same.
 
-    Each step goes along the null space where one stands, and Newton's method then takes out what
-    curvature did. A curve ends where a member stops looking the same: at a landmark, say.
-
-    Returns
-    -------
-    list of Trace
-        None when everything can be told; one curve for one free direction; else `RAYS` of them.
+    There is none when everything can be told, one for one free direction, else `RAYS` of them. Each
+    step goes along the local null space, and Newton's method then removes the effect of curvature.
+    A curve ends where a member stops looking the same: at a landmark, say.
     """
     null = scene.rank().null / scene.worth[:, None]
     if not null.size:

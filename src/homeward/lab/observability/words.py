@@ -112,19 +112,9 @@ class Freedom:
 def in_words(scene: Scene, null: np.ndarray, tolerance: float = ANGLE) -> list[Freedom]:
     """Return what directions of the unknowns of a scene mean, most telling first.
 
-    Parameters
-    ----------
-    scene : Scene
-        Where everything is.
-    null : ndarray, shape (3 + 2 q + c, k)
-        Independent directions, in the units of the unknowns.
-    tolerance : float
-        The sine of the angle within which a direction counts as lying in a family.
-
-    Returns
-    -------
-    list of Freedom
-        Their directions together span those of `null`.
+    Directions `null` (3 + 2 q + c, k) are independent, in the units of the unknowns; those of the
+    result together span them. A direction lies in a family when the sine of the angle between them
+    is below the tolerance.
     """
     whole = orthonormal(null / scene.worth[:, None])
     told = whole[:, :0]

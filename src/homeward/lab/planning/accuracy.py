@@ -91,20 +91,11 @@ class Arcs:
     def told(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
     ) -> Told:
-        """Return what each landmark tells, by heading `h`, at each place.
+        """Return what each landmark tells, by heading number `h`, at each place.
 
-        Parameters
-        ----------
-        places : ndarray, shape (n, 2)
-            Middles of the arc [m].
-        marks : ndarray, shape (q, 2)
-            Landmarks [m].
-        visible : ndarray, shape (n, q), bool
-            Which have a line of sight; field of view and range are seen to here.
-        stored : ndarray, shape (q,), bool
-            Which of them home sees.
-        h : int
-            Which of `headings`.
+        Places (n, 2) are the middles of the arc, marks (q, 2) the landmarks [m]. `visible` (n, q)
+        says which have a line of sight, `stored` (q,) which of them home sees; range and field of
+        view are checked here.
         """
         n, i = np.nonzero(visible)
         gradients = self._gradients(places[n], marks[i], h)

@@ -142,14 +142,9 @@ PLACES = 120
 def best_places(
     plan: Plan, floor: Floor, arcs: Arcs, tell: Callable[[float], None]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places for the plan's number of further landmarks that greedy takes.
+    """Return the places (k, 2) for further landmarks that greedy takes, and all candidates (c, 2).
 
-    Returns
-    -------
-    chosen : ndarray, shape (k, 2)
-        In that order [m]; fewer than asked for where no further one helps.
-    candidates : ndarray, shape (c, 2)
-        Among which [m].
+    The places [m] are in the order of their use; fewer than asked for where no further one helps.
     """
     points = floor.points
     places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
@@ -281,13 +276,7 @@ class PlanView:
 
 
 def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
-    """Return what can be known where on a plan.
-
-    Raises
-    ------
-    InputError
-        As `make_floor`.
-    """
+    """Return what can be known where on a plan; errors as `make_floor`."""
     tell = progress or (lambda fraction: None)
     floor, arcs = make_floor(plan), Arcs(plan)
     places, marks = floor.points, plan.marks

@@ -61,11 +61,8 @@ class Floor:
 def make_floor(plan: Plan) -> Floor:
     """Return the floor of a plan.
 
-    Raises
-    ------
-    InputError
-        When a polygon crosses itself or has no area, home or a landmark is off the floor or in a
-        shelf, nothing of the floor is free, or the grid has too many points.
+    Raises `InputError` when a polygon crosses itself or has no area, home or a landmark is off the
+    floor or in a shelf, nothing of the floor is free, or the grid has too many points.
     """
     outline = _polygon(plan.outline, "outline")
     shelves = tuple(_polygon(s, f"shelves.{i}") for i, s in enumerate(plan.shelves))
@@ -91,12 +88,9 @@ def make_floor(plan: Plan) -> Floor:
 
 
 def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
-    """Return places for further landmarks: the plan's, or evenly along all walls and shelves.
+    """Return places (k, 2) for further landmarks [m]: the plan's, or along walls and shelves.
 
-    Returns
-    -------
-    ndarray, shape (k, 2)
-        At most `MOST_CANDIDATES` [m]; those in sight of the floor.
+    The latter are evenly spaced, in sight of the floor, and at most `MOST_CANDIDATES`.
     """
     if plan.candidates:
         return np.array(plan.candidates, float)

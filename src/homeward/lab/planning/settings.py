@@ -119,10 +119,8 @@ class Plan(Strict):
 def load_plan(source: str) -> Plan:
     """Return a plan by the name of one that comes with homeward, or from a YAML file.
 
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, a key that there is not, or a value out of range.
+    Raises `InputError` for a file that cannot be read, a key that there is not, or a value out of
+    range.
     """
     plans, path = shipped_yaml("plans"), Path(source)
     path = path if is_there(path) and source else plans.get(source, path)

@@ -159,7 +159,7 @@ def drive_course(
     home: Mapping[str, float],
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Ending, Pose]:
-    """Drive, and log odometry and truth.
+    """Drive, and log odometry and truth; return why the drive ended, and the true pose there.
 
     Parameters
     ----------
@@ -173,14 +173,7 @@ def drive_course(
     home : mapping of str to float
         Home bearings [rad] by their ids, for laws that steer by them.
     progress : callable, optional
-        Told now and then the share of the longest duration that is done, in [0, 1].
-
-    Returns
-    -------
-    ending : Ending
-        Why the drive ended.
-    pose : Pose
-        True pose in the home frame where it ended.
+        Called now and then with the share of the longest duration that is done, in [0, 1].
     """
     pose = course.start.in_home_frame(course.home.pose)
     control, wheels = make_control(course, pose, home), Wheels(course)

@@ -74,13 +74,8 @@ def scenario_yaml(scenario: Course) -> str:
 def write_simulation(simulation: Simulation, folder: Path) -> None:
     """Write the drive folder, scenario.yaml, and world.csv: the truth about the landmarks.
 
-    world.csv has landmark, x, y [m, home frame], moved (0 or 1) and fault [rad]; no estimator
-    reads it.
-
-    Raises
-    ------
-    InputError
-        When the folder cannot be written.
+    world.csv has landmark, x, y [m, home frame], moved (0 or 1) and fault [rad]; no estimator reads
+    it. Raises `InputError` when the folder cannot be written.
     """
     write_folder(simulation.drive, folder)
     with naming(folder, "cannot be written"):

@@ -119,19 +119,9 @@ Task = Departure | StoreRoute
 class SimulatedRobotClient:
     """Client of a live session: circles until it is localised, and then does its task.
 
-    It follows the session's commands, home or elsewhere, or drives a route by hand to teach it. A
-    robot that turns at home does that first.
-
-    Parameters
-    ----------
-    robot : LiveRobot
-        At its start.
-    longest : float
-        It gives up then [s of its own time].
-    task : message, optional
-        What to do; by default to go home.
-    hand : callable, optional
-        Where it is to store a route: returns what drives it along that, from a pose.
+    It follows the session's commands, home (by default) or elsewhere, or drives a route by hand to
+    teach it: `hand` returns what drives it along that, from a pose. A robot that turns at home does
+    that first. It gives up after `longest` [s of its own time].
     """
 
     def __init__(

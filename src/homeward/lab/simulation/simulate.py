@@ -36,12 +36,7 @@ def prepare(scenario: Scenario) -> Drive:
     """Return the drive of a scenario before it begins: home and settings, no samples.
 
     An estimator for the closed loop is made from this; where a route is repeated, it knows the
-    place instead of home.
-
-    Raises
-    ------
-    InputError
-        When the scenario cannot be built.
+    place instead of home. Raises `InputError` when the scenario cannot be built.
     """
     return as_visitor(scenario, _prepare(scenario, build_world(scenario)))
 

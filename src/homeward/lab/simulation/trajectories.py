@@ -40,10 +40,7 @@ from homeward.places.place import Place
 def settled(scenario: Scenario) -> Scenario:
     """Return a scenario that names the version of its place, and the day: it repeats as it is.
 
-    Raises
-    ------
-    InputError
-        When there is no such place or route.
+    Raises `InputError` when there is no such place or route.
     """
     told = scenario.trajectory
     if not isinstance(told, Repeat):
@@ -64,10 +61,7 @@ def place_of(told: Repeat) -> Place:
 def as_visitor(scenario: Scenario, drive: Drive) -> Drive:
     """Return a drive that knows the place whose route it repeats; of any other scenario as it is.
 
-    Raises
-    ------
-    InputError
-        When the place cannot be read.
+    Raises `InputError` when the place cannot be read.
     """
     told = scenario.trajectory
     if not isinstance(told, Repeat):
@@ -337,10 +331,7 @@ class LineControl(Control):
 def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
     """Return the line from `start` through the way points, shape (n, 2), in the home frame [m].
 
-    Raises
-    ------
-    InputError
-        When it is too long to be held.
+    Raises `InputError` when it is too long to be held.
     """
     knots = _corners(trajectory, home, start)
     lengths = np.hypot(*np.diff(knots, axis=0).T)

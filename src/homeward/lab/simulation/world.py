@@ -29,22 +29,10 @@ EDGE = 1e-4
 def in_view(
     camera: Pose, points: np.ndarray, visibility: Visibility, room: Room | None
 ) -> np.ndarray:
-    """Say which points a camera has in view, whatever chance then makes of it.
+    """Say which points a camera has in view, whatever chance then makes of it: (q,) or (n, q).
 
-    Parameters
-    ----------
-    camera : Pose
-        In room coordinates; each part a float or an array of shape (n,).
-    points : ndarray, shape (q, 2)
-        In room coordinates [m].
-    visibility : Visibility
-        Field of view, range and whether shelves hide.
-    room : Room or None
-        With its shelves.
-
-    Returns
-    -------
-    ndarray of bool, shape (q,) or (n, q)
+    The camera, each part of its pose a float or (n,), and the points (q, 2) are in room coordinates
+    [m]. The visibility has range, field of view and whether the shelves of the room hide.
     """
     each = Pose(*(np.asarray(part, float)[..., None] for part in camera))
     x, y = points[:, 0], points[:, 1]
@@ -58,20 +46,9 @@ def in_view(
 
 
 def hidden(origin: np.ndarray, points: np.ndarray, room: Room) -> np.ndarray:
-    """Say which points lie behind or in a shelf.
+    """Say which points (q, 2) lie behind or in a shelf, seen from `origin` (..., 2): (..., q).
 
-    Parameters
-    ----------
-    origin : ndarray, shape (..., 2)
-        From where one looks, in room coordinates [m].
-    points : ndarray, shape (q, 2)
-        At what [m].
-    room : Room
-        With its shelves.
-
-    Returns
-    -------
-    ndarray of bool, shape (..., q)
+    Both are in room coordinates [m].
     """
     shelves = np.asarray(room.shelves, float).reshape(-1, 4) + EDGE * np.array([1, 1, -1, -1])
     enter, leave = _crossing(origin[..., None, :], points - origin[..., None, :], shelves)
@@ -163,10 +140,8 @@ class World:
 def build_world(scenario: Scenario) -> World:
     """Place the landmarks and move those that have to be.
 
-    Raises
-    ------
-    InputError
-        Where the room has no place for them, or home cannot have seen those that moved.
+    Raises `InputError` where the room has no place for them, or home cannot have seen those that
+    moved.
     """
     ids, places = _place(scenario)
     still = World(ids, places, places, np.zeros(len(ids)), scenario.home.pose)
@@ -176,10 +151,7 @@ def build_world(scenario: Scenario) -> World:
 def home_bearings(world: World, scenario: Scenario) -> dict[str, HomeBearing]:
     """Return what the camera stored at home of each landmark that it had in view there.
 
-    Raises
-    ------
-    InputError
-        When it had none in view.
+    Raises `InputError` when it had none in view.
     """
     camera, sigma = _home_camera(scenario), scenario.noise.home_sigma
     noise = sigma * generator(scenario, Stream.HOME).standard_normal(len(world.ids))

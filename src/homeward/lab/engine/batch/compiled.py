@@ -39,10 +39,7 @@ def source(job: Job) -> Source:
 def execute(job: Job, result: Result, code: Source, threads: int) -> tuple[str, ...]:
     """Run a job, and return notes on how its code came about.
 
-    Raises
-    ------
-    NativeError
-        When it cannot be compiled.
+    Raises `NativeError` when it cannot be compiled.
     """
     library = load(code.text)
     batch = library.functions.homeward_batch

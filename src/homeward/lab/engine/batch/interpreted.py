@@ -21,12 +21,7 @@ _32 = np.uint64(32)
 
 
 def philox(counter: np.ndarray, seed: int) -> np.ndarray:
-    """Return 4 words of 32 random bits for each counter, shape (4, ...), of such words.
-
-    Returns
-    -------
-    ndarray of uint64, shape (4, ...)
-    """
+    """Return 4 words of 32 random bits, uint64 (4, ...), for each counter (4, ...) of words."""
     a, b, c, d = counter
     key = np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint64)
     for _ in range(10):

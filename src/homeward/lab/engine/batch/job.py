@@ -126,12 +126,7 @@ def given_values(
     """Return a variable's values, for all runs at once or for each: at the start, or at every step.
 
     They are of its `shape`, (1,) for a number, or broadcast to it, behind an axis of steps, if any;
-    or behind one of runs before that.
-
-    Raises
-    ------
-    ValueError
-        When the shape fits neither.
+    or behind one of runs before that. Raises `ValueError` when the shape fits neither.
     """
     array = np.asarray(value, float)
     inner = () if shape == (1,) else shape

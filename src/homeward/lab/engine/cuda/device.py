@@ -26,10 +26,7 @@ class CudaError(HomewardError):
 def bindings() -> tuple[ModuleType, ModuleType]:
     """Return the driver's and the compiler's Python modules.
 
-    Raises
-    ------
-    InputError
-        When they are not installed.
+    Raises `InputError` when they are not installed.
     """
     try:
         from cuda.bindings import driver, nvrtc
@@ -41,10 +38,7 @@ def bindings() -> tuple[ModuleType, ModuleType]:
 def compiled(text: str, architecture: str) -> bytes:
     """Return the machine code of a CUDA C++ source for an architecture as ``sm_90``, without a GPU.
 
-    Raises
-    ------
-    CudaError
-        When there is no compiler, or it fails.
+    Raises `CudaError` when there is no compiler, or it fails.
     """
     _, nvrtc = bindings()
     try:
@@ -78,13 +72,7 @@ def compiled(text: str, architecture: str) -> bytes:
 
 
 def _checked(answer: tuple[Any, ...]) -> Any:
-    """Return what a call of the driver or the compiler answers.
-
-    Raises
-    ------
-    CudaError
-        When it says no.
-    """
+    """Return what a call of the driver or the compiler answers; `CudaError` when it says no."""
     error, *values = answer
     if int(error) != 0:
         raise CudaError(f"CUDA says {error.name}")
@@ -101,13 +89,7 @@ class Kernel(NamedTuple):
 
 
 class Gpu:
-    """The first NVIDIA GPU of this machine.
-
-    Raises
-    ------
-    CudaError
-        When there is none.
-    """
+    """The first NVIDIA GPU of this machine; `CudaError` when there is none."""
 
     def __init__(self) -> None:
         self._driver, _ = bindings()
@@ -232,13 +214,7 @@ class Arrays:
 
 @lru_cache(maxsize=1)
 def gpu() -> Gpu:
-    """Return the GPU, the same one for all.
-
-    Raises
-    ------
-    CudaError
-        When there is none.
-    """
+    """Return the GPU, the same one for all; `CudaError` when there is none."""
     return Gpu()
 
 

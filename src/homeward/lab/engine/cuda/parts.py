@@ -132,10 +132,7 @@ def _finished_sums(job: Job) -> list[str]:
 def summed(job: Job) -> list[str]:
     """Return the C++ of all that is summed over a run.
 
-    Raises
-    ------
-    CudaError
-        For a variable that is no score.
+    Raises `CudaError` for a variable that is no score.
     """
     for name in job.sums:
         if name not in _SCORED:
@@ -151,10 +148,7 @@ def _entries(name: str) -> list[str]:
 def _kept(job: Job, what: str) -> list[str]:
     """Return the lines that keep variables: at the end (``final``) or always (``history``).
 
-    Raises
-    ------
-    CudaError
-        For a variable that the kernel does not hold at the end of a sample.
+    Raises `CudaError` for a variable that the kernel does not hold at the end of a sample.
     """
     rest = {
         "state": "for (int i = 3 + LANE; i < N; i += GROUP) to[i] = X(INNER(i));",

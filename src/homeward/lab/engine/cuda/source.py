@@ -98,12 +98,7 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
     """Return the CUDA C++ of a job of a program that knows its filter.
 
     Numbers are floats (`single`) or doubles. `group` is how many threads carry a run, a power of
-    two up to 32; None: what suits the state.
-
-    Raises
-    ------
-    CudaError
-        For what the kernel cannot do.
+    two up to 32; None: what suits the state. Raises `CudaError` for what the kernel cannot do.
     """
     loop = job.program.separable
     if loop is None or loop.kind.model.q > MOST_LANDMARKS:

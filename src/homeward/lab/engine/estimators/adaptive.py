@@ -59,18 +59,14 @@ class AdaptiveRunner:
     Maximum likelihood: of all sigmas of bearings, speed, turn rate and bearing states, those under
     which the innovations of the drive so far, run through the EKF again, are the most probable. The
     belief is then the one which that run ends with. A sighting outside the gate counts as one at
-    its edge, so that rejecting does not pay.
+    its edge, so that rejecting does not pay. The `runner` given is the EKF with the noise assumed
+    at first; it is used up.
 
     References
     ----------
     Bavdekar, Deshpande, Patwardhan, "Identification of process and measurement noise covariance for
     state and parameter estimation using extended Kalman filter", J. Process Control 21(4), 2011:
     the idea, by its abstract; the likelihood of innovations is Schweppe's, 1965.
-
-    Parameters
-    ----------
-    runner : FilterRunner
-        The EKF with what is believed at first; it is used up.
     """
 
     def __init__(self, runner: FilterRunner) -> None:

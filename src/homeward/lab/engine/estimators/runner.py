@@ -73,12 +73,7 @@ def filter_kernels(
 class Numbers:
     """A belief in numbers: views of one piece of memory; see `homeward.lab.filters.belief`.
 
-    Parameters
-    ----------
-    n, q : int
-        Sizes of the state and of the landmarks.
-    memory : ndarray
-        Its entries in that order, matrices column-major.
+    `memory` has the entries in that order, matrices column-major, of n states and q landmarks.
     """
 
     __slots__ = ("active", "covariance", "integral", "memory", "state")

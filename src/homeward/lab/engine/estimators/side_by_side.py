@@ -25,7 +25,7 @@ from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, in_step
 from homeward.lab.engine.native.source import choose
 from homeward.lab.engine.program.kernels import BELIEF
 from homeward.lab.engine.program.stages import Program, Symbolic, filter_parts
-from homeward.lab.filters.belief import prediction_symbols
+from homeward.lab.filters.belief import Prediction, symbols
 from homeward.lab.filters.carrier import LOST_SIGMA
 from homeward.lab.filters.ekf import UPDATE_OUTPUTS, ExtendedKalmanFilter, named_function
 from homeward.lab.filters.settings import Engine
@@ -40,15 +40,7 @@ Step = tuple[float, float, float, bool]
 
 
 class Timetable:
-    """What a drive tells a filter that knows landmarks by their ids, step by step.
-
-    Parameters
-    ----------
-    drive : Drive
-        What was recorded.
-    ids : sequence of str
-        Landmarks in the order of the states.
-    """
+    """What a drive tells a filter whose states are the landmarks `ids`, in order, step by step."""
 
     def __init__(self, drive: Drive, ids: Sequence[str]) -> None:
         self.steps: list[Step] = []
@@ -198,7 +190,7 @@ def run_side_by_side(
 @lru_cache(maxsize=64)
 def online_program(kind: ExtendedKalmanFilter) -> Program:
     """Return a filter whose noise is told as densities: pace, predict, update."""
-    asked = prediction_symbols(kind.model, kind.integral)
+    asked = symbols(Prediction, kind.model, kind.integral)
     lost, density = ca.SX.sym("lost"), ca.SX.sym("input_density", 2)
     walk = ca.SX.sym("state_density", asked.state_variance.shape)
     gain = ca.SX.sym("proportional_density", asked.proportional.shape)

@@ -79,10 +79,7 @@ class Told(Generic[Settings]):
     def places(self, key: str, chosen: Literal["all"] | tuple[str, ...]) -> tuple[int, ...]:
         """Return where in the state the landmarks stand that a setting names.
 
-        Raises
-        ------
-        InputError
-            When one is named twice, or home has no bearing of it.
+        Raises `InputError` when one is named twice, or home has no bearing of it.
         """
         ids = list(self.home)
         named = ids if chosen == "all" else list(chosen)

@@ -61,12 +61,8 @@ CHANCE = 0.1
 def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
     """Return all files of an exported EKF of q landmarks, by their place in the folder.
 
-    Its defaults are the settings; numbers are floats (`single`) or doubles.
-
-    Raises
-    ------
-    InputError
-        For a number of landmarks that it cannot have.
+    Its defaults are the settings; numbers are floats (`single`) or doubles. Raises `InputError` for
+    a number of landmarks that it cannot have.
     """
     if not 1 <= q <= MOST_LANDMARKS:
         raise InputError(f"an exported filter has 1 to {MOST_LANDMARKS} landmarks, not {q}")
@@ -272,11 +268,8 @@ def of_lines(lines: Iterable[str]) -> Work:
 def most_work(q: int, settings: FilterSettings) -> dict[str, Work]:
     """Return what the functions of an exported EKF of `q` landmarks compute at most.
 
-    Returns
-    -------
-    dict of str to Work
-        ``odometry`` and ``bearings`` with one step of prediction, as at rates of 10 Hz and more;
-        ``odometry, longest`` after any gap; ``solve`` of the resection.
+    ``odometry`` and ``bearings`` with one step of prediction, as at rates of 10 Hz and more;
+    ``odometry, longest`` after any gap; ``solve`` of the resection.
     """
     step = step_lines(
         ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)

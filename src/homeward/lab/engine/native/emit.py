@@ -54,10 +54,7 @@ _COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL)
 class Code:
     """The values of a symbolic function of SX, none of them twice.
 
-    Raises
-    ------
-    NotImplementedError
-        For an operation that no model needed so far.
+    Raises `NotImplementedError` for an operation that no model needed so far.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -117,16 +114,9 @@ class Code:
 def emit(name: str, function: ca.Function, places: Mapping[str, int]) -> str:
     """Return a C function ``static void name(V *p)`` that reads and writes a pool of variables.
 
-    Everything is read before anything is written, so an output may stand where an input stood.
-
-    Parameters
-    ----------
-    name : str
-        Of the C function.
-    function : casadi.Function
-        Of SX, dense, with named inputs and outputs; a suffix ``_out`` is dropped from the latter.
-    places : mapping of str to int
-        Where in the pool each of its variables starts.
+    The function of SX is dense, with named inputs and outputs; a suffix ``_out`` is dropped from
+    the latter. Each variable starts in the pool at its place. Everything is read before anything is
+    written, so an output may stand where an input stood.
     """
     code = Code(function)
     inputs = [places[function.name_in(i)] for i in range(function.n_in())]

@@ -27,16 +27,9 @@ def source_of(program: Program, single: bool, extra: tuple[tuple[str, int], ...]
 
 
 class Source:
-    """A program in C.
+    """A program in C: for one run on doubles (`single`), or as many as the machine has lanes.
 
-    Parameters
-    ----------
-    program : Program
-        What to compute.
-    single : bool
-        One run on doubles; else as many as the machine has lanes, side by side.
-    extra : dict of str to int
-        Variables that no stage has, with their sizes.
+    `extra` are variables that no stage has, with their sizes.
     """
 
     def __init__(self, program: Program, single: bool, extra: dict[str, int]) -> None:
@@ -123,10 +116,7 @@ def _template(name: str) -> str:
 class NativeProgram:
     """A compiled program for one run, and the memory of its variables.
 
-    Raises
-    ------
-    NativeError
-        When it cannot be compiled.
+    Raises `NativeError` when it cannot be compiled.
     """
 
     def __init__(self, program: Program) -> None:
@@ -176,27 +166,10 @@ def choose(
     native: Callable[[], T],
     slower: str,
 ) -> tuple[T | None, tuple[str, ...]]:
-    """Return what the native engine makes, or None where the interpreter is to run.
+    """Return what `native` compiles, or None where the interpreter is to run; and notes to show.
 
-    Parameters
-    ----------
-    engine : {"auto", "interpreter", "native"}
-        See `homeward.lab.filters.settings.Engine`.
-    saved : float
-        About what compiled code will save in this run [s].
-    source : callable
-        Writes the C.
-    native : callable
-        Compiles and makes something of it.
-    slower : str
-        What running without it costs, in words.
-
-    Returns
-    -------
-    made : T or None
-        What `native` returned.
-    notes : tuple of str
-        What the user must know: why there is no compiled code although it was wanted.
+    A note says why there is no compiled code although it was wanted, and with `slower` what that
+    costs. `saved` is about what compiled code will save in this run [s]; `source` writes the C.
     """
     if engine == "interpreter":
         return None, ()

@@ -45,12 +45,10 @@ def emit_split(
         Of SX, dense, with named inputs and outputs; a suffix ``_out`` is dropped from the latter.
     prefix : str
         A letter in front of all its names.
-    place : callable
-        Where an entry of an input is read.
+    place, wanted : callable
+        Where an entry of an input is read, and where one of an output goes; empty: nowhere.
     own : collection of str
         Which places of `place` belong to one landmark.
-    wanted : callable
-        Where an entry of an output goes; an empty string where nobody wants it.
     """
     writer = _Writer(function, prefix, place, own)
     stores: tuple[list[str], list[str]] = [], []

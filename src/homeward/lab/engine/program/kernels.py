@@ -6,7 +6,7 @@ memory alone and visit only the landmarks in sight. They are tested against the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import Any, Protocol
 
@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.lab.filters.belief import Belief
+from homeward.lab.filters.belief import Belief, Measurement, Prediction, shapes
 from homeward.lab.filters.ekf import (
     LEAST_PIVOT,
     UPDATE_OUTPUTS,
@@ -58,12 +58,9 @@ def allocate(shapes: Mapping[str, tuple[int, ...]]) -> tuple[np.ndarray, dict[st
 
 
 class Interpreter:
-    """A CasADi function on buffers of its own (a `Kernel`).
+    """A dense CasADi function with named inputs and outputs, on buffers of its own (a `Kernel`).
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Dense, with named inputs and outputs; a suffix ``_out`` is dropped from the latter.
+    A suffix ``_out`` is dropped from the names of outputs.
     """
 
     def __init__(self, function: ca.Function) -> None:
@@ -101,9 +98,15 @@ def _flat(array: np.ndarray) -> Any:
 BELIEF = tuple(field.name for field in fields(Belief))
 
 
-def _belief(n: int, q: int, integral: bool) -> dict[str, tuple[int, ...]]:
-    """Return the shapes of a belief, in the order of `BELIEF`."""
-    return dict(zip(BELIEF, ((n,), (n, n), (q,), (n if integral else 0,)), strict=True))
+def _arrays(
+    kind: ExtendedKalmanFilter,
+    *parts: type[Belief | Prediction | Measurement],
+    also: Iterable[str] = (),
+) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Return arrays for parts of a step, and `also` for one number of each landmark."""
+    sizes = shapes(kind.model, kind.integral)
+    wanted = {f.name: sizes[f.name] for part in parts for f in fields(part)}
+    return allocate(wanted | dict.fromkeys(also, (kind.model.q,)))
 
 
 class GenericPredict:
@@ -112,7 +115,7 @@ class GenericPredict:
     def __init__(self, kind: ExtendedKalmanFilter) -> None:
         self._propagate = Interpreter(propagate_function(kind))
         self.given, self.inputs = self._propagate.given, self._propagate.inputs
-        self.found, self.outputs = allocate(_belief(kind.model.n, kind.model.q, kind.integral))
+        self.found, self.outputs = _arrays(kind, Belief)
 
     def __call__(self) -> None:
         """Compute the outputs from the inputs."""
@@ -131,15 +134,9 @@ class UnscentedPredict:
     """The predicting step of the UKF (a `Kernel`)."""
 
     def __init__(self, kind: UnscentedFilter) -> None:
-        n, q = kind.model.n, kind.model.q
-        belief = _belief(n, q, kind.integral)
-        self.given, self.inputs = allocate(
-            belief
-            | {"control": (INPUTS,), "dt": (1,), "stored": (q,)}
-            | {"input_covariance": (INPUTS, INPUTS), "state_variance": (n,), "proportional": (0, 0)}
-        )
-        self.found, self.outputs = allocate(belief)
-        self._points = 2 * (n + INPUTS)
+        self.given, self.inputs = _arrays(kind, Belief, Prediction)
+        self.found, self.outputs = _arrays(kind, Belief)
+        self._points = 2 * (kind.model.n + INPUTS)
         # dt, stored and active are the same for all points.
         self._step = kind.step().map("points", "serial", self._points, [2, 3, 4], [])
 
@@ -174,15 +171,8 @@ class GenericUpdate:
     """The updating step of a filter (a `Kernel`)."""
 
     def __init__(self, kind: ExtendedKalmanFilter) -> None:
-        n, q = kind.model.n, kind.model.q
-        size, belief = n if kind.integral else 0, _belief(n, q, kind.integral)
-        self.given, self.inputs = allocate(
-            belief
-            | dict.fromkeys(("bearings", "mask", "variance"), (q,))
-            | dict.fromkeys(("gate", "minimum_visible"), (1,))
-            | {"integral_gain": (size, q if size else 0)}
-        )
-        self.found, self.outputs = allocate(belief | dict.fromkeys(UPDATE_OUTPUTS, (q,)))
+        self.given, self.inputs = _arrays(kind, Belief, Measurement)
+        self.found, self.outputs = _arrays(kind, Belief, also=UPDATE_OUTPUTS)
         self._bearings, self._considered = kind.model.bearing_slice, kind.considered
 
     def __call__(self) -> None:

@@ -39,10 +39,7 @@ CHANCE, FEWEST = 3.0, 10
 def below_bound(errors: np.ndarray, bounds: np.ndarray) -> str:
     """Say how far an RMSE lies below its bound, and whether by chance; nothing where it does not.
 
-    Parameters
-    ----------
-    errors, bounds : ndarray, shape (runs,)
-        RMSE of each run, and the bound on it; NaN where not known.
+    Errors are the RMSE of each run, bounds the bound on it, (runs,); NaN where not known.
     """
     known = np.isfinite(errors) & np.isfinite(bounds)
     excess = (errors**2 - bounds**2)[known]

@@ -29,17 +29,9 @@ PAGE, DATA = "study.html", "results.nc"
 
 
 def write_study(directory: Path, results: Results) -> list[list[str]]:
-    """Write the page, its table, every figure as PNG, and the results as netCDF, all or nothing.
+    """Write the page, its table, figures as PNG, and results as netCDF, all or nothing.
 
-    Returns
-    -------
-    list of list of str
-        The table, for the terminal.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something else, or cannot be written.
+    Return the table, for the terminal; errors as `whole_folder`.
     """
     with whole_folder(directory, MARKER) as scratch:
         pictures = [

@@ -20,15 +20,8 @@ ROBOT_RADIUS = 0.15
 class Eye:
     """The camera of a scenario; the same one always takes the same pictures.
 
-    Parameters
-    ----------
-    scenario : RenderScenario
-        Furnished here, if it is not yet.
-
-    Raises
-    ------
-    InputError
-        Where the room has no place for what it shall hold, or home is in a box.
+    The scenario is furnished, if it is not yet. Raises `InputError` where the room has no place for
+    its contents, or home is in a box.
     """
 
     def __init__(self, scenario: RenderScenario) -> None:
@@ -71,10 +64,7 @@ class Eye:
     def look(self, t: float, robot: Pose, number: int) -> np.ndarray:
         """Return picture `number` (from 1), taken at `t` [s]; shape (height, width, 3).
 
-        Raises
-        ------
-        InputError
-            Where the robot runs into something.
+        Raises `InputError` where the robot runs into something.
         """
         centre = compose(self.scenario.home.pose, robot)
         if thing := self.now.blocked(centre.x, centre.y, ROBOT_RADIUS):

@@ -74,12 +74,7 @@ class ImageLoop:
         """Drive to the end; the loop and the estimator are used up.
 
         The estimator, made for `drive`, steers by its pose; None: the truth steers. `keep` is given
-        each picture.
-
-        Raises
-        ------
-        InputError
-            When the robot runs into something.
+        each picture. Raises `InputError` when the robot runs into something.
         """
         sight = estimator
         if estimator is not None and isinstance(self.front_end, FrontEnd):

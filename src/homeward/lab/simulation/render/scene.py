@@ -55,10 +55,7 @@ def light_on(
 ) -> np.ndarray:
     """Return the light on surfaces, with the shadows that others, or they themselves, cast.
 
-    Returns
-    -------
-    ndarray, shape (n, g, g), float32
-        Rows along `up`, columns along `right`.
+    It is float32 of shape (n, g, g), rows along `up`, columns along `right`.
     """
     grid = SUN_GRID if any(lamp.window is not None for lamp in lamps) else GRID
     b, a = np.mgrid[0 : 1 : grid * 1j, 0 : 1 : grid * 1j].reshape(2, -1)

@@ -34,13 +34,8 @@ def on_cluster(
 
     They have the same homeward installed; the function is of a module, so that they can import it,
     and arguments can be pickled. A block whose worker is lost goes to another one; each name is
-    yielded once.
-
-    Raises
-    ------
-    HomewardError
-        When no scheduler answers, its workers have no homeward or another, or blocks kill their
-        workers again and again.
+    yielded once. Raises `HomewardError` when no scheduler answers, its workers have no homeward or
+    another, or blocks kill their workers again and again.
     """
     distributed: Any = import_module("distributed")
     with closing(_connected(distributed, scheduler)) as client:
@@ -105,22 +100,10 @@ def on_processes(
 ) -> Generator[tuple[str, Arrays]]:
     """Yield (name, result) of each block as it finishes, computed by a pool of processes.
 
-    Workers ignore the interrupt from the keyboard and end when the generator is closed, or when
-    this process is gone, however it went.
-
-    Parameters
-    ----------
-    function : callable
-        Of a module, so that workers can import it.
-    arguments : mapping of name to argument
-        What can be pickled.
-    processes : int or None
-        None: as many as there are processors.
-
-    Raises
-    ------
-    HomewardError
-        When workers die again and again.
+    The function is of a module, so that workers can import it, and arguments can be pickled; None
+    stands for as many processes as there are processors. Workers ignore the interrupt from the
+    keyboard and end when the generator is closed, or when this process is gone, however it went.
+    Raises `HomewardError` when workers die again and again.
     """
     waiting, breakages = dict(arguments), 0
     count = min(processes or available_threads(), max(len(waiting), 1))
@@ -248,12 +231,9 @@ class Work:
         """Compute every block that the store does not hold yet, and keep it there.
 
         The function makes of an argument what its block leaves; it is of a module, so that workers
-        can import it. Progress is told at the beginning and after each block.
-
-        Raises
-        ------
-        HomewardError
-            When the workers are lost, or the folder cannot be written; finished blocks are kept.
+        can import it. Progress is told at the beginning and after each block. Raises
+        `HomewardError` when the workers are lost, or the folder cannot be written; finished blocks
+        are kept.
         """
         missing = {name: a for name, a in arguments.items() if name not in self.store}
         done = len(arguments) - len(missing)

@@ -73,13 +73,7 @@ class BlockStore:
             np.savez_compressed(scratch, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
 
     def load(self, name: str) -> Arrays:
-        """Return a finished block.
-
-        Raises
-        ------
-        InputError
-            When there is none.
-        """
+        """Return a finished block; `InputError` when there is none."""
         arrays = self._read(name)
         if arrays is None:
             raise InputError("missing or damaged; run the study again", self._path(name))

@@ -53,14 +53,8 @@ class Sight:
     def measure(self, sample: int, pose: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return bearings (q,) [rad] and which of them were seen (q,).
 
-        Parameters
-        ----------
-        sample : int
-            Number of the sample; between images nothing is seen.
-        pose : ndarray, shape (3,)
-            True pose in the home frame.
-        dt : float
-            Time between two samples [s].
+        `pose` (3,) is the true one in the home frame, `dt` the time between two samples [s].
+        Between images nothing is seen.
         """
         key = (sample, *pose.tolist())
         if key not in self._seen:
@@ -85,10 +79,7 @@ class Sight:
 def draw_image_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     """Draw run number `run` of a case with a rendered room; arguments as for `draw_world`.
 
-    Raises
-    ------
-    InputError
-        When no room shows enough landmarks.
+    Raises `InputError` when no room shows enough landmarks.
     """
     drawn = _draw_sight(case, settings, run)
     eye, home, rows, moved = drawn.eye, drawn.home, drawn.landmarks, drawn.moved

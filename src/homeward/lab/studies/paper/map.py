@@ -94,12 +94,8 @@ class MapSettings(Strict):
 def load_map(source: str, changes: dict[str, Any]) -> MapSettings | None:
     """Return a map by the name of one that ships or from a file; None for what is none.
 
-    `changes` are top-level keys to what they become.
-
-    Raises
-    ------
-    InputError
-        For a key that does not exist, or a value out of range.
+    `changes` are top-level keys to what they become. Raises `InputError` for a key that does not
+    exist, or a value out of range.
     """
     file = shipped_yaml("maps").get(source, Path(source))
     if not os.path.isfile(file):  # pathlib's raises where a name is too long

@@ -94,10 +94,7 @@ def layout_settings(
 ) -> LayoutSettings:
     """Return settings from values by key: those of `PaperSettings`, and of `LayoutSettings`.
 
-    Raises
-    ------
-    InputError
-        For a key that does not exist, or a value out of range.
+    Raises `InputError` for a key that does not exist, or a value out of range.
     """
     own = {k: v for k, v in values.items() if k in LayoutSettings.model_fields and k != "paper"}
     paper = {k: v for k, v in values.items() if k not in own}

@@ -98,10 +98,7 @@ def block_name(case: int, first: int) -> str:
 def make_plan(study: StudySettings) -> Plan:
     """Spell out every scenario and estimator of a study, and check them all.
 
-    Raises
-    ------
-    InputError
-        When a combination is not valid, or there are too many.
+    Raises `InputError` when a combination is not valid, or there are too many.
     """
     points = sum(math.prod(map(len, entry.grid.values())) for entry in study.drives)
     if study.scenario is not None:

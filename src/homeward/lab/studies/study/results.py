@@ -43,10 +43,7 @@ class Results:
 def run_study(plan: Plan, work: Work) -> Results:
     """Compute what is left of a study, and return all of it.
 
-    Raises
-    ------
-    HomewardError
-        As `homeward.lab.studies.blocks.finish.Work.finish`.
+    Errors as `homeward.lab.studies.blocks.finish.Work.finish`.
     """
     work.finish(run_block, plan.blocks())
     return _gather(plan, work.store)
@@ -120,13 +117,7 @@ def to_dataset(results: Results) -> Any:
 
 
 def write_netcdf(results: Results, path: Path) -> None:
-    """Write results as one compressed netCDF 4 file.
-
-    Raises
-    ------
-    OSError
-        When it cannot be written.
-    """
+    """Write results as one compressed netCDF 4 file; `OSError` when it cannot be written."""
     dataset = to_dataset(results)
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
     # In memory first: on a disk that is full, HDF5 may end the whole process.

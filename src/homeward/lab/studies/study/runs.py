@@ -93,11 +93,8 @@ def run_seed(seed: int, run: int) -> int:
 def run_block(block: StudyBlock) -> Arrays:
     """Run a block: every estimator through every run.
 
-    Returns
-    -------
-    dict of ndarray
-        The quantities of `RUN`, (estimators, runs); of `SERIES`, (estimators, runs, times); and
-        `FAILURE`, (estimators, runs), the reason where a run failed.
+    Return the quantities of `RUN`, (estimators, runs); of `SERIES`, (estimators, runs, times); and
+    `FAILURE`, (estimators, runs), the reason where a run failed.
     """
     shape = len(block.contenders), block.last - block.first
     kept: Arrays = {name: np.full(shape, np.nan) for name in RUN}

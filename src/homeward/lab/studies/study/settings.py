@@ -109,17 +109,8 @@ class StudySettings(Strict):
 def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:
     """Return a study by the name of one that ships or from a file, with its scenario spelt out.
 
-    Parameters
-    ----------
-    source : str
-        The name of one that ships, or the path of a file.
-    changes : dict, optional
-        Top-level keys to what they become.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, a key that does not exist, or a value out of range.
+    `changes` are top-level keys to their new values. Raises `InputError` for a file that cannot be
+    read, a key that does not exist, or a value out of range.
     """
     file = shipped_yaml("studies").get(source, Path(source))
     if not is_there(file):

@@ -37,24 +37,12 @@ class Pairing(NamedTuple):
 
 
 def rmse_interval(rmse: np.ndarray) -> Interval:
-    """Return the RMSE over runs, and its bootstrap interval over these.
-
-    Parameters
-    ----------
-    rmse : ndarray, shape (n,)
-        Of each run; NaN where it has none.
-    """
+    """Return the RMSE over runs (n,) with its bootstrap interval; NaN where a run has none."""
     return interval(_root_mean_square, rmse[~np.isnan(rmse)])
 
 
 def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
-    """Compare an estimator with another, run by run.
-
-    Parameters
-    ----------
-    rmse, other : ndarray, shape (n,)
-        RMSE of each run, by either; NaN where it has no pose.
-    """
+    """Compare an estimator with another by the RMSE of each run (n,), NaN without a pose."""
     both = ~np.isnan(rmse) & ~np.isnan(other)
     ratio = interval(
         lambda a, b, axis=-1: _root_mean_square(a, axis) / _root_mean_square(b, axis),
@@ -129,12 +117,7 @@ def wilson(hits: int, number: int) -> tuple[float, float]:
 def interval(statistic: Callable[..., np.ndarray], *samples: np.ndarray) -> Interval:
     """Return a statistic of paired samples and its 95 % interval by bootstrap over the pairs.
 
-    Parameters
-    ----------
-    statistic : callable
-        Of arrays, along `axis`.
-    *samples : ndarray, shape (n,)
-        Finite numbers.
+    The statistic is of arrays along `axis`; samples (n,) are finite.
     """
     number = samples[0].size
     if not number:

@@ -170,10 +170,8 @@ class Recording(DriveChoice):
 def recorded(recording: Recording) -> Drive:
     """Return the drive as it was recorded, for a study to judge by its truth.
 
-    Raises
-    ------
-    InputError
-        When it cannot be read, has no truth, or too few home bearings to be falsified.
+    Raises `InputError` when it cannot be read, has no truth, or too few home bearings to be
+    falsified.
     """
     if recording.home_noise_deg and recording.robot is None:
         raise InputError(f"{recording.drive}: home_noise_deg is for MRCLAM folders")
@@ -230,18 +228,9 @@ def falsified(
     draw: np.random.Generator,
     fault: tuple[float, float] = (0.2, 0.6),
 ) -> Drive:
-    """Return a drive with some home bearings off.
+    """Return a drive with a number of its home bearings off.
 
-    Parameters
-    ----------
-    drive : Drive
-        At least `number` landmarks were seen at home.
-    number : int
-        How many are off.
-    draw : Generator
-        Chooses which, to which side, and how far.
-    fault : tuple of float
-        Least and greatest size, uniform [rad].
+    `draw` chooses which, to which side, and how far: uniformly between the sizes of `fault` [rad].
     """
     chosen = set(draw.choice(sorted(drive.home), number, replace=False).tolist())
     home = {

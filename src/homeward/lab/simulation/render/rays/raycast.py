@@ -79,12 +79,9 @@ def windows(projected: Projected, blocks: Blocks) -> np.ndarray:
     """Return where each rectangle may be in a picture: runs of blocks that its pyramid meets.
 
     From the camera a rectangle is a pyramid between four planes, and rays of a block lie within a
-    cone: where a whole cone lies beyond one of the planes, no ray of it meets the rectangle.
-
-    Returns
-    -------
-    ndarray of int64, shape (k, 5)
-        The rectangle's number, first row and the one after the last, columns alike.
+    cone: where a whole cone lies beyond one of the planes, no ray of it meets the rectangle. Rows
+    of the result, (k, 5) int64, are the rectangle's number, its first row and the one after the
+    last, and the columns alike.
     """
     corners = projected.corners
     inwards = np.cross(np.roll(corners, -1, axis=1), corners)
@@ -222,13 +219,7 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
 
 
 def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
-    """Find what the rays of a picture meet, in their precision.
-
-    Returns
-    -------
-    Hits
-        Of shape (h, w), with distances in metres.
-    """
+    """Find what the rays of a picture (h, w) meet, in their precision; distances are in metres."""
     planes = rays.planes
     hits = _nothing(planes.shape[1:], planes.dtype.type)
     projected = project(surfaces, *view)

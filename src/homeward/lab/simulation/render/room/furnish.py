@@ -36,10 +36,7 @@ GAP = 0.03
 def furnished(scenario: RenderScenario) -> RenderScenario:
     """Return a scenario with everything listed that `furnish` asks for; it then asks for nothing.
 
-    Raises
-    ------
-    InputError
-        Where the room has no place for so much.
+    Raises `InputError` where the room has no place for so much.
     """
     wanted = scenario.furnish
     rng = generator(scenario, Stream.FURNITURE)

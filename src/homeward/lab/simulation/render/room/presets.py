@@ -72,12 +72,7 @@ def room(
     """Return a room of `PLANS` with a homing drive through it; all that is drawn follows the seed.
 
     The start is at a distance from home [m], least to greatest, as far as the room lets; so many
-    boxes stood elsewhere when home was stored.
-
-    Raises
-    ------
-    InputError
-        For another name.
+    boxes stood elsewhere when home was stored. Raises `InputError` for another name.
     """
     if name not in PLANS:
         raise InputError(f"no room {name!r}: there are {', '.join(PLANS)}")
@@ -110,12 +105,8 @@ def load_room(
 ) -> RenderScenario:
     """Return a room by the name of a plan or from a YAML file, perhaps changed.
 
-    A seed stands for the file's; changes are keys in dots ("camera.width") to values.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, a key that does not exist, or a value out of range.
+    A seed stands for the file's; changes are keys in dots ("camera.width") to values. Raises
+    `InputError` for a file that cannot be read, a key that does not exist, or a value out of range.
     """
     given = dict(changes or {})
     if source in PLANS:

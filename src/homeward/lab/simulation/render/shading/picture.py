@@ -64,25 +64,9 @@ def picture(
     camera: RoomCamera,
     rng: np.random.Generator | None = None,
 ) -> np.ndarray:
-    """Take a picture.
+    """Take a picture at `t` [s] from the viewpoint: (height, width, 3), uint8, blue, green, red.
 
-    Parameters
-    ----------
-    scene : Scene
-        The room.
-    view : Viewpoint
-        Where the camera is.
-    t : float
-        When [s].
-    camera : RoomCamera
-        Its projection, size, noise and exposure.
-    rng : Generator, optional
-        Of noise and exposure; None: without either.
-
-    Returns
-    -------
-    ndarray, shape (height, width, 3), uint8
-        Blue, green, red.
+    Noise and exposure are drawn with `rng`; None: without either.
     """
     surfaces, light = scene.at(t, view)
     rays = _samples(surfaces, view, camera)
