@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Generator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -71,29 +72,34 @@ def _is_of_core(file: Path) -> bool:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark the tests of `make test-interpreter` and `make test-core`.
-
-    Tests that share a fixture stay on one worker.
-    """
+    """Mark the tests of `make test-interpreter` and `make test-core`."""
     for item in items:
         if _is_of_interpreter(item.path):
             item.add_marker("interpreter")
         if _is_of_core(item.path):
             item.add_marker("core")
-        if group := _shared_fixture(item):
-            item.add_marker(pytest.mark.xdist_group(group))
 
 
-def _shared_fixture(item: pytest.Item) -> str | None:
-    """Return a name common to all tests that use the same module or session fixture of a file."""
-    fixtures = getattr(item, "_fixtureinfo", None)
-    if fixtures is None:
-        return None
-    for name, definitions in sorted(fixtures.name2fixturedefs.items()):
-        shared = definitions[-1]
-        if shared.scope in ("module", "session") and shared.baseid.endswith(".py"):
-            return f"{shared.baseid}::{name}"
-    return None
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: object) -> object:
+    """Run each test on any worker, but a file with module or session fixtures on one worker.
+
+    The groups of `--dist loadgroup` would do, but pytest 9.2 ignores the names that xdist 3.8 sets.
+    """
+    from xdist.scheduler import LoadScopeScheduling
+
+    class Scheduling(LoadScopeScheduling):
+        def _split_scope(self, nodeid: str) -> str:
+            file = nodeid.partition("::")[0]
+            return file if _has_shared_fixture(config.rootpath / file) else nodeid
+
+    return Scheduling(config, log)
+
+
+@cache
+def _has_shared_fixture(file: Path) -> bool:
+    text = file.read_text(encoding="utf-8")
+    return 'scope="module"' in text or 'scope="session"' in text
 
 
 @pytest.fixture(scope="session")
