@@ -174,7 +174,7 @@ def guarded(method: Method) -> Method:
 
     Anything else raises `InputError` before anything is changed.
     """
-    turn, parameters = in_turn(method), inspect.signature(method).parameters
+    parameters = inspect.signature(method).parameters
     doors = {name: _DOORS[p.annotation] for name, p in parameters.items() if name != "self"}
     if "t" in doors:
         doors["t"] = _time
@@ -184,7 +184,8 @@ def guarded(method: Method) -> Method:
     def inside(self: Any, *values: Any, **named: Any) -> Any:
         checked = [door(value) for door, value in zip(in_order, values, strict=False)]
         named = {name: doors[name](v) if name in doors else v for name, v in named.items()}
-        return turn(self, *checked, *values[len(checked) :], **named)
+        with self._turn:
+            return method(self, *checked, *values[len(checked) :], **named)
 
     return cast(Method, inside)
 

@@ -149,8 +149,8 @@ def test_an_error_of_the_cameras_place_matters_as_far_as_the_robot_is_turned_fro
     c, s = math.cos(heading), math.sin(heading)
     error = np.array([[c, -s], [s, c]]) @ off - off
     errors = CommonErrors(assumed_mount=np.outer(off, off))
-    told = PoseEstimate(camera, nothing).after(None, errors)
+    told = PoseEstimate(camera, nothing).after(None, errors)[0]
     assert told.covariance[:2, :2] == pytest.approx(np.outer(error, error), abs=1e-12)
     errors.same_camera = False
-    other = PoseEstimate(camera, nothing).after(None, errors)
+    other = PoseEstimate(camera, nothing).after(None, errors)[0]
     assert np.trace(other.covariance) == pytest.approx(off @ off)

@@ -132,7 +132,8 @@ def test_a_single_landmark_may_stay_where_the_motion_allows_that(law, place, ali
     stale = False
     for k in range(40):
         twists.add(0.1 * k, *law(0.1 * k))
-        camera.add_bearings(0.1 * k - 1e-3, {"a": first + 1e-5 * (k < 10) * k}, twists)
+        t = 0.1 * k - 1e-3
+        camera.add_bearings(t, {"a": first + 1e-5 * (k < 10) * k}, twists.at(t))
         stale |= camera.is_frozen
     assert stale is not alive
 

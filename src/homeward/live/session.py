@@ -356,7 +356,7 @@ class Session:
         """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""
         if isinstance(sample, BearingsIn):
             t = self._bearings.hear(sample.t, now)
-            frozen = self._frozen.add_bearings(t, sample.bearings, self._twists)
+            frozen = self._frozen.add_bearings(t, sample.bearings, self._twists.at(t))
             if len(frozen) < len(sample.bearings):
                 self._sighted = now
             return t

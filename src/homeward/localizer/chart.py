@@ -17,7 +17,7 @@ from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.map import Map
+from homeward.localizer.map.map import Map, View
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -34,7 +34,7 @@ from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import ADVANCE_S, RESECTION_S, SLIP_MEMORY_S, SLIP_SHARE
-from homeward.odometry.history import Driven, TwistHistory
+from homeward.odometry.history import Driven, Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 
 
@@ -69,6 +69,7 @@ class Chart:
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known
+        self._is_surveyed_from_home = known.surveyed_from_home
         self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
@@ -99,29 +100,31 @@ class Chart:
         if t - self.odometry.end > ADVANCE_S:
             self.odometry.run_ahead(t, self.map.smoother.state.calibration)
 
-    def add_bearings(self, frame: BearingFrame, now: float) -> list[Innovation]:
+    def add_bearings(self, frame: BearingFrame, reckoned: Reckoned, now: float) -> list[Innovation]:
         """Process all bearings of one stamp; return their innovations.
 
         Parameters
         ----------
         frame : BearingFrame
             Not before the last one.
+        reckoned : Reckoned
+            Dead reckoning at its stamp.
         now : float
             The newest stamp of all [s].
         """
-        if not self._twists and not self._known.landmarks:
+        if reckoned.age == math.inf and not self._known.landmarks:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
-        seen = self.noise.weigh(frame, self._twists.heading(frame.t))  # 1 measurement noise
+        seen = self.noise.weigh(frame, reckoned)  # 1 measurement noise
         calibration = self.map.smoother.state.calibration
         motion = self.odometry.advance(seen.t, calibration)  # 2 preintegration
-        rates = self.process_noise.rates
-        self._contradiction.add_bearings(seen, self.map, motion, rates, self._twists)
+        view, rates = self.map.view(motion), self.process_noise.rates
+        self._contradiction.add_bearings(seen, self.map, motion, view, rates, reckoned)
         gated = found = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
         reset = health is Health.NO_MAP
-        if self._known.surveyed_from_home and self._twists.unknown_time(seen.t) >= RESECTION_S:
+        if self._is_surveyed_from_home and self._twists.unknown_time(seen.t) >= RESECTION_S:
             found = self._resect(seen)
             if found is None:
                 self.counts.reject(Rejection.VAGUE_ODOMETRY, len(seen.names))
@@ -129,12 +132,13 @@ class Chart:
             seen, reset = found.frame, True
         if reset:
             motion = self._reset_map(seen.t)
+            view = self.map.view(motion)
         if found is not None:
             self.map.registration.expect(found.origin, found.names)
             self.last_accepted = seen.t
         if reset or health is Health.OK:
-            self._take_first_fix(seen, motion)
-            gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
+            self._take_first_fix(seen, motion, view)
+            gated = self._gate(seen, motion, view)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
         if changed or reset or was_singular:
@@ -184,7 +188,7 @@ class Chart:
             The reason to give where there is no pose.
         """
         if self.home.hypotheses is None:
-            surveyed = self._known.landmarks if self._known.surveyed_from_home else ()
+            surveyed = self._known.landmarks if self._is_surveyed_from_home else ()
             seen = {*self.home.observation.bearings, *surveyed}
             sets = self.map.landmarks.mapped, seen, self.home.names
             words = complaint or why_home_is_not_found(*sets, bool(self._twists))
@@ -207,7 +211,9 @@ class Chart:
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
-        return self._contradiction.applied(found, state, motion)
+        if self._contradiction.is_proved:
+            return self._contradiction.applied(found, state, motion)
+        return found
 
     def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, by name; of home only if `judge`."""
@@ -225,26 +231,24 @@ class Chart:
             self.map.registration.survey,
         ).landmarks()
 
-    def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
+    def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:
         """Try a first fix in a survey: the pose from a few frames along a short path."""
         known = self.map.registration
         if not known.survey.places or known.knows_home or self.map.landmarks.expected:
             return
-        state = self.map.smoother.state
-        eye, _ = state.pose_after(self.map.camera(motion))
-        variances = state.propagate(motion).covariance.diagonal()[:3]
-        found = self._first_fix.add_frame(seen, eye, variances)
+        variances = self.map.smoother.state.propagate(motion).covariance.diagonal()[:3]
+        found = self._first_fix.add_frame(seen, view.pose, variances)
         if found is not None:
             known.expect(*found)
             self.last_accepted = seen.t
 
     def _resect(self, seen: WeighedFrame) -> Resected | None:
         """Return the survey's pose from one frame; None if the frame does not determine it."""
-        camera = self.map.camera(Motion.identity()).delta
+        camera = self.map.camera_pose
         moved = self.odometry.dropout_motion(seen.t).covariance
         return self._resection.find(seen, camera, self.map.registration.survey, moved)
 
-    def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
+    def _gate(self, seen: WeighedFrame, motion: Motion, view: View) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.
 
         One is also due where the bearings contradict the motion: the robot moved without odometry.
@@ -252,7 +256,7 @@ class Chart:
         if self.map.wants_keyframe(seen.t, motion):
             gated = self._gate_at_keyframe(seen, motion)
         else:
-            gated = self.map.gate(seen, motion, False)
+            gated = self.map.gate(seen, motion, view)
             if gated.contradicts_motion:
                 self.map.drop_frame()
                 wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
@@ -261,14 +265,14 @@ class Chart:
         if any(fits):
             self.last_accepted = seen.t
         if 2 * sum(fits) > len(fits):
-            self._driven_at_fit = self._twists.driven(seen.t)
+            self._driven_at_fit = seen.driven
         return gated
 
     def _gate_at_keyframe(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame at a new keyframe, reached by a motion."""
         self.map.add_keyframe(seen.t, motion)
         self._begin_motion(seen.t, motion)
-        return self.map.gate(seen, motion, True)
+        return self.map.gate(seen, motion, None)
 
     def _react(
         self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion
@@ -315,7 +319,7 @@ class Chart:
         found = search.find(self.map.landmarks, self.map.smoother.state)
         if found is None and self.monitor.is_lost:
             camera = self.map.camera(Motion.identity())
-            driven = self._twists.driven(seen.t).since(self._driven_at_keyframe)
+            driven = seen.driven.since(self._driven_at_keyframe)
             found = find_by_frame(seen, camera, self.map.landmarks, self.map.smoother.state, driven)
             since = Motion.identity()
         if found is None:

@@ -39,7 +39,7 @@ from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
-from homeward.odometry.history import TwistHistory
+from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = "The speed is taken at its word: bearings cannot tell an error of its scale."
@@ -286,11 +286,12 @@ class Localizer:
         for frame in self._reorder.due(self._twists.newest, self._t):
             with one_thread():
                 innovations = self._process(frame)
-        return () if self._reorder.waits else tuple(innovations)
+        return () if self._reorder.waiting else tuple(innovations)
 
     def _process(self, frame: BearingFrame) -> list[Innovation]:
         """Process a frame in each chart; return its innovations in the one that answers."""
-        frozen = self._frozen.add_bearings(frame.t, frame.sightings, self._twists)
+        here = self._twists.at(frame.t)
+        frozen = self._frozen.add_bearings(frame.t, frame.sightings, here)
         if frozen:
             self._reject(Rejection.FROZEN, len(frozen))
             seen = {n: b for n, b in frame.sightings.items() if n not in frozen}
@@ -300,15 +301,15 @@ class Localizer:
         reckoned = self._twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
         if reckoned is not None:
             self._sign_check.bearings(frame.t, frame.sightings, reckoned)
-        innovations = self._chart.add_bearings(frame, self._t)
+        innovations = self._chart.add_bearings(frame, here, self._t)
         if self._candidate_chart is not None:
-            return self._update_candidate(self._candidate_chart, frame, innovations)
+            return self._update_candidate(self._candidate_chart, frame, here, innovations)
         if self._chart.monitor.fits_badly:
             self._begin_candidate(frame.t)
         return innovations
 
     def _update_candidate(
-        self, candidate: Chart, frame: BearingFrame, before: list[Innovation]
+        self, candidate: Chart, frame: BearingFrame, here: Reckoned, before: list[Innovation]
     ) -> list[Innovation]:
         """Process a frame in the second chart; drop one chart once the other is proven.
 
@@ -318,6 +319,8 @@ class Localizer:
             The second chart.
         frame : BearingFrame
             The frame.
+        here : Reckoned
+            Dead reckoning at its stamp.
         before : list of Innovation
             Its innovations in the first chart.
 
@@ -326,7 +329,7 @@ class Localizer:
         list of Innovation
             Those in the chart that answers.
         """
-        innovations = candidate.add_bearings(frame, self._t)
+        innovations = candidate.add_bearings(frame, here, self._t)
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
         self._candidate_lead = max(0, self._candidate_lead + gained)
         if self._candidate_lead >= SWITCH_MARGIN and self._is_sure(candidate):
@@ -367,7 +370,8 @@ class Localizer:
         if self._sign_check.is_doubtful:
             why = Reason.SIGNS_REVERSED if self._sign_check.is_reversed else Reason.CAMERA_YAW
             return Estimate(said, Status.MAPPING, why.words, None, None, innovations)
-        complaint = self._reorder.complaint() or self._dead.reason
+        dead = self._dead.reason if self._dead.is_dead else None
+        complaint = self._reorder.complaint or dead
         found = self.chart.estimate(t, innovations, complaint)
         if self._frozen.is_frozen:
             coasts = found.status is Status.LOCALISED

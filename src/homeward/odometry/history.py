@@ -42,6 +42,30 @@ class Driven(NamedTuple):
         return Driven(*(now - before for now, before in zip(self, then, strict=True)))
 
 
+class Reckoned(NamedTuple):
+    """Dead reckoning at some time."""
+
+    pose: Pose
+    """By odometry alone; its heading is not wrapped."""
+    driven: Driven
+    """Wheel motion up to then."""
+    moves: bool
+    """Whether odometry indicates a motion, beyond jitter at standstill."""
+    age: float
+    """Time since the newest twist [s]; infinite without one."""
+
+
+class Stretch(NamedTuple):
+    """Twists of an interval, and means that are free of the noise of single samples."""
+
+    twists: list[OdometrySample]
+    """Those that are valid in it, at least in part."""
+    steady_speed: float
+    """Mean speed just before its end [m/s]."""
+    ends: tuple[tuple[float, float], tuple[float, float]]
+    """Mean speed [m/s] and turn rate [rad/s] just before its beginning and its end."""
+
+
 class OdometrySample(NamedTuple):
     """A twist, valid from its stamp to the next, and dead reckoning at its stamp.
 
@@ -104,15 +128,12 @@ class TwistHistory:
     def __init__(self) -> None:
         self._samples: deque[OdometrySample] = deque()
         self._validity = TwistValidity()
+        self.newest = -math.inf
+        """Stamp of the newest twist [s]; minus infinity if there was none."""
 
     def __bool__(self) -> bool:
         """Whether there was a twist at all."""
         return bool(self._samples)
-
-    @property
-    def newest(self) -> float:
-        """Stamp of the newest twist [s]; minus infinity if there was none."""
-        return self._samples[-1].t if self._samples else -math.inf
 
     def add(self, t: float, v: float, omega: float, pose: Pose | None = None) -> None:
         """Insert a twist, which may be late; one with the stamp of another replaces it.
@@ -120,7 +141,7 @@ class TwistHistory:
         NaN for `v` or `omega`: the motion is unknown until the next twist. A robot that integrates
         its odometry itself reports the `pose` at the stamp, which replaces the dead-reckoned one.
         """
-        validity = self._validity.add(t)
+        validity, self.newest = self._validity.add(t), max(self.newest, t)
         if math.isnan(v) or math.isnan(omega):
             v = omega = validity = 0.0
         later = []
@@ -180,6 +201,13 @@ class TwistHistory:
         """Return the signed path up to `t` [s], by odometry alone [m]."""
         return self.reckoned(t)[1]
 
+    def at(self, t: float) -> Reckoned:
+        """Return everything by dead reckoning at `t` [s]."""
+        twist = self._at(t)
+        if twist is None:
+            return Reckoned(ORIGIN, Driven(), False, math.inf)
+        return Reckoned(twist.pose(t), twist.driven_until(t), self._moves(t), t - self.newest)
+
     def pose(self, t: float) -> Pose:
         """Return the pose at `t` [s], by odometry alone; its heading is not wrapped."""
         twist = self._at(t)
@@ -190,7 +218,7 @@ class TwistHistory:
         twist = self._at(t)
         return Driven() if twist is None else twist.driven_until(t)
 
-    def moves(self, t: float) -> bool:
+    def _moves(self, t: float) -> bool:
         """Return whether odometry indicates a motion at `t` [s], beyond jitter at standstill.
 
         A twist that has been valid for long without a successor is no evidence.
@@ -215,10 +243,6 @@ class TwistHistory:
         (heading, path), (before, start) = self.reckoned(t), self.reckoned(since)
         return (path - start) / (t - since), (heading - before) / (t - since)
 
-    def steady_speed(self, t: float) -> float:
-        """Return the mean speed just before `t` [s], free of sample noise [m/s]."""
-        return (self.path(t) - self.path(t - STEADY_S)) / STEADY_S
-
     def reckoned(self, t: float) -> tuple[float, float]:
         """Return heading [rad] and signed path [m] at `t` [s] from odometry alone."""
         twist = self._at(t)
@@ -230,13 +254,15 @@ class TwistHistory:
             return None
         return np.array([self.reckoned(t) for t in times]).T
 
-    def between(self, begin: float, end: float) -> list[OdometrySample]:
-        """Return the twists that are valid from `begin` until `end` [s], at least in part."""
+    def stretch(self, begin: float, end: float) -> Stretch:
+        """Return the twists from `begin` until `end` [s], with mean speeds."""
         first = len(self._samples)
         while first > 0 and self._samples[first - 1].t >= begin:
             first -= 1
         valid = (self._samples[i] for i in range(max(first - 1, 0), len(self._samples)))
-        return [twist for twist in valid if twist.t < end]
+        steady = (self.path(end) - self.path(end - STEADY_S)) / STEADY_S
+        ends = self.mean(begin), self.mean(end)
+        return Stretch([twist for twist in valid if twist.t < end], steady, ends)
 
     def forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""

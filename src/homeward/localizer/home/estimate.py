@@ -45,7 +45,7 @@ class HomeFit:
     known_inflation: np.ndarray | None = None
     """(3, 3): `inflation` of the fit that this one was propagated from."""
 
-    @property
+    @cached_property
     def problem(self) -> HomeProblem:
         """The resection problem."""
         return self.linear.problem

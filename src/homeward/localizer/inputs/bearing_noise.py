@@ -35,6 +35,7 @@ from homeward.localizer.tunables import (
     NOISE_KEPT,
     NUM_DIFFERENCES,
 )
+from homeward.odometry.history import Driven, Reckoned
 
 QUARTER_TO_SIGMA = 3.138
 
@@ -50,6 +51,8 @@ class WeighedFrame(NamedTuple):
     """(m,) [rad]"""
     sigmas: np.ndarray
     """(m,): their standard deviations [rad]."""
+    driven: Driven = Driven()
+    """Wheel motion up to then."""
 
 
 class BearingNoise:
@@ -99,13 +102,13 @@ class BearingNoise:
             self._typical = sorted(sigmas)[len(sigmas) // 2]
         return np.array(sigmas)
 
-    def weigh(self, frame: BearingFrame, heading: float) -> WeighedFrame:
+    def weigh(self, frame: BearingFrame, reckoned: Reckoned) -> WeighedFrame:
         """Assign noise to the bearings of a frame, and learn from them; see `add_bearings`."""
         t, sightings, given = frame
-        self.add_bearings(frame, heading)
+        self.add_bearings(frame, reckoned.pose.heading)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        return WeighedFrame(t, names, bearings, self.sigmas(names, given))
+        return WeighedFrame(t, names, bearings, self.sigmas(names, given), reckoned.driven)
 
     def add_bearings(self, frame: BearingFrame, heading: float) -> None:
         """Update the second differences by a frame; `heading` is that of odometry alone [rad]."""

@@ -115,9 +115,9 @@ class DeadOdometry:
         return (DEAD.format(when, math.degrees(self._change)),)
 
     @property
-    def reason(self) -> str | None:
-        """Reason why there is no pose, where odometry is dead at present."""
-        return REASON.format(math.degrees(self._change)) if self.is_dead else None
+    def reason(self) -> str:
+        """Reason why there is no pose while odometry is dead."""
+        return REASON.format(math.degrees(self._change))
 
     def _begin_window(self, t: float) -> None:
         """Begin a window at `t` [s]."""

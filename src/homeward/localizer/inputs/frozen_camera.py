@@ -23,7 +23,7 @@ from homeward.localizer.tunables import (
     REPEAT_MEMORY_S,
     TURN_ERROR,
 )
-from homeward.odometry.history import STEADY_S, TwistHistory
+from homeward.odometry.history import STEADY_S, Reckoned
 
 
 class _First(NamedTuple):
@@ -58,17 +58,20 @@ class FrozenCamera:
         """Whether all bearings of the newest frame have repeated for `FROZEN_S`."""
 
     def add_bearings(
-        self, t: float, sightings: Mapping[str, float], twists: TwistHistory
+        self, t: float, sightings: Mapping[str, float], reckoned: Reckoned
     ) -> set[str]:
-        """Add a frame of stamp `t` [s]; return the landmarks whose bearings are frozen."""
-        here, moves = (t, *twists.pose(t)), twists.moves(t)
+        """Add a frame of stamp `t` [s]; return the landmarks whose bearings are frozen.
+
+        `reckoned` is dead reckoning at `t`.
+        """
+        here = t, *reckoned.pose
         repeated = []
         for name, bearing in sightings.items():
             first = self._first.get(name)
             if (
                 first is not None
                 and first.bearing == bearing
-                and (moves or (first.is_frozen and t - twists.newest <= STEADY_S))
+                and (reckoned.moves or (first.is_frozen and reckoned.age <= STEADY_S))
             ):
                 self._first[name] = first._replace(seen=t)
                 repeated.append(name)

@@ -28,10 +28,13 @@ class ReorderBuffer:
     def __init__(self) -> None:
         self.newest = -math.inf
         """Newest stamp of bearings [s]."""
-        self._waiting: deque[BearingFrame] = deque()
+        self.waiting: deque[BearingFrame] = deque()
+        """Frames that wait, in order of time."""
         self._waits_until = -math.inf
         self._counts: Counter[str] = Counter()
         self._late: Counter[str] = Counter()
+        self.complaint: str | None = None
+        """Message if most samples of a kind came too late."""
 
     def odometry(self, t: float, late: bool) -> None:
         """Register a twist of stamp `t` [s], and whether it was too late to be used."""
@@ -47,7 +50,7 @@ class ReorderBuffer:
         """Queue a bearing frame; `due` returns it."""
         self._count("bearings", False)
         self.newest = frame.t
-        self._waiting.append(frame)
+        self.waiting.append(frame)
 
     def due(self, last_odometry_t: float, now: float) -> list[BearingFrame]:
         """Remove and return the frames that need not wait any longer, in order of time.
@@ -60,20 +63,15 @@ class ReorderBuffer:
             The newest stamp of all [s].
         """
         due = []
-        while self._waiting:
-            t = self._waiting[0].t
+        while self.waiting:
+            t = self.waiting[0].t
             if last_odometry_t < t < self._waits_until and t >= now - MAX_DELAY_S:
                 break
-            due.append(self._waiting.popleft())
+            due.append(self.waiting.popleft())
         return due
 
-    @property
-    def waits(self) -> bool:
-        """Whether frames are waiting."""
-        return bool(self._waiting)
-
-    def complaint(self) -> str | None:
-        """Return a message if most samples of a kind came too late, else None."""
+    def _describe_late(self) -> str | None:
+        """Return the present `complaint`."""
         for kind, late in self._late.items():
             count = self._counts[kind]
             if count >= MIN_SAMPLES and 2 * late > count:
@@ -88,3 +86,5 @@ class ReorderBuffer:
         self._counts[kind] += 1
         if late:
             self._late[kind] += 1
+        if self._late:
+            self.complaint = self._describe_late()

@@ -63,6 +63,8 @@ class SignCheck:
         share = (1.0 - GIVEN_WRONG) / np.count_nonzero(self._right)
         self._probability = np.where(self._right, share, wrong)
         """(2, k): of anti-clockwise and clockwise bearings, by yaw minus the assumed one."""
+        self.is_doubtful = False
+        """Whether the convention is too improbable to give a pose."""
         self._before: np.ndarray | None = None
         self._place, self._turned, self._has_turned = (
             np.zeros(SIGN_LAGS_S.size, complex),
@@ -72,11 +74,6 @@ class SignCheck:
         self._since = -math.inf
         self._index: dict[str, int] = {}
         self._rows: list[tuple[int, float, np.ndarray, np.ndarray]] = []
-
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether the convention is too improbable to give a pose."""
-        return float(self._probability[self._right].sum()) < self._doubtful
 
     @property
     def is_wrong(self) -> bool:
@@ -179,6 +176,7 @@ class SignCheck:
         posterior = self._probability * mixed
         posterior = np.maximum(posterior / posterior.sum(), MIN_PROBABILITY)
         self._probability = posterior / posterior.sum()
+        self.is_doubtful = float(self._probability[self._right].sum()) < self._doubtful
 
 
 def _unwrapped(angle: np.ndarray, index: np.ndarray) -> np.ndarray:

@@ -193,7 +193,9 @@ def gate_bearings(
     return accepted, np.sqrt(variance)
 
 
-def contradicts_motion(prediction: Prediction, motion: Motion, heading: float) -> bool:
+def contradicts_motion(
+    prediction: Prediction, accepted: np.ndarray, motion: Motion, heading: float
+) -> bool:
     """Test accepted bearings jointly against the motion (chi-square); return whether it fails.
 
     Each may pass the gate although the motion is wrong: wheels slip, or stand while it moves.
@@ -201,12 +203,15 @@ def contradicts_motion(prediction: Prediction, motion: Motion, heading: float) -
     Parameters
     ----------
     prediction : Prediction
-        Of the accepted bearings, from the newest keyframe.
+        Of m bearings, from the newest keyframe.
+    accepted : ndarray, shape (m,), bool
+        Which of them were accepted.
     motion : Motion
         Since then.
     heading : float
         At the start of it [rad].
     """
+    prediction = prediction.only(accepted)
     count = prediction.residual.size
     if count < MINIMAL:
         return False

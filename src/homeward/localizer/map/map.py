@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,12 +24,12 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.preintegration import Motion, camera_after
+from homeward.localizer.motion.preintegration import Motion, camera_after, camera_on_robot
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
@@ -42,6 +43,17 @@ from homeward.localizer.tunables import (
     STANDSTILL,
 )
 from homeward.reasons import Rejection
+
+
+class View(NamedTuple):
+    """Where the camera is at a frame, by the newest state."""
+
+    camera: Motion
+    """Motion to the camera from the newest keyframe."""
+    pose: np.ndarray
+    """(3,): its pose [m, m, rad]."""
+    by_head: np.ndarray
+    """(3, 11): Jacobian of the pose; see `Marginal.pose_after`."""
 
 
 class Map:
@@ -115,10 +127,19 @@ class Map:
         common_slip = self._process_noise.common_slip_variance
         return common_slip / max(self._scale_information, common_slip) if common_slip else 0.0
 
-    def camera(self, motion: Motion, state: Marginal | None = None) -> Motion:
-        """Return the motion to the camera after the robot's from a `state`, or from the newest."""
-        now = (self.smoother.state if state is None else state).mean[3:HEAD]
-        return camera_after(motion, self._mount, now)
+    @property
+    def camera_pose(self) -> np.ndarray:
+        """Pose of the camera on the robot, (3,) [m, m, rad], by the newest state."""
+        return camera_on_robot(self._mount, self.smoother.state.calibration).delta
+
+    def camera(self, motion: Motion) -> Motion:
+        """Return the motion to the camera after the robot's from the newest keyframe."""
+        return camera_after(motion, self._mount, self.smoother.state.calibration)
+
+    def view(self, motion: Motion) -> View:
+        """Return the view of the camera after a motion from the newest keyframe."""
+        camera = self.camera(motion)
+        return View(camera, *self.smoother.state.pose_after(camera))
 
     def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions of landmarks when home saw them, as far as known.
@@ -180,7 +201,7 @@ class Map:
         self._counts_here.clear()
         self._pending_rows = []
 
-    def gate(self, frame: WeighedFrame, motion: Motion, new_keyframe: bool) -> Gated:
+    def gate(self, frame: WeighedFrame, motion: Motion, view: View | None) -> Gated:
         """Gate the bearings of a frame: innovations, and which of them are accepted.
 
         Parameters
@@ -189,15 +210,18 @@ class Map:
             The bearings.
         motion : Motion
             The motion that led to the frame.
-        new_keyframe : bool
-            Whether the newest keyframe is at the end of it, not at its start.
+        view : View or None
+            The view after it; None: the newest keyframe is at the end of the motion, not at its
+            start.
         """
-        since, state = Motion.identity() if new_keyframe else motion, self.smoother.state
-        rows, eye, by_head = self._rows(frame, since)
+        new_keyframe, state = view is None, self.smoother.state
+        since = Motion.identity() if view is None else motion
+        view = self.view(since) if view is None else view
+        rows = self._rows(frame, view)
         (known,) = (rows[:, LANDMARK] >= 0).nonzero()
         bearings, sigmas = frame.bearings[known], frame.sigmas[known]
         index = self.smoother.index(rows[known, LANDMARK])
-        seen = predict_bearings(state, bearings, sigmas, (eye, by_head), index)
+        seen = predict_bearings(state, bearings, sigmas, view[1:], index)
         heading = float(state.mean[2]) - (motion.delta[2] if new_keyframe else 0.0)
         accepted, deviations = gate_bearings(
             seen, motion, new_keyframe, heading, self._settings.gate
@@ -206,8 +230,8 @@ class Map:
         names = [frame.names[i] for i in known.tolist()]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
-        lines = eye[2] + frame.bearings
-        contradicted = not new_keyframe and contradicts_motion(seen.only(accepted), motion, heading)
+        lines = view.pose[2] + frame.bearings
+        contradicted = not new_keyframe and contradicts_motion(seen, accepted, motion, heading)
         fits = dict(zip(names, accepted.tolist(), strict=True))
         return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, fits, contradicted)
 
@@ -268,8 +292,9 @@ class Map:
             When the map has become singular.
         """
         self._add_keyframe(frame.t, motion, NO_TAIL)
-        rows, eye, _ = self._rows(frame, Motion.identity())
-        self._add_sightings(frame, rows, eye[2] + frame.bearings, {})
+        view = self.view(Motion.identity())
+        directions = view.pose[2] + frame.bearings
+        self._add_sightings(frame, self._rows(frame, view), directions, {})
         self._correct(None)
 
     def revert_to(self, keyframe: int) -> None:
@@ -290,14 +315,11 @@ class Map:
         self.landmarks.replace_solution(whole)
         self._unlearnt_solution = False
 
-    def _rows(
-        self, frame: WeighedFrame, motion: Motion
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return a frame as rows of the table of sightings, with its camera's pose and Jacobian."""
-        newest, camera = self.smoother.newest, self.camera(motion)
-        rows = self.smoother.frames.add(newest, camera, frame)
+    def _rows(self, frame: WeighedFrame, view: View) -> np.ndarray:
+        """Return a frame as rows of the table of sightings, to which it is added."""
+        rows = self.smoother.frames.add(self.smoother.newest, view.camera, frame)
         rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        return rows, *self.smoother.state.pose_after(camera)
+        return rows
 
     def _add_sightings(
         self,

@@ -31,7 +31,7 @@ class Marginal:
     covariance: np.ndarray
     """(3 + 8 + 2 n, 3 + 8 + 2 n)"""
 
-    @property
+    @cached_property
     def calibration(self) -> np.ndarray:
         """(8,): calibration of odometry and camera."""
         return self.mean[3:HEAD]
@@ -41,7 +41,7 @@ class Marginal:
         """(8,): its variances."""
         return self.covariance.diagonal()[3:HEAD]
 
-    @property
+    @cached_property
     def positions(self) -> np.ndarray:
         """(n, 2): positions of the landmarks in the odometry frame [m]."""
         return self.mean[HEAD:].reshape(-1, 2)

@@ -31,7 +31,7 @@ from homeward.localizer.tunables import (
     TURN_TIME_S,
 )
 from homeward.odometry.clock import MAX_DELAY_S
-from homeward.odometry.history import STEADY_S, TwistHistory
+from homeward.odometry.history import STEADY_S, Stretch, TwistHistory
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
@@ -181,7 +181,7 @@ class Odometry:
 
     def accepts(self, t: float) -> bool:
         """Return whether a sample of `t` [s] is not too late: no later motion was used."""
-        return not self._twists or t >= (self._saved[0].t if self._saved else self.end)
+        return t >= (self._saved[0].t if self._saved else self.end) or not self._twists
 
     @property
     def needed_since(self) -> float:
@@ -201,18 +201,18 @@ class Odometry:
         """Return the motion from `end` to `t` [s], its length by bend, and its pieces."""
         lag = min(max(float(calibration[LAG]), -MAX_LAG_S), MAX_LAG_S)
         begin, end = self.end - lag, t - lag
-        pieces, ends = self._pieces(begin, end), (self._twists.mean(begin), self._twists.mean(end))
-        rates = self._noise.rates
-        return *integrate(pieces, ends, calibration, rates, self._straightest), pieces
+        stretch = self._twists.stretch(begin, end)
+        pieces, rates = self._pieces(stretch, begin, end), self._noise.rates
+        return *integrate(pieces, stretch.ends, calibration, rates, self._straightest), pieces
 
-    def _pieces(self, begin: float, end: float) -> list[Piece]:
+    def _pieces(self, stretch: Stretch, begin: float, end: float) -> list[Piece]:
         """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
-        held = self._twists.between(begin, end)
+        held = stretch.twists
         if not held:  # before the first twist, or none at all
             return [Piece(*self._dropout_growth(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
         pieces: list[Piece] = []
         until = [twist.t for twist in held[1:]] + [end]
-        steady = [twist.steady for twist in held[1:]] + [self._twists.steady_speed(end)]
+        steady = [twist.steady for twist in held[1:]] + [stretch.steady_speed]
         for twist, then, speed in zip(held, until, steady, strict=True):
             start, silent = max(twist.t, begin), twist.until
             known = min(max(silent - start, 0.0), then - start)

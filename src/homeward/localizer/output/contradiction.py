@@ -15,9 +15,9 @@ import numpy as np
 
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import between, compose, lever, rotation, sight
+from homeward.geometry.se2 import between, compose, composition, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.map import Map
+from homeward.localizer.map.map import Map, View
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.tunables import (
@@ -28,7 +28,7 @@ from homeward.localizer.tunables import (
     ODOMETRY_ERROR,
     UNSEEN_S,
 )
-from homeward.odometry.history import TwistHistory
+from homeward.odometry.history import Reckoned
 from homeward.reasons import Reason
 
 
@@ -45,6 +45,8 @@ class _Reference(NamedTuple):
     """(n,): ... the ids of the landmarks in it ..."""
     motion: Motion
     """... and the motion from that keyframe to the frame."""
+    view: View
+    """View of the frame in that state."""
     odometry: np.ndarray
     """(3,): pose by odometry alone."""
 
@@ -56,7 +58,7 @@ class Contradiction:
         self._reference: _Reference | None = None
         self._here = np.zeros(3)
         """Pose by odometry alone at the newest frame."""
-        self._is_proved = False
+        self.is_proved = False
         """Whether the bearings contradict odometry by a Bayes factor of 370."""
         self._newest = self._stayed = -math.inf
         """Stamps of the newest frame, and of the newest whose bearings have stayed [s]."""
@@ -66,8 +68,9 @@ class Contradiction:
         frame: WeighedFrame,
         known: Map,
         motion: Motion,
+        view: View,
         rates: np.ndarray,
-        twists: TwistHistory,
+        reckoned: Reckoned,
     ) -> None:
         """Compare a frame with the reference, and with what odometry predicts since then.
 
@@ -79,25 +82,28 @@ class Contradiction:
             The map.
         motion : Motion
             From its newest keyframe to the frame.
+        view : View
+            View of the frame in the map.
         rates : ndarray, shape (3, 3)
             Process noise of odometry; see `homeward.drives.odometry_noise.noise_rates`.
-        twists : TwistHistory
-            History of odometry.
+        reckoned : Reckoned
+            Dead reckoning at the frame.
         """
-        self._here = np.array(twists.pose(frame.t))
+        self._here = np.array(reckoned.pose)
         self._newest, reference = frame.t, self._reference
-        if reference is not None and (self._is_proved or twists.moves(frame.t)):
+        if reference is not None and (self.is_proved or reckoned.moves):
             log_odds = self._log_odds(reference, frame, known, rates)
             if log_odds is not None:
-                self._is_proved |= log_odds > MIN_LOG_ODDS
+                self.is_proved |= log_odds > MIN_LOG_ODDS
                 self._stayed = frame.t
             if log_odds is not None or (
-                self._is_proved and frame.t - self._stayed < CONTRADICTION_S
+                self.is_proved and frame.t - self._stayed < CONTRADICTION_S
             ):
                 return
         ids, smoother = known.landmarks.ids(frame.names), known.smoother
-        self._reference = _Reference(frame, ids, smoother.state, smoother.ids, motion, self._here)
-        self._is_proved = False
+        state = smoother.state, smoother.ids, motion, view
+        self._reference = _Reference(frame, ids, *state, self._here)
+        self.is_proved = False
 
     def _log_odds(
         self, reference: _Reference, frame: WeighedFrame, known: Map, rates: np.ndarray
@@ -119,17 +125,16 @@ class Contradiction:
         stays = np.abs(change) <= INLIER * np.sqrt(variance)
         if np.count_nonzero(stays) < MAJORITY * len(common):
             return None
-        camera = known.camera(Motion.identity()).delta
-        eye = reference.state.pose_after(known.camera(reference.motion, reference.state))[0]
+        camera = known.camera_pose
         at = reference.known.searchsorted(reference.ids[then])
-        distances = np.hypot(*(reference.state.positions[at] - eye[:2]).T)
+        distances = np.hypot(*(reference.state.positions[at] - reference.view.pose[:2]).T)
         direction = before.bearings[then] + camera[2]
         places = np.stack([np.cos(direction), np.sin(direction)], axis=-1) * distances[:, None]
         motion = between(reference.odometry, self._here)
-        moved = compose(motion, camera)
+        moved, by_motion, _ = composition(motion, camera)
         view = sight(moved, places + camera[:2])
         by_eye = np.column_stack([-view.by_place, -np.ones(len(change))])
-        jacobian = by_eye @ lever(moved - motion)
+        jacobian = by_eye @ by_motion
         off = np.asarray(wrap(before.bearings[then] + change - view.bearing))
         shift, turn = float(np.hypot(*motion[:2])), abs(float(motion[2]))
         covariance = np.diag(rates @ [elapsed, shift, turn]) + _systematic_covariance(motion)
@@ -147,11 +152,11 @@ class Contradiction:
         Parameters
         ----------
         found : Estimate
-            An estimate with a pose: that in the map after a `motion` from the newest keyframe, of
-            which `state` is the state.
+            An estimate with a pose, while `is_proved`: that in the map after a `motion` from the
+            newest keyframe, of which `state` is the state.
         """
         reference = self._reference
-        if not self._is_proved or reference is None or found.pose is None:
+        if reference is None or found.pose is None:
             return found
         pose = state.pose_after(motion)[0]
         before = reference.state.pose_after(reference.motion)[0]

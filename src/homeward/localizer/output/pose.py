@@ -36,8 +36,10 @@ class PoseEstimate:
         moved: tuple[np.ndarray, np.ndarray] | None,
         more: CommonErrors,
         inflation: np.ndarray | None = None,
-    ) -> PoseEstimate:
+    ) -> tuple[PoseEstimate, np.ndarray]:
         """Return the estimate after a motion, with the errors common to all hypotheses.
+
+        An `inflation` is returned separately, (3, 3): also after the motion.
 
         Parameters
         ----------
@@ -46,13 +48,15 @@ class PoseEstimate:
         more : CommonErrors
             The errors.
         inflation : ndarray, shape (3, 3), optional
-            Covariance to be added before the motion.
+            Covariance that is to be added before the motion; None: nothing.
         """
         x, y, heading = self.pose
-        covariance = self.covariance.copy() if inflation is None else self.covariance + inflation
+        covariance = self.covariance.copy()
+        inflated = np.zeros((3, 3)) if inflation is None else inflation
         if moved is not None:
             after, by_pose, turn = composition(np.array(self.pose), moved[0])
             covariance = by_pose @ covariance @ by_pose.T + turn @ moved[1] @ turn.T
+            inflated = by_pose @ inflated @ by_pose.T
             x, y, heading = after.tolist()
             heading = wrap(heading)
         if more.assumed_mount.any():
@@ -62,7 +66,7 @@ class PoseEstimate:
         covariance[:2, :2] += more.mount
         out = np.array([x, y, 0.0])
         covariance += more.scale_sigma**2 * out[:, None] * out
-        return PoseEstimate(Pose(x, y, heading), covariance)
+        return PoseEstimate(Pose(x, y, heading), covariance), inflated
 
 
 @dataclass

@@ -156,11 +156,10 @@ class IntegrityMonitor:
         """
         if self._best is None or not self.fixed:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
-        estimate, tails = self._estimate.after(moved, self.errors), self._others.tails
+        estimate, tails = self._estimate.after(moved, self.errors, self._others.tails)
         status, reason = self._status(estimate, self._best, coasting)
-        if tails is not None:
-            estimate = self._estimate.after(moved, self.errors, tails)
-        return Estimate(t, status, reason, estimate.pose, estimate.covariance, innovations)
+        covariance = estimate.covariance + tails
+        return Estimate(t, status, reason, estimate.pose, covariance, innovations)
 
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough to evaluate landmarks by it."""
@@ -203,7 +202,7 @@ class IntegrityMonitor:
         # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
         only_scale = CommonErrors(scale_sigma=self.errors.scale_sigma)
-        return max(turn, _sigma(self._estimate.after(None, only_scale).covariance)) <= most
+        return max(turn, _sigma(self._estimate.after(None, only_scale)[0].covariance)) <= most
 
 
 def _sigma(covariance: np.ndarray) -> float:

@@ -58,7 +58,7 @@ class SeenAt:
     def lines(self, known: Map, whole: Smoother) -> SightLines:
         """Return the bearings as sight lines from the keyframe's pose."""
         positions, covariances = whole.state.places(whole.index(self.ids))
-        camera = known.camera(Motion.identity()).delta
+        camera = known.camera_pose
         return SightLines(
             np.tile(camera, (self.ids.size, 1)),
             self.frame.bearings,
