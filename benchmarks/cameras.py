@@ -33,14 +33,12 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist
 from homeward.io.settings import validated
-from homeward.lab.simulation.course import before
-from homeward.lab.simulation.render.eye import Eye
-from homeward.lab.simulation.render.loop import ImageLoop, panorama_of, things_seen
+from homeward.lab.simulation.course import Wheels, before
+from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, points, trace
 from homeward.lab.simulation.render.room.presets import PLANS
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.lab.simulation.render.scene import tag_places
-from homeward.lab.simulation.sensing import Wheels
 from homeward.registry import make_estimator
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.comparison import compare

@@ -20,8 +20,7 @@ from benchmarks.render import FAR_OFF, IMAGES_PER_S, scenario
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.lab.simulation.render.dataset import write_rendered
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.scenario import Circle
 from homeward.registry import make_estimator
 from homeward.runs.scoring import errors

@@ -31,8 +31,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import to_polar
 from homeward.io.settings import validated
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.render.eye import Eye
-from homeward.lab.simulation.render.loop import ImageLoop, panorama_of, things_seen
+from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
 from homeward.lab.simulation.render.room.presets import PLANS, room
 from homeward.lab.simulation.render.room.settings import RenderScenario

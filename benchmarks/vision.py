@@ -173,7 +173,7 @@ def rendered(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a room's home image, one from up to 3 m away, and true direction and heading."""
     from homeward.geometry.frames import Polar, from_polar
-    from homeward.lab.simulation.render.eye import Eye
+    from homeward.lab.simulation.render.drive import Eye
     from homeward.lab.simulation.render.room.presets import room
 
     scenario = relit(room(name, seed, distance=(0.3, 3.0)), light)

@@ -51,7 +51,7 @@ from dataclasses import astuple
 import numpy as np
 
 from homeward.geometry.frames import Polar, from_polar
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.rays.raycast import compiled as rays
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract

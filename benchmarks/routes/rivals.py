@@ -15,9 +15,9 @@ from homeward.drives.drive import HomeBearing, Start
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, between, to_polar
+from homeward.lab.simulation.course import Camera
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Homing, Scenario
-from homeward.lab.simulation.sensing import Camera
 from homeward.lab.simulation.trajectories import Control, GoalControl, exact, limits_of
 from homeward.lab.simulation.world import build_world
 from homeward.odometry.validity import TWIST_VALIDITY_S

@@ -8,9 +8,7 @@ import pytest
 from homeward.drives.cameras.lens import Lens
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.render.dataset import write_rendered
-from homeward.lab.simulation.render.eye import Eye
-from homeward.lab.simulation.render.loop import panorama_of
+from homeward.lab.simulation.render.drive import Eye, panorama_of, write_rendered
 from homeward.lab.simulation.render.room.presets import load_room
 from homeward.vision.cameras.panoramic import PartialPanorama
 from homeward.vision.comparison import compare

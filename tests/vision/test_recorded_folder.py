@@ -18,8 +18,7 @@ from homeward.drives.opening import open_drive
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.lab.simulation.files import changed_scenario
-from homeward.lab.simulation.render.dataset import write_rendered
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.render.room.presets import room
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth

@@ -13,7 +13,7 @@ from vision_scene import look as draw
 from vision_scene import make_room
 
 from homeward.geometry.angles import wrap
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.match_propagation import thinned

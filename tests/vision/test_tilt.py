@@ -8,8 +8,7 @@ import pytest
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.render.eye import Eye
-from homeward.lab.simulation.render.loop import panorama_of
+from homeward.lab.simulation.render.drive import Eye, panorama_of
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.front_end import PROVEN, FrontEnd

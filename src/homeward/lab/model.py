@@ -78,18 +78,10 @@ class PolarModel:
         return ca.vertcat(*known)
 
     def rates(self, state: ca.SX, control: ca.SX, stored: ca.SX, active: ca.SX) -> ca.SX:
-        """Return dX/dt, shape (n,).
+        """Return dX/dt, shape (n,), with bearings in [rad] and R in [m].
 
-        Parameters
-        ----------
-        state : SX, shape (n,)
-            [R [m], theta, alpha, beta_1 .. beta_q, estimated beta*] in [rad].
-        control : SX, shape (2,)
-            v [m/s], omega [rad/s].
-        stored : SX, shape (q,)
-            beta* as home stored them [rad].
-        active : SX, shape (q,)
-            1 where a landmark has been seen; the bearings of the others stand still.
+        The control is v [m/s], omega [rad/s]; `stored` (q,) are the beta* of home [rad]; `active`
+        (q,) is 1 where a landmark has been seen: the bearings of the others stand still.
         """
         R, theta, alpha = state[0], state[1], state[2]
         v, omega = control[0], control[1]
@@ -134,20 +126,10 @@ def discretise(
     dt: ca.SX,
     method: Integration = "rk4",
 ) -> Step:
-    """Integrate over `dt` at constant input, and differentiate stage by stage.
+    """Integrate rates dX/dt over `dt` [s] at constant input, and differentiate stage by stage.
 
-    Chaining the Jacobians of the stages costs a fifth less than differentiating the whole step.
-
-    Parameters
-    ----------
-    rates : callable
-        dX/dt as a function of state symbols and input symbols.
-    state, control : SX, shapes (n,) and (m,)
-        Symbols or expressions.
-    dt : SX
-        [s]
-    method : {"rk4", "euler"}
-        Classical Runge-Kutta of fourth order, or Euler.
+    The rates are a function of state (n,) and input (m,). Chaining the Jacobians of the stages
+    costs a fifth less than differentiating the whole step.
     """
     x = ca.SX.sym("x", state.shape[0])
     u = ca.SX.sym("u", control.shape[0])

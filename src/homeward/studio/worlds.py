@@ -10,8 +10,7 @@ import numpy as np
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.observability.scene import Scene
-from homeward.lab.observability.study import observe_scene
-from homeward.lab.observability.trace import trace_family
+from homeward.lab.observability.study import observe_scene, trace_family
 from homeward.lab.simulation.live_robot import LiveRobot
 
 MOST_POSES = 40

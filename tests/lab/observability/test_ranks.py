@@ -9,8 +9,9 @@ from homeward.lab.observability.lie import (
     model_point,
     observe_model,
     precise_rank,
+    printed_matrix,
+    rank_table,
 )
-from homeward.lab.observability.paper import printed_matrix, rank_table
 from homeward.lab.observability.ranks import rank
 
 

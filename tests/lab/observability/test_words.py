@@ -14,8 +14,8 @@ from homeward.lab.observability.study import (
     model_scene,
     observe,
     observe_motions,
+    trace_family,
 )
-from homeward.lab.observability.trace import trace_family
 from homeward.lab.observability.words import in_words
 
 

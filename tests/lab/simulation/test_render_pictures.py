@@ -13,7 +13,7 @@ from shapely import Polygon, contains_xy
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose
 from homeward.io.settings import validated
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.rays.raycast import viewpoint
 from homeward.lab.simulation.render.rays.surfaces import footprint
 from homeward.lab.simulation.render.room.furnish import furnished

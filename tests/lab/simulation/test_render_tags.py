@@ -8,8 +8,7 @@ from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
-from homeward.lab.simulation.render.dataset import write_rendered
-from homeward.lab.simulation.render.eye import Eye
+from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.render.rays.raycast import cast, trace
 from homeward.lab.simulation.render.room.camera import RoomCamera
 from homeward.lab.simulation.render.room.presets import load_room

@@ -31,9 +31,7 @@ def render(
     saw is the drive folder drive/ in it.
     """
     from homeward.lab.simulation.files import SCENARIO
-    from homeward.lab.simulation.render.dataset import write_rendered
-    from homeward.lab.simulation.render.eye import Eye
-    from homeward.lab.simulation.render.loop import moved_boxes
+    from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
     from homeward.lab.simulation.render.room.presets import load_room
     from homeward.runs.report.output import check_output, whole_folder
     from homeward.runs.report.words import describe_moved

@@ -52,28 +52,14 @@ class ParticleFilter:
     """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.carrier.Carrier`.
 
     Given the path, landmarks are independent of each other: each particle is a path, with an EKF of
-    two numbers for each landmark. A bearing is right or, with a small share, anything at all, so
-    that one wrong landmark does not end the particles that are right.
+    two numbers for each landmark. A bearing is right or, with the small probability `outliers`,
+    arbitrary, so that one wrong landmark does not end the particles that are right. Beyond the gate
+    of the noise a sighting counts as wrong.
 
     References
     ----------
     Montemerlo, Thrun, Koller, Wegbreit, "FastSLAM", AAAI 2002; resampling: Kitagawa, "Monte Carlo
     Filter and Smoother for Non-Gaussian Nonlinear State Space Models", 1996 (systematic).
-
-    Parameters
-    ----------
-    prior : ParticlePrior
-        Where the robot and the landmarks may be.
-    noise : SensorNoise
-        Of odometry and camera; beyond its gate a sighting counts as wrong.
-    particles : int
-        Their number.
-    outliers : float
-        Share of sightings that are wrong.
-    seed : int
-        Of all that is drawn.
-    minimum_visible : int
-        Fewer landmarks in sight, and a stamp is not used.
     """
 
     engine: Engine = "interpreter"

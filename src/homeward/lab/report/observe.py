@@ -11,9 +11,8 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
-from homeward.lab.observability.paper import printed_matrix, rank_table
-from homeward.lab.observability.study import ModelView, observe_motions
-from homeward.lab.observability.trace import Trace
+from homeward.lab.observability.lie import printed_matrix, rank_table
+from homeward.lab.observability.study import ModelView, Trace, observe_motions
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style

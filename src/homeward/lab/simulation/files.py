@@ -38,18 +38,9 @@ PRESETS = {scenario.name: scenario for scenario in (WAREHOUSE, PAPER_HOMING, CIR
 def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scenario:
     """Return a scenario by the name of a preset or from a YAML file, perhaps changed.
 
-    Parameters
-    ----------
-    source : str
-        A key of `PRESETS`, or the path of a file.
-    changes : mapping of str to value, optional
-        Keys in dots ("noise.bearing_sigma") to what they become. Another `trajectory.kind` keeps
-        the speed and duration of the old one, and to teach its points, too.
-
-    Raises
-    ------
-    InputError
-        For a file that cannot be read, a key that does not exist, or a value out of range.
+    Changes are keys in dots ("noise.bearing_sigma") to new values. Another `trajectory.kind` keeps
+    the speed and duration of the old one, and to teach its points, too. Raises `InputError` for a
+    file that cannot be read, a key that does not exist, or a value out of range.
     """
     scenario = PRESETS.get(source) or read_settings(_existing(source), Scenario)
     return changed_scenario(scenario, changes)

@@ -12,8 +12,8 @@ from homeward.control.following import STAND
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance
+from homeward.lab.simulation.course import Camera, Wheels
 from homeward.lab.simulation.scenario import Scenario
-from homeward.lab.simulation.sensing import Camera, Wheels
 from homeward.lab.simulation.simulate import prepare
 from homeward.lab.simulation.trajectories import Control, Search, exact
 from homeward.lab.simulation.world import build_world

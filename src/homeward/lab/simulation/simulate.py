@@ -15,9 +15,8 @@ from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.course import Driven, Log, before, drive_course
+from homeward.lab.simulation.course import Camera, Driven, Log, before, drive_course
 from homeward.lab.simulation.scenario import Scenario
-from homeward.lab.simulation.sensing import Camera
 from homeward.lab.simulation.trajectories import as_visitor
 from homeward.lab.simulation.world import World, build_world, home_bearings
 
@@ -46,22 +45,11 @@ def simulate(
     estimator: Estimator | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:
-    """Simulate a drive.
+    """Simulate a drive, which follows from its scenario to the last bit.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        What is driven, where and how; everything follows from it to the last bit.
-    estimator : Estimator, optional
-        A fresh one made for ``prepare(scenario)``, whose pose steers the robot; it is used up.
-        None: the truth steers.
-    progress : callable, optional
-        Told now and then the share of the longest duration that is done, in [0, 1].
-
-    Raises
-    ------
-    InputError
-        When the scenario cannot be built, or names an estimator and none is given.
+    The pose of a fresh estimator, made for ``prepare(scenario)`` and used up, steers the robot;
+    None: the truth. `progress` gets the share of the longest duration that is done, in [0, 1].
+    Raises `InputError` when the scenario cannot be built, or names an estimator and none is given.
     """
     if estimator is None and scenario.estimator != "truth":
         raise InputError(f"estimator: the scenario is steered by {scenario.estimator}; none given")

@@ -215,19 +215,8 @@ class Search:
 class GoalControl(Control):
     """The driver of `homeward.control`, and a search where it stands for want of a pose.
 
-    Parameters
-    ----------
-    goal : Goal
-        In the home frame.
-    limits : Limits
-        Of the driver.
-    view : float
-        Of the camera [rad].
-    looks_round : bool
-        Whether the robot looks round once where it arrives, for what home saw behind it, and goes
-        on from there.
-    blocked : (float, float), optional
-        When something is in the way [s].
+    The goal is in the home frame. A robot that `looks_round` does so once where it arrives, for
+    landmarks behind it, and goes on from there. `blocked` is when something is in the way [s].
     """
 
     def __init__(

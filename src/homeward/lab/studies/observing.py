@@ -9,7 +9,7 @@ bound counts (`homeward.lab.bounds`); the Gramian says what the places of things
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -228,9 +228,9 @@ class _Seen:
         rows = rows[self.visible[np.ix_(rows, which)].any(axis=1)]
         names = tuple(self.names[i] for i in which)
         visible = self.visible[np.ix_(rows, which)]
-        blank = Window(begin, end, 0, names, 0, POLAR, np.full((3, 3), np.inf), (NOTHING,))
         if not rows.size:
-            return blank
+            unknown, words = np.full((3, 3), np.inf), ("nothing that home knows was seen",)
+            return Window(begin, end, 0, names, 0, POLAR, unknown, words)
         scene = Scene(
             names=names,
             home=np.zeros(POLAR),
@@ -243,17 +243,8 @@ class _Seen:
         sigmas = np.repeat([self.sigma, self.home_sigma], [visible.sum(), which.size])
         found = rank(scene.jacobian() / sigmas[:, None], scene.worth)
         covariance, weakest = _told(scene, found.null, sigmas)
-        return replace(
-            blank,
-            sightings=int(visible.sum()),
-            rank=found.value,
-            unknowns=len(scene.truth),
-            covariance=covariance,
-            weakest=weakest,
-        )
-
-
-NOTHING = "nothing that home knows was seen"
+        size, unknowns = int(visible.sum()), len(scene.truth)
+        return Window(begin, end, size, names, found.value, unknowns, covariance, weakest)
 
 
 def _told(scene: Scene, null: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -34,23 +34,10 @@ def execute(
     threads: int | None = None,
     precision: Precision = "double",
 ) -> Result:
-    """Run a job; what comes out depends neither on threads nor on the size of the batch.
+    """Run a job; the result depends neither on threads nor on the size of the batch.
 
-    Parameters
-    ----------
-    job : Job
-        What to run.
-    engine : {"auto", "interpreter", "native", "cuda"}
-        See `homeward.lab.filters.settings.Engine` and `BatchEngine`.
-    threads : int, optional
-        Of the processor; None: as many as this process may use.
-    precision : {"double", "single"}
-        See `Precision`; the other engines compute in doubles.
-
-    Raises
-    ------
-    CudaError
-        When a GPU is asked for and there is none, or it cannot do the job.
+    None stands for as many threads as this process may use. Engines other than cuda compute in
+    doubles. Raises `CudaError` when a GPU is asked for and there is none, or it cannot do the job.
     """
     if engine == "cuda":
         return shaped(job, cuda.execute(job, single=precision == "single"))

@@ -103,7 +103,7 @@ class Gpu:
         name = _checked(self._driver.cuDeviceGetName(128, device))
         self.name: str = name.split(b"\0")[0].decode()
         attribute = self._driver.CUdevice_attribute
-        major, minor, self._processors = (
+        major, minor, self.processors = (
             int(_checked(self._driver.cuDeviceGetAttribute(a, device)))
             for a in (
                 attribute.CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR,
@@ -120,10 +120,6 @@ class Gpu:
     def free_bytes(self) -> int:
         """Return how much of its memory nobody uses."""
         return int(_checked(self._driver.cuMemGetInfo())[0])
-
-    def kernel(self, text: str, threads: int, shared: int) -> Kernel:
-        """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
-        return _kernel(self, text, threads, shared)
 
     @contextmanager
     def arrays(self) -> Iterator[Arrays]:
@@ -162,18 +158,6 @@ class Gpu:
         finally:
             for event in (begin, end):
                 driver.cuEventDestroy(event)
-
-    def load(self, code: bytes, threads: int, shared: int) -> Kernel:
-        """Load machine code."""
-        driver = self._driver
-        module = _checked(driver.cuModuleLoadData(code))
-        function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))
-        attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
-        _checked(driver.cuFuncSetAttribute(function, attribute, shared))
-        each = _checked(
-            driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared)
-        )
-        return Kernel(function, threads, shared, int(each) * self._processors)
 
 
 class Arrays:
@@ -219,5 +203,12 @@ def gpu() -> Gpu:
 
 
 @lru_cache(maxsize=16)
-def _kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
-    return device.load(compiled(text, device.architecture), threads, shared)
+def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
+    """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
+    driver, _ = bindings()
+    module = _checked(driver.cuModuleLoadData(compiled(text, device.architecture)))
+    function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))
+    attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
+    _checked(driver.cuFuncSetAttribute(function, attribute, shared))
+    each = _checked(driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
+    return Kernel(function, threads, shared, int(each) * device.processors)

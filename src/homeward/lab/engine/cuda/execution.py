@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from homeward.lab.engine.batch.job import Given, Job, Result, empty_result
-from homeward.lab.engine.cuda.device import Gpu, gpu
+from homeward.lab.engine.cuda.device import Gpu, gpu, loaded_kernel
 from homeward.lab.engine.cuda.source import BLOCK, CudaSource, cuda_source
 
 SHARE = 0.8
@@ -17,20 +17,11 @@ SHARE = 0.8
 
 
 def execute(job: Job, single: bool) -> Result:
-    """Run a job on the GPU.
+    """Run a job on the GPU; its program must know its filter (`Separable`).
 
-    Parameters
-    ----------
-    job : Job
-        Of a program that knows its filter (`homeward.lab.engine.program.stages.Separable`).
-    single : bool
-        In floats, and again in doubles those runs that rounding may have spoilt: where a variance
-        became negative, or the belief too large.
-
-    Raises
-    ------
-    CudaError
-        When there is no GPU, or the kernel cannot do the job.
+    With `single` it computes in floats, and again in doubles those runs that rounding may have
+    spoilt: where a variance became negative, or the belief too large. Raises `CudaError` when there
+    is no GPU, or the kernel cannot do the job.
     """
     device = gpu()
     device.use()
@@ -75,7 +66,7 @@ def _execute_chunk(device: Gpu, job: Job, result: Result, runs: range, single: b
 
         def launch(in_floats: bool, only: np.ndarray) -> float:
             code = cuda_source(part, in_floats)
-            kernel = device.kernel(code.text, BLOCK, code.shared)
+            kernel = loaded_kernel(device, code.text, BLOCK, code.shared)
             count = only.size or part.runs
             known = places | {"next": memory.put(np.zeros(1, np.int64)), "only": memory.put(only)}
             argument = argument_of(part, code, known | {"runs": count, "selected": only.size})

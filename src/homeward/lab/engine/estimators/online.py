@@ -35,18 +35,9 @@ RECENT = 20
 class OnlineFilter:
     """A filter with a start prior as an `homeward.estimator.Estimator`.
 
-    Parameters
-    ----------
-    name : str
-        The word for it in commands and files.
-    carrier : Carrier
-        What its belief is, and its steps.
-    landmarks : sequence of str, length q
-        Ids, in the order of the states; sightings of others are counted and left out.
-    camera_yaw : float
-        Added to every bearing to make it one from the robot's heading [rad].
-    notes : tuple of str
-        Assumptions that the user must know of.
+    Its name is the word for it in commands and files. Landmarks are in the order of the states;
+    sightings of others are counted and left out. `camera_yaw` is added to every bearing to make it
+    one from the robot's heading [rad]; notes are assumptions to report to the user.
     """
 
     def __init__(

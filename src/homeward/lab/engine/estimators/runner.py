@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
+from homeward.lab.engine.batch.job import LARGEST
 from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
 from homeward.lab.engine.program.kernels import BELIEF, Kernel
 from homeward.lab.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
@@ -22,8 +23,6 @@ LONGEST_STEP_S = 0.1
 """A longer interval is predicted in several steps."""
 MOST_STEPS = 1000
 """But in no more than these, however long the gap."""
-LARGEST = 1e9
-"""A belief with a larger number in it (m, rad, or their squares) has diverged."""
 
 
 UNROLLED_UP_TO = 48
@@ -214,7 +213,7 @@ class FilterRunner:
     def _sane(self, found: np.ndarray, before: Numbers) -> Numbers:
         """Return a copy of the new belief, or the old one where the new one has diverged."""
         memory = found[: self._size].copy()
-        if np.abs(memory).max() < LARGEST:
+        if np.abs(memory).max() < LARGEST:  # else, with such a number in it, it has diverged
             return Numbers(self.kind.model.n, self.kind.model.q, memory)
         self.diverged += 1
         return before

@@ -163,13 +163,13 @@ def run_side_by_side(
     engine : {"auto", "interpreter", "native"}
         With auto, compiled code runs where that pays.
     more : float
-        So many times as much is coming, this included: what compiling pays for.
+        This work and all that is to come, as a multiple of this: what compiling pays for.
 
     Returns
     -------
     list of Track or None
-        Rows and innovations; no statuses, reasons, times or histories of landmarks. None for a
-        filter that has to run by itself: nothing compiled is at hand, or its belief diverged.
+        Rows and innovations alone. None for a filter that has to run by itself: nothing compiled
+        is available, or its belief diverged.
     """
     ids = [tuple(e.ids) for e in estimators]
     differ = {(id(d), i): d for d, i in zip(drives, ids, strict=True)}

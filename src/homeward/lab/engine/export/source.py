@@ -23,7 +23,7 @@ import casadi as ca
 from homeward.errors import InputError
 from homeward.estimator import CHECKED
 from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
-from homeward.lab.engine.estimators.runner import LARGEST
+from homeward.lab.engine.batch.job import LARGEST
 from homeward.lab.engine.native.split import Split, emit_split, split_step
 from homeward.lab.filters.carrier import LOST_SIGMA
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function

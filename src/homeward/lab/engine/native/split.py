@@ -39,16 +39,9 @@ def emit_split(
 ) -> Split:
     """Return a function of one landmark as C, which CUDA C++ is, too.
 
-    Parameters
-    ----------
-    function : casadi.Function
-        Of SX, dense, with named inputs and outputs; a suffix ``_out`` is dropped from the latter.
-    prefix : str
-        A letter in front of all its names.
-    place, wanted : callable
-        Where an entry of an input is read, and where one of an output goes; empty: nowhere.
-    own : collection of str
-        Which places of `place` belong to one landmark.
+    The function is as for `emit`; its names get a letter as prefix. `place` returns where an entry
+    of an input is read, `wanted` where one of an output goes (empty: nowhere); `own` are the places
+    that belong to one landmark.
     """
     writer = _Writer(function, prefix, place, own)
     stores: tuple[list[str], list[str]] = [], []

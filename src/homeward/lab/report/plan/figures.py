@@ -184,18 +184,10 @@ def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:
 
 
 def _draw_advice(axes: Axes, view: PlanView) -> None:
-    for k, place in enumerate(view.advice.places, start=1):
-        axes.plot(*place, "o", ms=13, color=GREEN, mec="white", zorder=9, clip_on=False)
-        axes.annotate(
-            str(k),
-            (place[0], place[1]),
-            ha="center",
-            va="center",
-            color="white",
-            fontsize=8,
-            fontweight="bold",
-            zorder=10,
-        )
+    white: dict[str, Any] = {"color": "white", "fontsize": 8, "fontweight": "bold", "zorder": 10}
+    for k, (x, y) in enumerate(view.advice.places, start=1):
+        axes.plot(x, y, "o", ms=13, color=GREEN, mec="white", zorder=9, clip_on=False)
+        axes.annotate(str(k), (x, y), ha="center", va="center", **white)
 
 
 def _marks(view: PlanView) -> list[Line2D]:

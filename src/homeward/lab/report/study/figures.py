@@ -86,16 +86,10 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
         words = "Errors, homecoming and consistency, over all runs"
         yield OVERVIEW, words, draw_overview(results)
     if len(results.plan.contenders) <= len(CONTENDER_COLOURS):
-        yield (
-            OVER_TIME,
-            "RMSE of the position over time, and the Cramér-Rao bound",
-            draw_rmse(results),
-        )
-        yield (
-            "nees_over_time",
-            "Consistency over time: mean NEES of (x, y, heading), 3 when consistent",
-            draw_nees(results),
-        )
+        words = "RMSE of the position over time, and the Cramér-Rao bound"
+        yield OVER_TIME, words, draw_rmse(results)
+        words = "Consistency over time: mean NEES of (x, y, heading), 3 when consistent"
+        yield "nees_over_time", words, draw_nees(results)
 
 
 def below(results: Results) -> dict[str, str]:

@@ -32,10 +32,10 @@ def on_cluster(
 ) -> Generator[tuple[str, Arrays]]:
     """Yield (name, result) of each block as it finishes, computed by a Dask scheduler's workers.
 
-    They have the same homeward installed; the function is of a module, so that they can import it,
-    and arguments can be pickled. A block whose worker is lost goes to another one; each name is
-    yielded once. Raises `HomewardError` when no scheduler answers, its workers have no homeward or
-    another, or blocks kill their workers again and again.
+    The function is importable from a module, arguments can be pickled. A block whose worker is lost
+    goes to another one; each name is yielded once. Raises `HomewardError` when no scheduler
+    answers, its workers have another homeward or none, or blocks kill their workers again and
+    again.
     """
     distributed: Any = import_module("distributed")
     with closing(_connected(distributed, scheduler)) as client:
@@ -100,10 +100,9 @@ def on_processes(
 ) -> Generator[tuple[str, Arrays]]:
     """Yield (name, result) of each block as it finishes, computed by a pool of processes.
 
-    The function is of a module, so that workers can import it, and arguments can be pickled; None
-    stands for as many processes as there are processors. Workers ignore the interrupt from the
-    keyboard and end when the generator is closed, or when this process is gone, however it went.
-    Raises `HomewardError` when workers die again and again.
+    The function is importable from a module, arguments can be pickled; None: a process for each
+    processor. Workers ignore the interrupt from the keyboard and end when the generator is closed,
+    or when this process is gone. Raises `HomewardError` when workers die again and again.
     """
     waiting, breakages = dict(arguments), 0
     count = min(processes or available_threads(), max(len(waiting), 1))

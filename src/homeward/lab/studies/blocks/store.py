@@ -34,22 +34,11 @@ _KEY = "__study__"
 
 
 class BlockStore:
-    """The finished blocks of one study in one folder.
+    """The finished blocks of one study in one folder, which is made when it does not exist.
 
-    Parameters
-    ----------
-    folder : Path
-        Made when it does not exist.
-    settings : mapping
-        Everything that the results depend on, as plain JSON values. A folder whose blocks were
-        made with others, or by another version of homeward, is refused.
-    marker : str
-        File of the folder that gets `settings` as YAML when the folder is made.
-
-    Raises
-    ------
-    InputError
-        When the folder holds another study, something else, or cannot be written.
+    `settings` are all that the results depend on, as plain JSON values; they are written as YAML to
+    the file `marker`. Raises `InputError` when the folder cannot be written, contains something
+    else, or blocks made with other settings or by another version of homeward.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], marker: str) -> None:

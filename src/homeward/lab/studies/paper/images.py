@@ -14,8 +14,7 @@ from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, between, compose, from_polar
-from homeward.lab.simulation.render.eye import Eye
-from homeward.lab.simulation.render.loop import panorama_of, things_seen
+from homeward.lab.simulation.render.drive import Eye, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
 from homeward.lab.simulation.render.room.camera import RoomCamera
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls

@@ -91,14 +91,10 @@ class StudySettings(Strict):
         return [{key: e} if isinstance(e, str) else e for e in entries]
 
     @model_validator(mode="after")
-    def _axes_hold_something(self) -> Self:
+    def _fits_together(self) -> Self:
         for key, axis in self.grid.items():
             if not axis:
                 raise ValueError(f"grid.{key}: has no values")
-        return self
-
-    @model_validator(mode="after")
-    def _drives_are_as_they_were(self) -> Self:
         if self.drives and self.loop != "open":
             raise ValueError("drives: a log cannot be steered; loop must be open")
         if self.drives and self.scenario is None and (self.grid or self.changes):

@@ -67,22 +67,9 @@ def drive_bound(
     moved and which sightings carry a wrong id; constant errors of the odometry count as zero. The
     bound is infinite where it is unknown: without noise, or with another camera at home.
 
-    Parameters
-    ----------
-    drive : Drive
-        With ground truth.
-    case : Scenario
-        Noise and extrinsics.
-    marks : ndarray, shape (m, 2)
-        True positions in the home frame [m]; a landmark that moves on the way has two rows.
-    column : ndarray, shape (k,)
-        The row of `marks` that each sighting is of.
-    moved : ndarray, shape (m,), bool
-        Which of `marks` home did not see where they are.
-    carried : ndarray, shape (n - 1,), bool, optional
-        Steps between stamps on which the robot was carried.
-    start_covariance : ndarray, shape (3, 3), optional
-        Of the start prior.
+    `marks` (m, 2) are true positions in the home frame [m], with two rows for a landmark that moves
+    on the way; `column` is the row of each sighting; `moved` (m,) are those that home saw
+    elsewhere. `carried` (n - 1,) are the steps between stamps on which the robot was carried.
     """
     noise, seen, truth = case.noise, drive.sightings, drive.truth
     same_camera = case.home_sensor is None or case.home_sensor == case.sensor

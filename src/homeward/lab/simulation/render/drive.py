@@ -1,0 +1,326 @@
+"""A robot's camera in a rendered room, the loop closed by its images, and the data set of a drive.
+
+The loop takes a picture, finds bearings in it, estimates the pose, and commands a twist.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import yaml
+
+from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
+from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.folder import ODOMETRY, SETTINGS, TRUTH, write_folder
+from homeward.errors import InputError
+from homeward.estimator import Estimator, LandmarkEstimate
+from homeward.geometry.frames import Pose, compose
+from homeward.io.one_thread import one_thread
+from homeward.io.reading import naming
+from homeward.io.table import write_csv
+from homeward.lab.simulation.course import Driven, Log, before, drive_course
+from homeward.lab.simulation.files import SCENARIO, scenario_yaml
+from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
+from homeward.lab.simulation.render.room.furnish import furnished
+from homeward.lab.simulation.render.room.settings import RenderScenario
+from homeward.lab.simulation.render.scene import Scene, build_scene
+from homeward.lab.simulation.render.shading.picture import (
+    NOTHING,
+    PixelTruth,
+    picture,
+    pixel_truth,
+    png,
+)
+from homeward.lab.simulation.world import Stream
+from homeward.vision.cameras.panoramic import Panorama, PartialPanorama
+from homeward.vision.features.detection import Features, extract
+from homeward.vision.front_end import FrameBearings, FrontEnd
+from homeward.vision.homing.visual_homing import VisualHoming
+from homeward.vision.tags.front_end import TagFrontEnd
+
+ROBOT_RADIUS = 0.15
+"""The robot must keep so far from boxes and walls [m]."""
+
+
+class Eye:
+    """The camera of a scenario; the same one always takes the same pictures.
+
+    The scenario is furnished, if it is not yet. Raises `InputError` where the room has no place for
+    its contents, or home is in a box.
+    """
+
+    def __init__(self, scenario: RenderScenario) -> None:
+        self.scenario = furnished(scenario)
+        self.then = build_scene(self.scenario, at_home=True)
+        """The room when home was stored."""
+        self.now = build_scene(self.scenario)
+        """The room during the drive."""
+        if thing := self.then.blocked(scenario.home.x, scenario.home.y):
+            raise InputError(f"home: in {thing}")
+
+    @property
+    def home_view(self) -> Viewpoint:
+        """Where the camera was when home was stored."""
+        mount = self.scenario.home_mount.pose
+        return self._view(compose(self.scenario.home.pose, mount), 0)
+
+    def home_picture(self, turned: float = 0.0, number: int = 0) -> np.ndarray:
+        """Return the picture that home stored, (height, width, 3), blue green red.
+
+        Or another one of there, of a robot that has turned by so much [rad], by a `number` that no
+        picture has.
+        """
+        scenario, mount = self.scenario, self.scenario.home_mount.pose
+        robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
+        view = self._view(compose(robot, mount), number)
+        chance = self._chance(number)
+        return picture(self.then, view, scenario.home_time, scenario.camera, chance)
+
+    def home_truth(self) -> PixelTruth:
+        """Return what each of its pixels shows."""
+        scenario = self.scenario
+        return pixel_truth(self.then, self.home_view, scenario.home_time, scenario.camera)
+
+    def view(self, robot: Pose, number: int) -> Viewpoint:
+        """Return where the camera is for picture `number` (from 1) of a robot in the home frame."""
+        in_room = compose(self.scenario.home.pose, robot)
+        return self._view(compose(in_room, self.scenario.sensor.pose), number)
+
+    def look(self, t: float, robot: Pose, number: int) -> np.ndarray:
+        """Return picture `number` (from 1), taken at `t` [s]; shape (height, width, 3).
+
+        Raises `InputError` where the robot runs into something.
+        """
+        centre = compose(self.scenario.home.pose, robot)
+        if thing := self.now.blocked(centre.x, centre.y, ROBOT_RADIUS):
+            raise InputError(f"after {t:.1f} s the robot runs into {thing}")
+        view = self.view(robot, number)
+        return picture(self.now, view, t, self.scenario.camera, self._chance(number))
+
+    def truth(self, t: float, robot: Pose, number: int) -> PixelTruth:
+        """Return what each pixel of that picture shows."""
+        return pixel_truth(self.now, self.view(robot, number), t, self.scenario.camera)
+
+    def _view(self, camera: Pose, number: int) -> Viewpoint:
+        settings = self.scenario.camera
+        # A generator of its own: how a picture is tilted does not hang on its noise.
+        shaken = np.random.default_rng([self.scenario.seed, int(Stream.TILT), number])
+        roll, pitch = settings.tilt_sigma * shaken.standard_normal(2)
+        tilt = settings.roll + roll, settings.pitch + pitch
+        return viewpoint(camera.x, camera.y, settings.above_floor, camera.heading, *tilt)
+
+    def _chance(self, number: int) -> np.random.Generator:
+        return np.random.default_rng([self.scenario.seed, int(Stream.IMAGES), number])
+
+
+Keep = Callable[[float, Pose, np.ndarray], None]
+"""Told of each picture: its time [s], the robot's true pose in the home frame, the picture."""
+
+
+@dataclass(frozen=True)
+class ImageDrive(Driven):
+    """A drive through a rendered room, with what was made of the images."""
+
+    eye: Eye
+    images: int
+    """How many were taken on the way."""
+    landmarks: list[LandmarkEstimate]
+    """What the estimator knew of each landmark at the end."""
+
+
+class ImageLoop:
+    """A robot at the start, with a camera, and with a front-end if its images are to steer it.
+
+    A `blind` one only takes them. `home` is what home stored, if not what one picture shows.
+    """
+
+    def __init__(
+        self, eye: Eye, blind: bool = False, home: Mapping[str, HomeBearing] | None = None
+    ) -> None:
+        self.eye, self._taken = eye, 0
+        self.front_end: FrontEnd | TagFrontEnd | None = None
+        self._home: dict[str, HomeBearing] = {}
+        if not blind and eye.scenario.tags is not None:
+            self.front_end = TagFrontEnd(eye.scenario.camera.known, eye.scenario.tags.family)
+            stored = self.front_end.see(eye.home_picture()).home if home is None else home
+            self._home = dict(stored)
+        elif not blind:
+            camera = panorama_of(eye)
+            there = extract(camera.panorama(eye.home_picture()), camera, camera.seen)
+            self.front_end = FrontEnd(there, camera)
+            self._home = self.front_end.all_home_bearings()
+
+    @property
+    def drive(self) -> Drive:
+        """The drive before it begins: home and settings, for making an estimator."""
+        return before(self.eye.scenario, self._home, None, self.eye.scenario.view)
+
+    @one_thread()
+    def run(
+        self,
+        estimator: Estimator | None = None,
+        keep: Keep | None = None,
+        progress: Callable[[float], None] | None = None,
+    ) -> ImageDrive:
+        """Drive to the end; the loop and the estimator are used up.
+
+        The estimator, made for `drive`, steers by its pose; None: the truth steers. `keep` is given
+        each picture. Raises `InputError` when the robot runs into something.
+        """
+        sight = estimator
+        if estimator is not None and isinstance(self.front_end, FrontEnd):
+            sight = VisualHoming(estimator, **self.drive.settings.robot)
+        log = Log(sight, self.eye.scenario.sensor.yaw)
+
+        def see(t: float, robot: Pose) -> None:
+            self._taken += 1
+            picture = self.eye.look(t, robot, self._taken)
+            if keep is not None:
+                keep(t, robot, picture)
+            if isinstance(self.front_end, FrontEnd):
+                picture = self.front_end.camera.panorama(picture)
+            if self.front_end is not None:
+                seen = self.front_end.see(picture)
+                if isinstance(sight, VisualHoming) and isinstance(seen, FrameBearings):
+                    sight.home(t, seen.home)
+                log.bearings(t, seen.bearings, seen.sigmas)
+
+        home = self.drive.home_bearings()
+        ending, pose = drive_course(self.eye.scenario, log, see, home, progress)
+        drive = log.fill(self.drive)
+        known = [] if sight is None else sight.landmarks()
+        return ImageDrive(drive, ending, pose, log.estimates, self.eye, self._taken, known)
+
+
+def panorama_of(eye: Eye) -> Panorama:
+    """Return the camera of a scenario as one that finds landmarks in its panoramas."""
+    camera = eye.scenario.camera.known
+    return camera if isinstance(camera, Panorama) else PartialPanorama.through(camera)
+
+
+def moved_boxes(eye: Eye) -> dict[str, bool]:
+    """Return the boxes moved since home was stored; True where home's picture shows one."""
+    seen = np.unique(eye.home_truth().thing)
+    shown = {eye.then.things[i] for i in seen[seen != NOTHING].tolist()}
+    boxes = eye.scenario.boxes.items()
+    return {name: name in shown for name, box in boxes if box.stood is not None}
+
+
+def things_seen(eye: Eye, home: Features) -> list[str]:
+    """Return the name of the thing on which each feature of the home view lies."""
+    camera, view = eye.scenario.camera, eye.home_view
+    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
+    tilt = tilt_matrix(camera.roll, camera.pitch)
+    met = trace(surfaces, view, unit_vectors(home.azimuth, home.elevation) @ tilt).surface
+    return [eye.then.things[i] for i in surfaces.thing[met].tolist()]
+
+
+IMAGES, HOME_IMAGE, THINGS = "images.csv", "home.png", "things.csv"
+IMAGE_SETTINGS = "images.yaml"
+PICTURES, POINTS, DRIVE = "images", "points", "drive"
+"""Folders of pictures, of what their pixels show, and of what the front-end saw in them."""
+
+
+def write_rendered(
+    eye: Eye,
+    folder: Path,
+    points: bool = False,
+    make_estimator: Callable[[Drive], Estimator] | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> ImageDrive:
+    """Drive through a room, and write an image data set.
+
+    It has home.png, images.csv (t, file) and the images, images.yaml (which camera took them),
+    odometry.csv, truth.csv and drive.yaml as in a drive folder, things.csv (the truth about what
+    stands in the room), and scenario.yaml, which repeats it all.
+
+    Parameters
+    ----------
+    eye : Eye
+        The camera in its room.
+    folder : Path
+        An empty folder.
+    points : bool
+        Whether to write what each pixel shows, too: an .npz an image, of `point` (height, width,
+        3) [m, home frame; z from the floor] and `thing` (height, width), a row of things.csv.
+    make_estimator : callable, optional
+        Makes the estimator whose pose steers, fed by the images, for a drive that has home and
+        settings; what the front-end saw is written to the drive folder `DRIVE`. None: the truth
+        steers.
+    progress : callable, optional
+        Told now and then the share of the longest duration that is done.
+
+    Raises
+    ------
+    InputError
+        When the robot runs into something, or the folder cannot be written.
+    """
+    rows: list[tuple[float, str]] = []
+
+    def keep(t: float, robot: Pose, image: np.ndarray) -> None:
+        name = f"{len(rows) + 1:06d}"
+        rows.append((t, f"{PICTURES}/{name}.png"))
+        (folder / PICTURES / f"{name}.png").write_bytes(png(image))
+        if points:
+            truth = eye.truth(t, robot, len(rows))
+            _write_points(folder / POINTS / f"{name}.npz", eye, truth)
+
+    with naming(folder, "cannot be written"):
+        (folder / PICTURES).mkdir()
+        (folder / HOME_IMAGE).write_bytes(png(eye.home_picture()))
+        if points:
+            (folder / POINTS).mkdir()
+            _write_points(folder / POINTS / "home.npz", eye, eye.home_truth())
+        loop = ImageLoop(eye, blind=make_estimator is None)
+        estimator = make_estimator(loop.drive) if make_estimator else None
+        made = loop.run(estimator, keep, progress)
+        if estimator is not None:
+            write_folder(made.drive, folder / DRIVE)
+        _write_logs(made.drive, folder)
+        write_csv(folder / IMAGES, ("t", "file"), rows)
+        write_csv(folder / THINGS, *_things(eye.now))
+        (folder / IMAGE_SETTINGS).write_text(_image_settings(eye), encoding="utf-8")
+        (folder / SCENARIO).write_text(scenario_yaml(eye.scenario), encoding="utf-8")
+    return made
+
+
+def _image_settings(eye: Eye) -> str:
+    """Return images.yaml: what a robot would know of its camera."""
+    camera = eye.scenario.camera.known
+    known = camera.model_dump(mode="json", exclude={"axis", "horizon", "row_scale"})
+    tags = {} if eye.scenario.tags is None else {"tags": eye.scenario.tags.family}
+    return yaml.safe_dump({"camera": known, "home": HOME_IMAGE} | tags, sort_keys=False)
+
+
+def _write_logs(drive: Drive, folder: Path) -> None:
+    """Write odometry, truth and settings as a drive folder has them."""
+    with tempfile.TemporaryDirectory(dir=folder) as logs:
+        write_folder(drive, Path(logs))
+        for name in (ODOMETRY, TRUTH, SETTINGS):
+            (Path(logs) / name).replace(folder / name)
+
+
+def _write_points(path: Path, eye: Eye, truth: PixelTruth) -> None:
+    """Write what each pixel shows, in the home frame."""
+    home = eye.scenario.home
+    c, s = math.cos(home.heading), math.sin(home.heading)
+    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    local = (truth.point - [home.x, home.y, 0.0]) @ turn
+    np.savez_compressed(path, point=local.astype(np.float32), thing=truth.thing.astype(np.uint16))
+
+
+def _things(scene: Scene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+    """Return header and rows of things.csv; places are in room coordinates [m]."""
+    rows: list[tuple[object, ...]] = []
+    for index, name in enumerate(scene.things):
+        if (box := scene.scenario.boxes.get(name)) is None:
+            rows.append((index, name, *[""] * 5))
+        else:
+            stood = ("", "") if box.stood is None else box.stood.at
+            rows.append((index, name, int(box.stood is not None), *box.at, *stood))
+    return ("index", "thing", "moved", "x", "y", "stood_x", "stood_y"), rows
