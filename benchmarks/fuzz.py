@@ -30,15 +30,14 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
-from homeward.drives.opening import open_drive
+from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.log import Channel
-from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.definitions import DEFINITIONS
+from homeward.drives.ros.messages.decoding import DEFINITIONS, Decoder
 from homeward.drives.ros.messages.names import ODOMETRY
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.saving import save_drive
+from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError
 from homeward.geometry.frames import Pose
 from homeward.io.reading import shipped_yaml

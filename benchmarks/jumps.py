@@ -18,8 +18,8 @@ import numpy as np
 
 import homeward
 from benchmarks.consistency.scenarios import SCENARIOS
-from homeward.drives.drive import Robot
 from homeward.drives.known import Home
+from homeward.drives.settings import Robot
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 

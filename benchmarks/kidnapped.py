@@ -16,7 +16,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.drive import HomeBearing, Sensor
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import Sensor
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing

@@ -19,7 +19,8 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.consistency.trial import wandering
 from benchmarks.monte_carlo import Run
-from homeward.drives.drive import Drive, HomeBearing, Mount, OdometryNoise, Sensor
+from homeward.drives.drive import Drive, HomeBearing
+from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
 from homeward.lab.simulation.scenario import (

@@ -18,7 +18,7 @@ from homeward.control.laws import LAWS, STOP_RADIUS
 from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.simulate import prepare, simulate
 from homeward.registry import make_estimator
-from homeward.runs.report.tables import markdown
+from homeward.runs.report.files import markdown
 
 HOME_M = 2 * STOP_RADIUS
 """Truly nearer than this is home."""

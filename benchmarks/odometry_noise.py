@@ -18,7 +18,7 @@ from benchmarks import monte_carlo
 from benchmarks.consistency.trial import Leg, Trial, scaled, trial, untold, wandering
 from benchmarks.lasting import figures
 from benchmarks.monte_carlo import Run
-from homeward.drives.odometry_noise import OdometryDefaults
+from homeward.drives.settings import OdometryDefaults
 from homeward.lab.simulation.scenario import OdometryErrors
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer

@@ -20,7 +20,7 @@ from homeward.track import run
 
 TEMPLATE = Path(__file__).parents[1] / "docs" / "do" / "estimator"
 GOOD = """
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.frames import Pose
 

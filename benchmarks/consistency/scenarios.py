@@ -33,7 +33,7 @@ from benchmarks.consistency.trial import (
     untold,
     wandering,
 )
-from homeward.drives.drive import Mount
+from homeward.drives.settings import Mount
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.scenario import (

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, Odometry, OdometryNoise, Sensor, Sightings, Truth
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.settings import OdometryNoise, Sensor
 from homeward.lab.simulation.scenario import (
     Noise,
     OdometryErrors,

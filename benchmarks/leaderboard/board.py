@@ -21,7 +21,7 @@ from homeward.lab.studies.study.statistics import (
     paired,
 )
 from homeward.lab.studies.study.summary import probability, with_interval
-from homeward.runs.report.tables import markdown
+from homeward.runs.report.files import markdown
 
 LEAST_POSE = 0.5
 """A run with a pose for less of the time has failed."""

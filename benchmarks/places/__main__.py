@@ -27,8 +27,9 @@ from benchmarks.places.large import large, year
 from benchmarks.places.persistence_filter import PersistentResection
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from benchmarks.survey.peers import Resection
-from homeward.drives.drive import Drive, KnownLandmarks
+from homeward.drives.drive import Drive
 from homeward.drives.importers.mrclam import read_mrclam
+from homeward.drives.settings import KnownLandmarks
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place

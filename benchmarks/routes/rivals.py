@@ -11,7 +11,8 @@ import numpy as np
 
 from homeward.control.goals import BearingGoal, Belief, PointGoal
 from homeward.control.laws import law_named
-from homeward.drives.drive import HomeBearing, Start
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import Start
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, between, to_polar

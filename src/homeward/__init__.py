@@ -6,22 +6,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from homeward.drives.drive import (
-        Drive,
-        DriveSettings,
-        HomeBearing,
-        Mount,
-        Odometry,
-        OdometryNoise,
-        Robot,
-        Sensor,
-        Sightings,
-        Start,
-        Truth,
-    )
-    from homeward.drives.home.looks import HomeLooks
-    from homeward.drives.opening import open_drive
-    from homeward.drives.saving import save_drive
+    from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+    from homeward.drives.home.spin import HomeLooks
+    from homeward.drives.opening import open_drive, save_drive
+    from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Robot, Sensor, Start
     from homeward.errors import HomewardError, InputError
     from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
     from homeward.geometry.frames import Polar, Pose
@@ -44,13 +32,10 @@ if TYPE_CHECKING:
     __version__: str
 
 _NAMES = {
-    "drives.drive": (
-        *("Drive", "DriveSettings", "HomeBearing", "Mount", "Odometry", "OdometryNoise"),
-        *("Robot", "Sensor", "Sightings", "Start", "Truth"),
-    ),
-    "drives.home.looks": ("HomeLooks",),
-    "drives.opening": ("open_drive",),
-    "drives.saving": ("save_drive",),
+    "drives.drive": ("Drive", "HomeBearing", "Odometry", "Sightings", "Truth"),
+    "drives.home.spin": ("HomeLooks",),
+    "drives.opening": ("open_drive", "save_drive"),
+    "drives.settings": ("DriveSettings", "Mount", "OdometryNoise", "Robot", "Sensor", "Start"),
     "lab.engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
     "errors": ("HomewardError", "InputError"),
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),

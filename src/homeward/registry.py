@@ -9,8 +9,8 @@ from typing import Any
 from homeward.drives.drive import Drive
 from homeward.errors import needs_start_prior
 from homeward.estimator import Estimator
+from homeward.io.keys import Strict
 from homeward.io.settings import validated
-from homeward.io.strict import Strict
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.plugins import ESTIMATORS as GROUP

@@ -7,9 +7,9 @@ import pytest
 import yaml
 from commands import call, done, first_seconds, refused
 
-from homeward.drives.drive import DriveSettings
 from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
+from homeward.drives.settings import DriveSettings
 from homeward.io.settings import read_settings
 from homeward.runs.single_run import sample_drive
 

@@ -8,11 +8,11 @@ from cli.commands import call
 from drives.refusals import refusal
 from drives.valid_drive import put
 
-from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.settings import LogSettings
+from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError, printable
 from homeward.geometry.frames import Pose
 from homeward.io import yaml_text

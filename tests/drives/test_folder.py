@@ -8,14 +8,8 @@ import pytest
 from refusals import refusal
 from valid_drive import VALID, put
 
-from homeward.drives.drive import (
-    DriveSettings,
-)
-from homeward.drives.folder import (
-    BEYOND_A_TURN,
-    REPEATED_SIGHTINGS,
-    read_folder,
-)
+from homeward.drives.folder import BEYOND_A_TURN, REPEATED_SIGHTINGS, read_folder
+from homeward.drives.settings import DriveSettings
 
 
 def test_reads_every_file(tmp_path):

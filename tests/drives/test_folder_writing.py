@@ -8,22 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from valid_drive import VALID, put, spoilt
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Mount,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Start,
-    Truth,
-)
-from homeward.drives.folder import (
-    read_folder,
-    write_folder,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
 from homeward.io.table import is_identifier
 

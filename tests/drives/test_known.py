@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from benchmarks.fuzz import small_drive
-from homeward.drives.drive import DriveSettings, HomeBearing, Mount, Sensor, Start
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, Mount, Sensor, Start
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.lab.engine.estimators.paper import a_ekf, ekf, pi_ekf

@@ -6,9 +6,9 @@ import pytest
 from valid_drive import put
 
 from homeward import Localizer
-from homeward.drives.drive import KnownDistance, KnownLandmarks, SurveyedLandmark
 from homeward.drives.folder import read_folder, write_folder
-from homeward.drives.saving import save_drive
+from homeward.drives.opening import save_drive
+from homeward.drives.settings import KnownDistance, KnownLandmarks, SurveyedLandmark
 from homeward.errors import InputError
 
 KNOWN = b"""frame: home

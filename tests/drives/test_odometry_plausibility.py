@@ -5,13 +5,12 @@ import math
 import numpy as np
 import pytest
 
-from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Start
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.reading import drive_of, understand
-from homeward.drives.opening import open_drive
-from homeward.drives.plausibility import without_implausible
-from homeward.drives.pose_odometry import odometry_from_poses
-from homeward.drives.saving import save_drive
+from homeward.drives.opening import open_drive, save_drive
+from homeward.drives.plausibility import odometry_from_poses, without_implausible
+from homeward.drives.settings import Start
 from homeward.errors import InputError
 from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.registry import make_estimator

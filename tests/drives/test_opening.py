@@ -10,9 +10,8 @@ from valid_drive import VALID, put
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.importers.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
-from homeward.drives.opening import open_drive
+from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.info import log_info
-from homeward.drives.saving import save_drive
 from homeward.geometry.frames import Pose
 
 HOME = Pose(2.0, 0.0, 0.3)

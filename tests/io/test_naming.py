@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings, Start
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings, Start
 from homeward.io.naming import natural
 from homeward.registry import make_estimator
 

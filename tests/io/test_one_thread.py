@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Odometry, Sightings
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings
 from homeward.io.one_thread import one_thread
 from homeward.localizer.chart import Chart
 from homeward.localizer.localizer import Localizer

@@ -7,7 +7,7 @@ import pytest
 from live_rig import Rig, driving
 
 from homeward import make_estimator, open_drive, run
-from homeward.drives.drive import DriveSettings
+from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.live.messages import Answer, BearingsIn, GoHome, OdometryIn, Reset, SetHome
 from homeward.live.recording import SESSION, Recorder, read_drive, replay

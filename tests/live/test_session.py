@@ -9,7 +9,7 @@ import pytest
 from live_rig import Rig, driving
 
 from homeward.control.limits import Limits
-from homeward.drives.drive import DriveSettings, OdometryNoise
+from homeward.drives.settings import DriveSettings, OdometryNoise
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.live.messages import (

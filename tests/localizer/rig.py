@@ -9,8 +9,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing, OdometryNoise, Sensor
-from homeward.drives.odometry_noise import OdometryDefaults
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNoise, Sensor
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose

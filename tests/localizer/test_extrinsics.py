@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, ring
 
-from homeward.drives.drive import DriveSettings, Sensor
+from homeward.drives.settings import DriveSettings, Sensor
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose
 from homeward.localizer.localizer import Localizer

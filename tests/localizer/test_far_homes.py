@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from test_parts import problem
 
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.settings import OdometryNoise
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.home.gauss_newton import fit

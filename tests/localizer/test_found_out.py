@@ -7,15 +7,8 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, another_room, ring
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Mount,
-    Odometry,
-    Sightings,
-    Start,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings, Mount, Start
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose
 from homeward.localizer.home.observation import HomeObservation

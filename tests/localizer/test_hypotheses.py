@@ -10,7 +10,7 @@ from scipy.integrate import trapezoid
 from test_far_homes import FAR, divided
 from test_parts import problem
 
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.settings import OdometryNoise
 from homeward.estimator import Status
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import Pose, between

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from rig import NEES, Rig, ring
 
-from homeward.drives.drive import Drive, KnownLandmarks, Odometry, Sightings
+from homeward.drives.drive import Drive, Odometry, Sightings
+from homeward.drives.settings import KnownLandmarks
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Twist

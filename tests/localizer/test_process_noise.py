@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks.odometry_noise import drive_of, row
-from homeward.drives.drive import OdometryNoise, Sensor
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import elimination
 from homeward.localizer.map.elimination import eliminate

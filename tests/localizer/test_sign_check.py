@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from rig import Rig, eight, ring, still
 
-from homeward.drives.drive import HomeBearing, Mount, Sensor
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import Mount, Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, ring
 
-from homeward.drives.drive import HomeBearing, Sensor
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import Sensor
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist
 from homeward.localizer.localizer import NOISY_NOTE, Localizer

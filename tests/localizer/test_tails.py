@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_parts import problem
 
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.settings import OdometryNoise
 from homeward.estimator import Status
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses

@@ -7,16 +7,9 @@ import numpy as np
 import pytest
 from rig import DT, Rig, eight, ring, still
 
-from homeward.drives.drive import (
-    Drive,
-    KnownLandmarks,
-    Odometry,
-    Sensor,
-    Sightings,
-    SurveyedLandmark,
-    Truth,
-)
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.one_clock import on_one_clock
+from homeward.drives.settings import KnownLandmarks, Sensor, SurveyedLandmark
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.bearing_noise import BearingNoise

@@ -11,9 +11,9 @@ from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.estimator import LandmarkEstimate
 from homeward.runs.report.folder import write_run
+from homeward.runs.report.plots.look import thin, thin_dots
 from homeward.runs.report.plots.map import map_limits, undrawn
 from homeward.runs.report.plots.moments import MOST_MOMENTS, NEW, REJECTED, USED, moments
-from homeward.runs.report.plots.thinning import thin, thin_dots
 from homeward.runs.report.plots.time import chi_square_interval, windowed_nis
 from homeward.runs.report.summary import sentence
 from homeward.runs.scoring import score

@@ -16,8 +16,9 @@ import pytest
 from rosbags.highlevel import AnyReader
 from runs.made_up_run import SETTINGS, made_up
 
-from homeward.drives.drive import DriveSettings, Odometry
+from homeward.drives.drive import Odometry
 from homeward.drives.images import Images
+from homeward.drives.settings import DriveSettings
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose
 from homeward.odometry.dead_reckoning import dead_reckoning

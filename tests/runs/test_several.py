@@ -5,7 +5,7 @@ import csv
 import pytest
 from cli.commands import call, done, first_seconds, refused
 
-from homeward.runs.report.tables import latex, markdown, write_tables
+from homeward.runs.report.files import latex, markdown, write_tables
 
 BAD = """
 from homeward.estimator import Counts

@@ -9,14 +9,8 @@ import pytest
 from cli.commands import call, first_seconds
 
 from benchmarks.odometry_noise import drive_of
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    KnownLandmarks,
-    Odometry,
-    Sightings,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings, KnownLandmarks
 from homeward.errors import HomewardError
 from homeward.io.settings import parse_settings
 from homeward.runs import tuning

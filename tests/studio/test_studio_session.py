@@ -8,18 +8,16 @@ import pytest
 import yaml
 
 from homeward.drives.folder import read_drive_settings
-from homeward.drives.opening import open_drive
+from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.info import log_info
-from homeward.drives.saving import save_drive
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.io.settings import validated
 from homeward.lab.simulation.scenario import Scenario
 from homeward.studio.messages import Move, Set, parse
 from homeward.studio.replay import Replay
-from homeward.studio.scenes import as_scene, open_scene
+from homeward.studio.scenes import Views, as_scene, open_scene
 from homeward.studio.session import Session
-from homeward.studio.worlds import Views
 
 
 def play(session, seconds):

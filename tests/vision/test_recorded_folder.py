@@ -12,9 +12,10 @@ from cli.commands import call, done, refused
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
-from homeward.drives.drive import Drive, Odometry, Sightings, Start
+from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.drives.images import read_images
 from homeward.drives.opening import open_drive
+from homeward.drives.settings import Start
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.lab.simulation.files import changed_scenario

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from told_map import SIGMA, Map, bearings, compared, scene
 
-from homeward.drives.drive import Mount, OdometryNoise, Sensor
+from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
 from homeward.geometry.frames import Pose, between, compose, to_polar
 from homeward.reasons import Rejection

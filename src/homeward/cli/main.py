@@ -13,10 +13,10 @@ from homeward.cli.drives.import_ import import_
 from homeward.cli.drives.info import info
 from homeward.cli.drives.live import live
 from homeward.cli.drives.run import run
+from homeward.cli.drives.see import see
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
 from homeward.cli.export import export
-from homeward.cli.images.see import see
 from homeward.cli.place import place
 from homeward.cli.settings import settings
 from homeward.cli.studies.plan import plan

@@ -13,7 +13,7 @@ from homeward.cli.terminal import answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.io.strict import Strict
+    from homeward.io.keys import Strict
 
 OTHERS = {
     "simulate": ("homeward simulate --set ..., scenario.yaml", "lab.simulation.scenario:Scenario"),
@@ -28,7 +28,7 @@ OTHERS = {
         "lab.studies.paper.map:MapSettings",
     ),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
-    "drive": ("drive.yaml of a drive folder", "drives.drive:DriveSettings"),
+    "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),
     "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),
     "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
 }

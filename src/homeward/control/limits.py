@@ -7,9 +7,9 @@ from typing import Annotated
 
 from pydantic import Field
 
-from homeward.drives.drive import NonNegative, Positive
+from homeward.drives.settings import NonNegative, Positive
 from homeward.geometry.frames import Twist
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 
 PositiveOrInf = Annotated[float, Field(gt=0)]
 NonNegativeOrInf = Annotated[float, Field(ge=0)]

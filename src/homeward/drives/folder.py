@@ -8,18 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    KnownLandmarks,
-    Odometry,
-    Sightings,
-    Truth,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.log import is_log
+from homeward.drives.settings import DriveSettings, KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.naming import listing, natural

@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping
 from typing import Any, cast
 
-from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks, Robot
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
 from homeward.errors import InputError
 from homeward.estimator import real
 from homeward.io.settings import Model, validated

@@ -1,4 +1,4 @@
-"""The keys of a settings model: their names, what they are by default, and what they mean."""
+"""The base of all settings models, and their keys: names, defaults and meanings."""
 
 from __future__ import annotations
 
@@ -11,10 +11,16 @@ from difflib import SequenceMatcher
 from functools import cache
 from typing import Any, get_args, get_origin
 
+from pydantic import BaseModel, ConfigDict
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined, to_jsonable_python
 
-from homeward.io.strict import Strict
+
+class Strict(BaseModel):
+    """A settings model that refuses unknown keys and cannot be changed."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
 
 ANY = "*"
 """Stands in a key for the name or the number of one of several."""

@@ -9,8 +9,8 @@ import yaml
 from pydantic import ValidationError
 
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.reading import read_small
-from homeward.io.strict import Strict
 from homeward.io.table import quoted
 from homeward.io.validation_messages import complaint
 from homeward.io.yaml_text import DEEPEST, parse_yaml

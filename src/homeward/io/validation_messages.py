@@ -9,8 +9,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails, from_json
 
 from homeward.errors import InputError
-from homeward.io.keys import closest
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict, closest
 from homeward.io.table import quoted
 
 Message = TypeVar("Message")

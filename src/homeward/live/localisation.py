@@ -12,14 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.control.goals import Goal, RouteGoal
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    Sightings,
-)
-from homeward.drives.drive import Start as StartPrior
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import Start as StartPrior
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar

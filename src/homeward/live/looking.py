@@ -8,10 +8,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing
-from homeward.drives.drive import Start as StartPrior
+from homeward.drives.drive import HomeBearing
 from homeward.drives.home.choosing import spin_words
-from homeward.drives.home.looks import HomeLooks
+from homeward.drives.home.spin import HomeLooks
+from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import Start as StartPrior
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn

@@ -10,10 +10,10 @@ from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import AfterValidator, Field, TypeAdapter
 
-from homeward.drives.drive import Mount, Surveyed
+from homeward.drives.settings import Mount, Surveyed
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 from homeward.io.table import is_identifier
 from homeward.io.validation_messages import message
 

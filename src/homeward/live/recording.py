@@ -12,14 +12,14 @@ from typing import TextIO
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, Finite, HomeBearing, Positive
+from homeward.drives.drive import Drive, HomeBearing, Samples
 from homeward.drives.folder import write_folder
-from homeward.drives.samples import Samples
+from homeward.drives.settings import DriveSettings, Finite, Positive
 from homeward.errors import HomewardError, InputError
+from homeward.io.keys import Strict
 from homeward.io.one_thread import one_thread
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import validated
-from homeward.io.strict import Strict
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.messages import (
     LONGEST_LINE,

@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from homeward.control.driver import Driver
 from homeward.control.goals import Belief, Goal, State, TurnGoal
 from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
-from homeward.drives.drive import DriveSettings
+from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap

@@ -7,8 +7,8 @@ from typing import Annotated
 from pydantic import Field
 
 from homeward.control.limits import Limits
-from homeward.drives.drive import Positive
-from homeward.io.strict import Strict
+from homeward.drives.settings import Positive
+from homeward.io.keys import Strict
 from homeward.registry import DEFAULT
 
 STOPS_WITHIN_S = 0.2

@@ -17,8 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.control.following import LOOKAHEAD
-from homeward.drives.drive import Drive
-from homeward.drives.samples import Samples, last_of_equal, table
+from homeward.drives.drive import Drive, Samples, last_of_equal, table
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, position_sigma

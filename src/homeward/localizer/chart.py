@@ -11,7 +11,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing, KnownLandmarks
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, KnownLandmarks
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame

@@ -15,16 +15,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, KnownLandmarks, Robot
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
-from homeward.estimator import (
-    Counts,
-    Estimate,
-    Innovation,
-    LandmarkEstimate,
-    Status,
-    guarded,
-)
+from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
+from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status, guarded
 from homeward.geometry.frames import Pose
 from homeward.io.one_thread import one_thread
 from homeward.localizer.chart import Chart

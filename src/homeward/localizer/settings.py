@@ -6,9 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from homeward.drives.drive import NonNegative, Positive
-from homeward.drives.odometry_noise import OdometryDefaults
-from homeward.io.strict import Strict
+from homeward.drives.settings import NonNegative, OdometryDefaults, Positive
+from homeward.io.keys import Strict
 from homeward.localizer.tunables import GATE
 
 Probability = Annotated[float, Field(gt=0, lt=1)]

@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import yaml
 
-from homeward.drives.drive import HomeBearing, NonNegative
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import NonNegative
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.reading import naming, opened
 from homeward.io.settings import read_settings
-from homeward.io.strict import Strict
 from homeward.io.table import (
     Parser,
     Table,

@@ -7,10 +7,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from homeward.drives.cameras.calibration import read_calibration
+from homeward.drives.cameras.calibration import from_camera_info, read_calibration
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS
-from homeward.drives.ros.measurements.camera import from_camera_info
-from homeward.drives.ros.measurements.mount import Transforms, mount, not_tied
+from homeward.drives.ros.measurements.extrinsics import Transforms, mount, not_tied
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.errors import InputError

@@ -17,10 +17,10 @@ from rclpy.clock import ClockType
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
-from homeward.drives.drive import DriveSettings
 from homeward.drives.folder import read_home
-from homeward.drives.ros.measurements.mount import TF_STATIC
+from homeward.drives.ros.measurements.extrinsics import TF_STATIC
 from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose
 from homeward.io.one_thread import one_thread

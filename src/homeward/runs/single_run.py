@@ -1,30 +1,32 @@
-"""One run as validated settings: a drive, an estimator, and where it starts."""
+"""Runs as validated settings: a drive, one estimator or several, and a start prior."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import Drive, Finite, Span, Start
+from homeward.drives.drive import Drive
 from homeward.drives.folder import HOME
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
+from homeward.drives.settings import Finite, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose, to_polar
+from homeward.io.keys import Strict
 from homeward.io.settings import read_tree, validated
-from homeward.io.strict import Strict
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.places.files import is_place
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
+from homeward.runs.scoring import Metrics, score
 from homeward.runs.visits import in_place, place_used
 from homeward.track import Track
 from homeward.track import run as follow
@@ -213,3 +215,59 @@ def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start
         raise InputError(f"{drive.name}: its truth is {late:.1f} s away from the start")
     x, y, heading = (float(a[0]) for a in drive.truth.at(np.array([first])))
     return Start.about(to_polar(Pose(x, y, heading)), *[TRUTH_SIGMA] * 3)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came of one estimator."""
+
+    run: RunSettings
+    """With every setting spelt out."""
+    drive: Drive
+    """With the start prior that this estimator had."""
+    track: Track | None
+    """None where it failed."""
+    failure: str = ""
+    """Why."""
+
+    @property
+    def metrics(self) -> Metrics | None:
+        """Of the track."""
+        return None if self.track is None else score(self.track, self.drive.truth)
+
+
+def run_several(
+    runs: Sequence[RunSettings], progress: Callable[[float], None] | None = None
+) -> list[Outcome]:
+    """Run several estimators over one drive, which is opened once.
+
+    Parameters
+    ----------
+    runs : sequence of RunSettings
+        Alike but for their estimators, at least one.
+    progress : callable, optional
+        Told the fraction done, in [0, 1].
+
+    Raises
+    ------
+    InputError
+        When the drive cannot be used, two estimators are the same, or one cannot be made.
+    """
+    words = [run.estimator for run in runs]
+    if twice := next((word for word in words if words.count(word) > 1), None):
+        raise InputError(f"{twice}: named twice")
+    drive = opened(runs[0])
+    prepared = [ready(run, drive) for run in runs]
+    outcomes = []
+    for done, (told, estimator, complete) in enumerate(prepared):
+
+        def tell(fraction: float, done: int = done) -> None:
+            if progress is not None:
+                progress((done + fraction) / len(runs))
+
+        try:
+            track = finish(told, estimator, complete, tell)
+            outcomes.append(Outcome(complete, told, track))
+        except HomewardError as error:
+            outcomes.append(Outcome(complete, told, None, str(error)))
+    return outcomes

@@ -16,15 +16,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Truth,
-)
+from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
 from homeward.errors import HomewardError
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE

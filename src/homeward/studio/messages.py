@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from homeward.drives.drive import Late
-from homeward.io.strict import Strict
+from homeward.drives.settings import Late
+from homeward.io.keys import Strict
 from homeward.io.validation_messages import message
 from homeward.lab.simulation.scenario import Scenario
 

@@ -11,11 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, Mount, Truth
+from homeward.drives.drive import Drive, Truth
 from homeward.drives.ros.settings import LogSettings, MountFrames
+from homeward.drives.settings import DriveSettings, Mount
 from homeward.errors import HomewardError, InputError
+from homeward.io.keys import Strict
 from homeward.io.settings import settings_yaml, validated
-from homeward.io.strict import Strict
 from homeward.registry import ESTIMATORS, make_estimator
 from homeward.runs.single_run import with_start
 from homeward.studio.messages import Adjust, Asked, Estimators, Plain

@@ -16,7 +16,6 @@ from homeward.lab.simulation.files import changed_scenario, scenario_yaml
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Listed, Moved, Scenario
 from homeward.registry import ESTIMATORS
-from homeward.studio.best import Best
 from homeward.studio.messages import (
     Add,
     Asked,
@@ -29,19 +28,20 @@ from homeward.studio.messages import (
     Set,
     Steer,
 )
-from homeward.studio.rival import Rival
+from homeward.studio.rival import Best, Rival
 from homeward.studio.scenes import (
     MOST_LANDMARKS,
+    Views,
     as_scene,
     check_numbers,
     extent,
     with_home,
     with_landmarks,
     with_start,
+    worlds_alike,
 )
 from homeward.studio.steering import Steering
 from homeward.studio.undo import Undo
-from homeward.studio.worlds import Views, worlds_alike
 
 
 class Session:

@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 
-from homeward.drives.cameras.camera import angles, tilt_matrix, unit_vectors
+from homeward.drives.cameras.camera import angles, tag_bearings, tilt_matrix, unit_vectors
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.cameras.tags import tag_bearings
 from homeward.vision.cameras.panoramic import Equirectangular
 
 FISHEYE = Lens(

@@ -4,8 +4,8 @@ import dataclasses
 
 import pytest
 
-from homeward.drives.drive import HomeWhen, KnownLandmarks, Mount
 from homeward.drives.home.choosing import with_home
+from homeward.drives.settings import HomeWhen, KnownLandmarks, Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.settings import validated

@@ -7,17 +7,10 @@ import pytest
 from drives.home.turning import TOLD, turned
 from scipy.stats import chi2
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeWhen,
-    Mount,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-)
+from homeward.drives.drive import Drive, Odometry
 from homeward.drives.home.choosing import with_home
 from homeward.drives.home.spin import spin
+from homeward.drives.settings import DriveSettings, HomeWhen, Mount, OdometryNoise, Sensor
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 

@@ -2,7 +2,8 @@
 
 import numpy as np
 
-from homeward.drives.drive import Odometry, OdometryNoise, Sensor, Sightings
+from homeward.drives.drive import Odometry, Sightings
+from homeward.drives.settings import OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 
 RATE, REST_S, STEP_S = 0.5, 1.0, 0.05

@@ -4,7 +4,7 @@ import pytest
 from drives.ros.build import odometry, stamps
 
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.log_file import writing
+from homeward.drives.ros.writing import writing
 
 
 @pytest.fixture

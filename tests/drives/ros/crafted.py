@@ -7,7 +7,7 @@ import struct
 import lz4.frame
 from backports import zstd
 
-from homeward.drives.ros.messages.definitions import DEFINITIONS
+from homeward.drives.ros.messages.decoding import DEFINITIONS
 from homeward.drives.ros.messages.names import ODOMETRY
 
 HEADER_TEXT = """\

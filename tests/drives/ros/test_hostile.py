@@ -24,10 +24,9 @@ from drives.ros.crafted import (
 )
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
-from homeward.drives.opening import open_drive
+from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros import log
 from homeward.drives.ros.info import log_info
-from homeward.drives.saving import save_drive
 from homeward.errors import InputError
 
 GIB = 2**30

@@ -8,22 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Start,
-    Truth,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import read_folder, write_folder
 from homeward.drives.importers.mrclam import read_mrclam
-from homeward.drives.opening import open_drive
+from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
-from homeward.drives.saving import save_drive
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.registry import make_estimator

@@ -6,16 +6,8 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Mount,
-    Odometry,
-    Sensor,
-    Sightings,
-    Start,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings, Mount, Sensor, Start
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose, from_polar

@@ -7,13 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import (
-    HomeSpin,
-    Topics,
-    progress,
-    read_drive,
-    spin_span,
-)
+from homeward.cli.options import HomeSpin, Topics, progress, read_drive, spin_span
 from homeward.cli.terminal import say, warn
 
 
@@ -29,7 +23,7 @@ def convert(
     home_spin: HomeSpin = None,
 ) -> None:
     """Write a drive as a drive folder, an MCAP file or a ROS bag; the way back is exact."""
-    from homeward.drives.saving import save_drive
+    from homeward.drives.opening import save_drive
 
     drive = read_drive(source, topics, spin_span(home_spin))
     with progress(f"writing {target}") as tell:

@@ -57,7 +57,7 @@ def import_(
     turn rates are positive anti-clockwise. `homeward import mrclam FOLDER --robot 3 --home
     2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
     """
-    from homeward.drives.saving import save_drive
+    from homeward.drives.opening import save_drive
 
     if files[0] == Path(MRCLAM) and len(files) > 1:
         if columns or home_spin:
@@ -111,7 +111,7 @@ def _mrclam(
 ) -> None:
     """Write the drive of one robot of an MRCLAM folder."""
     from homeward.drives.importers.mrclam import read_mrclam
-    from homeward.drives.saving import save_drive
+    from homeward.drives.opening import save_drive
     from homeward.geometry.frames import Pose
 
     if len(folders) != 1 or robot is None or home is None or out is None:

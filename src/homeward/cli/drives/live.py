@@ -52,8 +52,8 @@ def live(
     connect; with one, everybody must say hello with the token in the environment's HOMEWARD_TOKEN.
     It ends with stdin, or by Ctrl-C or SIGTERM. docs/do/live.md says what the messages are.
     """
-    from homeward.drives.drive import DriveSettings
     from homeward.drives.folder import read_home
+    from homeward.drives.settings import DriveSettings
     from homeward.io.settings import nested, read_settings, validated
     from homeward.live.messages import schema as everything
     from homeward.live.recording import Recorder

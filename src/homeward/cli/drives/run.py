@@ -32,8 +32,7 @@ if TYPE_CHECKING:
     from homeward.drives.images import Images
     from homeward.places.place import Place
     from homeward.runs.scoring import Metrics
-    from homeward.runs.several_runs import Outcome
-    from homeward.runs.single_run import RunSettings
+    from homeward.runs.single_run import Outcome, RunSettings
     from homeward.track import Track
 
 
@@ -266,7 +265,7 @@ def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:
 def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool) -> None:
     from homeward.runs.report.output import check_output
     from homeward.runs.report.several import PAGE, table, write_several
-    from homeward.runs.several_runs import run_several
+    from homeward.runs.single_run import run_several
 
     for option in ("settings", "smooth", "place"):
         if option in given:

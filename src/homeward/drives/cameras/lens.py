@@ -22,7 +22,7 @@ from numpy.polynomial import Polynomial
 from pydantic import Field, model_validator
 
 from homeward.drives.cameras.camera import Camera, angles, tilt_matrix, unit_vectors
-from homeward.drives.drive import Finite, Positive
+from homeward.drives.settings import Finite, Positive
 from homeward.errors import InputError
 
 ITERATIONS = 60

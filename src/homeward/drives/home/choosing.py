@@ -7,8 +7,9 @@ import math
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeBearing, HomeWhen, Odometry
+from homeward.drives.drive import Drive, HomeBearing, Odometry
 from homeward.drives.home.spin import Spin, spin
+from homeward.drives.settings import HomeWhen
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.io.table import quoted

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, Odometry, Sightings
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.drives.drive import Odometry, Sightings
+from homeward.drives.settings import DriveSettings, OdometryDefaults, noise_rates
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose

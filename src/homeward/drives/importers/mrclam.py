@@ -13,15 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sensor, Sightings, Truth
-from homeward.drives.folder import (
-    count_repeats,
-    odometry_of,
-    sorted_by_time,
-    truth_of,
-    wrapped,
-)
+from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
+from homeward.drives.folder import count_repeats, odometry_of, sorted_by_time, truth_of, wrapped
 from homeward.drives.one_clock import on_one_clock
+from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, bearing
 from homeward.io.reading import is_there, require_folder

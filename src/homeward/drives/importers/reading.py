@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, DriveSettings, HomeWhen, Odometry
+from homeward.drives.drive import Drive, Odometry
 from homeward.drives.folder import (
     BY_SPIN,
     REPEATED_ODOMETRY,
@@ -25,8 +25,9 @@ from homeward.drives.importers.columns import KINDS, told_columns
 from homeward.drives.importers.parts import UNIX_S, Understood, parts_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import on_one_clock, remark_other_units
-from homeward.drives.pose_odometry import odometry_from_poses
+from homeward.drives.plausibility import odometry_from_poses
 from homeward.drives.ros.log import is_log
+from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.errors import InputError
 from homeward.io.naming import listing, natural
 from homeward.io.settings import validated

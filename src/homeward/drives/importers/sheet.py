@@ -1,22 +1,145 @@
-"""How a text file holds a table: its encoding, separator, header, units and decimal mark."""
+"""Layout of a table in a text file: encoding, separator, header, units, cells."""
 
 from __future__ import annotations
 
 import codecs
 import csv
 import itertools
+import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import pairwise
 from pathlib import Path
 
-from homeward.drives.importers.cells import NOTHING, is_number
+import numpy as np
+
 from homeward.drives.importers.columns import Column, is_unit
-from homeward.drives.importers.layouts import layout
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
-from homeward.io.table import Form, text_lines
+from homeward.io.table import Form, Parser, identifiers, numbers_or_nothing, quoted, text_lines
+
+STAMP = ("stamp.sec", "stamp.nanosec", "frame")
+XYZ, XYZW = "xyz", "xyzw"
+POSE = (*(f"position.{a}" for a in XYZ), *(f"orientation.{a}" for a in XYZW))
+TWIST = (*(f"linear.{a}" for a in XYZ), *(f"angular.{a}" for a in XYZ))
+COVARIANCE = tuple(f"covariance.{k}" for k in range(36))
+TUM = ("t", "x", "y", "z", *(f"q{a}" for a in XYZW))
+"""The columns of a TUM trajectory, as evo and others write it."""
+ECHOED = {
+    len(names): names
+    for names in (
+        (*STAMP, "child_frame", *POSE, *COVARIANCE, *TWIST, *COVARIANCE),  # nav_msgs/Odometry
+        (*STAMP, *POSE),
+        (*STAMP, *POSE, *COVARIANCE),
+        (*STAMP, *TWIST),
+        (*STAMP, *TWIST, *COVARIANCE),
+    )
+}
+"""The columns of stamped poses and twists as ``ros2 topic echo --csv`` prints them, by number."""
+UNIT_NORM = 0.01
+"""Largest deviation of a quaternion's norm from 1; two digits in a file leave half of it."""
+
+
+def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
+    """Return the names of the columns of a table without a header, from its first rows.
+
+    None where they are of no known layout.
+    """
+    width = len(rows[0])
+    if width == len(TUM) and all(map(_is_tum, rows)):
+        return TUM
+    return ECHOED[width] if width in ECHOED and all(map(_is_stamped, rows)) else None
+
+
+def _is_tum(cells: Sequence[str]) -> bool:
+    """Whether a row ends in a unit quaternion, and all of it is numbers."""
+    try:
+        numbers = [float(cell) for cell in cells]
+    except ValueError:
+        return False
+    return len(numbers) == len(TUM) and abs(math.hypot(*numbers[4:]) - 1.0) <= UNIT_NORM
+
+
+def _is_stamped(cells: Sequence[str]) -> bool:
+    """Whether a row begins with seconds, nanoseconds and the name of a frame."""
+    if len(cells) not in ECHOED:
+        return False
+    seconds, nanoseconds, frame = (cell.strip() for cell in cells[:3])
+    whole = seconds.isdecimal() and nanoseconds.isdecimal()
+    return whole and int(nanoseconds) < 10**9 and not frame.replace(".", "").isdecimal()
+
+
+NOTHING = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
+"""What people write where there is no value."""
+THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")
+DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[ T]\d\d:\d\d")
+
+_WHOLE = re.compile(r"^(\d+)\.0+$")
+
+
+def number_parser(decimal_comma: bool) -> Parser:
+    """Return what parses numbers, of which some may be missing (NaN)."""
+    return _decimal if decimal_comma else _number
+
+
+def time_parser(decimal_comma: bool) -> Parser:
+    """Return what parses times: numbers, or dates with a time of day as Unix time [s]."""
+
+    def parse(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+        if any(":" in cell for cell in cells):
+            cells = [
+                "" if cell.strip().lower() in NOTHING else _unix(cell, name, row, path)
+                for cell, row in zip(cells, rows, strict=True)
+            ]
+        return number_parser(decimal_comma)(name, cells, rows, path)
+
+    return parse
+
+
+def names(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    """Parse ids, of which some may be missing; 3.0 is 3, which a table of numbers made of it."""
+    values = np.full(len(cells), "", object)
+    there = [k for k, cell in enumerate(cells) if cell.strip().lower() not in NOTHING]
+    plain = [_WHOLE.sub(r"\1", cells[k].strip()) for k in there]
+    values[there] = identifiers(name, plain, [rows[k] for k in there], path)
+    return values
+
+
+def is_number(cell: str, comma: bool) -> bool:
+    """Whether a cell is a number, perhaps with a decimal comma."""
+    try:
+        float(cell.replace(",", ".") if comma else cell)
+    except ValueError:
+        return bool(DATE.match(cell))
+    return True
+
+
+def _number(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    plain = ["" if cell.strip().lower() in NOTHING else cell for cell in cells]
+    return numbers_or_nothing(name, plain, rows, path)
+
+
+def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+    for cell, row in zip(cells, rows, strict=True):
+        if THOUSANDS.fullmatch(cell.strip()):
+            trouble = "with a point, where others have a decimal comma: is it one, or of thousands?"
+            raise InputError(f"{name} is {quoted(cell)}, {trouble}", path, row)
+    plain = [c.replace(".", "").replace(",", ".") if "," in c else c for c in cells]
+    return _number(name, plain, rows, path)
+
+
+def _unix(cell: str, name: str, row: int, path: Path) -> str:
+    """Return a date and time of day as Unix time [s]; of no zone it is UTC."""
+    try:
+        told = datetime.fromisoformat(cell.strip().replace(",", "."))
+    except ValueError as error:
+        trouble = "neither a number nor a time like 2026-11-23 12:00:00.5"
+        raise InputError(f"{name} is {quoted(cell)}, {trouble}", path, row) from error
+    return repr((told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp())
+
 
 DELIMITERS = ("\t", ";", "|", ",", " ")
 """In this order: a decimal comma is none where semicolons part the fields as well."""

@@ -8,25 +8,23 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.calibration import is_calibration, read_calibration
+from homeward.drives.cameras.calibration import CameraRows, is_calibration, read_calibration
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import Drive, DriveSettings, HomeBearing, Sightings, Truth
+from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_time
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
-from homeward.drives.ros.measurements.camera import CameraRows
-from homeward.drives.ros.measurements.extrinsics import Camera, extrinsics
-from homeward.drives.ros.measurements.mount import TF_STATIC, Transforms
+from homeward.drives.ros.measurements.extrinsics import TF_STATIC, Camera, Transforms, extrinsics
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import Survey, Tell, survey
-from homeward.drives.ros.topics.times import Clock
+from homeward.drives.ros.topics.survey import Clock, Survey, Tell, survey
+from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError, speaking_of
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings

@@ -8,8 +8,8 @@ from pydantic import Field, field_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import DriveSettings, Finite, HomeWhen, Mount, Positive
-from homeward.io.strict import Strict
+from homeward.drives.settings import DriveSettings, Finite, HomeWhen, Mount, Positive
+from homeward.io.keys import Strict
 
 
 class OdometryTopic(Strict):

@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from homeward.drives.drive import Finite, NonNegative, Positive
+from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 
 Engine = Literal["auto", "interpreter", "native"]
 """What executes a filter. auto: compiled code where that is at hand, or where there is a compiler

@@ -9,11 +9,11 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from homeward.drives.drive import Finite, NonNegative, Positive
+from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.reading import is_there, shipped_yaml
 from homeward.io.settings import read_settings
-from homeward.io.strict import Strict
 from homeward.lab.simulation.scenario import Interval, Point, RoomPose
 
 Polygon = Annotated[tuple[Point, ...], Field(min_length=3, max_length=1000)]

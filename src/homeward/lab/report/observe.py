@@ -18,8 +18,7 @@ from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
 from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
-from homeward.runs.report.template import render
-from homeward.runs.report.versions import write_settings
+from homeward.runs.report.template import render, write_settings
 from homeward.runs.report.words import name
 
 GHOSTS = 7

@@ -12,17 +12,8 @@ from itertools import zip_longest
 import numpy as np
 
 from homeward.control.goals import Belief
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Start,
-    Truth,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.estimator import Estimate, Estimator
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import (

@@ -12,9 +12,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from homeward.control.laws import STOP_RADIUS
-from homeward.drives.drive import Finite, Mount, NonNegative, Positive
+from homeward.drives.settings import Finite, Mount, NonNegative, Positive
 from homeward.geometry.frames import Polar, Pose, between, from_polar
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 
 SMALLEST_SIDE = 1e-3
 """Rooms and shelves are at least this wide and deep [m]."""

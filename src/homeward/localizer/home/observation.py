@@ -7,7 +7,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
 from homeward.localizer.map.state import HEAD, Marginal

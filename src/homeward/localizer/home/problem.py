@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings
+from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.geometry.se2 import between, lever, rotation

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings
 from homeward.localizer.home.hypotheses import (
     Hypotheses,
     Seed,

@@ -14,7 +14,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import Mount
+from homeward.drives.settings import Mount
 from homeward.localizer.tunables import (
     BAD_WINDOW,
     GIVEN_WRONG,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, KnownLandmarks
+from homeward.drives.settings import DriveSettings, KnownLandmarks
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById

@@ -12,7 +12,7 @@ import math
 import numpy as np
 from scipy.special import expit
 
-from homeward.drives.drive import DriveSettings
+from homeward.drives.settings import DriveSettings
 from homeward.geometry.frames import Pose
 from homeward.localizer.motion.preintegration import MOUNT
 from homeward.localizer.settings import LocalizerSettings

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings
+from homeward.drives.settings import DriveSettings
 from homeward.localizer.motion.preintegration import LAG, Motion, Piece, integrate
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings

@@ -134,7 +134,7 @@ def integrate(
     calibration : ndarray, shape (8,)
         Linearisation point; the lag is already in the times of the pieces.
     rates : ndarray, shape (3, 3)
-        Growth of the variances; see `homeward.drives.odometry_noise.noise_rates`.
+        Growth of the variances; see `homeward.drives.settings.noise_rates`.
     straightest : float
         Turn per metre where the robot drives straightest, r above [rad/m].
 

@@ -11,8 +11,7 @@ import math
 
 import numpy as np
 
-from homeward.drives.drive import OdometryNoise
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.drives.settings import OdometryDefaults, OdometryNoise, noise_rates
 from homeward.localizer.tunables import (
     INFLATION,
     MAX_NOISE_RATIO,

@@ -85,7 +85,7 @@ class Contradiction:
         view : View
             View of the frame in the map.
         rates : ndarray, shape (3, 3)
-            Process noise of odometry; see `homeward.drives.odometry_noise.noise_rates`.
+            Process noise of odometry; see `homeward.drives.settings.noise_rates`.
         reckoned : Reckoned
             Dead reckoning at the frame.
         """

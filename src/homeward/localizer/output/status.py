@@ -7,7 +7,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from homeward.drives.drive import OdometryNoise
+from homeward.drives.settings import OdometryNoise
 from homeward.estimator import CHECKED, Estimate, Innovation, Status
 from homeward.geometry.frames import Pose
 from homeward.localizer.home.estimate import HomeFit

@@ -19,7 +19,7 @@ from homeward.runs.report.files import (
 )
 from homeward.runs.report.output import whole_folder
 from homeward.runs.report.summary import summarise
-from homeward.runs.report.versions import write_settings
+from homeward.runs.report.template import write_settings
 from homeward.runs.scoring import score
 from homeward.track import Track
 

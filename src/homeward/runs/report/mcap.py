@@ -19,8 +19,8 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import KINDS, Images
-from homeward.drives.ros.log_file import LogFile, writing
 from homeward.drives.ros.messages.stamps import split
+from homeward.drives.ros.writing import LogFile, writing
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose, inverse
 from homeward.odometry.dead_reckoning import dead_reckoning

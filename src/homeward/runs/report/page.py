@@ -21,8 +21,7 @@ from homeward.runs.report.plots.moments import moments
 from homeward.runs.report.plots.time import consistency_plots, error_plots, sigma_plots, time_range
 from homeward.runs.report.plots.timeline import MOST_ROWS, timeline
 from homeward.runs.report.summary import caution, sentence
-from homeward.runs.report.template import GLOSSARY, render
-from homeward.runs.report.versions import with_versions
+from homeward.runs.report.template import GLOSSARY, render, with_versions
 from homeward.runs.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track
 

@@ -12,14 +12,14 @@ from matplotlib.lines import Line2D
 
 from homeward.io.naming import number, share
 from homeward.runs.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
+from homeward.runs.report.files import write_tables
 from homeward.runs.report.folder import write_run
 from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED
-from homeward.runs.report.tables import write_tables
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, name
 from homeward.runs.scoring import errors
-from homeward.runs.several_runs import Outcome
+from homeward.runs.single_run import Outcome
 
 PAGE = "estimators.html"
 """Written last: a folder that holds it is whole output of ours."""

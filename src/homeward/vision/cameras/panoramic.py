@@ -16,7 +16,7 @@ from pydantic import Field
 
 from homeward.drives.cameras.camera import Camera, Directions, Pixels, Shape
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import Finite
+from homeward.drives.settings import Finite
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey

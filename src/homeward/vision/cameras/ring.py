@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.cameras.camera import Directions
-from homeward.drives.drive import Finite, NonNegative, Positive
+from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey

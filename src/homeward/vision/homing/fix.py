@@ -48,7 +48,7 @@ class Fix:
 def propagated(fix: Fix, t: float, odometry: TwistHistory, noise_rates: np.ndarray) -> Fix:
     """Return the pose of a fix at a later `t` [s], by odometry.
 
-    `noise_rates` (3, 3) are those of `homeward.drives.odometry_noise.noise_rates`.
+    `noise_rates` (3, 3) are those of `homeward.drives.settings.noise_rates`.
     """
     motion = between(odometry.pose(fix.t), odometry.pose(t))
     there = compose(fix.pose, motion)

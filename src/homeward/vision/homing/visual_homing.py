@@ -15,9 +15,8 @@ from typing import Unpack
 
 import numpy as np
 
-from homeward.drives.drive import Robot
 from homeward.drives.known import known_robot
-from homeward.drives.odometry_noise import OdometryDefaults, noise_rates
+from homeward.drives.settings import OdometryDefaults, Robot, noise_rates
 from homeward.estimator import (
     Counts,
     Estimate,

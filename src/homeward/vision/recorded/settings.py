@@ -11,9 +11,9 @@ from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.camera import Camera
 from homeward.drives.cameras.lens import SAME, Lens
 from homeward.drives.images import file_within
+from homeward.io.keys import Strict
 from homeward.io.reading import is_there
 from homeward.io.settings import read_settings
-from homeward.io.strict import Strict
 from homeward.vision.cameras.panoramic import (
     Cylindrical,
     Equirectangular,

@@ -11,9 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.cameras.camera import Camera
+from homeward.drives.cameras.camera import Camera, tag_bearings
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
 from homeward.io.table import quoted

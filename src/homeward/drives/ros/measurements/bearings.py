@@ -9,8 +9,8 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from homeward.drives.cameras.camera import tag_bearings
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.cameras.tags import tag_bearings
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.names import BEARINGS, PICTURES
 from homeward.drives.ros.settings import BearingsTopic

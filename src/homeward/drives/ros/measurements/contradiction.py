@@ -7,8 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.drive import Odometry
-from homeward.drives.plausibility import without_implausible
-from homeward.drives.pose_odometry import steps_between
+from homeward.drives.plausibility import steps_between, without_implausible
 from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
-from homeward.drives.plausibility import without_implausible
-from homeward.drives.pose_odometry import odometry_from_poses
+from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
     MIN_WINDOWS,

@@ -9,20 +9,43 @@ from __future__ import annotations
 import inspect
 import re
 from functools import cache
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.log import Channel, one_line
-from homeward.drives.ros.messages.definitions import typestore
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.errors import InputError
 from homeward.io.table import quoted
+
+
+def _told(package: str) -> dict[str, str]:
+    """Return the .msg files of a package, by the names of their types."""
+    folder = Path(str(files("homeward.drives.ros.messages").joinpath("msg", package)))
+    return {f"{package}/msg/{f.stem}": f.read_text("utf-8") for f in sorted(folder.glob("*.msg"))}
+
+
+DEFINITIONS = _told("homeward_msgs")
+"""The types of `homeward_msgs`, with their .msg files."""
+_WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs") | _told("apriltag_ros")
+"""For logs that hold no definitions, as those of ROS 2 before Iron in sqlite3."""
+
+
+@cache
+def typestore(ros1: bool) -> Any:
+    """Return rosbags' store of every type known here, as ROS 1 Noetic or ROS 2 Humble has them."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, text in {**DEFINITIONS, **_WELL_KNOWN}.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
 
 LARGEST_DEFINITION = 2**16
 """Characters of a definition with everything it refers to."""

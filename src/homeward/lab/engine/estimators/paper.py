@@ -13,8 +13,9 @@ from typing import Any, Generic, Literal, TypeVar, Unpack
 
 import numpy as np
 
-from homeward.drives.drive import DriveSettings, HomeBearing, Robot, Start
+from homeward.drives.drive import HomeBearing
 from homeward.drives.known import Home, known_home, known_robot, known_settings
+from homeward.drives.settings import DriveSettings, Robot, Start
 from homeward.errors import InputError, needs_start_prior
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import from_polar, polar_covariance_to_pose

@@ -10,7 +10,7 @@ from homeward.drives.drive import Drive
 from homeward.drives.known import known_home
 from homeward.errors import without
 from homeward.estimator import Estimator
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 from homeward.lab.filters.settings import (
     AugmentedSettings,
     CartesianSettings,

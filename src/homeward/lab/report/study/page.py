@@ -20,8 +20,8 @@ from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.study.results import Results, write_netcdf
 from homeward.lab.studies.study.summary import Summary, exact_table, failures, summary, table
 from homeward.runs.report.canvas import drawn
+from homeward.runs.report.files import write_tables
 from homeward.runs.report.output import whole_folder
-from homeward.runs.report.tables import write_tables
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
 

@@ -19,9 +19,9 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import NonNegative, Positive
+from homeward.drives.settings import NonNegative, Positive
+from homeward.io.keys import Strict
 from homeward.io.settings import validated
-from homeward.io.strict import Strict
 from homeward.lab.studies.blocks.finish import Work
 from homeward.lab.studies.blocks.store import MARKER, Arrays, BlockStore
 from homeward.lab.studies.paper.cases import (

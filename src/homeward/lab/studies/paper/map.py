@@ -18,11 +18,11 @@ from typing import Annotated, Any, Literal, NamedTuple, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from homeward.drives.drive import Positive
+from homeward.drives.settings import Positive
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.reading import shipped_yaml
 from homeward.io.settings import nested, read_tree, validated
-from homeward.io.strict import Strict
 from homeward.lab.engine.batch.homing import HomingResult, run_homing
 from homeward.lab.engine.cuda.device import CudaError, gpu
 from homeward.lab.studies.blocks.finish import Work

@@ -7,16 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.control.laws import homing
-from homeward.drives.drive import (
-    Drive,
-    DriveSettings,
-    HomeBearing,
-    Odometry,
-    OdometryNoise,
-    Sensor,
-    Sightings,
-    Start,
-)
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import (

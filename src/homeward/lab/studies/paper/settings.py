@@ -7,9 +7,9 @@ from typing import Annotated, Literal, Self
 from pydantic import AfterValidator, Field, model_validator
 
 from homeward.control.laws import STOP_RADIUS
-from homeward.drives.drive import Finite, NonNegative, Positive
+from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
-from homeward.io.strict import Strict
+from homeward.io.keys import Strict
 from homeward.lab.simulation.scenario import ascending
 
 Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.settings import nested, validated
-from homeward.io.strict import Strict
 from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.scenario import Scenario
 from homeward.lab.studies.study.settings import StudySettings

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control.laws import STOP_RADIUS
-from homeward.drives.drive import Positive
+from homeward.drives.settings import Positive
 from homeward.errors import InputError
+from homeward.io.keys import Strict
 from homeward.io.reading import is_there, shipped_yaml
 from homeward.io.settings import read_tree, validated
-from homeward.io.strict import Strict
 from homeward.lab.simulation.files import PRESETS, load_scenario
 from homeward.lab.studies.study.trial import Recording
 from homeward.registry import settings_model

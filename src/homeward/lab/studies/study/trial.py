@@ -11,8 +11,9 @@ from typing import Annotated, Any
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.drive import Drive, Finite, HomeBearing, NonNegative
+from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.importers.mrclam import read_mrclam
+from homeward.drives.settings import Finite, NonNegative
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose, polar_covariance_to_pose, to_polar

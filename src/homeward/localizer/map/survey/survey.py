@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.drive import KnownLandmarks
+from homeward.drives.settings import KnownLandmarks
 from homeward.io.table import quoted
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import outlier_probabilities

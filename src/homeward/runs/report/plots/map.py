@@ -24,8 +24,7 @@ from homeward.drives.drive import Truth
 from homeward.estimator import LandmarkEstimate, Status
 from homeward.runs.report import words
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MOVED, MUTED, STATUS_COLOURS
-from homeward.runs.report.plots.look import FONT, THEMED, TYPE, add_hover, restyled
-from homeward.runs.report.plots.thinning import runs, thin
+from homeward.runs.report.plots.look import FONT, THEMED, TYPE, add_hover, restyled, runs, thin
 from homeward.track import Track
 
 ELLIPSES = 24

@@ -12,8 +12,7 @@ from homeward.drives.drive import Truth
 from homeward.estimator import Status
 from homeward.runs.report import words
 from homeward.runs.report.palette import BLUE, INK, MOVED, STATUS_COLOURS
-from homeward.runs.report.plots.look import THEMED, add_hover, new_plot
-from homeward.runs.report.plots.thinning import runs, thin, thin_dots
+from homeward.runs.report.plots.look import THEMED, add_hover, new_plot, runs, thin, thin_dots
 from homeward.runs.scoring import errors
 from homeward.track import Track
 

@@ -14,8 +14,7 @@ from homeward.drives.drive import Sightings
 from homeward.io.naming import natural
 from homeward.runs.report import words
 from homeward.runs.report.palette import INK, LEVELS, MOVED, UNJUDGED, colour, levels
-from homeward.runs.report.plots.look import THEMED, add_hover, new_plot
-from homeward.runs.report.plots.thinning import runs, thin_dots
+from homeward.runs.report.plots.look import THEMED, add_hover, new_plot, runs, thin_dots
 from homeward.track import Track
 
 MOST_ROWS = 40

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import Finite, Positive
-from homeward.io.strict import Strict
+from homeward.drives.settings import Finite, Positive
+from homeward.io.keys import Strict
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
 

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 from shapely import LinearRing, Polygon, contains_xy
 
-from homeward.drives.drive import Finite, NonNegative, Positive
-from homeward.io.strict import Strict
+from homeward.drives.settings import Finite, NonNegative, Positive
+from homeward.io.keys import Strict
 from homeward.lab.simulation.render.room.camera import RoomCamera
 from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 
