@@ -49,8 +49,8 @@ SCENARIO = {
 class Shuttle(SimulatedRobotClient):
     """Drives in circles and home until its time is over, and takes the time of answers."""
 
-    def __init__(self, seconds: float) -> None:
-        super().__init__(LiveRobot(load_scenario("paper-homing", SCENARIO)), seconds)
+    def __init__(self, seconds: float, **changes: float) -> None:
+        super().__init__(LiveRobot(load_scenario("paper-homing", SCENARIO | changes)), seconds)
         self.latencies: list[float] = []
         """[s]"""
         self.endings: list[tuple[str, float]] = []

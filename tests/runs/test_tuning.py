@@ -39,7 +39,7 @@ def untold(seconds):
 
 
 def test_what_a_drive_was_made_of_is_learnt_and_honest():
-    drive, true = untold(60.0)
+    drive, true = untold(40.0)
     fractions = []
     found = tune([drive], fractions.append)
     assert fractions == sorted(fractions)
@@ -119,7 +119,7 @@ def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
 
 
 def test_deviations_that_sightings_bring_are_left_alone():
-    drive, _ = untold(40.0)
+    drive, _ = untold(12.0)
     told = np.full(drive.sightings.t.size, 0.01)
     own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=told))
     calls = []
