@@ -298,13 +298,8 @@ class RankRow:
 
 def rank_table() -> tuple[RankRow, ...]:
     """Return the rank of the codistribution for q = 1 .. `LARGEST` landmarks."""
+    known: tuple[dict[str, bool], ...] = ({}, {"compass": True}, {"distances": True})
     return tuple(
-        RankRow(
-            q,
-            q + POLAR,
-            observe_model(q).rank,
-            observe_model(q, compass=True).rank,
-            observe_model(q, distances=True).rank,
-        )
+        RankRow(q, q + POLAR, *(observe_model(q, **k).rank for k in known))
         for q in range(1, LARGEST + 1)
     )

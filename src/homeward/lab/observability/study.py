@@ -283,13 +283,16 @@ def observe_motions() -> tuple[SceneView, ...]:
 def model_scene(model: ModelRank) -> Scene:
     """Return the place at which a model's null space was found, as a scene of one pose."""
     q = model.landmarks
+    names = tuple(f"L{i + 1}" for i in range(q))
     return Scene(
-        names=tuple(f"L{i + 1}" for i in range(q)),
-        home=model.home,
-        landmarks=model.marks,
-        poses=np.zeros((1, 3)),
-        visible=np.ones((1, q), bool),
-        stored=np.ones(q, bool),
+        *(
+            names,
+            model.home,
+            model.marks,
+            np.zeros((1, 3)),
+            np.ones((1, q), bool),
+            np.ones(q, bool),
+        ),
         compass=model.compass,
         distances=model.distances,
         axis="the robot's heading",

@@ -231,15 +231,9 @@ class _Seen:
         if not rows.size:
             unknown, words = np.full((3, 3), np.inf), ("nothing that home knows was seen",)
             return Window(begin, end, 0, names, 0, POLAR, unknown, words)
-        scene = Scene(
-            names=names,
-            home=np.zeros(POLAR),
-            landmarks=self.places[which],
-            poses=self.poses[rows],
-            visible=visible,
-            stored=np.ones(which.size, bool),
-            axis="home's x-axis",
-        )
+        stored, home = np.ones(which.size, bool), np.zeros(POLAR)
+        places = home, self.places[which], self.poses[rows]
+        scene = Scene(names, *places, visible, stored, axis="home's x-axis")
         sigmas = np.repeat([self.sigma, self.home_sigma], [visible.sum(), which.size])
         found = rank(scene.jacobian() / sigmas[:, None], scene.worth)
         covariance, weakest = _told(scene, found.null, sigmas)

@@ -110,15 +110,9 @@ def run_recorded(
     for name in (*given, *series, *final, *history):
         if name not in known:
             raise ValueError(f"{name}: the filter has no such variable")
-    job = Job(
-        program=program,
-        runs=runs,
-        steps=steps,
-        start=tuple(given_values(k, v, known[k], runs) for k, v in given.items()),
-        series=tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items()),
-        final=tuple(final),
-        history=tuple(history),
-    )
+    start = tuple(given_values(k, v, known[k], runs) for k, v in given.items())
+    each = tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items())
+    job = Job(program, runs, steps, start, each, tuple(final), tuple(history))
     return execute(job, engine, threads, precision)
 
 

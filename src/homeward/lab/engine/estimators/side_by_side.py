@@ -269,15 +269,9 @@ def _carry(
         entries = () if shape == (1,) else shape
         return given_values(name, values[pick].reshape(runs, *along, *entries), shape, runs, *along)
 
-    job = Job(
-        program=program,
-        runs=runs,
-        steps=longest,
-        start=tuple(given(k, v) for k, v in start.items()),
-        series=tuple(given(k, v, longest) for k, v in series.items()),
-        final=(),
-        history=KEPT,
-    )
+    at_start = tuple(given(k, v) for k, v in start.items())
+    at_steps = tuple(given(k, v, longest) for k, v in series.items())
+    job = Job(program, runs, longest, at_start, at_steps, final=(), history=KEPT)
     saved = more * SAVED_S * runs * longest
     result, _ = choose(
         engine, saved, lambda: compiled.source(job), lambda: execute(job, "native", 1), SLOWER

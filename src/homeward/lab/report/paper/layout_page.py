@@ -113,23 +113,15 @@ def draw_grid(study: LayoutStudy) -> Figure:
     Of R, theta and alpha the quantity with the smallest share.
     """
     with style():
-        rows = list(product(*(study.settings.axis(k) for k in ACROSS)))
+        values = product(*(study.settings.axis(k) for k in ACROSS))
+        rows = [dict(zip(ACROSS, row, strict=True)) for row in values]
+        columns = _columns(study)
         figure = new_figure(1.4 + 0.2 * len(rows) * len(RIVALS))
         panels = figure.subplots(len(RIVALS), 1, sharex=True)
         for axes, name in zip(panels, RIVALS, strict=True):
-            columns = _columns(study)
+            outcomes = ([study.grid[c, r._replace(**row)] for c, r in columns] for row in rows)
             shares = np.array(
-                [
-                    [
-                        better_shares(
-                            study.grid[c, r._replace(**dict(zip(ACROSS, row, strict=True)))],
-                            name,
-                            "EKF",
-                        ).min()
-                        for c, r in columns
-                    ]
-                    for row in rows
-                ]
+                [[better_shares(o, name, "EKF").min() for o in line] for line in outcomes]
             )
             axes.imshow(100 * shares, cmap="RdBu", vmin=0, vmax=100, aspect="auto")
             for (i, j), share in np.ndenumerate(shares):
@@ -155,8 +147,8 @@ def _columns(study: LayoutStudy) -> list[tuple[CaseName, Reading]]:
     ]
 
 
-def _row_words(row: tuple[Any, ...]) -> str:
-    start, Q, noise = row
+def _row_words(row: dict[str, Any]) -> str:
+    start, Q, noise = row.values()
     words = ["exact" if not any(start) else f"{100 * start[0]:g} cm off"]
     return ", ".join([*words, "2 x 2" if Q == "input" else "n x n", *["twist noise"] * any(noise)])
 

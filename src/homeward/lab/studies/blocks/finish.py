@@ -17,6 +17,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from homeward.errors import HomewardError, InputError
+from homeward.io.one_thread import one_thread
 from homeward.lab.engine.batch.execution import available_threads
 from homeward.lab.studies.blocks.store import Arrays, BlockStore, our_version
 
@@ -131,16 +132,13 @@ def _round(
     # Its end is what workers wait for: it comes too when this process is killed.
     lifeline, ours = context.Pipe(duplex=False)
     left = iter(list(arguments.items()))
-    with (
-        _one_thread_each(),
-        ProcessPoolExecutor(processes, context, _begin_worker, (lifeline,)) as pool,
-    ):
+    with ProcessPoolExecutor(processes, context, _begin_worker, (lifeline,)) as pool:
         running: dict[Future[Arrays], str] = {}
         try:
             while True:
                 while len(running) < AHEAD * processes and (item := next(left, None)):
                     with _interrupt_held_back():
-                        running[pool.submit(function, item[1])] = item[0]
+                        running[pool.submit(_compute, function, item[1])] = item[0]
                 if not running:
                     return
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
@@ -180,20 +178,10 @@ def _end_with(lifeline: Connection) -> None:
     os._exit(1)
 
 
-@contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Let the workers that begin within the block use one thread of linear algebra each."""
-    names = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
-    before: dict[str, Any] = {name: os.environ.get(name) for name in names}
-    os.environ.update(dict.fromkeys(names, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+@one_thread()
+def _compute(function: Callable[[Argument], Arrays], argument: Argument) -> Arrays:
+    """Compute a block in a worker, which is one of as many as there are processors."""
+    return function(argument)
 
 
 @dataclass(frozen=True)

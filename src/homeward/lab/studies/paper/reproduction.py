@@ -165,19 +165,9 @@ def rows(result: Reproduction) -> list[Row]:
         for k, name in enumerate(outcome.names):
             low, median, high = _quantiles(outcome.of(name) * TO_PAPER_UNITS)
             distance = outcome.final_distance[k]
-            within = distance < 2 * result.settings.assumed.stop_radius
-            table.append(
-                Row(
-                    case=case,
-                    filter=name,
-                    printed=printed_of(case, name),
-                    median=median,
-                    low=low,
-                    high=high,
-                    theta_far=float(np.nanmedian(outcome.theta_far[k])),
-                    home_share=float(np.mean(within)),
-                )
-            )
+            home = float(np.mean(distance < 2 * result.settings.assumed.stop_radius))
+            far = float(np.nanmedian(outcome.theta_far[k]))
+            table.append(Row(case, name, printed_of(case, name), median, low, high, far, home))
     return table
 
 
