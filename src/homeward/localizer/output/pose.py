@@ -56,7 +56,8 @@ class PoseEstimate:
         if moved is not None:
             after, by_pose, turn = composition(np.array(self.pose), moved[0])
             covariance = by_pose @ covariance @ by_pose.T + turn @ moved[1] @ turn.T
-            inflated = by_pose @ inflated @ by_pose.T
+            if inflation is not None:
+                inflated = by_pose @ inflation @ by_pose.T
             x, y, heading = after.tolist()
             heading = wrap(heading)
         if more.assumed_mount.any():
