@@ -22,7 +22,7 @@ import numpy as np
 
 import homeward
 from homeward.lab.engine.batch.execution import available_threads
-from homeward.lab.studies.blocks.finish import Where, Work
+from homeward.lab.studies.blocks.finish import StudyBlocks, Where
 from homeward.lab.studies.blocks.store import Arrays, BlockStore
 
 Figures = dict[str, Any]
@@ -93,7 +93,9 @@ def run_all(
         if only_kept:
             files = {file: run for file, run in files.items() if file in store}
         else:
-            Work(store, Where(workers=jobs), _report).finish(partial(_block, function), files)
+            StudyBlocks(store, Where(workers=jobs), _report).finish(
+                partial(_block, function), files
+            )
         return {run: _figures(store.load(file)) for file, run in files.items()}
 
 

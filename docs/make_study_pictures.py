@@ -9,7 +9,7 @@ from pathlib import Path
 
 from homeward.lab.report.paper.layout_page import FIGURES
 from homeward.lab.report.study.maps import draw_maps, grids
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import store_of
 from homeward.lab.studies.paper.layouts import LayoutSettings, open_store
 from homeward.lab.studies.paper.reproduction import study_layouts
@@ -24,7 +24,7 @@ DPI = 110
 
 def layouts(out: Path) -> None:
     """Draw the figures of `homeward study layouts`."""
-    study = study_layouts(LayoutSettings(), Work(open_store(out / "paper-study")))
+    study = study_layouts(LayoutSettings(), StudyBlocks(open_store(out / "paper-study")))
     for name, (_, draw) in FIGURES.items():
         keep(f"layouts-{name}", draw(study))
 
@@ -32,7 +32,7 @@ def layouts(out: Path) -> None:
 def tuning(name: str, out: Path) -> None:
     """Draw the map of a tuning study."""
     plan = make_plan(load_study(name))
-    results = run_study(plan, Work(store_of(plan.study, out / name)))
+    results = run_study(plan, StudyBlocks(store_of(plan.study, out / name)))
     for grid in grids(results):
         keep(name, draw_maps(results, grid))
 

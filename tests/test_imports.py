@@ -1,7 +1,11 @@
-"""Every module imports without a warning, on each supported Python."""
+"""Every module imports without a warning, on each supported Python; class names are unique."""
 
+import ast
 import subprocess
 import sys
+from pathlib import Path
+
+import homeward
 
 IMPORT_ALL = """
 import importlib, pkgutil
@@ -24,3 +28,15 @@ def test_every_module_imports_with_warnings_as_errors():
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert int(done.stdout) > 100
+
+
+def test_no_class_name_has_two_meanings_in_one_house():
+    source = Path(homeward.__file__).parent
+    found: dict[tuple[str, str], list[str]] = {}
+    for file in source.rglob("*.py"):
+        path = file.relative_to(source)
+        house = path.parts[0] if path.parts[0] in ("lab", "studio", "vision") else "core"
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                found.setdefault((house, node.name), []).append(path.as_posix())
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}

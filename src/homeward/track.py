@@ -149,7 +149,7 @@ def run(
     stamps = np.unique(drive.sightings.t)
     grid = grid_times(drive.span, stamps)
     order = in_order(drive.odometry.t, stamps, grid)
-    rows = _Rows(stamps.size + grid.size)
+    rows = _TrackRows(stamps.size + grid.size)
     every = max(REMEMBER_S, (drive.span[1] - drive.span[0]) / MOST_REMEMBERED)
     update_seconds: list[float] = []
 
@@ -194,7 +194,7 @@ def track_of(estimator: Estimator, answers: Sequence[Estimate]) -> Track:
     answers : sequence of Estimate
         At increasing times.
     """
-    rows = _Rows(len(answers))
+    rows = _TrackRows(len(answers))
     for answer in answers:
         rows.keep(answer.t, answer)
     return rows.track(estimator, np.empty(0), 0.0)
@@ -237,7 +237,7 @@ def in_order(odometry: np.ndarray, stamps: np.ndarray, grid: np.ndarray) -> list
     return [int(k) for k in kinds[np.lexsort((kinds, times))]]
 
 
-class _Rows:
+class _TrackRows:
     """A track that is being filled, row by row."""
 
     def __init__(self, number: int) -> None:

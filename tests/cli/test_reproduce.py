@@ -12,7 +12,7 @@ from lab.studies.chores import in_this_process
 from homeward.cli import options
 from homeward.lab.report.paper.claims import verdict
 from homeward.lab.report.paper.page import FIGURES, figures_of, found, sentences
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT, run_filter
 from homeward.lab.studies.paper.layouts import Question, Reading, ask, open_store
 from homeward.lab.studies.paper.reproduction import (
@@ -40,7 +40,7 @@ def here(monkeypatch):
 
 
 def reproduced(folder, **settings):
-    return reproduce(PaperSettings(**settings), Work(open_store(folder)))
+    return reproduce(PaperSettings(**settings), StudyBlocks(open_store(folder)))
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +128,7 @@ def test_m_is_a_choice_and_a_row_of_its_own():
 def test_with_m_of_ht_and_the_exact_start_the_pi_ekf_beats_the_ekf(tmp_path):
     """What the issue gives as 87, 83 and 87 % of 100 layouts, and 42, 44 and 12 with ones."""
     asked = {"2": Question(PaperSettings(), "2", ("EKF", "PI-EKF", PI_HT), 40)}
-    outcome = ask(Work(open_store(tmp_path)), asked)["2"]
+    outcome = ask(StudyBlocks(open_store(tmp_path)), asked)["2"]
     assert np.all(better_shares(outcome, PI_HT, "EKF") > 0.7)
     assert np.all(better_shares(outcome, "PI-EKF", "EKF") < 0.6)
     assert 0.0 < beats_printed(outcome, "2", "EKF") < 0.5

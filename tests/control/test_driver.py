@@ -7,7 +7,7 @@ import pytest
 
 from homeward.control.driver import AFTERWARDS_S, Driver
 from homeward.control.following import STAND, Path
-from homeward.control.goals import Belief, PointGoal, RouteGoal, State, TurnGoal
+from homeward.control.goals import Belief, GoalState, PointGoal, RouteGoal, TurnGoal
 from homeward.control.limits import Limits
 from homeward.control.watchdog import CLEARED_S, Fault
 from homeward.estimator import Status
@@ -44,7 +44,7 @@ def test_it_arrives_within_the_radius_from_any_pose_within_all_limits(turn_rate,
     driver.go(0.0, HOME)
     start = Pose(distance * math.cos(2.0), distance * math.sin(2.0), 2.0 + math.pi + bearing)
     twists, end = drive(driver, start)
-    assert driver.state is State.ARRIVED
+    assert driver.state is GoalState.ARRIVED
     assert math.hypot(end.x, end.y) < limits.radius
     v, omega = twists.T
     assert v.min() >= 0.0
@@ -61,7 +61,7 @@ def test_the_papers_law_keeps_its_speed_and_needs_no_limits_of_acceleration():
     driver = Driver(limits)
     driver.go(0.0, HOME._replace(law="paper"))
     twists, end = drive(driver, Pose(-1.0, 0.2, 2.0))
-    assert driver.state is State.ARRIVED
+    assert driver.state is GoalState.ARRIVED
     assert (twists[:-1, 0] == 0.125).all()
     assert math.hypot(end.x, end.y) < limits.radius
 
@@ -81,7 +81,7 @@ def test_it_stops_on_a_doubt_or_a_fault_goes_on_after_it_and_gives_up_at_last(wh
     driver.go(0.0, HOME)
     for t in np.arange(0.0, 2.0, DT).tolist():
         assert driver.command(t, belief(pose)) is not None
-    assert driver.state is State.DRIVING
+    assert driver.state is GoalState.DRIVING
     late = limits.coast if why == "not localised" else 0.0
     assert driver.command(2.0 + late + DT, doubted(pose), faults) == STAND
     assert why in driver.reason
@@ -90,10 +90,10 @@ def test_it_stops_on_a_doubt_or_a_fault_goes_on_after_it_and_gives_up_at_last(wh
     assert driver.command(back, belief(pose)).v > 0.0
     for t in np.arange(back + late + DT, back + late + limits.patience, 0.5).tolist():
         assert driver.command(t, doubted(pose), faults) == STAND
-        assert driver.state is State.HELD
+        assert driver.state is GoalState.HELD
     end = back + 2 * late + limits.patience + 1.0
     assert driver.command(end, doubted(pose), faults) == STAND
-    assert driver.state is State.FAILED
+    assert driver.state is GoalState.FAILED
     assert driver.command(end + AFTERWARDS_S + DT, belief(pose)) is None
 
 
@@ -102,9 +102,9 @@ def test_it_has_not_arrived_where_it_is_not_localised():
     driver.go(0.0, HOME)
     driver.command(0.0, belief(Pose(1.0, 0.0, math.pi)))
     assert driver.command(DT, belief(there, Status.UNVERIFIED)) == STAND
-    assert (driver.state, driver.is_lost) == (State.HELD, True)
+    assert (driver.state, driver.is_lost) == (GoalState.HELD, True)
     assert driver.command(2 * DT, belief(there)) == STAND
-    assert driver.state is State.ARRIVED
+    assert driver.state is GoalState.ARRIVED
 
 
 def test_a_turn_needs_no_home_and_ends_once_round():
@@ -114,7 +114,7 @@ def test_a_turn_needs_no_home_and_ends_once_round():
         twist = driver.command(t, Belief(Status.WAITING, pose, None))
         assert twist.v == 0.0
         pose, t, turned = advance(pose, twist, DT), t + DT, turned + twist.omega * DT
-    assert driver.state is State.TURNED
+    assert driver.state is GoalState.TURNED
     assert math.tau < turned < 1.1 * math.tau
 
 

@@ -6,7 +6,7 @@ from homeward.geometry.frames import Twist
 from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
 from homeward.lab.simulation.trajectories import make_control
-from homeward.live.messages import Departure, Event, StoreRoute
+from homeward.live.messages import Departure, EventOut, StoreRoute
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
@@ -73,7 +73,7 @@ def driving(rig):
 
 
 def texts(rig):
-    return [said.text for said in rig.answers if isinstance(said, Event)]
+    return [said.text for said in rig.answers if isinstance(said, EventOut)]
 
 
 def asked(rig, *messages):

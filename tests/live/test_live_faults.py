@@ -20,7 +20,7 @@ from homeward.live.messages import (
     MAX_SPEED,
     MIN_SIGMA,
     BearingsIn,
-    Event,
+    EventOut,
     GoHome,
     OdometryIn,
     SetHome,
@@ -34,7 +34,7 @@ HOME = {"a": 0.1, "b": 1.0, "c": 2.0}
 
 
 def said(session):
-    return [out.text for out in session.process() if isinstance(out, Event)]
+    return [out.text for out in session.process() if isinstance(out, EventOut)]
 
 
 def test_an_unexpected_error_fails_the_goal_and_begins_the_map_again(monkeypatch):

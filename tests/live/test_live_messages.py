@@ -13,7 +13,7 @@ from homeward.live.messages import (
     MAX_SPEED,
     BearingsIn,
     LandmarkOut,
-    Landmarks,
+    LandmarksOut,
     OdometryIn,
     line_of,
     parse,
@@ -29,7 +29,7 @@ def test_numbers_come_back_to_the_last_bit(v, b):
 
 
 def test_what_is_not_known_is_left_out():
-    message = Landmarks(landmarks=(LandmarkOut(landmark="a", x=1.0),))
+    message = LandmarksOut(landmarks=(LandmarkOut(landmark="a", x=1.0),))
     assert json.loads(line_of(message))["landmarks"] == [{"landmark": "a", "x": 1.0}]
     assert parse_output(line_of(message)) == message
 

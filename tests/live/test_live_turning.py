@@ -13,7 +13,7 @@ from homeward.live.messages import (
     BearingsIn,
     Cancel,
     EStop,
-    Event,
+    EventOut,
     GoHome,
     GoTo,
     LookRound,
@@ -38,7 +38,7 @@ HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0})
 
 
 def events(rig):
-    return [e.text for e in rig.answers if isinstance(e, Event)]
+    return [e.text for e in rig.answers if isinstance(e, EventOut)]
 
 
 def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp_path):
@@ -100,7 +100,7 @@ def test_who_is_sent_elsewhere_looks_at_home_no_more():
         session.receive(OdometryIn(t=t, v=v, omega=0.0), t)
         session.receive(BearingsIn(t=t, bearings={"a": 0.1, "b": 0.02 * min(k, 30)}), t)
     session.receive(StoreHome(name="there"), 6.0)
-    said = [out for out in session.process() if isinstance(out, Event)]
+    said = [out for out in session.process() if isinstance(out, EventOut)]
     assert said[-1].text == "home 'there' has two landmarks"  # of the last second, standing
 
 

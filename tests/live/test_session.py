@@ -17,7 +17,7 @@ from homeward.live.messages import (
     BearingsIn,
     Cancel,
     EStop,
-    Event,
+    EventOut,
     GoHome,
     GoToLandmark,
     MountIs,
@@ -25,7 +25,7 @@ from homeward.live.messages import (
     OdometryIn,
     Reset,
     SetHome,
-    Start,
+    StartIn,
     StoreHome,
 )
 from homeward.live.session import Session
@@ -363,7 +363,7 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
     def run(*messages):
         for message in sorted(messages, key=lambda m: getattr(m, "t", math.inf)):
             session.receive(message, 0.0)
-        return [out for out in session.process() if isinstance(out, Event)]
+        return [out for out in session.process() if isinstance(out, EventOut)]
 
     assert "nothing is seen" in run(StoreHome(name="dock"))[0].text
     seen = {"a": 3.14159, "b": 0.5, "c": -1.0}
@@ -418,7 +418,7 @@ def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():
 def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
     rig = Rig(0)
     pose = rig.robot.pose
-    rig.session.receive(Start(x=pose.x, y=pose.y, heading=pose.heading), 0.0)
+    rig.session.receive(StartIn(x=pose.x, y=pose.y, heading=pose.heading), 0.0)
     for _ in range(10):
         rig.step()
     assert rig.session.localisation.fix.estimate.pose is not None
@@ -448,7 +448,7 @@ def test_the_belief_is_carried_on_by_odometry():
 
 def test_a_robot_may_be_told_that_it_is_at_home():
     rig = Rig()
-    rig.session.receive(Start(x=0.0, y=0.0, heading=0.0), 0.0)
+    rig.session.receive(StartIn(x=0.0, y=0.0, heading=0.0), 0.0)
     for _ in range(50):
         rig.step()
     estimate = rig.session.localisation.fix.estimate

@@ -15,7 +15,7 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.odometry.history import TwistHistory
 
@@ -68,7 +68,7 @@ def still(_):
     return Twist(0.0, 0.0)
 
 
-class Wheels(Odometry):
+class Wheels(OdometryIntegrator):
     """Odometry with a history of twists of its own, its noise that of nobody in particular."""
 
     def __init__(self):

@@ -6,7 +6,7 @@ from types import SimpleNamespace as Message
 import pytest
 
 from homeward.errors import InputError
-from homeward.ros.conversions import Clock, obstacle_in, odometry_in
+from homeward.ros.conversions import StampConverter, obstacle_in, odometry_in
 
 
 def scan(ranges, angle_min, farthest=8.0):
@@ -48,6 +48,6 @@ def test_a_number_that_is_none_is_refused_in_plain_words():
 
 
 def test_stamps_are_from_the_first_ones_second_whoever_comes_first():
-    clock = Clock()
+    clock = StampConverter()
     assert clock.of_unix(1_700_000_000.25) == 0.25
     assert clock.seconds(Message(sec=1_700_000_001, nanosec=500_000_000)) == 1.5

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from homeward.control.following import STAND
-from homeward.control.goals import Belief, Goal, GoalController, State
+from homeward.control.goals import Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Fault, Lasting
 from homeward.estimator import Status
@@ -25,7 +25,7 @@ class Driver:
 
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
-        self.state, self.reason = State.IDLE, ""
+        self.state, self.reason = GoalState.IDLE, ""
         self.value: float | None = None
         """The number that goes with the reason, if any."""
         self.is_lost = False
@@ -43,13 +43,13 @@ class Driver:
     @property
     def active(self) -> bool:
         """Whether it is on its way."""
-        return self.state in (State.DRIVING, State.HELD)
+        return self.state in (GoalState.DRIVING, GoalState.HELD)
 
     def go(self, now: float, goal: Goal | None = None) -> None:
         """Begin to drive; without a goal as soon as `aim` is given one."""
         self._goal = self._controller = None
         self._twist, self._sure, self.value, self._last = STAND, -math.inf, None, now
-        self._enter(State.HELD, "", now)
+        self._enter(GoalState.HELD, "", now)
         self.aim(goal)
 
     def aim(self, goal: Goal | None) -> None:
@@ -62,7 +62,7 @@ class Driver:
         """Stand, and give up."""
         if self.active:
             self.value = None
-            self._stand(State.FAILED, reason, now)
+            self._stand(GoalState.FAILED, reason, now)
 
     def command(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Twist | None:
         """Return the command at `now`, or None where the robot is left to others.
@@ -80,7 +80,7 @@ class Driver:
         if belief.status is Status.LOCALISED:
             self._sure = now
         if not self.active:
-            over = self.state is State.IDLE or now - self._since > AFTERWARDS_S
+            over = self.state is GoalState.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
         doubt = None if faults else self._doubt(now, belief)
         hindrance, self.value = (faults[0] if faults else doubt) or ("", None)
@@ -89,12 +89,12 @@ class Driver:
         output = self._controller.step(now, belief, hindrance)
         doubted = doubt is not None and output.reason == hindrance
         self.is_lost = output.is_lost or doubted
-        if output.state is State.HELD:
+        if output.state is GoalState.HELD:
             return self._hold(output.reason, now, self._controller.patience)
-        if output.state is not State.DRIVING:
+        if output.state is not GoalState.DRIVING:
             return self._stand(output.state, output.reason, now)
-        if self.state is not State.DRIVING:
-            self._enter(State.DRIVING, "", now)
+        if self.state is not GoalState.DRIVING:
+            self._enter(GoalState.DRIVING, "", now)
         self.reason = output.reason
         self._twist = self._limits.accelerated(self._twist, output.twist, dt)
         return self._twist
@@ -115,17 +115,17 @@ class Driver:
 
     def _hold(self, why: str, now: float, patience: float) -> Twist:
         """Stand at once; after a while give up."""
-        if self.state is State.HELD and now - self._since > patience:
-            return self._stand(State.FAILED, why, now)
-        if self.state is State.HELD:
+        if self.state is GoalState.HELD and now - self._since > patience:
+            return self._stand(GoalState.FAILED, why, now)
+        if self.state is GoalState.HELD:
             self.reason, self._twist = why, STAND
             return STAND
-        return self._stand(State.HELD, why, now)
+        return self._stand(GoalState.HELD, why, now)
 
-    def _stand(self, state: State, reason: str, now: float) -> Twist:
+    def _stand(self, state: GoalState, reason: str, now: float) -> Twist:
         self._twist = STAND
         self._enter(state, reason, now)
         return STAND
 
-    def _enter(self, state: State, reason: str, now: float) -> None:
+    def _enter(self, state: GoalState, reason: str, now: float) -> None:
         self.state, self.reason, self._since = state, reason, now

@@ -125,7 +125,7 @@ class Path:
         return float(along[np.argmin(cost)])
 
 
-class State(enum.Enum):
+class PathState(enum.Enum):
     """Where a drive along a path stands."""
 
     DRIVING = "driving"
@@ -150,7 +150,7 @@ class Follower:
 
     def __init__(self, path: Path, speed: float, turn_rate: float) -> None:
         self._path, self._speed, self._turn_rate = path, speed, turn_rate
-        self.state, self.reason = State.HELD, "not asked yet"
+        self.state, self.reason = PathState.HELD, "not asked yet"
         self.stop = 0
         """Which of the path's stops comes next, or is being made."""
         self.entering = True
@@ -170,7 +170,7 @@ class Follower:
     @property
     def over(self) -> bool:
         """Whether it has arrived, or given up."""
-        return self.state in (State.ARRIVED, State.FAILED)
+        return self.state in (PathState.ARRIVED, PathState.FAILED)
 
     @property
     def along(self) -> float:
@@ -197,7 +197,7 @@ class Follower:
             return STAND
         if sure:
             self._sure = t
-        if self.state is State.STOPPED and t < self._leave < math.inf:
+        if self.state is PathState.STOPPED and t < self._leave < math.inf:
             return STAND  # to wait it takes no pose
         if blocked:
             return self._hold(blocked if isinstance(blocked, str) else "blocked", t)
@@ -224,7 +224,7 @@ class Follower:
         self._nearest = min(self._nearest, distance)
         if self._aim >= stop.at and self._nearest <= REACHED:
             return self._stay(t, pose, stop)
-        self.state, self.reason, self._leave = State.DRIVING, "", math.inf
+        self.state, self.reason, self._leave = PathState.DRIVING, "", math.inf
         return self._pursue(pose, distance, self._aim >= stop.at)
 
     def _aim_ahead_of(self, pose: Pose) -> float:
@@ -262,7 +262,7 @@ class Follower:
 
     def _stay(self, t: float, pose: Pose, stop: Stop) -> Twist:
         """Turn to the heading of a stop, wait, and go on to the next one."""
-        self.state, self.reason, self._held = State.STOPPED, stop.name, math.inf
+        self.state, self.reason, self._held = PathState.STOPPED, stop.name, math.inf
         e = 0.0 if stop.heading is None else float(wrap(stop.heading - pose.heading))
         if self._leave == math.inf:
             if abs(e) > ALIGNED:
@@ -273,7 +273,7 @@ class Follower:
             return STAND
         self._leave, self._nearest = math.inf, math.inf
         if self.stop == len(self._path.stops) - 1:
-            self.state, self.reason = State.ARRIVED, stop.name
+            self.state, self.reason = PathState.ARRIVED, stop.name
         else:
             self.stop += 1
         return STAND
@@ -294,6 +294,6 @@ class Follower:
         """Stand at once; after a while give up."""
         self._held, self._last = min(self._held, t), t
         gives_up = t - self._held > PATIENCE_S
-        self.state = State.FAILED if gives_up else State.HELD
+        self.state = PathState.FAILED if gives_up else PathState.HELD
         self.reason = f"{why}; got nowhere for {PATIENCE_S:g} s" if gives_up else why
         return STAND

@@ -30,7 +30,7 @@ RATE = 0.5
 UNSEEN: Mapping[str, float] = MappingProxyType({})
 
 
-class State(enum.Enum):
+class GoalState(enum.Enum):
     """State of a drive."""
 
     IDLE = "idle"
@@ -59,7 +59,7 @@ class Belief(NamedTuple):
 class ControlOutput(NamedTuple):
     """Decision of a goal's controller at one time."""
 
-    state: State
+    state: GoalState
     reason: str
     twist: Twist = STAND
     is_lost: bool = False
@@ -103,7 +103,7 @@ class PointGoal(NamedTuple):
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             if hindrance or belief.pose is None:
-                return ControlOutput(State.HELD, hindrance)
+                return ControlOutput(GoalState.HELD, hindrance)
             dx, dy = self.x - belief.pose.x, self.y - belief.pose.y
             distance = math.hypot(dx, dy)
             left = max(distance - self.standoff, 0.0)
@@ -116,7 +116,7 @@ class PointGoal(NamedTuple):
             else:
                 share = left / distance
                 twist = steer(share * dx, share * dy, heading, limits.speed, most)
-            return ControlOutput(State.DRIVING, "", twist)
+            return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)
 
@@ -136,15 +136,15 @@ class BearingGoal(NamedTuple):
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             if hindrance or belief.pose is None:
-                return ControlOutput(State.HELD, hindrance)
+                return ControlOutput(GoalState.HELD, hindrance)
             way = way_home(self.slope, belief.seen, self.home, self.distance)
             if way is None:
                 why = "fewer than two landmarks of home in view"
-                return ControlOutput(State.HELD, why, is_lost=True)
+                return ControlOutput(GoalState.HELD, why, is_lost=True)
             if math.hypot(*way) < limits.radius:
                 return _there("home, by bearings", "home", belief.status)
             twist = steer(*way, belief.pose.heading, limits.speed, limits.turn_rate)
-            return ControlOutput(State.DRIVING, "", twist)
+            return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)
 
@@ -152,8 +152,8 @@ class BearingGoal(NamedTuple):
 def _there(words: str, name: str, status: Status) -> ControlOutput:
     """Return the output within the radius: only a robot that is localised has arrived."""
     if status is Status.LOCALISED:
-        return ControlOutput(State.ARRIVED, words)
-    return ControlOutput(State.HELD, f"at {name}, but {status.value}", is_lost=True)
+        return ControlOutput(GoalState.ARRIVED, words)
+    return ControlOutput(GoalState.HELD, f"at {name}, but {status.value}", is_lost=True)
 
 
 class RouteGoal(NamedTuple):
@@ -171,21 +171,23 @@ class RouteGoal(NamedTuple):
             sure = belief.status is Status.LOCALISED
             twist = follower.twist(now, belief.pose, sure, hindrance or False)
             match follower.state:
-                case following.State.ARRIVED:
-                    return ControlOutput(State.ARRIVED, f"arrived at the end of {self.name}")
-                case following.State.FAILED:
-                    return ControlOutput(State.FAILED, f"given up: {follower.reason}")
-                case following.State.HELD:
+                case following.PathState.ARRIVED:
+                    return ControlOutput(GoalState.ARRIVED, f"arrived at the end of {self.name}")
+                case following.PathState.FAILED:
+                    return ControlOutput(GoalState.FAILED, f"given up: {follower.reason}")
+                case following.PathState.HELD:
                     lost = follower.reason == following.NO_POSE
-                    return ControlOutput(State.HELD, follower.reason, is_lost=lost)
-                case following.State.STOPPED:
+                    return ControlOutput(GoalState.HELD, follower.reason, is_lost=lost)
+                case following.PathState.STOPPED:
                     if twist == STAND:
-                        return ControlOutput(State.HELD, f"waiting at {self._stop(follower)}")
-                    return ControlOutput(State.DRIVING, f"turning at {self._stop(follower)}", twist)
+                        return ControlOutput(GoalState.HELD, f"waiting at {self._stop(follower)}")
+                    return ControlOutput(
+                        GoalState.DRIVING, f"turning at {self._stop(follower)}", twist
+                    )
             if follower.entering:
-                return ControlOutput(State.DRIVING, f"entering {self.name}", twist)
+                return ControlOutput(GoalState.DRIVING, f"entering {self.name}", twist)
             metres = f"{follower.along:.0f} of {self.path.length:.0f} m"
-            return ControlOutput(State.DRIVING, f"following {self.name}, {metres}", twist)
+            return ControlOutput(GoalState.DRIVING, f"following {self.name}, {metres}", twist)
 
         return GoalController(math.inf, step)
 
@@ -210,13 +212,13 @@ class TurnGoal(NamedTuple):
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             nonlocal left, last
             if hindrance or belief.pose is None:
-                return ControlOutput(State.HELD, hindrance)
+                return ControlOutput(GoalState.HELD, hindrance)
             heading = float(belief.pose.heading)
             if math.isfinite(last):
                 left -= float(wrap(heading - last))
             last = heading
             if left <= 0.0:
-                return ControlOutput(State.TURNED, "once round")
-            return ControlOutput(State.DRIVING, "", Twist(0.0, min(RATE, limits.turn_rate)))
+                return ControlOutput(GoalState.TURNED, "once round")
+            return ControlOutput(GoalState.DRIVING, "", Twist(0.0, min(RATE, limits.turn_rate)))
 
         return GoalController(limits.patience, step, by_odometry=True)

@@ -18,7 +18,7 @@ AT_ONCE = 128
 """Stamps whose matrices are held, and inverted, together: 2 MB with 20 landmarks."""
 
 
-class Known(TypedDict, total=False):
+class KnownInputs(TypedDict, total=False):
     """What is known of a drive, beside where robot and landmarks truly are."""
 
     bearing_sigma: Required[float]
@@ -46,7 +46,7 @@ def posterior_bound(
     visible: np.ndarray,
     *,
     carried: np.ndarray | None = None,
-    **known: Unpack[Known],
+    **known: Unpack[KnownInputs],
 ) -> np.ndarray:
     """Return the least covariance of the pose at each time, given everything up to then.
 
@@ -65,7 +65,7 @@ def posterior_bound(
     carried : ndarray, shape (n - 1,), bool, optional
         Steps on which the robot was carried, so that nothing is known of the motion; none by
         default.
-    **known : Known
+    **known : KnownInputs
         Noise, what moved, a start prior, and where the camera sits.
 
     Returns
@@ -91,7 +91,7 @@ def posterior_bound(
 class RunningBound:
     """The posterior bound as a drive goes on; parameters as those of `posterior_bound`."""
 
-    def __init__(self, landmarks: np.ndarray, **known: Unpack[Known]) -> None:
+    def __init__(self, landmarks: np.ndarray, **known: Unpack[KnownInputs]) -> None:
         self.bearing_sigma, self.mount = known["bearing_sigma"], known.get("mount", CENTRE)
         self._sigmas = known["speed_sigma"], known["turn_sigma"]
         moved, start = known.get("moved"), known.get("start_covariance")

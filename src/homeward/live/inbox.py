@@ -25,7 +25,7 @@ LINES_AHEAD = 100
 """Read from stdin before they are looked at."""
 
 
-class Turn:
+class ClientTurn:
     """A client's turn on the loop's thread."""
 
     def __init__(self) -> None:

@@ -13,8 +13,7 @@ import numpy as np
 
 from homeward.control.goals import Goal, RouteGoal
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
-from homeward.drives.settings import DriveSettings
-from homeward.drives.settings import Start as StartPrior
+from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar
@@ -27,14 +26,14 @@ from homeward.live.messages import (
     Cancel,
     Departure,
     EStop,
-    Event,
+    EventOut,
     FollowRoute,
     GoHome,
     GoTo,
     GoToLandmark,
     Input,
     LandmarkOut,
-    Landmarks,
+    LandmarksOut,
     LookRound,
     MountIs,
     OdometryIn,
@@ -42,7 +41,7 @@ from homeward.live.messages import (
     Reset,
     SavePlace,
     SetHome,
-    Start,
+    StartIn,
     StoreHome,
     StoreRoute,
     TurnHome,
@@ -160,7 +159,7 @@ class Localisation:
                 return self._answer(message, odom)
             case SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {quoted(name)} is not looked at: the place knows its homes"
-                return Event(type="event", text=text)
+                return EventOut(type="event", text=text)
             case SetHome(name=name) | StoreHome(name=name) if self._is_one_too_many(name):
                 raise InputError(
                     f"{MAX_HOMES} homes are kept already; store home under one of their names"
@@ -175,7 +174,7 @@ class Localisation:
             case LookRound() | TurnHome():
                 self._looking.begin(self._robot)
             case SavePlace():
-                return Event(type="event", text=self._merge())
+                return EventOut(type="event", text=self._merge())
             case GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
                     there = ", ".join(self.homes) or "none yet"
@@ -189,17 +188,17 @@ class Localisation:
                 self._send(message)
             case BeginRoute():
                 text = self._required_place().begin_route(self.fix.estimate)
-                return Event(type="event", text=text)
+                return EventOut(type="event", text=text)
             case StoreRoute(name=name):
                 if len(self._required_place().routes) >= MAX_HOMES:
                     raise InputError(f"{MAX_HOMES} routes are kept already; no more can be stored")
                 text = self._required_place().store_route(name, self._known())
-                return Event(type="event", text=text)
-            case Start(sigma=sigma):
+                return EventOut(type="event", text=text)
+            case StartIn(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
                 R = max(polar.R, NEAREST_M)
                 sigmas = sigma, sigma / R, message.sigma_heading
-                self._begin(StartPrior.about(polar._replace(R=R), *sigmas))
+                self._begin(Start.about(polar._replace(R=R), *sigmas))
             case MountIs(x=x, y=y, yaw=yaw):
                 sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
                 self._robot = self._robot.model_copy(update={"sensor": sensor})
@@ -229,9 +228,9 @@ class Localisation:
                 return text
             raise type(error)(text) from error
 
-    def landmarks(self) -> Landmarks:
+    def landmarks(self) -> LandmarksOut:
         """Return what is known of all landmarks."""
-        return Landmarks(
+        return LandmarksOut(
             landmarks=tuple(
                 LandmarkOut(
                     landmark=m.landmark,
@@ -286,31 +285,31 @@ class Localisation:
         begun = self.drive is not None and name != self.home
         return self.place is not None and (self.in_place or begun)
 
-    def _store(self, name: str) -> Event:
+    def _store(self, name: str) -> EventOut:
         """Store one more home of the place, where the robot is."""
         assert self.place is not None
         self._looking.end()  # its landmarks are in the map
         if (now := self._looking.newest) is None:
             raise InputError("home cannot be stored: nothing is seen")
         text = self.place.store_home(name, self.home, now, self.fix.estimate)
-        return Event(type="event", text=text)
+        return EventOut(type="event", text=text)
 
     def _new(
         self,
         name: str,
         seen: dict[str, HomeBearing],
-        start: StartPrior | None = None,
+        start: Start | None = None,
         words: str = "",
-    ) -> Event:
+    ) -> EventOut:
         """Take a home, and begin the map anew; words say how it was found."""
         if not seen:
             raise InputError(f"home {quoted(name)} has no landmarks: nothing is stored")
         self.homes[name], self.home = seen, name
         self._begin(start)
         said = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
-        return Event(type="event", text=f"home {quoted(name)} {said}")
+        return EventOut(type="event", text=f"home {quoted(name)} {said}")
 
-    def _begin(self, start: StartPrior | None) -> None:
+    def _begin(self, start: Start | None) -> None:
         """Begin the map anew."""
         self._looking.end()
         if self.place is not None:

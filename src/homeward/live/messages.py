@@ -193,7 +193,7 @@ class Obstacle(Strict):
     """[m]"""
 
 
-class Start(Strict):
+class StartIn(Strict):
     """About where the robot is in the home frame; the map begins anew."""
 
     type: Literal["start"] = "start"
@@ -260,7 +260,7 @@ class LandmarkOut(Strict):
     moved_probability: float | None = None
 
 
-class Landmarks(Strict):
+class LandmarksOut(Strict):
     """What is known of all landmarks, once a second."""
 
     type: Literal["landmarks"] = "landmarks"
@@ -287,7 +287,7 @@ class Diagnostics(Strict):
     """The longest of the last second's samples took the estimator so long [ms]."""
 
 
-class Event(Strict):
+class EventOut(Strict):
     """Something was done, in words, or could not be."""
 
     type: Literal["event", "error"]
@@ -312,13 +312,13 @@ Input = (
     | Cancel
     | EStop
     | Obstacle
-    | Start
+    | StartIn
     | MountIs
     | Reset
 )
 Departure = GoHome | GoTo | GoToLandmark | FollowRoute
 """What sends the robot somewhere."""
-Output = Hello | Answer | Command | Landmarks | Diagnostics | Event
+Output = Hello | Answer | Command | LandmarksOut | Diagnostics | EventOut
 Message = TypeVar("Message")
 _IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
 _OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="type")])

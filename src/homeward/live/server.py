@@ -23,8 +23,8 @@ from typing import Any
 
 from homeward.errors import HomewardError, InputError
 from homeward.io.one_thread import one_thread
-from homeward.live.inbox import Inbox, Line, Turn, stdin_lines, stop_in, tcp_lines
-from homeward.live.messages import LONGEST_LINE, Event, Hello, Input, Output, line_of, parse
+from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
+from homeward.live.messages import LONGEST_LINE, EventOut, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
 
 HELLO_S = 5.0
@@ -187,7 +187,7 @@ class Server:
                 if (command := self.session.tick(now)) is not None:
                     self._tell(command)
             except HomewardError as error:
-                self._tell(Event(type="error", text=str(error)))
+                self._tell(EventOut(type="error", text=str(error)))
                 self._work.set()
             if now - said >= SAID_S:
                 said = now
@@ -229,7 +229,7 @@ class Server:
 
         What may be a file is read no faster than the estimator works, to its end.
         """
-        inbox, turn = Inbox(), Turn()
+        inbox, turn = Inbox(), ClientTurn()
         taking = asyncio.create_task(self._take_all(inbox, listener, is_file))
         try:
             async for line in lines:
@@ -246,7 +246,7 @@ class Server:
             taking.cancel()
 
     async def _take_all(self, inbox: Inbox, listener: _Listener, is_file: bool) -> None:
-        refused, turn = 0, Turn()
+        refused, turn = 0, ClientTurn()
         while (line := await inbox.take()) is not None:
             while is_file and self.session.waiting > self.session.settings.queue // 2:
                 await asyncio.sleep(0.001)
@@ -277,7 +277,7 @@ class Server:
         return True
 
     def _refuse(self, why: str, listener: _Listener) -> bool:
-        listener.tell(line_of(Event(type="error", text=why)))
+        listener.tell(line_of(EventOut(type="error", text=why)))
         return False
 
     def _print(self, line: str) -> None:

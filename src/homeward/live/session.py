@@ -16,7 +16,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
-from homeward.control.goals import Belief, Goal, State, TurnGoal
+from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InternalError
@@ -32,7 +32,7 @@ from homeward.live.messages import (
     Departure,
     Diagnostics,
     EStop,
-    Event,
+    EventOut,
     FollowRoute,
     GoHome,
     GoTo,
@@ -179,7 +179,7 @@ class Session:
                 try:
                     yield self.localisation.landmarks()
                 except Exception as error:
-                    yield Event(type="error", text=str(InternalError(error, "no landmarks")))
+                    yield EventOut(type="error", text=str(InternalError(error, "no landmarks")))
                 continue
             with self._lock:
                 message, odom, t, _ = self._queue.popleft()
@@ -188,7 +188,7 @@ class Session:
             try:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
-                out = Event(type="error", text=str(error))
+                out = EventOut(type="error", text=str(error))
                 fails = isinstance(message, Departure) or isinstance(error, InternalError)
                 self._refuse(message, str(error) if fails else "")
             lost, self.localisation.goal_lost = self.localisation.goal_lost, ""
@@ -209,7 +209,7 @@ class Session:
             if why and (self._sent is None or self._sent is message):
                 self._refused = why
 
-    def _keep(self, message: Input | Output) -> Iterator[Event]:
+    def _keep(self, message: Input | Output) -> Iterator[EventOut]:
         """Give a message to all that keep them; one that cannot keep it gets no more."""
         for keep in list(self._keepers):
             try:
@@ -217,7 +217,7 @@ class Session:
             except Exception as error:  # a full disk must not end a robot's session
                 self._keepers.remove(keep)
                 text = str(error) if isinstance(error, HomewardError) else repr(error)
-                yield Event(type="error", text=f"recording or view stopped: {text}")
+                yield EventOut(type="error", text=f"recording or view stopped: {text}")
 
     def tick(self, now: float) -> Command | None:
         """Return the command at `now` [s]; None where the robot is left to others. Quick.
@@ -341,7 +341,7 @@ class Session:
         belief = Belief(Status.WAITING, here, None)
         twist = self._turning.command(now, belief, self.faults(now))
         if began and not self._turning.active:
-            whole = self._turning.state is State.TURNED
+            whole = self._turning.state is GoalState.TURNED
             self._put(self._turned_for if whole else Cancel(), None, math.nan)
         return twist
 

@@ -22,7 +22,7 @@ from homeward.localizer.map.map import Map, View
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.output.contradiction import Contradiction
@@ -66,7 +66,7 @@ class Chart:
         self.counts, self._twists = counts, twists
         self.noise = BearingNoise(drive.sensor.bearing_sigma, settings.bearing_sigma)
         self.process_noise = ProcessNoise(drive.odometry, settings.odometry)
-        self.odometry = Odometry(twists, self.process_noise)
+        self.odometry = OdometryIntegrator(twists, self.process_noise)
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known

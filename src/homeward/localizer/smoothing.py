@@ -20,7 +20,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.odometry import Odometry
+from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.output.status import IntegrityMonitor
@@ -174,13 +174,13 @@ def _at_keyframes(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
     return hypotheses
 
 
-def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> Odometry:
+def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> OdometryIntegrator:
     """Return an odometry that starts at `begin` [s] and has the twists until `end` [s]."""
     twists = TwistHistory()
     t = drive.odometry.t
     for i in range(*np.searchsorted(t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
         twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
-    odometry = Odometry(twists, noise)
+    odometry = OdometryIntegrator(twists, noise)
     odometry.restart(begin)
     return odometry
 

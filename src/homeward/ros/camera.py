@@ -19,7 +19,7 @@ from homeward.ros import conversions as convert
 from homeward.ros.conversions import JSON, TFS
 
 
-class Camera:
+class MessageCamera:
     """What makes bearings of messages, as far as it is known by then.
 
     Parameters

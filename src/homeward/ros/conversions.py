@@ -26,10 +26,10 @@ from homeward.live.messages import (
     Answer,
     BearingsIn,
     Diagnostics,
-    Landmarks,
+    LandmarksOut,
     Obstacle,
     OdometryIn,
-    Start,
+    StartIn,
 )
 from homeward.runs.report.palette import LEVELS, UNJUDGED, colour
 
@@ -50,7 +50,7 @@ def message_class(kind: str) -> Any:
     return getattr(import_module(f"{package}.{part}"), name)
 
 
-class Clock:
+class StampConverter:
     """Stamps of ROS as seconds from the first one's whole second: a double then loses nothing."""
 
     def __init__(self) -> None:
@@ -108,7 +108,7 @@ def bearings_in(
     return validated(BearingsIn, known)
 
 
-def start_in(message: Any) -> Start:
+def start_in(message: Any) -> StartIn:
     """Return the start that a geometry_msgs/PoseWithCovarianceStamped tells."""
     x, y, heading = pose_of(message)
     c = message.pose.covariance
@@ -117,7 +117,7 @@ def start_in(message: Any) -> Start:
         sigmas["sigma"] = math.sqrt(var)
     if c[35] > 0:
         sigmas["sigma_heading"] = math.sqrt(c[35])
-    return validated(Start, {"x": x, "y": y, "heading": heading, **sigmas})
+    return validated(StartIn, {"x": x, "y": y, "heading": heading, **sigmas})
 
 
 def obstacle_in(message: Any, half_angle: float) -> Obstacle:
@@ -174,7 +174,7 @@ def diagnostics_out(said: Diagnostics, stamp: Any) -> Any:
     return array
 
 
-def markers_out(known: Landmarks, stamp: Any, frame: str) -> Any:
+def markers_out(known: LandmarksOut, stamp: Any, frame: str) -> Any:
     """Return a visualization_msgs/MarkerArray, coloured by the probability of having moved."""
     array = message_class("visualization_msgs/msg/MarkerArray")()
     make = message_class("visualization_msgs/msg/Marker")

@@ -30,7 +30,7 @@ from homeward.live.messages import (
     BeginRoute,
     Cancel,
     EStop,
-    Event,
+    EventOut,
     FollowRoute,
     GoHome,
     Input,
@@ -48,7 +48,7 @@ from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
 from homeward.ros import conversions as convert
-from homeward.ros.camera import Camera
+from homeward.ros.camera import MessageCamera
 from homeward.ros.conversions import JSON, TFS
 from homeward.ros.newest import Newest
 from homeward.ros.publishers import Publishers
@@ -106,9 +106,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._say = Publishers(self)
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
-        self._camera: Camera | None = None
+        self._camera: MessageCamera | None = None
         self._pictures: Newest[BearingsIn] | None = None
-        self._stamps = convert.Clock()
+        self._stamps = convert.StampConverter()
         self._map_to_odom: Pose | None = None
         self._complained = ""
 
@@ -123,7 +123,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 robot = read_settings(Path(told("robot")), DriveSettings)
             if told("home"):
                 homes["home"] = read_home(Path(told("home")), {})
-            self._camera = Camera({name: told(name) for name in PARAMETERS})
+            self._camera = MessageCamera({name: told(name) for name in PARAMETERS})
             place = None
             if told("place_update") and not told("place"):
                 raise InputError("place_update needs a place")
@@ -328,7 +328,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except HomewardError as error:
             command = None
             self.get_logger().error(str(error))
-            self._output(Event(type="error", text=str(error)))
+            self._output(EventOut(type="error", text=str(error)))
         if command is not None:
             self._say.command(command)
         # Where there is no pose any more, the last transform is the best there is.
@@ -359,7 +359,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _clean(self) -> None:
         self._say.destroy()
         session, self._session, self._map_to_odom = self._session, None, None
-        self._stamps, self._camera = convert.Clock(), None
+        self._stamps, self._camera = convert.StampConverter(), None
         recorder, self._recorder = self._recorder, None
         ends: list[Callable[[], str | None]] = []
         ends += [] if session is None else [session.localisation.conclude]

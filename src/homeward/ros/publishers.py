@@ -6,7 +6,7 @@ from typing import Any
 
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.geometry.frames import Pose
-from homeward.live.messages import Answer, Command, Diagnostics, Landmarks, Output, line_of
+from homeward.live.messages import Answer, Command, Diagnostics, LandmarksOut, Output, line_of
 from homeward.ros import conversions as convert
 from homeward.ros.conversions import JSON, TFS
 
@@ -73,7 +73,7 @@ class Publishers:
             convert.fill_pose(message.pose.pose, Pose(*said.pose))
             convert.fill_covariance(message.pose, said)
             self._out["pose"].publish(message)
-        if isinstance(said, Landmarks):
+        if isinstance(said, LandmarksOut):
             markers = convert.markers_out(said, self._now(), self._told("map_frame"))
             self._out["landmarks"].publish(markers)
 

@@ -14,7 +14,7 @@ import pytest
 from lab.studies import chores
 
 from homeward.errors import HomewardError, InputError
-from homeward.lab.studies.blocks.finish import Where, Work, on_processes
+from homeward.lab.studies.blocks.finish import StudyBlocks, Where, on_processes
 from homeward.lab.studies.blocks.store import BlockStore
 
 SETTINGS = {"runs": 4, "noise": {"sigma": [0.1, 0.2]}}
@@ -81,7 +81,7 @@ def test_only_missing_blocks_are_computed(tmp_path):
     store = store_in(tmp_path)
     store.save("2", {"square": np.array([-1])})
     told = []
-    Work(store, Where(), told.append).finish(chores.square, {str(x): x for x in range(4)})
+    StudyBlocks(store, Where(), told.append).finish(chores.square, {str(x): x for x in range(4)})
     assert [int(store.load(str(x))["square"][0]) for x in range(4)] == [0, 1, -1, 9]
     assert told == [0.25, 0.5, 0.75, 1.0]
 

@@ -13,7 +13,7 @@ import pytest
 from lab.studies import chores
 
 from homeward.errors import HomewardError, InputError
-from homeward.lab.studies.blocks.finish import Where, Work, on_cluster
+from homeward.lab.studies.blocks.finish import StudyBlocks, Where, on_cluster
 from homeward.lab.studies.blocks.store import BlockStore
 
 dask = pytest.importorskip("dask")
@@ -51,7 +51,7 @@ def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(tmp_path):
     store = BlockStore(tmp_path / "out", {"runs": 10}, "study.yaml")
     told = []
     with cluster(2) as address:
-        Work(store, Where(scheduler=address), told.append).finish(chores.die_once, work)
+        StudyBlocks(store, Where(scheduler=address), told.append).finish(chores.die_once, work)
     assert (tmp_path / "died").exists()
     assert told == sorted(set(told))
     assert len(told) == 11
@@ -70,7 +70,7 @@ def test_an_interrupted_cluster_study_goes_on_elsewhere(tmp_path):
         results.close()
     assert not multiprocessing.active_children()
     told = []
-    Work(store, Where(), told.append).finish(chores.square, work)
+    StudyBlocks(store, Where(), told.append).finish(chores.square, work)
     assert told == [0.25, 0.5, 0.75, 1.0]
 
 
@@ -101,5 +101,5 @@ def test_processes_of_this_machine_open_no_port(tmp_path):
             found = process.net_connections()
             listening.extend(c for c in found if c.status == psutil.CONN_LISTEN)
 
-    Work(store, Where(workers=2), look).finish(chores.square, {str(x): x for x in range(3)})
+    StudyBlocks(store, Where(workers=2), look).finish(chores.square, {str(x): x for x in range(3)})
     assert not listening

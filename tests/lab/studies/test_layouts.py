@@ -11,7 +11,7 @@ from runs.figure_faults import faults
 
 from homeward.lab.report.paper.claims import claims, command
 from homeward.lab.report.paper.layout_page import CLAIMED, FIGURES, grid_table, headline
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.paper.cases import FAR, FILTERS, errors_over, run_filter, run_many
 from homeward.lab.studies.paper.layouts import (
     BOUND,
@@ -221,7 +221,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", compute)
     values = {"assumed": {"longest": 1, "circle_time": 1}, "varied": 2, "robust": 2}
     values["grid"] = {"stop_radius": [0.15], "faults": [1]}
-    study = study_layouts(layout_settings(values, 4), Work(open_store(tmp_path / "out")))
+    study = study_layouts(layout_settings(values, 4), StudyBlocks(open_store(tmp_path / "out")))
     assert headline(study) in answer.stdout
     for _, draw in FIGURES.values():
         assert faults(draw(study)) == [], draw.__name__

@@ -11,7 +11,7 @@ from lab.studies.chores import in_this_process
 
 from homeward.io.reading import shipped_yaml
 from homeward.lab.report.paper.map import cells, draw_map, headline
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import store_of
 from homeward.lab.studies.paper import map as maps
 from homeward.lab.studies.paper.cases import run_many
@@ -46,7 +46,7 @@ def written(folder, **changes):
 
 def computed(folder, name="out", **changes):
     settings = with_engine(load_map(str(written(folder, **changes)), {}))
-    return run_map(settings, Work(store_of(settings, folder / name)))
+    return run_map(settings, StudyBlocks(store_of(settings, folder / name)))
 
 
 def test_a_cell_is_the_layout_study_in_distribution(tmp_path):

@@ -34,7 +34,7 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
         sentences,
         write_reproduction,
     )
-    from homeward.lab.studies.blocks.finish import Work
+    from homeward.lab.studies.blocks.finish import StudyBlocks
     from homeward.lab.studies.paper.layouts import open_store
     from homeward.lab.studies.paper.reproduction import reproduce as run_cases
     from homeward.lab.studies.paper.reproduction import rows
@@ -47,7 +47,7 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     check_output(out, SETTINGS_FILE)
     store = open_store(out, SETTINGS_FILE)
     with resumable(), progress("the paper's cases") as tell:
-        result = run_cases(settings, Work(store, where, tell))
+        result = run_cases(settings, StudyBlocks(store, where, tell))
         write_reproduction(out, result)
 
     if json:
@@ -88,7 +88,7 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
         ratio_table,
         write_layouts,
     )
-    from homeward.lab.studies.blocks.finish import Work
+    from homeward.lab.studies.blocks.finish import StudyBlocks
     from homeward.lab.studies.blocks.store import MARKER
     from homeward.lab.studies.paper.layouts import open_store
     from homeward.lab.studies.paper.reproduction import layout_settings, study_layouts
@@ -98,7 +98,7 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     check_output(out, MARKER)
     store = open_store(out)
     with resumable(), progress("layouts of the paper's cases") as tell:
-        result = study_layouts(settings, Work(store, where, tell))
+        result = study_layouts(settings, StudyBlocks(store, where, tell))
         write_layouts(out, result)
     tables = (error_table, ratio_table, order_table, claim_table)
     if json:

@@ -65,7 +65,7 @@ def study(
     """
     from homeward.io.settings import nested
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
-    from homeward.lab.studies.blocks.finish import Where, Work
+    from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
     from homeward.lab.studies.paper.map import load_map
     from homeward.lab.studies.study.plan import make_plan
@@ -94,7 +94,7 @@ def study(
     check_output(folder, MARKER)
     store = store_of(plan.study, folder)
     with resumable(), progress(plan.study.name) as tell:
-        results = run_study(plan, Work(store, where, tell))
+        results = run_study(plan, StudyBlocks(store, where, tell))
         rows = write_study(folder, results)
     if json:
         told = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}
@@ -112,7 +112,7 @@ def study(
 
 def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
     from homeward.lab.report.paper.map import FIGURE, TABLE, headline, write_map
-    from homeward.lab.studies.blocks.finish import Where, Work
+    from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
     from homeward.lab.studies.paper.map import run_map, with_engine
     from homeward.runs.report.output import check_output
@@ -123,7 +123,7 @@ def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> No
     if settings.engine == "cuda" and where == Where():
         where = Where(workers=1)  # one process feeds a GPU
     with resumable(), progress(settings.name) as tell:
-        results = run_map(settings, Work(store, where, tell))
+        results = run_map(settings, StudyBlocks(store, where, tell))
         write_map(folder, results)
     files = {"figure": str(folder / FIGURE), "table": str(folder / TABLE)}
     if as_json:

@@ -14,7 +14,7 @@ from typing import NamedTuple, Unpack
 import numpy as np
 
 from homeward.drives.drive import HomeBearing, Odometry, Samples, Sightings
-from homeward.drives.home.turn import GATE, LEAST_RAD, Turn
+from homeward.drives.home.turn import GATE, LEAST_RAD, TurnProblem
 from homeward.drives.known import known_robot
 from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError
@@ -104,7 +104,7 @@ def spin(
         When nothing was seen meanwhile, odometry has a gap, the robot drives away, or most
         sightings disagree with its turn.
     """
-    turn = Turn.within(interval, odometry, sightings, settings)
+    turn = TurnProblem.within(interval, odometry, sightings, settings)
     x, drift = turn.first_guess(), turn.drift()
     for share_of_drift in GNC_SCHEDULE:
         gate = np.hypot(GATE * turn.sigmas, share_of_drift * drift)

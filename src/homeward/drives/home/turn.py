@@ -49,7 +49,7 @@ SCALE, BIAS, LAG, SLIP, POSES = range(5)
 
 
 @dataclass(frozen=True)
-class Turn:
+class TurnProblem:
     """The problem: m sightings of n landmarks from K poses, the first of which is home."""
 
     names: list[str]
@@ -83,7 +83,7 @@ class Turn:
         odometry: Odometry,
         sightings: Sightings,
         settings: DriveSettings,
-    ) -> Turn:
+    ) -> TurnProblem:
         """Return the problem of an interval."""
         begin, end = interval
         there = (sightings.t >= begin) & (sightings.t <= end) & np.isfinite(sightings.bearing)

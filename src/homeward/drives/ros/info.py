@@ -33,7 +33,7 @@ from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY,
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import Survey, Tell, Topic, survey
+from homeward.drives.ros.topics.survey import Tell, Topic, TopicSurvey, survey
 from homeward.errors import InputError
 from homeward.io.settings import read_settings, settings_yaml
 
@@ -157,7 +157,7 @@ def _judged(path: Path) -> Iterator[str]:
 
 
 def _tried(
-    known: Survey, plan: LogSettings, topics: Path | None, tell: Tell | None
+    known: TopicSurvey, plan: LogSettings, topics: Path | None, tell: Tell | None
 ) -> Iterator[str]:
     """Yield the remarks of reading a log as `homeward run` does, and why it is refused."""
     from homeward.drives.ros.reading import read_planned  # the extra bags
@@ -195,7 +195,7 @@ _SERVES: tuple[tuple[tuple[str, ...], str], ...] = (
 """Types, and what they tell; the first that holds counts."""
 
 
-def _candidates(known: Survey) -> Iterator[str]:
+def _candidates(known: TopicSurvey) -> Iterator[str]:
     """Say what each topic could serve as, if its messages can be decoded."""
     from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
 

@@ -16,14 +16,19 @@ from homeward.drives.home.choosing import with_home
 from homeward.drives.one_clock import on_time
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
-from homeward.drives.ros.measurements.extrinsics import TF_STATIC, Camera, Transforms, extrinsics
+from homeward.drives.ros.measurements.extrinsics import (
+    TF_STATIC,
+    TopicSightings,
+    Transforms,
+    extrinsics,
+)
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.names import PICTURES
 from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import Clock, Survey, Tell, survey
+from homeward.drives.ros.topics.survey import MessageTimes, Tell, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError, speaking_of
 from homeward.geometry.frames import Pose
@@ -72,7 +77,7 @@ def read_log(
 
 
 def read_planned(
-    known: Survey,
+    known: TopicSurvey,
     plan: LogSettings,
     topics: Path | None = None,
     tell: Tell | None = None,
@@ -98,7 +103,7 @@ class _Reading:
     """The second walk: who takes which topic, and what they make of it together."""
 
     def __init__(
-        self, known: Survey, plan: LogSettings, topics: Path | None, eye: Eye | None
+        self, known: TopicSurvey, plan: LogSettings, topics: Path | None, eye: Eye | None
     ) -> None:
         self._eye = eye
         self._known, self._plan, self._topics = known, plan, topics
@@ -106,7 +111,7 @@ class _Reading:
         if plan.odometry is None:
             raise InputError("no topic with odometry in it; homeward info lists what there is")
         self._settings, epoch = self._drive_settings()
-        self._clock = Clock(known, plan, epoch)
+        self._clock = MessageTimes(known, plan, epoch)
         self._remarks = Remarks()
         self._takers: dict[str, list[Taker]] = {}
         told = plan.odometry
@@ -164,7 +169,7 @@ class _Reading:
     def _mount(self) -> None:
         """Set the extrinsics of the camera, and give all bearings in the frame of the first one."""
         self._cameras = [
-            Camera(frame, rows)
+            TopicSightings(frame, rows)
             for by_frame in self._seen
             for frame, rows in by_frame.items()
             if len(rows)

@@ -26,7 +26,7 @@ def nothing_said(q: int) -> dict[str, np.ndarray]:
     return {name: np.zeros(q) for name in ("innovation", "innovation_variance", "accepted")}
 
 
-class Known(NamedTuple):
+class LandmarkBelief(NamedTuple):
     """What a belief says of the landmarks; all have shape (q,)."""
 
     home: np.ndarray
@@ -37,7 +37,7 @@ class Known(NamedTuple):
     """[m]"""
 
 
-class Carrier(Protocol):
+class FilterBackend(Protocol):
     """Makes new beliefs of old ones; a belief is never changed, and knows which are `active`."""
 
     engine: Engine
@@ -72,5 +72,5 @@ class Carrier(Protocol):
     def pose(self, belief: Any) -> tuple[Pose, np.ndarray]:
         """Return the pose in the home frame and its covariance (3, 3): x, y [m], heading [rad]."""
 
-    def landmarks(self, belief: Any) -> Known:
+    def landmarks(self, belief: Any) -> LandmarkBelief:
         """Return what is known of the landmarks."""

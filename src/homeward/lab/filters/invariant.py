@@ -10,7 +10,14 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
+from homeward.lab.filters.carrier import (
+    LOST_SIGMA,
+    Angles,
+    Held,
+    LandmarkBelief,
+    Outputs,
+    nothing_said,
+)
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import INPUTS, discretise, home_anchored_bearing, unicycle_rates
 
@@ -110,7 +117,7 @@ def sight_function(q: int) -> ca.Function:
 
 
 class InvariantFilter:
-    """The right-invariant EKF on SE(2), as a `homeward.lab.filters.carrier.Carrier`.
+    """The right-invariant EKF on SE(2), as a `homeward.lab.filters.carrier.FilterBackend`.
 
     The error of the pose is that motion of the whole plane that takes the estimate to the truth.
     Odometry moves both alike, so that the error stays what it was, exactly and wherever the robot
@@ -198,12 +205,12 @@ class InvariantFilter:
         covariance = turning @ belief.covariance[:POSE, :POSE] @ turning.T
         return Pose(x, y, float(wrap(heading))), covariance
 
-    def landmarks(self, belief: CartesianBelief) -> Known:
+    def landmarks(self, belief: CartesianBelief) -> LandmarkBelief:
         """Return what is known of the landmarks; one may lie beyond infinity, at less than zero."""
         q = self.stored.size
         sigma = np.sqrt(np.diag(belief.covariance)[POSE + q :])
         with np.errstate(divide="ignore"):
-            return Known(wrap(belief.home), 1 / belief.inverse, sigma / belief.inverse**2)
+            return LandmarkBelief(wrap(belief.home), 1 / belief.inverse, sigma / belief.inverse**2)
 
     def _look(
         self, belief: CartesianBelief, rows: np.ndarray, measured: np.ndarray

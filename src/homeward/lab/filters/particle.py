@@ -9,7 +9,14 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, Twist, advance, from_polar
-from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs, nothing_said
+from homeward.lab.filters.carrier import (
+    LOST_SIGMA,
+    Angles,
+    Held,
+    LandmarkBelief,
+    Outputs,
+    nothing_said,
+)
 from homeward.lab.filters.invariant import SensorNoise
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import home_anchored_bearing
@@ -49,7 +56,7 @@ class Particles:
 
 
 class ParticleFilter:
-    """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.carrier.Carrier`.
+    """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.carrier.FilterBackend`.
 
     Given the path, landmarks are independent of each other: each particle is a path, with an EKF of
     two numbers for each landmark. A bearing is right or, with the small probability `outliers`,
@@ -139,13 +146,13 @@ class ParticleFilter:
         off = np.stack([x - w @ x, y - w @ y, wrap(heading - mean)])
         return Pose(float(w @ x), float(w @ y), mean), (off * w) @ off.T
 
-    def landmarks(self, belief: Particles) -> Known:
+    def landmarks(self, belief: Particles) -> LandmarkBelief:
         """Return mean and spread over all particles."""
         w = belief.weight
         home, inverse = (w @ m for m in belief.mark)
         variance = w @ (belief.spread[1, 1] + (belief.mark[1] - inverse) ** 2)
         with np.errstate(divide="ignore"):
-            return Known(wrap(home), 1 / inverse, np.sqrt(variance) / inverse**2)
+            return LandmarkBelief(wrap(home), 1 / inverse, np.sqrt(variance) / inverse**2)
 
     def _resampled(self, belief: Particles) -> Particles:
         """Draw particles by their weights, where fewer than half of them count."""

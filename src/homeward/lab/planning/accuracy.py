@@ -40,7 +40,7 @@ class Fix:
 
 
 @dataclass(frozen=True)
-class Told:
+class Information:
     """What q landmarks tell at n places, in one direction, or in several: (H, n, ...)."""
 
     each: np.ndarray
@@ -90,7 +90,7 @@ class Arcs:
 
     def told(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
-    ) -> Told:
+    ) -> Information:
         """Return what each landmark tells, by heading number `h`, at each place.
 
         Places (n, 2) are the middles of the arc, marks (q, 2) the landmarks [m]. `visible` (n, q)
@@ -111,7 +111,7 @@ class Arcs:
         information[n, i] = features.reshape(n.size, 9 * len(self.pairs)) @ self._maps[h]
         seen = np.zeros(visible.shape, bool)
         seen[n, i] = True
-        return Told(information, seen, seen & stored)
+        return Information(information, seen, seen & stored)
 
     def _gradients(self, places: np.ndarray, marks: np.ndarray, h: int) -> np.ndarray:
         """Return (a_x, a_y, 1) of the bearings of m marks at all stops, (m, s, 3); 0 if unseen."""

@@ -11,7 +11,7 @@ from itertools import repeat
 
 import numpy as np
 
-from homeward.lab.planning.accuracy import Arcs, Told, home_sees
+from homeward.lab.planning.accuracy import Arcs, Information, home_sees
 from homeward.lab.planning.floor import Floor, candidate_places, make_floor
 from homeward.lab.planning.settings import Plan
 
@@ -77,11 +77,11 @@ class Places:
         begins = np.asarray(best <= 1)
         return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
 
-    def _told(self, h: int, stored: np.ndarray) -> Told:
+    def _told(self, h: int, stored: np.ndarray) -> Information:
         return self.arcs.told(self.places, self.marks, self.visible, stored, h)
 
     def _without(
-        self, told: Told, which: np.ndarray, still: np.ndarray | None = None
+        self, told: Information, which: np.ndarray, still: np.ndarray | None = None
     ) -> np.ndarray:
         """Return scores (n, q) without each landmark where it is `which`, but for `still`."""
         now = self.arcs.score(self.arcs.fix(told.every), told.count)
@@ -92,7 +92,7 @@ class Places:
 
     def _scores(
         self,
-        told: Told,
+        told: Information,
         place: np.ndarray,
         without: list[np.ndarray],
         still: np.ndarray | None = None,
@@ -165,24 +165,24 @@ def best_places(
     return candidates[chosen], candidates
 
 
-def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Told:
+def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Information:
     """Return what landmarks tell at m places, in each of H directions."""
     visible, stored = floor.sees(places, marks), home_sees(arcs.plan, floor, marks)
     told = [arcs.told(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
-    return Told(*(np.array([getattr(t, f.name) for t in told]) for f in fields(Told)))
+    return Information(*(np.array([getattr(t, f.name) for t in told]) for f in fields(Information)))
 
 
-def _with(now: Told, more: Told, c: int) -> Told:
+def _with(now: Information, more: Information, c: int) -> Information:
     """Return what is told now, and by landmark `c` of more."""
-    pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Told))
-    return Told(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
+    pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Information))
+    return Information(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
 
 
-def _cost_with(arcs: Arcs, now: Told, more: Told, c: int) -> tuple[float, float]:
+def _cost_with(arcs: Arcs, now: Information, more: Information, c: int) -> tuple[float, float]:
     return _cost(arcs, _with(now, more, c))
 
 
-def _cost(arcs: Arcs, state: Told) -> tuple[float, float]:
+def _cost(arcs: Arcs, state: Information) -> tuple[float, float]:
     """Return the mean over places of the score with the worst landmark hidden, and with none."""
     every, count = state.every, state.count
     H, m, q = state.seen.shape

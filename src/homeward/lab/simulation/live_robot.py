@@ -24,7 +24,7 @@ from homeward.live.messages import (
     BeginRoute,
     Command,
     Departure,
-    Event,
+    EventOut,
     GoHome,
     Hello,
     Input,
@@ -133,7 +133,7 @@ class SimulatedRobotClient:
     ) -> None:
         self.robot, self._longest = robot, longest
         self.task: Task = task or GoHome()
-        self.ending: Command | Event | None = None
+        self.ending: Command | EventOut | None = None
         """What was said last of the task: a command "arrived" or "failed", or, of a route that
         is to be stored, what came of that."""
         self._search = Search(CIRCLES, robot.view)
@@ -148,7 +148,7 @@ class SimulatedRobotClient:
     @property
     def succeeded(self) -> bool:
         """Whether it did its task."""
-        if isinstance(self.ending, Event):
+        if isinstance(self.ending, EventOut):
             return self.ending.type == "event"
         return self.ending is not None and self.ending.state == "arrived"
 
@@ -156,7 +156,7 @@ class SimulatedRobotClient:
     def last_words(self) -> str:
         """What was said last of its task."""
         said = self.ending
-        if said is None or isinstance(said, Event):
+        if said is None or isinstance(said, EventOut):
             return "" if said is None else said.text
         return f"{said.state}: {said.reason}"
 
@@ -198,7 +198,7 @@ class SimulatedRobotClient:
         """Take a message of the session."""
         if isinstance(said, Answer):
             self._status = said.status
-        elif isinstance(said, Event) and self._asked and self._hand is not None:
+        elif isinstance(said, EventOut) and self._asked and self._hand is not None:
             if self._stored:
                 self.ending = said
             elif said.type == "error":  # it knows too little yet
@@ -255,7 +255,7 @@ async def play(
     async def listen() -> None:
         while (said := await hear()) is not None:
             player.on_message(said)
-            if isinstance(said, Event):
+            if isinstance(said, EventOut):
                 tell(said.text)
 
     listening: asyncio.Task[None] | None = None
@@ -265,7 +265,7 @@ async def play(
             welcome = await asyncio.wait_for(hear(), HELLO_S)
         except TimeoutError as error:
             raise HomewardError(f"no hello within {HELLO_S:g} s") from error
-        if isinstance(welcome, Event):
+        if isinstance(welcome, EventOut):
             raise HomewardError(welcome.text)
         if welcome is None:
             raise HomewardError("the session ended the talk")

@@ -15,7 +15,15 @@ import numpy as np
 
 from homeward.control.driver import Driver
 from homeward.control.following import Path
-from homeward.control.goals import UNSEEN, BearingGoal, Belief, Goal, PointGoal, RouteGoal, State
+from homeward.control.goals import (
+    UNSEEN,
+    BearingGoal,
+    Belief,
+    Goal,
+    GoalState,
+    PointGoal,
+    RouteGoal,
+)
 from homeward.control.laws import law_named
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Fault
@@ -239,21 +247,21 @@ class GoalControl(Control):
         driver = self.driver
         if t < self._looks_until:
             return Twist(0.0, LOOK_RATE)
-        if driver.state is State.IDLE:
+        if driver.state is GoalState.IDLE:
             driver.go(t, self._goal)
         begin, end = self._blocked
         faults = (Fault("blocked"),) if begin <= t < end else ()
         twist = driver.command(t, belief, faults)
-        if driver.state is State.ARRIVED and self._looks_round:
+        if driver.state is GoalState.ARRIVED and self._looks_round:
             self._looks_round, self._looks_until = False, t + math.tau / LOOK_RATE
             driver.go(t, self._goal)
             return Twist(0.0, LOOK_RATE)
         if not driver.active:
-            self.gave_up = driver.reason if driver.state is State.FAILED else ""
+            self.gave_up = driver.reason if driver.state is GoalState.FAILED else ""
             return None
-        if driver.state is not State.HELD or not driver.is_lost:
+        if driver.state is not GoalState.HELD or not driver.is_lost:
             self._lost_since = None
-            self._has_driven = self._has_driven or driver.state is State.DRIVING
+            self._has_driven = self._has_driven or driver.state is GoalState.DRIVING
             self._search.end()
             return twist
         if self._lost_since is None:

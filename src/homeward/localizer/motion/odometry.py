@@ -109,7 +109,7 @@ class _Checkpoint(NamedTuple):
     motion_prior: MotionPrior
 
 
-class Odometry:
+class OdometryIntegrator:
     """Preintegrates the twists since the newest keyframe.
 
     Parameters

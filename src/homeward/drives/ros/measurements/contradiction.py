@@ -35,7 +35,7 @@ BETTER = 4.0
 """Poses and twists agree better in another frame if that divides the squared residuals by this."""
 
 
-class Contradiction(NamedTuple):
+class SourceContradiction(NamedTuple):
     """What contradicts, and which of the two is usable."""
 
     words: str
@@ -44,7 +44,7 @@ class Contradiction(NamedTuple):
     """Whether the poses are right; else the twists."""
 
 
-def contradiction(rows: np.ndarray) -> Contradiction | None:
+def contradiction(rows: np.ndarray) -> SourceContradiction | None:
     """Compare the twists of messages with the motion of their poses; None where they agree.
 
     Parameters
@@ -105,11 +105,11 @@ def _compare(
     odom: np.ndarray,
     twist_turn: np.ndarray,
     pose_turn: np.ndarray,
-) -> Contradiction | None:
+) -> SourceContradiction | None:
     """Compare ways and turns of intervals."""
     way, turn = _relation(twist, pose), _relation(twist_turn, pose_turn)
     if "pose" in (way, turn):
-        return Contradiction("the poses stand still while the twists move", False)
+        return SourceContradiction("the poses stand still while the twists move", False)
     moves = np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION
     residual, residual_odom = (
         float(np.square(np.abs(p - twist)[moves]).sum()) for p in (pose, odom)
@@ -122,12 +122,14 @@ def _compare(
     speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
     usable = bool(coherent and speed <= MAX_SPEED)
     if in_odom:
-        return Contradiction("the twists are in the odom frame, not in the robot's", usable)
+        return SourceContradiction("the twists are in the odom frame, not in the robot's", usable)
     if "twist" in (way, turn):
         still = " and ".join(n for n, r in (("speed", way), ("yaw rate", turn)) if r == "twist")
-        return Contradiction(f"the {still} of the twists stays zero while the poses move", usable)
+        return SourceContradiction(
+            f"the {still} of the twists stays zero while the poses move", usable
+        )
     gains = [f"{what} {gain}" for what, gain in (("way", way), ("turn", turn)) if gain is not None]
-    return Contradiction(f"the poses' motion is {' and '.join(gains)} of the twists'", usable)
+    return SourceContradiction(f"the poses' motion is {' and '.join(gains)} of the twists'", usable)
 
 
 def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:

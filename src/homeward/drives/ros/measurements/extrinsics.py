@@ -144,7 +144,7 @@ MAX_APART = 0.01
 1 m then has an error of at most 0.01 rad, which is the usual noise of a bearing."""
 
 
-class Camera(NamedTuple):
+class TopicSightings(NamedTuple):
     """The sightings of one topic in one frame."""
 
     frame: str
@@ -158,7 +158,7 @@ class Camera(NamedTuple):
 
 
 def extrinsics(
-    cameras: Sequence[Camera], transforms: Transforms, plan: LogSettings
+    cameras: Sequence[TopicSightings], transforms: Transforms, plan: LogSettings
 ) -> Mount | None:
     """Return the extrinsics of the first camera, and relate the others to it.
 
@@ -167,7 +167,7 @@ def extrinsics(
 
     Parameters
     ----------
-    cameras : sequence of Camera
+    cameras : sequence of TopicSightings
         In the order of the topics file; their rows are changed.
     transforms : Transforms
         Of /tf_static.
@@ -213,7 +213,7 @@ def extrinsics(
 
 
 def _specified(
-    camera: Camera, transforms: Transforms, plan: LogSettings, several: bool
+    camera: TopicSightings, transforms: Transforms, plan: LogSettings, several: bool
 ) -> Mount | None:
     """Return what the topic or the transforms specify; the tilt is set where these have one."""
     if (sits := camera.rows.told.sensor) is not None:

@@ -14,7 +14,7 @@ from homeward.drives.ros.settings import (
     OdometryTopic,
     TruthTopic,
 )
-from homeward.drives.ros.topics.survey import Survey, Topic
+from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.errors import InputError
 
 OUR_HOME = "/homeward/home"
@@ -26,7 +26,7 @@ CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 NO_PICTURES = "no pictures in it; of tags that it has already homeward run makes a drive"
 
 
-def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSettings:
+def choose(survey: TopicSurvey, told: LogSettings, pictures: bool = False) -> LogSettings:
     """Return what was told, with guesses where nothing was.
 
     Bearings are looked for in `pictures`, or in messages that tell them.
@@ -57,7 +57,7 @@ def choose(survey: Survey, told: LogSettings, pictures: bool = False) -> LogSett
 
 
 def _of_best_type(
-    survey: Survey, what: str, types: tuple[str, ...], taken: Container[str | None] = ()
+    survey: TopicSurvey, what: str, types: tuple[str, ...], taken: Container[str | None] = ()
 ) -> list[Topic]:
     """Return the one topic of the best type; of points, which are one landmark each, all."""
     usable = [t for t in survey.topics if t.count and t.name not in taken]
@@ -70,7 +70,7 @@ def _of_best_type(
     return found
 
 
-def _with_camera(survey: Survey, told: BearingsTopic) -> BearingsTopic:
+def _with_camera(survey: TopicSurvey, told: BearingsTopic) -> BearingsTopic:
     """Name the CameraInfo in the nearest namespace, where one is needed and none was named."""
     if told.camera is not None or survey.topic(told.topic).type not in IN_IMAGE:
         return told
@@ -86,11 +86,11 @@ def _shared(a: str, b: str) -> int:
     return next((i for i, (x, y) in enumerate(pairs) if x != y), len(pairs))
 
 
-def _has(survey: Survey, name: str, kind: str) -> bool:
+def _has(survey: TopicSurvey, name: str, kind: str) -> bool:
     return any(t.name == name and t.type == kind and t.count for t in survey.topics)
 
 
-def _check(survey: Survey, plan: LogSettings, types: tuple[str, ...]) -> None:
+def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> None:
     """Refuse topics whose types do not serve."""
     wanted = [
         ("odometry", plan.odometry, (*TWISTS, *POSES, JOINT_STATE)),

@@ -83,7 +83,7 @@ class Topic:
 
 
 @dataclass(frozen=True)
-class Survey:
+class TopicSurvey:
     """The topics of a log."""
 
     log: Log
@@ -107,7 +107,7 @@ class Survey:
         raise InputError(f"no topic {name} in it; there are: {names}", self.log.path)
 
 
-def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Survey:
+def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> TopicSurvey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
     The first message of each topic is kept whose name or type is in `keep`.
@@ -145,7 +145,7 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> Su
         Topic(name, kind, np.array(receive), None if header is None else np.array(header))
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
     )
-    return Survey(log, tuple(topics), kept)
+    return TopicSurvey(log, tuple(topics), kept)
 
 
 OTHER_CLOCKS = (
@@ -154,7 +154,7 @@ OTHER_CLOCKS = (
 )
 
 
-class Clock:
+class MessageTimes:
     """Turns messages into times [s] of the drive.
 
     The drive's time begins at `epoch` [s], in a log that homeward wrote; None: to be chosen.
@@ -166,7 +166,7 @@ class Clock:
         was set back.
     """
 
-    def __init__(self, known: Survey, plan: LogSettings, epoch: int | None) -> None:
+    def __init__(self, known: TopicSurvey, plan: LogSettings, epoch: int | None) -> None:
         names = [t.topic for t in (plan.odometry, *plan.bearings, plan.truth) if t is not None]
         topics = {name: known.topic(name) for name in names}
         self._by_header = plan.clock == "header"

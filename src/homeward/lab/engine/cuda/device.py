@@ -79,7 +79,7 @@ def _checked(answer: tuple[Any, ...]) -> Any:
     return values[0] if len(values) == 1 else tuple(values)
 
 
-class Kernel(NamedTuple):
+class CudaKernel(NamedTuple):
     """A function on the GPU, and how many of its blocks run at once."""
 
     function: Any
@@ -130,7 +130,7 @@ class Gpu:
         finally:
             arrays.free()
 
-    def launch(self, kernel: Kernel, argument: ctypes.Structure, groups: int) -> float:
+    def launch(self, kernel: CudaKernel, argument: ctypes.Structure, groups: int) -> float:
         """Run a kernel on one argument, and return the seconds that it took.
 
         Its threads fetch their work themselves; more blocks than `groups` would have nothing to do.
@@ -203,7 +203,7 @@ def gpu() -> Gpu:
 
 
 @lru_cache(maxsize=16)
-def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
+def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> CudaKernel:
     """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
     driver, _ = bindings()
     module = _checked(driver.cuModuleLoadData(compiled(text, device.architecture)))
@@ -211,4 +211,4 @@ def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> Kernel:
     attribute = driver.CUfunction_attribute.CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES
     _checked(driver.cuFuncSetAttribute(function, attribute, shared))
     each = _checked(driver.cuOccupancyMaxActiveBlocksPerMultiprocessor(function, threads, shared))
-    return Kernel(function, threads, shared, int(each) * device.processors)
+    return CudaKernel(function, threads, shared, int(each) * device.processors)

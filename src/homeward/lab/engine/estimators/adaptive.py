@@ -12,7 +12,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, Tuning
-from homeward.lab.filters.carrier import Angles, Held, Known, Outputs
+from homeward.lab.filters.carrier import Angles, Held, LandmarkBelief, Outputs
 from homeward.lab.filters.ekf import UPDATE_OUTPUTS
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR
@@ -54,7 +54,7 @@ class Adapted(NamedTuple):
 
 
 class AdaptiveRunner:
-    """The EKF with Q and R identified, as a `homeward.lab.filters.carrier.Carrier`.
+    """The EKF with Q and R identified, as a `homeward.lab.filters.carrier.FilterBackend`.
 
     Maximum likelihood: of all sigmas of bearings, speed, turn rate and bearing states, those under
     which the innovations of the drive so far, run through the EKF again, are the most probable. The
@@ -113,7 +113,7 @@ class AdaptiveRunner:
         """Return the pose and its covariance (3, 3)."""
         return self._runner.pose(belief.numbers)
 
-    def landmarks(self, belief: Adapted) -> Known:
+    def landmarks(self, belief: Adapted) -> LandmarkBelief:
         """Return what is known of the landmarks."""
         return self._runner.landmarks(belief.numbers)
 

@@ -23,7 +23,7 @@ from homeward.estimator import (
 )
 from homeward.geometry.angles import wrap
 from homeward.io.naming import natural
-from homeward.lab.filters.carrier import Carrier
+from homeward.lab.filters.carrier import FilterBackend
 from homeward.lab.filters.settings import Engine
 from homeward.odometry.validity import TwistValidity
 from homeward.reasons import Reason, Rejection, too_few_agree
@@ -43,7 +43,7 @@ class OnlineFilter:
     def __init__(
         self,
         name: str,
-        carrier: Carrier,
+        carrier: FilterBackend,
         landmarks: Sequence[str],
         camera_yaw: float,
         notes: tuple[str, ...] = (),
@@ -74,7 +74,7 @@ class OnlineFilter:
         return tuple(self._ids)
 
     @property
-    def carrier(self) -> Carrier:
+    def carrier(self) -> FilterBackend:
         """What its belief is, and its steps."""
         return self._carrier
 

@@ -1,7 +1,7 @@
 """The paper's three filters and their peers, ready to run: home and robot, put into numbers.
 
 The settings of a filter come first, then what is known of the robot, then defaults. A peer is made
-of a `Told`, and raises `InputError` where home is empty or there is no start prior.
+of a `FilterConfig`, and raises `InputError` where home is empty or there is no start prior.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.lab.engine.estimators.adaptive import AdaptiveRunner
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
-from homeward.lab.filters.carrier import Carrier
+from homeward.lab.filters.carrier import FilterBackend
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
@@ -51,7 +51,7 @@ Settings = TypeVar("Settings", bound=NoiseSettings, covariant=True)
 
 
 @dataclass(frozen=True)
-class Told(Generic[Settings]):
+class FilterConfig(Generic[Settings]):
     """What a filter is told of home and robot."""
 
     name: str
@@ -111,12 +111,12 @@ class Told(Generic[Settings]):
             raise InputError(f"{key}: a landmark is named twice")
         return tuple(ids.index(i) for i in named)
 
-    def model(self: Told[FilterSettings], estimated: tuple[int, ...] = ()) -> PolarModel:
+    def model(self: FilterConfig[FilterSettings], estimated: tuple[int, ...] = ()) -> PolarModel:
         """Return the paper's model of the landmarks, some of whose home bearings are states."""
         return PolarModel(len(self.home), estimated, self.settings.guard)
 
     def runner(
-        self: Told[FilterSettings],
+        self: FilterConfig[FilterSettings],
         kind: ExtendedKalmanFilter,
         *,
         parameter_variance: float = 0.0,
@@ -144,12 +144,12 @@ class Told(Generic[Settings]):
         return FilterRunner(kind, tuning, self.settings.engine, self.samples)
 
     def filter(
-        self: Told[FilterSettings], kind: ExtendedKalmanFilter, **numbers: Any
+        self: FilterConfig[FilterSettings], kind: ExtendedKalmanFilter, **numbers: Any
     ) -> OnlineFilter:
         """Return a filter in the paper's state, ready to run; `numbers` are those of `runner`."""
         return self.online(self.runner(kind, **numbers))
 
-    def online(self, carrier: Carrier) -> OnlineFilter:
+    def online(self, carrier: FilterBackend) -> OnlineFilter:
         """Return what carries a belief as an estimator."""
         yaw = self.known.sensor.yaw
         return OnlineFilter(self.name, carrier, list(self.home), yaw, tuple(self._notes()))
@@ -204,7 +204,7 @@ def ekf(
     InputError
         When something of it cannot be used, home is empty, or there is no start prior.
     """
-    told = _told("ekf", home, known_settings(FilterSettings, settings), robot, samples)
+    told = _config("ekf", home, known_settings(FilterSettings, settings), robot, samples)
     return told.filter(ExtendedKalmanFilter(told.model(), told.settings.integration))
 
 
@@ -216,7 +216,7 @@ def a_ekf(
     **robot: Unpack[Robot],
 ) -> OnlineFilter:
     """Return the paper's A-EKF; parameters and errors as of `ekf`."""
-    told = _told("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
+    told = _config("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
     own, q = told.settings, len(told.home)
     indices = told.places("parameters", own.parameters)
     return told.filter(
@@ -235,7 +235,7 @@ def pi_ekf(
 ) -> OnlineFilter:
     """Return the paper's PI-EKF; parameters and errors as of `ekf`."""
     checked = known_settings(ProportionalIntegralSettings, settings)
-    told = _told("pi-ekf", home, checked, robot, samples)
+    told = _config("pi-ekf", home, checked, robot, samples)
     own, model = told.settings, told.model()
     n, q = model.n, model.q
     # The paper counts R in cm: one unit of an innovation moves it by cm, not by m.
@@ -248,8 +248,10 @@ def pi_ekf(
     )
 
 
-def _told(name: str, home: Home, settings: Checked, robot: Robot, samples: int) -> Told[Checked]:
-    return Told(name, known_home(home), known_robot(robot), settings, samples)
+def _config(
+    name: str, home: Home, settings: Checked, robot: Robot, samples: int
+) -> FilterConfig[Checked]:
+    return FilterConfig(name, known_home(home), known_robot(robot), settings, samples)
 
 
 def _matrix(
@@ -262,25 +264,25 @@ def _matrix(
     return np.array(value)
 
 
-def adaptive(told: Told[FilterSettings]) -> OnlineFilter:
+def adaptive(told: FilterConfig[FilterSettings]) -> OnlineFilter:
     """Return the EKF that identifies its noise."""
     kind = ExtendedKalmanFilter(told.model(), told.settings.integration)
     return told.online(AdaptiveRunner(told.runner(kind)))
 
 
-def schmidt(told: Told[SchmidtSettings]) -> OnlineFilter:
+def schmidt(told: FilterConfig[SchmidtSettings]) -> OnlineFilter:
     """Return the EKF that considers doubtful home bearings."""
     own = told.settings
     kind = SchmidtFilter(told.model(told.places("doubtful", own.doubtful)), own.integration)
     return told.filter(kind, parameter_variance=own.doubt_sigma**2)
 
 
-def ukf(told: Told[FilterSettings]) -> OnlineFilter:
+def ukf(told: FilterConfig[FilterSettings]) -> OnlineFilter:
     """Return the UKF."""
     return told.filter(UnscentedFilter(told.model(), told.settings.integration))
 
 
-def invariant(told: Told[CartesianSettings]) -> OnlineFilter:
+def invariant(told: FilterConfig[CartesianSettings]) -> OnlineFilter:
     """Return the invariant EKF."""
     start, expected = told.start, 1 / (2 * told.settings.nearest)
     spread = np.diag(np.square(told.start_sigmas))
@@ -292,7 +294,7 @@ def invariant(told: Told[CartesianSettings]) -> OnlineFilter:
     return told.online(InvariantFilter(prior, _sensor_noise(told), told.settings.minimum_visible))
 
 
-def particle(told: Told[ParticleSettings]) -> OnlineFilter:
+def particle(told: FilterConfig[ParticleSettings]) -> OnlineFilter:
     """Return the particle filter."""
     own, landmarks = told.settings, (told.stored, _home_sigma(told))
     prior = ParticlePrior(told.start.polar, told.start_sigmas, *landmarks, 1 / (2 * own.nearest))
@@ -300,10 +302,10 @@ def particle(told: Told[ParticleSettings]) -> OnlineFilter:
     return told.online(ParticleFilter(prior, noise, *chance, own.minimum_visible))
 
 
-def _home_sigma(told: Told[CartesianSettings]) -> np.ndarray:
+def _home_sigma(told: FilterConfig[CartesianSettings]) -> np.ndarray:
     own = np.array([b.sigma for b in told.home.values()])
     return np.where(own > 0, own, first(told.settings.home_sigma, told.bearing_sigma))
 
 
-def _sensor_noise(told: Told[CartesianSettings]) -> SensorNoise:
+def _sensor_noise(told: FilterConfig[CartesianSettings]) -> SensorNoise:
     return SensorNoise(told.input_density, told.bearing_sigma, told.settings.gate_threshold)

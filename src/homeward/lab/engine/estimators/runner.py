@@ -14,7 +14,7 @@ from homeward.lab.engine.batch.job import LARGEST
 from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
 from homeward.lab.engine.program.kernels import BELIEF, Kernel
 from homeward.lab.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
-from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, Known, Outputs
+from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, LandmarkBelief, Outputs
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel, landmark_distance
@@ -119,7 +119,7 @@ def in_steps(interval: float) -> list[float]:
 
 
 class FilterRunner:
-    """A `homeward.lab.filters.carrier.Carrier` of beliefs in the paper's state, kept finite.
+    """A `homeward.lab.filters.carrier.FilterBackend` of beliefs in the paper's state, kept finite.
 
     So many `steps` are coming, as far as that is known.
     """
@@ -169,7 +169,7 @@ class FilterRunner:
         covariance = polar_covariance_to_pose(polar, belief.covariance[:POLAR, :POLAR])
         return from_polar(polar), covariance
 
-    def landmarks(self, belief: Numbers) -> Known:
+    def landmarks(self, belief: Numbers) -> LandmarkBelief:
         """Return where each landmark must stand, by the paper's relation for D*_i.
 
         Where that comes out negative, as it can for bearings nearly in line with home, it says
@@ -178,7 +178,7 @@ class FilterRunner:
         model, state, stored = self.kind.model, belief.state, self.stored
         jacobian = _distance_jacobian(model, state, stored)
         variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
-        return Known(
+        return LandmarkBelief(
             wrap(_home_bearings(model, state, stored)),
             _distances(model, state, stored),
             np.sqrt(np.maximum(variances, 0.0)),

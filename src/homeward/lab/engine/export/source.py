@@ -236,7 +236,7 @@ MOST_STEPS = 11
 """Of one call, however long the gap: a second in steps of 0.1 s, and the rest in one."""
 
 
-class Work(NamedTuple):
+class Cost(NamedTuple):
     """Operations of one call."""
 
     arithmetic: int
@@ -244,28 +244,28 @@ class Work(NamedTuple):
     functions: int
     """Calls of libm."""
 
-    def __add__(self, other: Work) -> Work:  # type: ignore[override]
+    def __add__(self, other: Cost) -> Cost:  # type: ignore[override]
         """Return both together."""
-        return Work(self[0] + other[0], self[1] + other[1])
+        return Cost(self[0] + other[0], self[1] + other[1])
 
-    def __rmul__(self, times: int) -> Work:  # type: ignore[override]
+    def __rmul__(self, times: int) -> Cost:  # type: ignore[override]
         """Return it so many times."""
-        return Work(times * self[0], times * self[1])
+        return Cost(times * self[0], times * self[1])
 
 
-WRAP = Work(4, 1)
+WRAP = Cost(4, 1)
 
 
-def of_lines(lines: Iterable[str]) -> Work:
+def of_lines(lines: Iterable[str]) -> Cost:
     """Return the work of generated lines."""
     text = "\n".join(lines)
     arithmetic = len(re.findall(r" [-+*/] |v_inverse", text))
-    return Work(
+    return Cost(
         arithmetic, len(re.findall("v_(?:ceil|sqrt|atan2)", text)) + 2 * text.count("turn(")
     )
 
 
-def most_work(q: int, settings: FilterSettings) -> dict[str, Work]:
+def most_work(q: int, settings: FilterSettings) -> dict[str, Cost]:
     """Return what the functions of an exported EKF of `q` landmarks compute at most.
 
     ``odometry`` and ``bearings`` with one step of prediction, as at rates of 10 Hz and more;
@@ -274,11 +274,11 @@ def most_work(q: int, settings: FilterSettings) -> dict[str, Work]:
     step = step_lines(
         ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
     )
-    n, clock = q + 3, Work(5, 0)
+    n, clock = q + 3, Cost(5, 0)
     predict = (
-        of_lines(step.shared) + q * of_lines(step.own) + Work(124 + 51 * q + 9 * q * n - 18 * q, 0)
+        of_lines(step.shared) + q * of_lines(step.own) + Cost(124 + 51 * q + 9 * q * n - 18 * q, 0)
     )
-    update = q * (Work(12, 0) + 2 * WRAP + Work(n * n + 4 * n, 0))
+    update = q * (Cost(12, 0) + 2 * WRAP + Cost(n * n + 4 * n, 0))
     return {
         "odometry": clock + predict,
         "odometry, longest": clock + MOST_STEPS * predict,
@@ -287,20 +287,20 @@ def most_work(q: int, settings: FilterSettings) -> dict[str, Work]:
     }
 
 
-def _solve(q: int) -> Work:
+def _solve(q: int) -> Cost:
     look, relative = (of_lines(block_lines(k)) for k in ("look", "relative"))
-    misfit = look + Work(11, 0) + WRAP
-    astray = relative + Work(3, 0) + WRAP
-    judged = astray + Work(27, 0) + q * (misfit + Work(3, 0))
-    inverted, solved = Work(29, 0), Work(14, 0)
+    misfit = look + Cost(11, 0) + WRAP
+    astray = relative + Cost(3, 0) + WRAP
+    judged = astray + Cost(27, 0) + q * (misfit + Cost(3, 0))
+    inverted, solved = Cost(29, 0), Cost(14, 0)
 
-    def refined(marks: int) -> Work:
-        return astray + Work(108 + 18, 0) + inverted + marks * (misfit + Work(27, 0))
+    def refined(marks: int) -> Cost:
+        return astray + Cost(108 + 18, 0) + inverted + marks * (misfit + Cost(27, 0))
 
-    meeting = STRETCHES * Work(21, 2) + solved + Work(12, 0)
-    nearer = STRETCHES * (look + Work(15, 0) + WRAP) + solved + Work(2, 0)
-    located = meeting + 9 * nearer + Work(6, 0)
+    meeting = STRETCHES * Cost(21, 2) + solved + Cost(12, 0)
+    nearer = STRETCHES * (look + Cost(15, 0) + WRAP) + solved + Cost(2, 0)
+    located = meeting + 9 * nearer + Cost(6, 0)
     search = judged + comb(q, 3) * (3 * refined(3) + judged)
     rounds = 4 * (judged + 4 * refined(q)) + judged
-    answer = relative + Work(94, 0) + q * (misfit + Work(1, 0))
+    answer = relative + Cost(94, 0) + q * (misfit + Cost(1, 0))
     return inverted + q * located + search + rounds + answer

@@ -26,7 +26,7 @@ from homeward.lab.studies.paper.reproduction import (
     better_shares,
     rows,
 )
-from homeward.lab.studies.paper.world import CaseName, World, fault_count
+from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
 from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
 from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
@@ -134,7 +134,7 @@ def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
     return figure
 
 
-def _draw_landmarks(axes: Axes, world: World) -> None:
+def _draw_landmarks(axes: Axes, world: PaperWorld) -> None:
     """Draw where landmarks stand, and in which direction home stored the wrong ones."""
     wrong = world.faults != 0
     axes.plot(*world.landmarks[~wrong].T, "*", ms=9, color=GREEN, ls="none", label="landmark")

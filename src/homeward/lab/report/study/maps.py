@@ -47,7 +47,7 @@ OTHERS = {"position_rmse": "position RMSE [m]", "nees": "median NEES (3 is right
 
 
 @dataclass(frozen=True)
-class Grid:
+class SettingsGrid:
     """The settings of one estimator that fill a plane, perhaps several planes."""
 
     name: str
@@ -59,7 +59,7 @@ class Grid:
     """Indices of those that fill it."""
 
 
-def grids(results: Results) -> list[Grid]:
+def grids(results: Results) -> list[SettingsGrid]:
     """Return the grids of two or three settings; what is drawn is of the first scenario."""
     found, first = [], 0
     for k, entry in enumerate(results.plan.study.estimators):
@@ -68,11 +68,11 @@ def grids(results: Results) -> list[Grid]:
         first = members.stop
         if 2 <= len(sizes) <= 3 and min(sizes) > 1:
             caption = f"{entry.label or name} over {', '.join(entry.grid)}"
-            found.append(Grid(f"{k}_{name}", caption, name, tuple(entry.grid), members))
+            found.append(SettingsGrid(f"{k}_{name}", caption, name, tuple(entry.grid), members))
     return found
 
 
-def draw_maps(results: Results, grid: Grid) -> Figure:
+def draw_maps(results: Results, grid: SettingsGrid) -> Figure:
     """Draw a row of maps for each quantity; blue is better than the plain EKF, red is worse.
 
     Of the NEES, blue is 3. Every cell tells its number, a median over the runs.
@@ -119,7 +119,7 @@ def _values(members: list[Contender], key: str) -> list[Any]:
 
 def _cells(
     results: Results,
-    grid: Grid,
+    grid: SettingsGrid,
     quantity: str,
     sides: tuple[list[Any], list[Any]],
     page: Any,

@@ -28,7 +28,7 @@ from homeward.lab.simulation.files import SCENARIO, scenario_yaml
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
 from homeward.lab.simulation.render.room.furnish import furnished
 from homeward.lab.simulation.render.room.settings import RenderScenario
-from homeward.lab.simulation.render.scene import Scene, build_scene
+from homeward.lab.simulation.render.scene import RoomScene, build_scene
 from homeward.lab.simulation.render.shading.picture import (
     NOTHING,
     PixelTruth,
@@ -314,7 +314,7 @@ def _write_points(path: Path, eye: Eye, truth: PixelTruth) -> None:
     np.savez_compressed(path, point=local.astype(np.float32), thing=truth.thing.astype(np.uint16))
 
 
-def _things(scene: Scene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
+def _things(scene: RoomScene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
     """Return header and rows of things.csv; places are in room coordinates [m]."""
     rows: list[tuple[object, ...]] = []
     for index, name in enumerate(scene.things):

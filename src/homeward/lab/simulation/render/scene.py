@@ -87,7 +87,7 @@ TILES = {"plaster": 4.0, "carpet": 4.0, "wood": 4.0, "tiles": 4.0}
 
 
 @dataclass(frozen=True)
-class Scene:
+class RoomScene:
     """The room as it stands, without its movers."""
 
     scenario: RenderScenario
@@ -143,7 +143,7 @@ class Scene:
         return Surfaces.joined(parts) if parts else None
 
 
-def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
+def build_scene(scenario: RenderScenario, at_home: bool = False) -> RoomScene:
     """Return the scene of a `furnished` scenario: as when home was stored, or as it is now."""
     room = scenario.room
     names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(room.outline)))]
@@ -158,7 +158,7 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> Scene:
     still = Surfaces.joined(parts)
     light = scenario.light(at_home)
     lamps = _lamps(scenario, light)
-    return Scene(
+    return RoomScene(
         scenario,
         at_home,
         tuple(names),

@@ -200,7 +200,7 @@ class Where:
 
 
 @dataclass(frozen=True)
-class Work:
+class StudyBlocks:
     """A study's blocks: where they are kept and where computed, and who is told how far that is."""
 
     store: BlockStore
@@ -208,7 +208,7 @@ class Work:
     progress: Callable[[float], None] = lambda fraction: None
     """Told the fraction done, in [0, 1]."""
 
-    def part(self, begin: float, end: float) -> Work:
+    def part(self, begin: float, end: float) -> StudyBlocks:
         """Return the work between two fractions of all of it."""
         return replace(self, progress=lambda f: self.progress(begin + (end - begin) * f))
 

@@ -20,7 +20,7 @@ from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralF
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CaseName, World, draw_world
+from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world
 
 PI_HT, DEAD_RECKONING = "PI-EKF (HT)", "dead reckoning"
 FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF", PI_HT, DEAD_RECKONING)
@@ -61,7 +61,7 @@ def polar_errors(state: np.ndarray, pose: np.ndarray) -> np.ndarray:
     return np.column_stack([away, wrap(direction), wrap(alpha - heading)])
 
 
-def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings) -> Run:
+def run_filter(name: str, case: CaseName, world: PaperWorld, settings: PaperSettings) -> Run:
     """Run one of `FILTERS` through a world, closing the loop in Cases 1 to 3."""
     settings = filter_settings(name, settings)
     kind, law = filter_kind(name, world, settings), control_law(case, settings)
@@ -88,7 +88,7 @@ def run_filter(name: str, case: CaseName, world: World, settings: PaperSettings)
     return Run(t, pose[:n], state[:n], np.array(variance), kind.model.estimated, arrived)
 
 
-def draw(case: CaseName, settings: PaperSettings, run: int) -> World:
+def draw(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
     """Draw run number `run` of a case, with measurements from the model or from images."""
     if settings.measurements == "model":
         return draw_world(case, settings, run)
@@ -109,7 +109,7 @@ def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
     return settings.model_copy(update=change)
 
 
-def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKalmanFilter:
+def filter_kind(name: str, world: PaperWorld, settings: PaperSettings) -> ExtendedKalmanFilter:
     """Return one of `FILTERS` for a world, whose faults tell which parameter is the one."""
     q, assumed = settings.printed.landmarks, settings.assumed
     if name.startswith("A-EKF"):
@@ -123,7 +123,10 @@ def filter_kind(name: str, world: World, settings: PaperSettings) -> ExtendedKal
 
 
 def fill(
-    given: dict[str, np.ndarray], kind: ExtendedKalmanFilter, world: World, settings: PaperSettings
+    given: dict[str, np.ndarray],
+    kind: ExtendedKalmanFilter,
+    world: PaperWorld,
+    settings: PaperSettings,
 ) -> None:
     """Put everything that does not change from sample to sample into the loop's inputs."""
     printed, assumed, model = settings.printed, settings.assumed, kind.model
@@ -222,7 +225,7 @@ def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
 def run_many(
     name: str,
     case: CaseName,
-    worlds: Sequence[World],
+    worlds: Sequence[PaperWorld],
     settings: PaperSettings,
     engine: Engine = "auto",
 ) -> Errors:
@@ -265,7 +268,7 @@ def run_many(
 
 
 def given_of(
-    name: str, case: CaseName, worlds: Sequence[World], settings: PaperSettings
+    name: str, case: CaseName, worlds: Sequence[PaperWorld], settings: PaperSettings
 ) -> tuple[ExtendedKalmanFilter, Law, dict[str, np.ndarray | float]]:
     """Return a filter, its law, and what `run_homing` is given of each world but the noise.
 
@@ -287,7 +290,7 @@ def given_of(
     return kind, law, {**constant, **own, "stop_radius": radius}
 
 
-def rolled(world: World) -> World:
+def rolled(world: PaperWorld) -> PaperWorld:
     """Return the same world with its landmarks counted from the first wrong one on.
 
     So one compiled filter serves all.

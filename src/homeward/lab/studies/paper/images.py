@@ -20,7 +20,7 @@ from homeward.lab.simulation.render.room.camera import RoomCamera
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CaseName, World, draw_world, fault_count
+from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world, fault_count
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.comparison import Comparison, compare
@@ -75,7 +75,7 @@ class Sight:
         return bearings, seen
 
 
-def draw_image_world(case: CaseName, settings: PaperSettings, run: int) -> World:
+def draw_image_world(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
     """Draw run number `run` of a case with a rendered room; arguments as for `draw_world`.
 
     Raises `InputError` when no room shows enough landmarks.

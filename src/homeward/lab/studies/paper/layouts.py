@@ -22,7 +22,7 @@ from pydantic import Field
 from homeward.drives.settings import NonNegative, Positive
 from homeward.io.keys import Strict
 from homeward.io.settings import validated
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import MARKER, Arrays, BlockStore
 from homeward.lab.studies.paper.cases import (
     FILTERS,
@@ -34,7 +34,7 @@ from homeward.lab.studies.paper.cases import (
 )
 from homeward.lab.studies.paper.robust import bound_errors, run_robust
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CaseName, World
+from homeward.lab.studies.paper.world import CaseName, PaperWorld
 
 STUDIED: tuple[CaseName, ...] = ("1", "2", "4")
 """The cases with a printed table; Case 1 by the caption of Table 3, Case 4 by its text."""
@@ -168,7 +168,9 @@ def run_block(block: Block) -> Arrays:
     return {**arrays, "moved": np.array([w.moved.sum() for w in worlds])}
 
 
-def _errors(name: str, case: CaseName, worlds: Sequence[World], settings: PaperSettings) -> Errors:
+def _errors(
+    name: str, case: CaseName, worlds: Sequence[PaperWorld], settings: PaperSettings
+) -> Errors:
     """Run one filter, the robust localiser or the bound through worlds."""
     if name in FILTERS and settings.measurements == "model":
         return run_many(name, case, worlds, settings)
@@ -178,7 +180,7 @@ def _errors(name: str, case: CaseName, worlds: Sequence[World], settings: PaperS
     return Errors(*columns)
 
 
-def _run_one(name: str, case: CaseName, world: World, settings: PaperSettings) -> Errors:
+def _run_one(name: str, case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
     run = run_filter(name, case, world, settings)
     return errors_over(run.errors, run.pose)
 
@@ -220,7 +222,7 @@ def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
     return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
 
 
-def ask(work: Work, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
+def ask(work: StudyBlocks, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
     """Answer questions, block by block; what the store holds already is not computed again."""
     blocks = {label: question.blocks() for label, question in questions.items()}
     work.finish(run_block, {name: b for some in blocks.values() for name, b in some.items()})

@@ -25,12 +25,12 @@ from homeward.io.reading import shipped_yaml
 from homeward.io.settings import nested, read_tree, validated
 from homeward.lab.engine.batch.homing import HomingResult, run_homing
 from homeward.lab.engine.cuda.device import CudaError, gpu
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import Arrays
 from homeward.lab.studies.paper.cases import OF_WORLD, given_of, rolled
 from homeward.lab.studies.paper.layouts import changed
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CaseName, World, draw_world, visibility
+from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world, visibility
 from homeward.native.compiler import NativeError, find_compiler
 
 MOST_CELLS = 1_000_000
@@ -180,8 +180,8 @@ def blocks(settings: MapSettings) -> dict[str, MapBlock]:
     }
 
 
-def run_map(settings: MapSettings, work: Work) -> MapResults:
-    """Compute what the store does not hold yet, and return all of it; errors as `Work.finish`."""
+def run_map(settings: MapSettings, work: StudyBlocks) -> MapResults:
+    """Compute what the store lacks, and return all results; errors as `StudyBlocks.finish`."""
     every = blocks(settings)
     work.finish(run_block, every)
     rows: list[Arrays] = [{} for _ in range(max(b.row for b in every.values()) + 1)]
@@ -218,7 +218,7 @@ def run_block(block: MapBlock) -> Arrays:
 
 
 @lru_cache(maxsize=1)
-def _worlds(case: CaseName, paper: str, first: int, last: int) -> tuple[World, ...]:
+def _worlds(case: CaseName, paper: str, first: int, last: int) -> tuple[PaperWorld, ...]:
     settings = PaperSettings.model_validate_json(paper)
     return tuple(rolled(draw_world(case, settings, k)) for k in range(first, last))
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from homeward.io.settings import validated
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.paper.cases import FILTERS, Run, draw, run_filter
 from homeward.lab.studies.paper.layouts import (
     LayoutSettings,
@@ -23,7 +23,7 @@ from homeward.lab.studies.paper.layouts import (
     varied_questions,
 )
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CASES, CaseName, World
+from homeward.lab.studies.paper.world import CASES, CaseName, PaperWorld
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Shown:
     """Of the layout, from 0 on."""
     percentile: dict[str, float]
     """By filter: the share of runs with a smaller error of R than this one [%]."""
-    world: World
+    world: PaperWorld
     runs: dict[str, Run]
     """By filter."""
 
@@ -48,7 +48,7 @@ class Reproduction:
     shown: dict[CaseName, Shown]
 
 
-def reproduce(settings: PaperSettings, work: Work) -> Reproduction:
+def reproduce(settings: PaperSettings, work: StudyBlocks) -> Reproduction:
     """Run the paper's Cases 1 to 4 with its filters over random layouts."""
     asked = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
     outcomes = ask(work, asked)
@@ -105,7 +105,7 @@ def layout_settings(
     return validated(LayoutSettings, {**own, "paper": validated(PaperSettings, paper)})
 
 
-def study_layouts(settings: LayoutSettings, work: Work) -> LayoutStudy:
+def study_layouts(settings: LayoutSettings, work: StudyBlocks) -> LayoutStudy:
     """Compute what the store does not hold yet, and return all of it."""
     grid = ask(work.part(0.0, 0.5), grid_questions(settings))
     bounds = ask(work.part(0.5, 0.7), bound_questions(settings))

@@ -24,14 +24,14 @@ from homeward.geometry.frames import (
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.studies.paper.cases import Errors, errors_over, polar_errors
 from homeward.lab.studies.paper.settings import PaperSettings
-from homeward.lab.studies.paper.world import CaseName, World
+from homeward.lab.studies.paper.world import CaseName, PaperWorld
 from homeward.registry import make_estimator
 
 EXACT = 1e-5
 """What the paper's worlds leave exact counts as this, which changes no bound by 0.1 % [m, rad]."""
 
 
-def drive_of(world: World, settings: PaperSettings) -> Drive:
+def drive_of(world: PaperWorld, settings: PaperSettings) -> Drive:
     """Return the drive of a world before it begins: home, honest noise, and the start prior."""
     assumed, dt = settings.assumed, settings.printed.sample_time
     guess = world.guess if world.guess.R >= 0 else to_polar(from_polar(world.guess))
@@ -56,7 +56,7 @@ def drive_of(world: World, settings: PaperSettings) -> Drive:
     )
 
 
-def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
+def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
     """Run the robust localiser through a world, closing the loop in Cases 1 to 3.
 
     It is told the noise as it is, which the paper's filters are not; homing ends as for them.
@@ -94,7 +94,7 @@ def run_robust(case: CaseName, world: World, settings: PaperSettings) -> Errors:
     return replace(errors_over(errors, true), final_distance=distance)
 
 
-def bound_errors(case: CaseName, world: World, settings: PaperSettings) -> Errors:
+def bound_errors(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
     """Return the Cramer-Rao bound on the errors over a run.
 
     Along the path that the truth steers; which home bearings are wrong counts as known.
@@ -122,7 +122,7 @@ def bound_errors(case: CaseName, world: World, settings: PaperSettings) -> Error
 
 
 def _true_path(
-    case: CaseName, world: World, settings: PaperSettings
+    case: CaseName, world: PaperWorld, settings: PaperSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, 3) and the twists between them (n - 1, 2) when the truth steers."""
     printed, assumed = settings.printed, settings.assumed

@@ -19,7 +19,7 @@ CASES: tuple[CaseName, ...] = ("1", "2", "3 (one fault)", "3 (several)", "4")
 
 
 @dataclass(frozen=True)
-class World:
+class PaperWorld:
     """Everything random of one run; the same for every filter."""
 
     landmarks: np.ndarray
@@ -68,7 +68,7 @@ def visibility(case: CaseName, settings: PaperSettings) -> float:
     return settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
 
 
-def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
+def draw_world(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
     """Draw run number `run` (from 0) of a case; its layout and noise do not depend on the case."""
     printed, assumed, q = settings.printed, settings.assumed, settings.printed.landmarks
     longest = assumed.circle_time if case == "4" else assumed.longest
@@ -82,7 +82,7 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> World:
     start = Polar(R / 100, theta, alpha)
     guess = np.array(start) + prior.normal(size=3) * assumed.initial_error
     faults = _faults(case, settings, wrong)
-    return World(
+    return PaperWorld(
         landmarks=np.column_stack([distances * np.cos(angles), distances * np.sin(angles)]),
         faults=faults,
         moved=faults != 0,

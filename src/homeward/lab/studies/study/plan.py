@@ -66,7 +66,7 @@ class StudyBlock:
 
 
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """Everything that a study computes."""
 
     study: StudySettings
@@ -95,7 +95,7 @@ def block_name(case: int, first: int) -> str:
     return f"scenario{case:05d}-run{first:07d}"
 
 
-def make_plan(study: StudySettings) -> Plan:
+def make_plan(study: StudySettings) -> StudyPlan:
     """Spell out every scenario and estimator of a study, and check them all.
 
     Raises `InputError` when a combination is not valid, or there are too many.
@@ -109,7 +109,7 @@ def make_plan(study: StudySettings) -> Plan:
             f"{points:,} scenarios times {entries:,} estimators; at most {MOST_CELLS:,} in a study"
         )
     cases = (*_cases(study), *_recordings(study))
-    plan = Plan(study, cases, tuple(_contenders(study)))
+    plan = StudyPlan(study, cases, tuple(_contenders(study)))
     longest = max(case.duration for case in cases)
     numbers = points * entries * study.runs * (longest / study.interval + 1)
     if numbers > MOST_NUMBERS:

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.lab.studies.blocks.finish import Work
+from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import BlockStore, our_version
-from homeward.lab.studies.study.plan import Plan, block_name
+from homeward.lab.studies.study.plan import StudyPlan, block_name
 from homeward.lab.studies.study.runs import FAILURE, RUN, SERIES, run_block, run_seed
 
 
@@ -21,7 +21,7 @@ from homeward.lab.studies.study.runs import FAILURE, RUN, SERIES, run_block, run
 class Results:
     """Everything that came out of a study."""
 
-    plan: Plan
+    plan: StudyPlan
     run: dict[str, np.ndarray]
     """Quantities of `RUN`, (scenarios, estimators, runs); NaN beyond the runs of a scenario."""
     series: dict[str, np.ndarray]
@@ -40,7 +40,7 @@ class Results:
         return np.asarray(self.failure != "")
 
 
-def run_study(plan: Plan, work: Work) -> Results:
+def run_study(plan: StudyPlan, work: StudyBlocks) -> Results:
     """Compute what is left of a study, and return all of it.
 
     Errors as `homeward.lab.studies.blocks.finish.Work.finish`.
@@ -49,7 +49,7 @@ def run_study(plan: Plan, work: Work) -> Results:
     return _gather(plan, work.store)
 
 
-def _gather(plan: Plan, store: BlockStore) -> Results:
+def _gather(plan: StudyPlan, store: BlockStore) -> Results:
     """Put the blocks together."""
     study = plan.study
     shape = len(plan.cases), len(plan.contenders), study.runs

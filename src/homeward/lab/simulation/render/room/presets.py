@@ -33,7 +33,7 @@ STOP_RADIUS = 0.005
 
 
 @dataclass(frozen=True)
-class Plan:
+class RoomPlan:
     """A room's shape and what stands in it."""
 
     outline: tuple[tuple[float, float], ...]
@@ -50,18 +50,20 @@ def _oblong(width: float, depth: float) -> tuple[tuple[float, float], ...]:
 
 
 PLANS = {
-    "study": Plan(_oblong(4.0, 3.2), 2.4, "wood"),
-    "bedroom": Plan(_oblong(5.0, 4.0), 2.4),
-    "living-room": Plan(
+    "study": RoomPlan(_oblong(4.0, 3.2), 2.4, "wood"),
+    "bedroom": RoomPlan(_oblong(5.0, 4.0), 2.4),
+    "living-room": RoomPlan(
         ((0, 0), (6.5, 0), (6.5, 3.5), (4.0, 3.5), (4.0, 5.5), (0, 5.5)), 2.5, "wood"
     ),
-    "kitchen": Plan(_oblong(6.0, 4.0), 2.5, "tiles"),
-    "office": Plan(_oblong(7.0, 5.0), 2.7),
-    "corridor": Plan(_oblong(11.0, 3.4), 2.6, "tiles", posters=8),
-    "classroom": Plan(_oblong(9.0, 6.5), 3.0, boxes=8, posters=8),
-    "attic": Plan(((0, 0), (7, 1), (8, 5), (3, 6.5), (-1, 4)), 2.5, "wood", boxes=7),
-    "gallery": Plan(((0, 0), (10, 0), (10, 8), (5, 8), (5, 5), (0, 5)), 3.5, boxes=8, posters=12),
-    "hall": Plan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, posters=12),
+    "kitchen": RoomPlan(_oblong(6.0, 4.0), 2.5, "tiles"),
+    "office": RoomPlan(_oblong(7.0, 5.0), 2.7),
+    "corridor": RoomPlan(_oblong(11.0, 3.4), 2.6, "tiles", posters=8),
+    "classroom": RoomPlan(_oblong(9.0, 6.5), 3.0, boxes=8, posters=8),
+    "attic": RoomPlan(((0, 0), (7, 1), (8, 5), (3, 6.5), (-1, 4)), 2.5, "wood", boxes=7),
+    "gallery": RoomPlan(
+        ((0, 0), (10, 0), (10, 8), (5, 8), (5, 5), (0, 5)), 3.5, boxes=8, posters=12
+    ),
+    "hall": RoomPlan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, posters=12),
 }
 """By name, the smallest first, more or less."""
 
@@ -120,7 +122,7 @@ def load_room(
 
 
 def _poses(
-    plan: Plan, rng: np.random.Generator, distance: tuple[float, float]
+    plan: RoomPlan, rng: np.random.Generator, distance: tuple[float, float]
 ) -> tuple[Pose, Pose]:
     """Draw home and start, the way between them free of walls."""
     corners = np.array(plan.outline, float)

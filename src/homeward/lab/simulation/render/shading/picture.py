@@ -11,7 +11,7 @@ import numpy as np
 from homeward.lab.simulation.render.rays.raycast import Rays, Viewpoint, cast, points
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.lab.simulation.render.room.camera import RoomCamera
-from homeward.lab.simulation.render.scene import Scene
+from homeward.lab.simulation.render.scene import RoomScene
 from homeward.lab.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
 
@@ -48,7 +48,7 @@ def rays_of(
     return Rays.of(*camera.directions(*middle), dtype)
 
 
-def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
+def pixel_truth(scene: RoomScene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
     """Return the exact truth of every pixel's middle, in double precision."""
     rays = rays_of(camera)
     surfaces, _ = scene.at(t, view)
@@ -58,7 +58,7 @@ def pixel_truth(scene: Scene, view: Viewpoint, t: float, camera: RoomCamera) -> 
 
 
 def picture(
-    scene: Scene,
+    scene: RoomScene,
     view: Viewpoint,
     t: float,
     camera: RoomCamera,
