@@ -62,13 +62,7 @@ Workers = Annotated[
 
 
 def key_values(changes: list[str]) -> dict[str, Any]:
-    """Return {key: value} of ``--set KEY=VALUE`` options; values are YAML.
-
-    Raises
-    ------
-    InputError
-        When one has another form.
-    """
+    """Return {key: value} of ``--set KEY=VALUE`` options; values are YAML."""
     chosen: dict[str, Any] = {}
     for change in changes:
         key, equals, text = change.partition("=")
@@ -82,13 +76,7 @@ def key_values(changes: list[str]) -> dict[str, Any]:
 
 
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:
-    """Return three finite numbers written with commas between them.
-
-    Raises
-    ------
-    InputError
-        When `text` is something else; `what` says what it should be.
-    """
+    """Return three finite numbers with commas between them, which `what` must be."""
     a, b, c = _numbers(text, what, "three")
     return a, b, c
 
@@ -126,13 +114,7 @@ def read_drive(
 
 
 def day(text: str) -> float:
-    """Return a date, YYYY-MM-DD or with a time of day, in days since 1970.
-
-    Raises
-    ------
-    InputError
-        When `text` is none.
-    """
+    """Return a date, YYYY-MM-DD or with a time of day, in days since 1970; else InputError."""
     from homeward.places.place import DAY_S
 
     try:

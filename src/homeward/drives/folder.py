@@ -70,8 +70,8 @@ def _is_surveyed(folder: Path) -> bool:
 def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
     """Return the required files that a drive folder lacks.
 
-    A survey in the home frame replaces odometry.csv and home.csv. Settings that give the time at
-    which the robot was at home replace home.csv.
+    A survey in the home frame replaces odometry.csv and home.csv; settings with the time at home
+    replace home.csv.
     """
     absent = [name for name in REQUIRED if not is_there(folder / name)]
     if HOME in absent and (not home_needed or knows_home(folder)):
@@ -82,32 +82,18 @@ def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
 
 
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
-    """Read a drive folder.
+    """Read a drive folder; `InputError` names the file, the row and what is wrong.
 
-    Parameters
-    ----------
-    path : path-like
-        Folder with odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
-        home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv
-        (t, x, y, heading in the home frame); s, m and rad. Other files and columns are ignored.
-        A survey in the home frame replaces home.csv and odometry.csv. A drive.yaml that gives the
-        time at which the robot was at home replaces home.csv.
-    home_needed : bool
-        Whether one of these must be there.
+    The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
+    home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv (t,
+    x, y, heading in the home frame); s, m and rad. Other files and columns are ignored. A survey in
+    the home frame replaces home.csv and odometry.csv. A drive.yaml that gives the time at which the
+    robot was at home replaces home.csv; one of these is required if `home_needed`.
 
-    Returns
-    -------
-    Drive
-        Rows up to `MAX_DELAY_S` out of order are sorted by time, and counted. Bearings are
-        wrapped; of equal stamps in odometry and truth the last counts, and so it does
-        of sightings of one landmark at one stamp; they are counted in its remarks, which also say
-        when angles or stamps seem to be in other units. Landmark ids lose the white space around
-        them.
-
-    Raises
-    ------
-    InputError
-        When the folder is not a drive; names file, row and what is wrong.
+    Rows up to `MAX_DELAY_S` out of order are sorted by time, bearings are wrapped, and landmark ids
+    lose white space around them. Of equal stamps in odometry and truth, and of sightings of one
+    landmark at one stamp, the last counts. Remarks count all this, and say when angles or stamps
+    seem to be in other units.
     """
     folder = Path(path)
     require_folder(folder)
@@ -141,23 +127,12 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
 
 
 def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
-    """Write a drive folder that `read_folder` reads back to the last bit.
+    """Write a drive folder that `read_folder` reads back to the last bit, without name and remarks.
 
     The files enter together when all are written. In an existing folder only the files of a drive
-    are replaced or, when this drive has none, deleted.
-
-    Parameters
-    ----------
-    drive : Drive
-        What to write; its name and remarks are not part of the format.
-    path : path-like
-        The folder; missing parents are made.
-
-    Raises
-    ------
-    InputError
-        When it cannot be written, or holds what the format has no place for: no odometry, numbers
-        that are not finite, ids with white space around them or unprintable characters.
+    are replaced or, when this drive has none, deleted. `InputError` where the folder cannot be
+    written or the format has no place for the drive: no odometry, numbers that are not finite, ids
+    with white space around them or unprintable characters.
     """
     folder = Path(path)
     owned = (*REQUIRED, *OPTIONAL)
@@ -168,13 +143,9 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
 def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
     """Return a table in order of its times `t` [s]; equal ones stay as they are.
 
-    `remarks` counts the rows of `what` that are out of order. Rows may be up to `MAX_DELAY_S`
-    late, or go through one landmark after the other.
-
-    Raises
-    ------
-    InputError
-        When a row is later: a clock was set back, or these are two drives.
+    `remarks` counts the rows of `what` that are out of order. Rows may be up to `MAX_DELAY_S` late,
+    or go through one landmark after the other. A later row is an `InputError`: a clock was set
+    back, or these are two drives.
     """
     t = table["t"]
     late = np.maximum.accumulate(t) - t
@@ -204,9 +175,9 @@ def _by_landmarks(table: Table) -> bool:
 
 
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
-    """Check a table with times `t` [s], keep the last of equal stamps and count the others.
+    """Check a table with times `t` [s], and keep the last row of equal stamps.
 
-    They are counted in `remarks` under a `reason` in words.
+    The others are counted in `remarks` under a `reason` in words.
     """
     table.require_rows()
     table.require_order()

@@ -30,13 +30,8 @@ class Images:
 def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     """Return the images that a drive folder names; none when it has no images.csv.
 
-    Of equal stamps the first counts; `remarks` counts the others.
-
-    Raises
-    ------
-    InputError
-        When images.csv is no such table, or names a file that is not there, lies outside the
-        folder, or is neither JPEG nor PNG by its name.
+    Of equal stamps the first counts; `remarks` counts the others. `InputError` where a file is not
+    there, lies outside the folder, or is neither JPEG nor PNG by its name.
     """
     table_file = folder / IMAGES
     if not is_there(table_file):
@@ -52,12 +47,9 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
 
 
 def file_within(folder: Path, name: str | Path, what: str, told_in: Path) -> Path:
-    """Return a file that must lie in `folder`; to messages it is `what`, named in file `told_in`.
+    """Return a file that must lie in `folder`, also behind a link; else raise InputError.
 
-    Raises
-    ------
-    InputError
-        When it lies outside the folder, also behind a link, or is not there.
+    Messages call the file `what`, named in the file `told_in`.
     """
     file, named = folder / name, f"{what} {quoted(str(name))}"
     try:

@@ -17,17 +17,9 @@ Home = Mapping[str, float | HomeBearing]
 
 
 def known_home(home: Home) -> dict[str, HomeBearing]:
-    """Return home bearings with their standard deviations, of plain floats.
+    """Return home bearings from the camera's axis, with standard deviations, of plain floats.
 
-    Parameters
-    ----------
-    home : Home
-        From the camera's axis.
-
-    Raises
-    ------
-    InputError
-        When it is no mapping of text to such, or a bearing is not finite.
+    `InputError` where it is no mapping of text to such, or a bearing is not finite.
     """
     if not isinstance(home, Mapping):
         raise InputError(f"home is a {type(home).__name__}, where ids to bearings [rad] are due")

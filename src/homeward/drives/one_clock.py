@@ -47,15 +47,9 @@ OTHER_CLOCK = (
 def require_overlap(
     spans: Mapping[str, tuple[float, float]], advice: str, path: Path | None = None
 ) -> None:
-    """Refuse things of which one begins long after another ended.
+    """Raise InputError when a span begins over `MAX_CLOCK_OFFSET_S` after another one ended.
 
-    `spans` are first and last time of each [s], by name; messages speak of `path` and end with
-    `advice`.
-
-    Raises
-    ------
-    InputError
-        When two of them are more than `MAX_CLOCK_OFFSET_S` apart.
+    `spans` are first and last time of each [s], by name; the message ends with `advice`.
     """
     if not spans:
         return
@@ -100,12 +94,9 @@ def _remark_slow(drive: Drive) -> dict[str, int]:
 
 
 def on_one_clock(drive: Drive, path: Path) -> Drive:
-    """Return a drive of a path, with a remark where most of its bearings are beyond its odometry.
+    """Return a drive with remarks on stamps that are rare, or beyond its odometry.
 
-    Raises
-    ------
-    InputError
-        When bearings and odometry do not overlap at all.
+    `InputError` where bearings and odometry do not overlap at all.
     """
     odometry, seen = drive.odometry.t, drive.sightings.t
     if not (odometry.size and seen.size):

@@ -111,13 +111,7 @@ def _truth_from_home(drive: Drive, place: Path) -> Drive:
 
 
 def located(path: str | os.PathLike[str]) -> Path:
-    """Return where a drive is: a path, or `SAMPLE` where nothing is called so.
-
-    Raises
-    ------
-    InputError
-        When there is nothing.
-    """
+    """Return the path of a drive, or of `SAMPLE` where no file has that name; else InputError."""
     place = Path(path)
     if is_there(place):
         return place
@@ -132,13 +126,7 @@ def sample_drive() -> Path:
 
 
 def reader_of(place: Path) -> Reader:
-    """Return the reader that knows what is there.
-
-    Raises
-    ------
-    InputError
-        When none does.
-    """
+    """Return the reader that recognises a path; `InputError` says what to do where none does."""
     for reader in READERS:
         if reader.recognises(place):
             return reader

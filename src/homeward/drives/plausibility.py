@@ -53,17 +53,10 @@ def without_implausible(
 ) -> Odometry:
     """Return odometry in which implausible motion is unknown, and count it in `remarks`.
 
-    Rates that are usually too high are remarked, since their unit is probably another one, and a
-    speed that is always zero while the robot turns.
-
-    Parameters
-    ----------
-    odometry : Odometry
-        Twists, measured or from poses or wheels; NaN where the motion is unknown already.
-    remarks : dict
-        Counts by reason in words.
-    sideways : ndarray, shape (n,), optional
-        Sideways speed of differentiated poses [m/s], tested as the forward speed is.
+    Twists may be NaN already where the motion is unknown. `sideways` (n,) is the sideways speed of
+    differentiated poses [m/s], tested as the forward speed is. Remarks also name rates that are
+    usually too high, since their unit is probably another one, and a speed that is always zero
+    while the robot turns.
     """
     t, v, omega = odometry.t, odometry.v, odometry.omega
     bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
@@ -100,10 +93,10 @@ def _quick(t: np.ndarray, rate: np.ndarray) -> float:
 def _jumps(
     t: np.ndarray, rate: np.ndarray, max_rate: float, max_acceleration: float, min_jump: float
 ) -> np.ndarray:
-    """Return which samples of a rate are implausible, shape (n,), bool.
+    """Return which samples of a rate are implausible, (n,): too fast, or a jump.
 
-    A sample is, where it is too fast, or where its displacement deviates from the median rate of
-    its neighbours both before and after by more than acceleration and noise allow.
+    A jump deviates from the median rate of the neighbours both before and after by more than
+    acceleration and noise allow.
     """
     if t.size < 2:
         return np.asarray(np.abs(rate) > max_rate)
@@ -145,23 +138,10 @@ def _neighbours(rate: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:
-    """Return the twists that lead from each pose to the next along an arc.
+    """Return the twists that lead from each pose to the next along an arc; the last is 0.
 
-    The motion of a pose that jumps is unknown, and counted in `remarks`.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        Strictly increasing [s].
-    rows : ndarray, shape (n, 3)
-        x [m], y [m], heading [rad]. What a pose moves sideways is left out.
-    remarks : dict
-        Counts by reason in words.
-
-    Returns
-    -------
-    Odometry
-        Each twist holds to the next pose, the last is 0.
+    `t` (n,) [s] increases strictly; `rows` (n, 3) are x [m], y [m], heading [rad]. Sideways motion
+    is left out. The motion of a pose that jumps is unknown, and counted in `remarks`.
     """
     forward, sideways, turn = steps_between(rows)
     # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
@@ -171,17 +151,9 @@ def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]
 
 
 def steps_between(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return forward and sideways step [m] and turn [rad] from each pose to the next.
+    """Return forward and sideways step [m] and turn [rad], (n - 1,), between poses (n, 3).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, 3)
-        x [m], y [m], heading [rad].
-
-    Returns
-    -------
-    forward, sideways, turn : ndarray, shape (n - 1,)
-        Along and to the left of the heading half-way.
+    Steps are along and to the left of the heading half-way.
     """
     dx, dy = np.diff(rows[:, 0]), np.diff(rows[:, 1])
     turn = np.asarray(wrap(np.diff(rows[:, 2])))

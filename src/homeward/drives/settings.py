@@ -219,15 +219,7 @@ class KnownLandmarks(Strict):
     def remembered(
         cls, landmarks: dict[str, SurveyedLandmark], covariance: np.ndarray
     ) -> KnownLandmarks:
-        """Return landmarks in home's frame whose coordinates are correlated.
-
-        Parameters
-        ----------
-        landmarks : dict of str to SurveyedLandmark
-            k of them; their deviations are not asked for.
-        covariance : ndarray, shape (2 k, 2 k)
-            Of their coordinates x, y, x, y, ... [m^2].
-        """
+        """Return landmarks in the home frame, given the covariance of x, y, x, y, ... [m^2]."""
         known = cls(frame="home", landmarks=landmarks)
         known._joint = covariance
         return known
@@ -285,13 +277,10 @@ class OdometryDefaults(Strict):
 
 
 def noise_rates(given: OdometryNoise, default: OdometryDefaults) -> np.ndarray:
-    """Return how fast white noise grows: as the drive says, or else in proportion to the motion.
+    """Return how fast white noise grows, (3, 3): as specified, or in proportion to the motion.
 
-    Returns
-    -------
-    ndarray, shape (3, 3)
-        Of the variances along [m^2/s], across [m^2/s] and of the heading [rad^2/s] (rows): what is
-        constant, what is in proportion to the speed [m/s], and what to the turn rate [rad/s].
+    Rows: variances along [m^2/s], across [m^2/s] and of the heading [rad^2/s]. Columns: constant,
+    in proportion to the speed [m/s], and to the turn rate [rad/s].
     """
     rates = np.zeros((3, 3))
     if given.speed_sigma is None:

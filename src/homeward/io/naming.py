@@ -8,13 +8,7 @@ from collections.abc import Sequence
 
 
 def natural(name: object) -> tuple[list[str | tuple[int, str]], str]:
-    """Return a key that sorts names as people do, L2 before L10; any names, and any numbers.
-
-    Parameters
-    ----------
-    name : object
-        Sorted as ``str(name)``; equal keys are equal names.
-    """
+    """Return a key that sorts any names as people do, L2 before L10; equal keys are equal names."""
     text = str(name)
     # Every other part is a number: more digits are more.
     parts: list[str | tuple[int, str]] = list(re.split(r"([0-9]+)", text))

@@ -49,8 +49,5 @@ def _hold() -> dict[LibController, int]:
 
 @functools.lru_cache(maxsize=1)
 def _libraries(modules: int) -> list[LibController]:
-    """Return the BLAS libraries that are loaded; to look for them takes milliseconds.
-
-    `modules` is the number of imported modules: a new one may have loaded another library.
-    """
+    """Return the loaded BLAS libraries; cached while the number of imported `modules` stays."""
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

@@ -14,29 +14,16 @@ from homeward.errors import InputError
 
 
 def opened(path: Path, mode: str = "rb", **options: Any) -> IO[Any]:
-    """Open a regular file to read, as the built-in `open` does.
+    """Open a regular file to read, as the built-in `open` does; refuse what is none (InputError).
 
-    What it is, is asked of the open file, so that nothing can be put in its place meanwhile; and
-    opening never waits, as it would for somebody to write into a FIFO.
-
-    Raises
-    ------
-    InputError
-        When it is a folder, a FIFO, a device or a socket.
-    OSError
-        When it cannot be opened; see `naming`.
+    The open file is tested, so that nothing can be put in its place meanwhile; and opening never
+    waits, as it would for somebody to write into a FIFO.
     """
     return open(path, mode, opener=_regular, **options)
 
 
 def read_small(path: Path, largest: int, what: str) -> bytes:
-    """Return what a regular file of at most `largest` bytes holds.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is larger than `what`, in words, ever is.
-    """
+    """Return the content of a regular file of at most `largest` bytes, as `what`, in words, has."""
     with naming(path, "cannot be read"), opened(path) as stream:
         data: bytes = stream.read(largest + 1)
     if len(data) > largest:

@@ -23,12 +23,8 @@ LARGEST_SETTINGS = 2**20
 def read_settings(path: Path, model: type[Model]) -> Model:
     """Read a settings model from a YAML file, UTF-8; a key without a value counts as absent.
 
-    Its keys are at most two levels deep.
-
-    Raises
-    ------
-    InputError
-        When the file is not YAML, has a key that the model does not know, or a value out of range.
+    Its keys are at most two levels deep. `InputError` where the file is not YAML, has a key that
+    the model does not know, or a value out of range.
     """
     return parse_settings(_read(path), model, path)
 
@@ -44,13 +40,7 @@ def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Read a YAML file of keys to values of any kind, for settings that are checked later.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is no mapping.
-    """
+    """Read a YAML file of keys to values of any kind, for settings that are checked later."""
     tree = parse_yaml(_read(path), path, typed=True)
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
@@ -68,10 +58,7 @@ def validated(model: type[Model], values: Any, file: Path | None = None) -> Mode
 def nested(values: dict[str, Any]) -> dict[str, Any]:
     """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
 
-    Raises
-    ------
-    InputError
-        When a key is used both as a value and as the head of others.
+    `InputError` where a key is used both as a value and as the head of others.
     """
     tree: dict[str, Any] = {}
     for key, value in values.items():
@@ -86,13 +73,7 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
 
 
 def key_parts(key: str) -> list[str]:
-    """Return the keys that one in dots names, from the outermost on.
-
-    Raises
-    ------
-    InputError
-        When it is deeper than settings can be.
-    """
+    """Return the keys that one in dots names, from the outermost on; `InputError` if too many."""
     parts = key.split(".")
     if len(parts) > DEEPEST:
         raise InputError(f"{quoted(key)}: no key lies so deep")

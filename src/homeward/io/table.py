@@ -116,12 +116,7 @@ def read_csv(
     """Read the named columns of a CSV file with a header, in whatever order they stand.
 
     Other columns, blank lines, a byte order mark and any line ending are accepted; an optional
-    column that the file lacks is not in the table. `form` says what is otherwise.
-
-    Raises
-    ------
-    InputError
-        On anything that cannot be read.
+    column that the file lacks is not in the table. `form` specifies other layouts.
     """
     with text_lines(path, form.encoding) as lines:
         list(itertools.islice(lines, form.skip))
@@ -138,11 +133,6 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
     """Read a headerless file of numbers parted by white space; ``#`` begins a comment line.
 
     Its columns are called `names`, in their order.
-
-    Raises
-    ------
-    InputError
-        On anything that cannot be read.
     """
     with text_lines(path) as lines:
         records = (
@@ -216,10 +206,7 @@ def is_identifier(text: str) -> bool:
 
 
 def _shown(text: str, path: Path) -> str:
-    """Return what stands in a file, quoted; nothing where the file is a link.
-
-    A drive that somebody sent must not make this machine tell what is in its own files.
-    """
+    """Return text of a file, quoted; nothing of a link: its target may be private here."""
     return "" if path.is_symlink() else f" {quoted(text)}"
 
 

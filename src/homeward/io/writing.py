@@ -50,19 +50,10 @@ def whole_folder(
 ) -> Iterator[Path]:
     """Lend a scratch folder whose entries enter `folder` when the block ends without an error.
 
-    A new folder appears by one rename. In an existing one, entries of the same names are replaced.
-
-    Parameters
-    ----------
-    folder : Path
-        Destination; parents are made.
-    last : str, optional
-        Entry that enters last: a folder that contains it is whole.
-    merge : bool
-        Whether other files in the subfolders of an existing folder stay; by default a new subfolder
-        replaces the old one.
-    owned : collection of str
-        Files of an existing folder that are deleted where the new entries do not replace them.
+    A new folder appears by one rename. In an existing one, entries of the same names are replaced,
+    the entry `last` after all others. With `merge` other files in subfolders stay; by default a new
+    subfolder replaces the old one. Files of an existing folder that are `owned`, and not replaced,
+    are deleted.
     """
     new = not os.path.lexists(folder)
     # In an existing folder, since its parent may be on another file system.

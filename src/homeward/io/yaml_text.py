@@ -22,21 +22,10 @@ _PLAIN = ("null", "bool", "int", "float", "str", "seq", "map")
 
 
 def parse_yaml(text: bytes | str, path: Path | None, typed: bool) -> Any:
-    """Return what YAML says: mappings, lists, and text or, if `typed`, also what JSON has.
+    """Return the mappings, lists and texts of YAML or, if `typed`, also numbers, truths and null.
 
-    Parameters
-    ----------
-    text : bytes or str
-        As bytes, UTF-8.
-    path : Path, optional
-        What errors speak of.
-    typed : bool
-        Whether numbers, truths and null are made of what looks so; YAML reads 1:30 as 90.
-
-    Raises
-    ------
-    InputError
-        When it is not YAML, or more than settings ever are.
+    Bytes are UTF-8; errors speak of `path`. Beware: typed YAML reads 1:30 as 90. `InputError` where
+    it is not YAML, or more than settings ever are.
     """
     try:
         # The loaders make plain values alone.

@@ -75,16 +75,8 @@ class Fix(NamedTuple):
 class Localisation:
     """Home, and an estimator for it, made anew when home or the map is.
 
-    Parameters
-    ----------
-    estimator : str or None
-        Its name, as in `homeward.registry`; None: only homes are kept, and nothing is answered.
-    robot : DriveSettings
-        What is known of the robot.
-    homes : Homes
-        To begin with, and added to; in a place that has homes they are not looked at.
-    place : PlaceSession, optional
-        The place.
+    `estimator` None: only homes are kept, and nothing is answered. `homes` are added to; in a place
+    that has homes they are not used.
     """
 
     def __init__(
@@ -128,16 +120,10 @@ class Localisation:
         return self.place is not None and self.place.place is not None
 
     def do(self, message: Input, odom: Pose | None) -> Output | None:
-        """Do what a message says, and return what is to be said of it.
+        """Process a message, and return the answer to it; `odom` is the odometry pose at its stamp.
 
-        `odom` is where odometry alone has the robot at the stamp of bearings.
-
-        Raises
-        ------
-        InputError
-            When it cannot be done; nothing is changed then.
-        InternalError
-            At any other error; the map is begun again then.
+        `InputError` where it cannot be done; nothing is changed then. `InternalError` at any other
+        error; the map is begun again then.
         """
         try:
             return self._do(message, odom)
@@ -209,12 +195,9 @@ class Localisation:
         return None
 
     def conclude(self) -> str | None:
-        """Merge the last visit into the place, where visits are; return what it told, in words.
+        """Merge the last visit into the place, if visits are merged; return what it told, in words.
 
-        Raises
-        ------
-        HomewardError
-            When nothing of the whole session was merged.
+        `HomewardError` where nothing of the whole session was merged.
         """
         if self.place is None or not self.place.update:
             return None

@@ -79,10 +79,7 @@ class Looking:
     def here(self) -> Here:
         """Return the home that was looked at since `begin`, or else what is seen now, standing.
 
-        Raises
-        ------
-        InputError
-            When there is none, or the robot moved.
+        `InputError` where there is none, or the robot moved.
         """
         looks, self._looks = self._looks, None
         return self._standing() if looks is None else _turned(looks)

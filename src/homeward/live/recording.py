@@ -64,13 +64,7 @@ class _Head(Strict):
 
 
 class Recorder:
-    """Writes a session into a folder that is not there yet, line by line.
-
-    Raises
-    ------
-    InputError
-        When the folder is there or cannot be made.
-    """
+    """Writes a session into a new folder, line by line; `InputError` where it cannot be made."""
 
     def __init__(
         self,
@@ -104,13 +98,7 @@ class Recorder:
         self._folder, self._lines, self._failure = folder, 0, ""
 
     def keep(self, message: Input | Output) -> None:
-        """Write a message.
-
-        Raises
-        ------
-        InputError
-            When it cannot be written; the recording ends there.
-        """
+        """Write a message; where that fails the recording ends, with an InputError."""
         try:
             with naming(self._folder / SESSION, "cannot be written"):
                 self._file.write(line_of(message))
@@ -124,10 +112,9 @@ class Recorder:
             raise
 
     def close(self) -> str | None:
-        """Finish, and make the folder a drive folder where the session holds a drive.
+        """Finish, and make the folder a drive folder; delete it where nothing was said.
 
-        Of a session in which nothing was said nothing is left behind. Return in words why the
-        recording is not whole; None where it is.
+        Return in words why the recording is not whole; None where it is.
         """
         if self._failure:
             return f"the recording is not whole: {self._failure}"
@@ -143,13 +130,7 @@ class Recorder:
 
 
 def replay(file: Path) -> tuple[int, str | None]:
-    """Repeat a session; return how many answers were the same, and what comes instead of the next.
-
-    Raises
-    ------
-    InputError
-        When the file is no session.
-    """
+    """Repeat a session; return the number of equal answers, and what comes instead of the next."""
     localisation, lines = _opened(file, whole=True)
     expected: str | None = None
     same = 0
@@ -168,13 +149,7 @@ def replay(file: Path) -> tuple[int, str | None]:
 
 
 def read_drive(file: Path) -> Drive | None:
-    """Return the drive since its map was begun last, in order of time; None if there is none.
-
-    Raises
-    ------
-    InputError
-        When the file is no session.
-    """
+    """Return the drive since its map was begun last, in order of time; None if there is none."""
     localisation, lines = _opened(file, whole=False)
     samples = Samples()
     for line in lines:

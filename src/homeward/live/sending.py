@@ -17,23 +17,10 @@ Known = Callable[[], Iterable[LandmarkEstimate]]
 
 
 def resolve_goal(message: Departure, home: str, place: PlaceSession | None, known: Known) -> Goal:
-    """Return where a message sends the robot, in the frame of the answers.
+    """Return where a message sends the robot, in the frame of a home, that of the answers.
 
-    Parameters
-    ----------
-    message : Departure
-        That sends it.
-    home : str
-        In whose frame answers are.
-    place : PlaceSession, optional
-        The place that the robot is in.
-    known : callable
-        Returns what the robot knows of landmarks.
-
-    Raises
-    ------
-    InputError
-        When there is no such home, route or landmark.
+    `known` returns the landmarks of the estimator. `InputError` where there is no such home, route
+    or landmark.
     """
     match message:
         case GoTo(x=x, y=y):

@@ -61,13 +61,7 @@ class Address:
 
 
 def address(text: str) -> Address:
-    """Return the address in ``PORT`` (of this machine alone), or ``HOST:PORT``.
-
-    Raises
-    ------
-    InputError
-        When it is neither.
-    """
+    """Return the address in ``PORT`` (of this machine alone), or ``HOST:PORT``."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdecimal() and int(port) < 2**16):
         raise InputError(f"{text}: must be PORT or HOST:PORT")
@@ -85,16 +79,10 @@ class _Listener:
 
 @dataclass
 class Server:
-    """Serves a session until it is stopped, or, where it reads stdin, until that ends.
+    """Serves a new session until it is stopped, or, where it reads stdin, until that ends.
 
-    Parameters
-    ----------
-    session : Session
-        A fresh one.
-    token : str, optional
-        That everybody must say hello with; needed where others than this machine can connect.
-    watch : callable, optional
-        Told everything that the session says.
+    Everybody must say hello with the `token`, which is required where other machines can connect.
+    `watch` receives everything that the session says.
     """
 
     session: Session
@@ -115,12 +103,9 @@ class Server:
         stdio: bool = False,
         opened: Callable[[list[int]], None] | None = None,
     ) -> None:
-        """Serve; `opened` is told the ports of TCP and WebSocket, in this order.
+        """Serve; `opened` receives the ports of TCP and WebSocket, in this order.
 
-        Raises
-        ------
-        InputError
-            When an address cannot be listened at, or may not be without a token.
+        `InputError` where an address cannot be listened at, or may not be without a token.
         """
         for place in filter(None, (tcp, websocket)):
             if self.token is None and not place.is_loopback:
@@ -227,7 +212,7 @@ class Server:
     ) -> None:
         """Take a client's lines in turn with those of others, and a stop as soon as it is read.
 
-        What may be a file is read no faster than the estimator works, to its end.
+        A file is read no faster than the estimator works, to its end.
         """
         inbox, turn = Inbox(), ClientTurn()
         taking = asyncio.create_task(self._take_all(inbox, listener, is_file))
@@ -332,9 +317,10 @@ class Server:
 
     @contextlib.asynccontextmanager
     async def _websocket(self, place: Address) -> AsyncIterator[int]:
-        """Listen for WebSockets, a message a line; without a token only for pages of this machine.
+        """Listen for WebSockets, a message a line.
 
-        Any page that a browser shows may connect to this machine; its Origin tells.
+        Any page that a browser shows may connect to this machine: without a token only pages of
+        this machine are accepted, by their Origin.
         """
         import re
 

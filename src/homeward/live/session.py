@@ -57,19 +57,7 @@ MEMORY_S = 3.0
 
 
 class Session:
-    """A robot's live session.
-
-    Parameters
-    ----------
-    settings : LiveSettings, optional
-        Of the session.
-    robot : DriveSettings, optional
-        What is known of the robot, as drive.yaml has it.
-    homes : Homes, optional
-        Home bearings by name; that named home is the first.
-    place : PlaceSession, optional
-        The place that the robot is in.
-    """
+    """A robot's live session; `robot` is as in drive.yaml, `homes` are home bearings by name."""
 
     def __init__(
         self,
@@ -126,12 +114,8 @@ class Session:
     def receive(self, message: Input, now: float, sender: object = None) -> None:
         """Take a message: watch it, and queue it for `process`. Quick.
 
-        Where too many wait, messages of the sender of most of them are thrown away.
-
-        Raises
-        ------
-        InternalError
-            At any error; a drive has failed then, and the message is left out.
+        Where too many wait, messages of the sender of most of them are thrown away. `InternalError`
+        at any error; a drive has failed then, and the message is left out.
         """
         try:
             self._receive(message, now, sender)
@@ -222,10 +206,7 @@ class Session:
     def tick(self, now: float) -> Command | None:
         """Return the command at `now` [s]; None where the robot is left to others. Quick.
 
-        Raises
-        ------
-        InternalError
-            At any error; a drive has failed then.
+        `InternalError` at any error; a drive has failed then.
         """
         try:
             return self._command(now)

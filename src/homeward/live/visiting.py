@@ -51,18 +51,9 @@ READ_ONLY = "the place is left as it is: homeward live --update, or place_update
 class PlaceSession:
     """The place of a session, and what its visits add to it.
 
-    Parameters
-    ----------
-    place : Place or str
-        What is known of it; of a new one, which the first visit makes, its name.
-    when : float
-        The day of the session, and so of all its visits [days since 1970].
-    update : bool
-        Whether visits are merged.
-    folder : Path, optional
-        Where it is written after each visit; None: nowhere.
-    version : int
-        The newest one in the folder; 0: none.
+    `place` is a name where the first visit makes a new one. `when` is the day of the session [days
+    since 1970]. With `update`, visits are merged and, if there is a `folder`, written to it after
+    its newest `version`.
     """
 
     def __init__(
@@ -113,13 +104,7 @@ class PlaceSession:
         return drive if self.place is None else self.place.visited_by(drive, self.when)
 
     def home_pose(self, name: str, first: str) -> Pose:
-        """Return where a home is in the frame of the first, of which that is the name.
-
-        Raises
-        ------
-        InputError
-            When there is none of that name.
-        """
+        """Return where a home is in the frame of the `first`; `InputError` where there is none."""
         if name == first:
             return Pose(0.0, 0.0, 0.0)
         if name in self._stored and (pose := self._stored[name][0].pose) is not None:
@@ -140,10 +125,7 @@ class PlaceSession:
     def store_home(self, name: str, first: str, seen: BearingsIn, estimate: Estimate) -> str:
         """Store a home where the robot is, and say so; it is one of the place after this visit.
 
-        Raises
-        ------
-        InputError
-            When the robot does not know where it is, or the name is taken, or nothing is merged.
+        `InputError` where the robot is not localised, the name is taken, or nothing is merged.
         """
         require_name("home", name, (first, *self.homes))
         self._require_localised(estimate, f"home {quoted(name)} cannot be stored by")
@@ -157,13 +139,7 @@ class PlaceSession:
         return known | {name: route for name, (route, _) in self._routes.items()}
 
     def route(self, name: str) -> Route:
-        """Return a route, of the place or of this visit, in the frame of the answers.
-
-        Raises
-        ------
-        InputError
-            When there is none of that name.
-        """
+        """Return a route of the place or of this visit, in the frame of the answers."""
         return route_of(self.routes, name)
 
     def landmark(self, name: str) -> tuple[float, float] | None:
@@ -176,10 +152,7 @@ class PlaceSession:
     def begin_route(self, estimate: Estimate) -> str:
         """Begin to teach a route where the robot is, and say so.
 
-        Raises
-        ------
-        InputError
-            When the robot does not know well where it is, or nothing is merged.
+        `InputError` where the robot is not well localised, or nothing is merged.
         """
         self._require_localised(estimate, "a route cannot begin with")
         if (sigma := _sigma(estimate)) > LOOKAHEAD:
@@ -197,20 +170,10 @@ class PlaceSession:
             raise InputError(f"{words} a robot that is {estimate.status.value}: {estimate.reason}")
 
     def store_route(self, name: str, landmarks: Iterable[LandmarkEstimate]) -> str:
-        """Store the way since the route began, and say so; it is one of the place after this visit.
+        """Store the path since the route began, and say so; it is one of the place from then on.
 
-        Parameters
-        ----------
-        name : str
-            Its name.
-        landmarks : iterable of LandmarkEstimate
-            What the robot knows of them.
-
-        Raises
-        ------
-        HomewardError
-            When the robot did not know where it was on its way, or led nowhere, or the name is
-            taken, or nothing is merged.
+        `landmarks` are those of the estimator. `HomewardError` where the robot was not localised on
+        its way, or led nowhere, or the name is taken, or nothing is merged.
         """
         if not self.update:
             raise InputError(READ_ONLY)
@@ -223,21 +186,11 @@ class PlaceSession:
         return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
     def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
-        """Merge the visit, as far as it came, and write that; return what it told, in words.
+        """Merge the visit so far into the place, and write that; return what it told, in words.
 
-        Parameters
-        ----------
-        localizer : Localizer
-            That was fed the visit.
-        drive : Drive
-            Its home and settings.
-        home : str
-            In whose frame its answers are.
-
-        Raises
-        ------
-        HomewardError
-            When there is too little to be kept, or it cannot be written: nothing is changed then.
+        `localizer` received the visit; `drive` has its home and settings; answers are in the frame
+        of `home`. `HomewardError` where there is too little to be kept, or it cannot be written:
+        nothing is changed then.
         """
         if not self.update:
             raise InputError(READ_ONLY)
@@ -303,11 +256,8 @@ def _sigma(estimate: Estimate) -> float:
 def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSession:
     """Return the place in a folder for a session of today, or, to be updated, perhaps a new one.
 
-    Raises
-    ------
-    InputError
-        When there is none, or it is damaged, or the folder holds something else, or the estimator
-        of that name cannot be told of places.
+    `InputError` where there is none, or it is damaged, or the folder has something else, or the
+    estimator cannot use places.
     """
     if estimator != DEFAULT:
         raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")

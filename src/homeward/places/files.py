@@ -129,26 +129,10 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
 def update_place(
     folder: str | os.PathLike[str], change: Callable[[Place], Place]
 ) -> tuple[Place, int]:
-    """Change the newest version of a place and save it; again if another robot saves meanwhile.
+    """Change the newest version of a place and save it; return the place and its version.
 
-    Parameters
-    ----------
-    folder : path-like
-        Of the place.
-    change : callable
-        Returns the changed place; called with the newest version, at most `MAX_MERGES` times.
-
-    Returns
-    -------
-    place : Place
-        The changed place.
-    version : int
-        Its number.
-
-    Raises
-    ------
-    InputError
-        As `load_place` and `save_place`, and whatever `change` raises.
+    `change` is called again, at most `MAX_MERGES` times, if another robot saves meanwhile.
+    `InputError` as `load_place` and `save_place`, and whatever `change` raises.
     """
     for _ in range(MAX_MERGES):
         version = newest(folder)
@@ -161,13 +145,7 @@ def update_place(
 
 
 def undo(folder: str | os.PathLike[str]) -> int:
-    """Go back to the version before the newest one; return its number.
-
-    Raises
-    ------
-    InputError
-        When no older one is kept.
-    """
+    """Go back to the version before the newest one; return its number."""
     path = Path(folder)
     found = sorted(_required(path))
     if len(found) < 2:

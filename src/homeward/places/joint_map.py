@@ -151,18 +151,11 @@ class JointMap:
         pose: np.ndarray,
         covariance: np.ndarray,
     ) -> JointMap:
-        """Return it with a home: a resection from what was seen there, in this map.
+        """Return it with a home: a resection from what was `seen` there, in this map.
 
-        Parameters
-        ----------
-        home : str
-            Its name.
-        seen : mapping of str to HomeBearing
-            Bearings of landmarks of the map, with deviations, all right.
-        mount : Pose
-            The camera on the robot.
-        pose, covariance : ndarray, shape (3,), (3, 3)
-            Where the robot was for all one knew without these bearings.
+        All of `seen` are bearings, with deviations, of landmarks of the map that stand in place.
+        `mount` is the camera on the robot; `pose` (3,) and `covariance` (3, 3) are the robot's
+        without these bearings.
         """
         size = self.mean.size
         prior = np.concatenate([self.mean, pose])
@@ -200,25 +193,12 @@ def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarra
 
 
 def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:
-    """Return what two maps say together, in the frame of the first, and how they disagree.
+    """Return the fusion of two independent maps in the frame of the first, and their disagreement.
 
-    The second lies anywhere; where it does follows from the landmarks that are the same. What one
-    of them alone knows is kept, corrected by what both know.
-
-    Parameters
-    ----------
-    place, visit : JointMap
-        Independent of each other. Landmarks of both that are not the `same` are taken from the
-        visit.
-    same : collection of str
-        Landmarks of both, two at least, that stand in one place.
-
-    Returns
-    -------
-    JointMap
-        What both say.
-    float
-        Mean square of how far those are off, in standard deviations: one if all is right.
+    The second lies anywhere; where it does follows from the landmarks that are the `same`, two at
+    least. What one of them alone knows is kept, corrected by what both know. Landmarks of both that
+    are not the same are taken from the visit. The disagreement is the mean square of deviations in
+    standard deviations: one if all is right.
     """
     pose = datum(place, visit, same)
     size = VAGUE_SHARE * max(place.size, visit.size)

@@ -108,13 +108,8 @@ def usual_rate(changes: float, watched: float) -> float:
 
 
 def missed_probability(seen_share: float, looks: int) -> float:
-    """Return how probably a landmark that stands is not seen in so many looks at its place.
+    """Return how probably a landmark in place is not seen in a number of `looks` at its place.
 
-    Parameters
-    ----------
-    seen_share : float
-        Of the looks at others, in which they were seen.
-    looks : int
-        In which it was in view.
+    `seen_share` is the share of looks at others in which they were seen.
     """
     return max(HIDDEN, (1.0 - min(seen_share, 1.0)) ** looks)

@@ -88,17 +88,12 @@ class Route:
         return Path(self.poses[:, :2], stops)
 
     def carried(self, before: JointMap, after: JointMap, same: Sequence[str]) -> Route:
-        """Return it where landmarks lead that are elsewhere in another map, or seen anew.
+        """Return the route in another map, in which its landmarks are elsewhere or seen anew.
 
-        Each node moves as the landmarks round it do, all together: one at distance d tells it by a
-        bearing that an error across it turns by the error over d, so it weighs 1 / d^2.
-
-        Parameters
-        ----------
-        before, after : JointMap
-            The map in whose frame it is, and that in whose frame it is to be.
-        same : sequence of str
-            Landmarks of both that stand where they stood, two at least.
+        It is in the frame of `before`, and is to be in that of `after`; landmarks of both that did
+        not move are the `same`, two at least. Each node moves as the landmarks round it do, all
+        together: one at distance d tells it by a bearing that an error across it turns by the error
+        over d, so it weighs 1 / d^2.
         """
         at = [m.columns(same).reshape(-1, 2) for m in (before, after)]
         p, q = (m.mean[c] @ [1.0, 1.0j] for m, c in zip((before, after), at, strict=True))
@@ -131,19 +126,9 @@ def seen_along(landmarks: Iterable[LandmarkEstimate]) -> JointMap:
 
 
 def taught(track: Track, when: float) -> Route:
-    """Return the way of a track as a route; where the robot stood for a while are way points.
+    """Return the path of a track, best a smoothed one, as a route; stops are way points.
 
-    Parameters
-    ----------
-    track : Track
-        Of the whole drive, best a smoothed one.
-    when : float
-        [days since 1970]
-
-    Raises
-    ------
-    HomewardError
-        When poses are missing on the way, or it leads nowhere.
+    `HomewardError` where poses are missing on the way, or it leads nowhere.
     """
     rows = np.flatnonzero(track.has_pose)
     t, poses = track.t[rows], np.column_stack([track.x, track.y, track.heading])[rows]
@@ -151,23 +136,9 @@ def taught(track: Track, when: float) -> Route:
 
 
 def taught_along(t: np.ndarray, poses: np.ndarray, sigmas: np.ndarray, when: float) -> Route:
-    """Return the way along some poses as a route; see `taught`.
+    """Return the path along poses (n, 3) at times `t` (n,) [s] as a route; see `taught`.
 
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        [s]
-    poses : ndarray, shape (n, 3)
-        x, y [m], heading [rad].
-    sigmas : ndarray, shape (n,)
-        How uncertain their places are, along the worst direction [m].
-    when : float
-        [days since 1970]
-
-    Raises
-    ------
-    HomewardError
-        As `taught` does.
+    `sigmas` (n,) are position uncertainties along the worst direction [m].
     """
     stood = stands(t, poses)
     picked = _picked(poses, [row for row, _ in stood])
@@ -209,16 +180,10 @@ def _picked(poses: np.ndarray, stops: Sequence[int]) -> list[int]:
 
 
 def stands(t: np.ndarray, poses: np.ndarray) -> list[tuple[int, float]]:
-    """Return the last rows of stands on the way, and how long they were [s].
+    """Return the last rows of stops on the way, and how long they were [s].
 
-    Where the robot stood before it set out, and at its end, nobody made it wait.
-
-    Parameters
-    ----------
-    t : ndarray, shape (n,)
-        [s]
-    poses : ndarray, shape (n, 3)
-        x, y [m], heading [rad].
+    `t` (n,) [s] and poses (n, 3) are those of the drive. Where the robot stood before it set out,
+    and at its end, nobody made it wait.
     """
     later = np.minimum(np.searchsorted(t, t + STILL_S), t.size - 1)
     moved = np.hypot(*(poses[later] - poses)[:, :2].T)

@@ -82,10 +82,7 @@ class VisitData:
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
         """Return it with a home where an answer has a pose, and what the camera saw there.
 
-        Raises
-        ------
-        InputError
-            When the answer has no pose, or the name cannot stand in a file.
+        `InputError` where the answer has no pose, or the name cannot stand in a file.
         """
         require_name("home", name, self.homes)
         if answer.pose is None:
@@ -94,12 +91,9 @@ class VisitData:
         return replace(self, homes={**self.homes, name: (stored, answer)})
 
     def store_route(self, name: str, track: Track) -> VisitData:
-        """Return it with a route, the way of a track of the same drive, best a smoothed one.
+        """Return it with a route: the path of a track of the same drive, best a smoothed one.
 
-        Raises
-        ------
-        HomewardError
-            When the name cannot stand in a file, or `homeward.places.route.taught` raises.
+        `HomewardError` where the name cannot stand in a file, or as `taught`.
         """
         require_name("route", name, self.routes)
         route = taught(track, self.when), seen_along(track.landmarks)
@@ -137,18 +131,8 @@ def told_by(
 ) -> VisitData:
     """Return what a drive tells after its run.
 
-    Parameters
-    ----------
-    localizer : Localizer
-        That was fed the drive.
-    drive : Drive
-        As it knew the place; see `Place.visited_by`.
-    track : Track
-        What came out.
-    when : float
-        [days since 1970]
-    home : str, optional
-        In whose frame the answers are; the place's first by default.
+    `localizer` received the drive, which knew the place (`Place.visited_by`); `home`: in whose
+    frame the answers are, by default the place's first; `when` [days since 1970].
     """
     row = np.searchsorted(track.t, np.unique(drive.sightings.t))
     poses = np.column_stack([track.x, track.y, track.heading])[row]
@@ -158,15 +142,7 @@ def told_by(
 def told_along(
     localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
 ) -> VisitData:
-    """Return what a drive tells, by its answers; parameters as of `told_by`.
-
-    Parameters
-    ----------
-    localizer, drive, when, home
-        As `told_by` takes them.
-    poses : ndarray, shape (m, 3)
-        Answered to each stamp of its m; NaN where there was none.
-    """
+    """Return what a drive tells, given the poses (m, 3) of its stamps, NaN where there is none."""
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
     good = np.isfinite(poses[:, 0])
     poses = poses[good]

@@ -117,13 +117,7 @@ def write_version(place: Place, folder: Path) -> None:
 
 
 def read_version(folder: Path) -> Place:
-    """Read the files of a version.
-
-    Raises
-    ------
-    InputError
-        When one of them is missing or damaged, or they contradict each other.
-    """
+    """Read the files of a version; `InputError` where one is missing or damaged, or contradicts."""
     told = read_settings(folder / SETTINGS, PlaceSettings)
     if told.format != FORMAT:
         raise InputError(

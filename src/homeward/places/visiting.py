@@ -31,11 +31,8 @@ FIRST_HOME = "home"
 def first_place(name: str, localizer: Localizer, told: VisitData, home: str = FIRST_HOME) -> Place:
     """Return the place that a first drive makes; its frame is that of the drive's home.
 
-    Raises
-    ------
-    HomewardError
-        When home was not found in the map, or too few landmarks are placed well for any later
-        drive to prove that it is of this place.
+    `HomewardError` where home was not found in the map, or too few landmarks are placed well for
+    any later drive to prove that it is of this place.
     """
     own = localizer.map_snapshot()
     found, observed, mount = own.home, own.home_bearings, own.home_mount
@@ -63,12 +60,8 @@ def first_place(name: str, localizer: Localizer, told: VisitData, home: str = FI
 def merged(place: Place, told: VisitData) -> Place:
     """Return a place after a visit: what stayed is fused, what moved follows, what is gone fades.
 
-    A visit that contradicts the place leaves it as it is but for a line that says so.
-
-    Raises
-    ------
-    InputError
-        When the place knows this drive already, or has a home of a name that it stores.
+    A visit that contradicts the place adds only a line that says so. `InputError` where the place
+    knows this drive already, or has a home of a name that it stores.
     """
     place.require_new(told.drive, told.evidence)
     judged, stayed = _judged(place, told)
@@ -93,14 +86,8 @@ def merged_places(place: Place, other: Place) -> Place:
 
     Where a landmark stands elsewhere in the two, the one that saw it last is right; what the other
     holds to be gone adds nothing. Homes and routes of the other that have a name of the place get
-    the other's name, too.
-
-    Raises
-    ------
-    InputError
-        When they have a drive in common: what it saw would count twice.
-    HomewardError
-        When they are not of one room, or most was rearranged between them.
+    the other's name, too. `InputError` where they have a drive in common: what it saw would count
+    twice. `HomewardError` where they are not of one room, or most was rearranged between them.
     """
     known = other.evidence
     place.require_new(other.name, known)

@@ -20,19 +20,10 @@ from homeward.ros.conversions import JSON, TFS
 
 
 class MessageCamera:
-    """What makes bearings of messages, as far as it is known by then.
+    """Converts messages to bearings, as far as the camera is known by then.
 
-    Parameters
-    ----------
-    told : dict of str
-        The node's parameters.
-
-    Raises
-    ------
-    InputError
-        When they cannot be used.
-    ImportError
-        When the package of a message is missing.
+    `told` are the node's parameters: `InputError` where they cannot be used, `ImportError` where
+    the package of a message is missing.
     """
 
     def __init__(self, told: Mapping[str, Any]) -> None:
@@ -94,12 +85,9 @@ class MessageCamera:
             self._lens = from_camera_info(message, self._topic.rectified)
 
     def reader(self, message: Any, t: float) -> Callable[[], BearingsIn]:
-        """Return what reads the bearings in a message of time `t` [s], on whatever thread.
+        """Return what reads the bearings in a message of time `t` [s], on any thread.
 
-        Raises
-        ------
-        InputError
-            When something is still to be heard before they can be read.
+        `InputError` as long as the camera or its extrinsics are unknown.
         """
         self.require_mount()
         if self.kind in IN_IMAGE and self._lens is None:

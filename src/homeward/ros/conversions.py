@@ -91,12 +91,8 @@ def bearings_in(
 ) -> BearingsIn:
     """Return the bearings in a message of any type of `READERS`, as those in logs are read.
 
-    In one of `PICTURES` it is the eye that sees.
-
-    Raises
-    ------
-    InputError
-        When it tells none, or needs a camera model.
+    In one of `PICTURES` the `eye` finds tags. `InputError` where there are none, or a camera model
+    is needed.
     """
     rows = SightingRows(told, kind, Remarks(), lambda: camera, eye)
     rows.add(t, message)

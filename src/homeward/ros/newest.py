@@ -13,10 +13,7 @@ Result = TypeVar("Result")
 class Newest(Generic[Result]):
     """Does the tasks that it is given; one that waits when a newer one comes is left out.
 
-    Parameters
-    ----------
-    ready : callable
-        Called on the thread of this whenever there is something for `take`.
+    `ready` is called on the thread of this whenever there is something for `take`.
     """
 
     def __init__(self, ready: Callable[[], object]) -> None:

@@ -14,13 +14,7 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 class Publishers:
-    """The publishers of a lifecycle node, from when it is configured until it is cleaned up.
-
-    Parameters
-    ----------
-    node : rclpy.lifecycle.LifecycleNode
-        Whose parameters name topics and frames.
-    """
+    """The publishers of a lifecycle node, whose parameters name topics and frames."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
@@ -57,12 +51,7 @@ class Publishers:
     def output(self, said: Output, epoch_ns: int) -> None:
         """Publish what a session says, poses and landmarks as messages of their own, too.
 
-        Parameters
-        ----------
-        said : Output
-            Whose stamps are those of ROS less an epoch.
-        epoch_ns : int
-            The epoch [ns].
+        The stamps of `said` are those of ROS less an epoch [ns].
         """
         self._line(said)
         if isinstance(said, Answer) and said.pose is not None:

@@ -94,9 +94,9 @@ def _rows(errors: Errors, chosen: np.ndarray) -> Errors:
 
 
 def log_likelihoods(i: Innovations) -> tuple[np.ndarray, np.ndarray]:
-    """Return the squares of innovations over their variances, at most the gate's, and what follows.
+    """Return squares of innovations over their variances, and log-likelihoods, (m,) each.
 
-    The second is the log-likelihood, (m,) like the first; an outlier is as likely as at the gate.
+    Squares are at most the gate's: an outlier is as likely as an innovation at the gate.
     """
     square = np.minimum((i.value / i.sigma) ** 2, GATE**2)
     return square, -0.5 * square - np.log(i.sigma) - 0.5 * math.log(math.tau)

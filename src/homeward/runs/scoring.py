@@ -197,15 +197,7 @@ def score(track: Track, truth: Truth | None) -> Metrics:
 
 
 def errors(track: Track, truth: Truth) -> Errors:
-    """Return the error of every row that has a pose and truth beside it.
-
-    Parameters
-    ----------
-    track : Track
-        The estimates.
-    truth : Truth
-        True poses in the home frame.
-    """
+    """Return the error of every row of a track that has a pose and ground truth at its time."""
     covered, weight = _coverage(track.t, truth.t)
     rows = np.flatnonzero(track.has_pose & covered)
     x, y, heading = track.x[rows], track.y[rows], track.heading[rows]
@@ -229,13 +221,7 @@ def errors(track: Track, truth: Truth) -> Errors:
 
 
 def accuracy(errors: Errors) -> Accuracy | None:
-    """Summarise errors over time; None when they cover no time at all.
-
-    Parameters
-    ----------
-    errors : Errors
-        Those of a whole track, or a selection of its rows.
-    """
+    """Summarise the errors of a track, or of some of its rows; None when they cover no time."""
     total = float(errors.weight.sum())
     if not total > 0:
         return None
@@ -296,16 +282,10 @@ def _relative(errors: Errors) -> np.ndarray:
 
 
 def statistics(error: np.ndarray, weight: np.ndarray) -> Statistics:
-    """Return RMSE, median, 95 % quantile and maximum of the size of an error.
+    """Return RMSE, median, 95 % quantile and maximum of the size of an error (m,).
 
-    A quantile is the smallest size that is not exceeded for that share of the weight.
-
-    Parameters
-    ----------
-    error : ndarray, shape (m,)
-        Signed or not.
-    weight : ndarray, shape (m,)
-        At least one of them positive, none negative; rows of no weight do not count.
+    A quantile is the smallest size that is not exceeded for that share of the `weight` (m,), which
+    is positive somewhere and negative nowhere; rows of no weight do not count.
     """
     size, weight = np.abs(error[weight > 0]), weight[weight > 0]
     order = np.argsort(size)
@@ -320,15 +300,7 @@ def statistics(error: np.ndarray, weight: np.ndarray) -> Statistics:
 
 
 def normalised_squared(e: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Return e' P^-1 e of each row; infinite where P is not positive definite.
-
-    Parameters
-    ----------
-    e : ndarray, shape (m, k)
-        Errors.
-    covariance : ndarray, shape (m, k, k)
-        Their claimed covariances.
-    """
+    """Return e' P^-1 e of errors (m, k), covariances (m, k, k); infinite unless P is definite."""
     variance, axes = np.linalg.eigh(covariance)
     sound = np.all(variance > 0, axis=1)
     along = np.einsum("mik,mi->mk", axes, e)

@@ -73,13 +73,7 @@ class RunSettings(DriveChoice):
 
 
 def load_run(file: Path) -> RunSettings:
-    """Read the run.yaml of an earlier run.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, or is no run.yaml.
-    """
+    """Read the run.yaml of an earlier run; `InputError` where it is none."""
     tree = read_tree(file)
     tree.pop("versions", None)
     return validated(RunSettings, tree, file)
@@ -106,24 +100,11 @@ def finish(
 def prepare(
     run: RunSettings, progress: Callable[[float], None] | None = None
 ) -> tuple[Drive, Estimator, RunSettings]:
-    """Open the drive, telling `progress`, and make the estimator of a run.
+    """Open the drive, reporting `progress`, and make the estimator of a run.
 
-    Returns
-    -------
-    drive : Drive
-        What to feed.
-    estimator : Estimator
-        A fresh one.
-    complete : RunSettings
-        The same run with every setting of the estimator spelt out.
-
-    Raises
-    ------
-    InputError
-        When the drive cannot be read or has no sightings, the settings do not fit, or the
-        estimator cannot smooth.
-    HomewardError
-        When no landmark was found in a folder of images.
+    The run that is returned has every setting of the estimator spelt out. `InputError` where the
+    drive cannot be read or has no sightings, the settings do not fit, or the estimator cannot
+    smooth; `HomewardError` where no landmark was found in a folder of images.
     """
     return ready(run, opened(run, progress))
 
@@ -241,17 +222,8 @@ def run_several(
 ) -> list[Outcome]:
     """Run several estimators over one drive, which is opened once.
 
-    Parameters
-    ----------
-    runs : sequence of RunSettings
-        Alike but for their estimators, at least one.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-
-    Raises
-    ------
-    InputError
-        When the drive cannot be used, two estimators are the same, or one cannot be made.
+    The runs differ in their estimators only; `progress` receives the fraction done, in [0, 1].
+    `InputError` where the drive cannot be used, two estimators are the same, or one cannot be made.
     """
     words = [run.estimator for run in runs]
     if twice := next((word for word in words if words.count(word) > 1), None):

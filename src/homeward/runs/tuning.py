@@ -92,19 +92,10 @@ class Tuning:
 
 
 def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
-    """Identify the noise of one robot's sensors.
+    """Identify the noise of one robot's sensors from its drives, at least one.
 
-    Parameters
-    ----------
-    drives : sequence of Drive
-        Of that robot, at least one.
-    progress : callable
-        Told the fraction done, in [0, 1].
-
-    Raises
-    ------
-    HomewardError
-        When one of them is too short to learn from.
+    `progress` receives the fraction done, in [0, 1]. `HomewardError` where a drive is too short to
+    learn from.
     """
     halves = [_halves(drive) for drive in drives]
     first = [a for a, _ in halves]
@@ -210,10 +201,7 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
 def _search(
     drives: Sequence[Drive], noise: Noise, fields: Sequence[str], tell: Callable[[], None]
 ) -> Noise:
-    """Let each noise go up, or else down, while innovations become notably likelier.
-
-    Not down to where the localiser doubts what it was told, and takes more.
-    """
+    """Let each noise go up, or else down unless doubted, while innovations become likelier."""
     likely, _ = _likelihoods(drives, noise)
     tell()
     for factor in FACTORS:
@@ -244,10 +232,7 @@ def _likelier(found: Likelihoods, before: Likelihoods) -> bool:
 
 
 def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bool]:
-    """Return the log-likelihood of each innovation when all drives run with a noise.
-
-    And whether that noise was doubted.
-    """
+    """Return log-likelihoods of innovations with a noise, and whether the localiser raised it."""
     found: Likelihoods = {}
     doubted = False
     for number, drive in enumerate(drives):

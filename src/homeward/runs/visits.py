@@ -40,23 +40,14 @@ NOTHING = ToStore()
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:
-    """Return the drive of a run, dated by `place_used`, as it knows its place.
-
-    Raises
-    ------
-    InputError
-        When the place is damaged.
-    """
+    """Return the drive of a run, dated by `place_used`, as it knows its place."""
     if run.place is None or not run.place_version or run.when is None:
         return drive
     return load_place(run.place, run.place_version).visited_by(drive, run.when, run.place_home)
 
 
 def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
-    """Return which version of its place a run knows, and on which day; nothing without a place.
-
-    The version is 0 where there is none yet, so that the run repeats when there is one.
-    """
+    """Return the version of its place that a run knows (0: none yet), and its day, if any."""
     if run.place is None:
         return {}
     version = run.place_version
@@ -68,11 +59,8 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
 def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
     """Refuse before a run of minutes what `save_visit` would refuse after it.
 
-    Raises
-    ------
-    InputError
-        When the place knows the drive, or has a home or route of the name that is to be stored, or
-        is new and has not the home that is asked for, or the drive has no such time.
+    `InputError` where the place knows the drive, or has a home or route of the name that is to be
+    stored, or is new and has not the home that is asked for, or the drive has no such time.
     """
     homes: Collection[str] = (FIRST_HOME,)
     routes: Collection[str] = ()
@@ -112,24 +100,9 @@ def save_visit(
 ) -> tuple[Place, list[str]]:
     """Merge a run into the newest version of its place, and save that.
 
-    Parameters
-    ----------
-    run, drive, estimator, track
-        From `prepare` and `finish`.
-    store : ToStore
-        What the place is to keep by name.
-
-    Returns
-    -------
-    place : Place
-        The place afterwards.
-    reasons : list of str
-        Why something was not stored in it.
-
-    Raises
-    ------
-    HomewardError
-        When there is too little to be kept, or the place cannot be written.
+    Drive, estimator and track are from `prepare` and `finish`. Return the place afterwards, and the
+    reasons why something of `store` was not stored. `HomewardError` where there is too little to be
+    kept, or the place cannot be written.
     """
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None

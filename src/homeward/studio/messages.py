@@ -139,11 +139,5 @@ _ASKED: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="d
 
 
 def parse(text: str | bytes) -> Asked:
-    """Return what a message asks for.
-
-    Raises
-    ------
-    InputError
-        When it is none.
-    """
+    """Return what a message asks for; else raise InputError."""
     return message(_ASKED, text)

@@ -32,23 +32,11 @@ VIEW_S = 0.5
 
 
 class Replay:
-    """What the studio shows of a drive.
+    """What the studio shows of a drive, as it was opened, and of estimators on it.
 
-    Parameters
-    ----------
-    drive : Drive
-        As it was opened.
-    estimators : sequence of str
-        Who runs side by side; as `homeward.studio.session.Session`.
-    log : LogSettings, optional
-        What of a log it was read from: then its topics file is saved instead of drive.yaml.
-    told : DriveSettings, optional
-        What its file says; of that, readers have taken home and lateness out of `drive` already.
-
-    Raises
-    ------
-    InputError
-        When nothing was seen on it, or home saw nothing.
+    Of a drive from a log, `log` says which topics were used: its topics file is saved instead of
+    drive.yaml. `told` are the settings in the drive's file; readers have taken home and lateness
+    out of `drive` already. `InputError` where the drive has no sightings or no home bearings.
     """
 
     now_s = math.inf
@@ -104,13 +92,7 @@ class Replay:
         self.version, self._begun = self.version + 1, self._begun + 1
 
     def do(self, asked: Asked) -> dict[str, Any] | None:
-        """Do what the page asks for; return what to answer, if anything.
-
-        Raises
-        ------
-        InputError
-            When a drive that was driven does not allow it.
-        """
+        """Do what the page asks for, else raise InputError; return what to answer, if anything."""
         match asked:
             case Adjust():
                 if self._drive.home.keys() <= set(asked.moved):

@@ -26,15 +26,7 @@ TOLD_S = 0.5
 
 
 class Rival:
-    """An estimator in the studio; one that fails says why, and is fed no more.
-
-    Parameters
-    ----------
-    name : str
-        As in `homeward.registry`.
-    drive : Drive
-        Before it begins: home and settings.
-    """
+    """An estimator in the studio, on a drive before it begins; one that fails gets no more data."""
 
     def __init__(self, name: str, drive: Drive) -> None:
         self.name = name

@@ -36,11 +36,8 @@ def open_scene(source: str) -> Scenario:
 def as_scene(scenario: Scenario) -> Scenario:
     """Return a scenario whose landmarks, and faults of those that moved, are listed.
 
-    Raises
-    ------
-    InputError
-        When it cannot be built, is too large to be played, has an absurd number, or a law that is
-        not homeward's: a scene may come from anywhere, and must not name code to run.
+    `InputError` where it cannot be built, is too large to be played, has an absurd number, or a law
+    that is not homeward's: a scene may come from anywhere, and must not name code to run.
     """
     trajectory = scenario.trajectory
     if isinstance(trajectory, Repeat):
@@ -96,12 +93,8 @@ def with_start(scenario: Scenario, robot: Pose) -> Scenario:
 def with_home(scenario: Scenario, robot: Pose, x: float, y: float, heading: float) -> Scenario:
     """Return a scenario with home elsewhere in the room, and the robot where it stands.
 
-    Home is stored there anew, so that no landmark has moved since.
-
-    Raises
-    ------
-    InputError
-        When home would be in a shelf or outside the room.
+    Home is stored there anew, so that no landmark has moved since. `InputError` where home would be
+    in a shelf or outside the room.
     """
     if scenario.room is not None and not scenario.room.free(x, y):
         raise InputError("home: outside the room or in a shelf")
@@ -148,17 +141,8 @@ class Views:
 def worlds_alike(robot: LiveRobot, views: Sequence[tuple[Pose, frozenset[str]]]) -> dict[str, Any]:
     """Return homes and landmarks of other worlds in which all was seen as it was, and words.
 
-    Parameters
-    ----------
-    robot : LiveRobot
-        In its world.
-    views : sequence
-        True poses of the robot in the home frame, and the ids that were seen from each.
-
-    Raises
-    ------
-    InputError
-        When nothing was seen yet.
+    `views` are true poses of the robot in the home frame, and the ids that were seen from each.
+    `InputError` where nothing was seen yet.
     """
     world, few = robot.world, views[:: max(1, len(views) // MOST_POSES)]
     seen = [i for i in world.ids if any(i in ids for _, ids in few)]

@@ -98,13 +98,7 @@ class Page:
 
 
 class Studio:
-    """Serves one session to the pages of this machine that know the token.
-
-    Parameters
-    ----------
-    session : Played
-        What is shown.
-    """
+    """Serves one session to the pages of this machine that know the token."""
 
     def __init__(self, session: Played) -> None:
         self._session, self.token = session, secrets.token_urlsafe(16)
@@ -113,13 +107,7 @@ class Studio:
         self._pace = 1.0
 
     async def serve(self, port: int = 0, opened: Callable[[str], None] | None = None) -> None:
-        """Serve until Ctrl-C or SIGTERM; `opened` is told the page's address.
-
-        Raises
-        ------
-        InputError
-            When the port cannot be listened at.
-        """
+        """Serve until Ctrl-C or SIGTERM; `opened` receives the page's address."""
         from websockets.asyncio.server import serve
 
         ended = asyncio.Event()

@@ -45,14 +45,9 @@ from homeward.studio.undo import Undo
 
 
 class Session:
-    """A scene in the studio.
+    """A scene (see `as_scene`) in the studio, and estimators side by side.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Of `homeward.studio.scenes.as_scene`.
-    estimators : sequence of str
-        Who runs side by side. Of others than homeward's only these can be chosen later.
+    Of estimators other than homeward's only those given can be chosen later.
     """
 
     def __init__(self, scenario: Scenario, estimators: tuple[str, ...]) -> None:
@@ -98,13 +93,7 @@ class Session:
             self._best.see(sensed.t, pose, set(sensed.seen))
 
     def do(self, asked: Asked) -> dict[str, Any] | None:
-        """Do what the page asks for; return what to answer, if anything.
-
-        Raises
-        ------
-        InputError
-            When it cannot be done; nothing is changed then.
-        """
+        """Do what the page asks for, or change nothing and raise InputError; return any answer."""
         match asked:
             case Move(what="landmark"):
                 self._move_landmark(asked)

@@ -25,13 +25,7 @@ class Undo:
             self._done.append((stroke, back))
 
     def back(self) -> None:
-        """Take back what was done last.
-
-        Raises
-        ------
-        InputError
-            When nothing was done.
-        """
+        """Take back what was done last; `InputError` where nothing was done."""
         if not self._done:
             raise InputError("there is nothing to undo")
         self._done.pop()[1]()

@@ -21,13 +21,7 @@ MARGIN_M = 0.5
 
 
 class Visited:
-    """What the studio shows of a place; nothing of it can be changed there.
-
-    Parameters
-    ----------
-    place : Place
-        As it was loaded.
-    """
+    """What the studio shows of a place; nothing of it can be changed there."""
 
     now_s, version = math.inf, 1
 

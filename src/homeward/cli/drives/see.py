@@ -124,11 +124,7 @@ def compare(
     force: bool,
     json: bool,
 ) -> None:
-    """Report how the camera has turned since home, and in which direction home is.
-
-    The folder gets comparison.png with both panoramas and what was matched, matches.csv and
-    comparison.json. Where the panoramas have not enough in common, the exit status is 1.
-    """
+    """Report how the camera has turned since home, and in which direction home is."""
     from homeward.runs.report.output import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas

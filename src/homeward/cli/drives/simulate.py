@@ -211,13 +211,7 @@ def render(
     points: bool,
     given: dict[str, Any],
 ) -> None:
-    """Render what a camera sees on a drive through a room, and write an image data set.
-
-    The folder gets home.png, images.csv and the images, images.yaml, odometry.csv, truth.csv,
-    drive.yaml, things.csv with what was moved since the home image, and scenario.yaml, which
-    repeats it all. With an estimator the loop is closed: image in, homing out; what the front end
-    saw is the drive folder drive/ in it.
-    """
+    """Render what a camera sees on a drive through a room, and write an image data set."""
     from homeward.lab.simulation.files import SCENARIO
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
     from homeward.lab.simulation.render.room.presets import load_room

@@ -14,10 +14,7 @@ if TYPE_CHECKING:
 
 
 def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
-    """Report what the bearings of a number of landmarks do not determine, and draw it.
-
-    The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
-    """
+    """Report what the bearings of a number of landmarks do not determine, and draw it."""
     from homeward.lab.observability.study import observe
     from homeward.lab.report.observe import (
         PAGE,
@@ -75,10 +72,7 @@ def _numbers(view: ModelView) -> str:
 
 
 def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
-    """Report what the bearings of stretches of a drive do not determine, and draw it.
-
-    The folder gets observe.html, the drawing as PNG and SVG, and observe.yaml.
-    """
+    """Report what the bearings of stretches of a drive do not determine, and draw it."""
     from homeward.lab.report.observe import (
         PAGE,
         SETTINGS_FILE,

@@ -21,11 +21,7 @@ IMAGE_RUNS = 10
 
 
 def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
-    """Run the paper's Cases 1 to 4 with its filters and printed parameters.
-
-    The folder gets paper.html, with both RMSE tables next to the printed ones, what the paper
-    leaves open and what was assumed; every figure as PNG; rmse.csv; and reproduce.yaml.
-    """
+    """Run the paper's Cases 1 to 4 with its filters and printed parameters."""
     from homeward.io.settings import validated
     from homeward.lab.report.paper.page import (
         PAGE,
@@ -74,10 +70,7 @@ def _cells(row: Row) -> list[str]:
 
 
 def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
-    """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper.
-
-    The folder gets layouts.html with the verdict, figures and layouts.csv.
-    """
+    """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper."""
     from homeward.lab.report.paper.layout_page import (
         DATA,
         PAGE,

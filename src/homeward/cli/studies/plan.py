@@ -89,15 +89,7 @@ def _given(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _analysis(source: str | None, *analyses: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the options of the observability analysis that was chosen; None: a floor plan.
-
-    The first option of each analysis chooses it.
-
-    Raises
-    ------
-    InputError
-        If none or several were chosen, or an option of another one is given.
-    """
+    """Return the options of the analysis that was chosen by its first one; None: a floor plan."""
     firsts = [next(iter(options)) for options in analyses]
     chosen = [o for o, first in zip(analyses, firsts, strict=True) if o[first] is not None]
     if len(chosen) + (source is not None) != 1:

@@ -25,13 +25,10 @@ def is_calibration(name: str) -> bool:
 
 
 def read_calibration(folder: Path, name: str) -> Lens:
-    """Read a camera from the file ``FILE.yaml`` in a folder, or from ``FILE.yaml#cam1``.
+    """Read a camera from ``FILE.yaml`` in a folder, or one of several from ``FILE.yaml#cam1``.
 
-    Raises
-    ------
-    InputError
-        When the file is no calibration, holds several cameras and none was named, or numbers that
-        no camera has.
+    `InputError` where the file is no calibration, has several cameras and none was named, or
+    numbers that no camera has.
     """
     file, _, camera = name.partition("#")
     path = folder / file
@@ -96,13 +93,7 @@ class CameraRows:
             self._first = message
 
     def model(self) -> Lens | None:
-        """Return the model of the camera; None when there was no message.
-
-        Raises
-        ------
-        InputError
-            When it is not calibrated, or of another model.
-        """
+        """Return the camera model; None without a message, `InputError` where it is unknown."""
         try:
             return None if self._first is None else from_camera_info(self._first, self._rectified)
         except (ValueError, IndexError, AttributeError):
@@ -111,12 +102,9 @@ class CameraRows:
 
 
 def from_camera_info(message: Any, rectified: bool) -> Lens:
-    """Return the model that a CameraInfo message tells; in rectified images it has no distortion.
+    """Return the model of a CameraInfo message; in rectified images it has no distortion.
 
-    Raises
-    ------
-    ValueError
-        When it is not calibrated, or of another model.
+    `ValueError` where the camera is not calibrated, or of another model.
     """
     if rectified:
         p = np.asarray(_either(message, "p"))

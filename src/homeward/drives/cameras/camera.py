@@ -36,20 +36,10 @@ class Camera(Strict):
     """How far the tilt may differ from that, from image to image [rad]."""
 
     def directions(self, columns: np.ndarray, rows: np.ndarray, shape: Shape) -> Directions:
-        """Return azimuth and elevation [rad] of pixels, the known tilt taken out.
+        """Return azimuth and elevation [rad] of pixels (n,), the known tilt taken out.
 
-        Parameters
-        ----------
-        columns, rows : ndarray, shape (n,)
-            Pixel coordinates, which need not be whole.
-        shape : tuple of int
-            Height and width of the image [px].
-
-        Returns
-        -------
-        azimuth : ndarray, shape (n,)
-            In (-pi, pi]; NaN where the model has no ray for a pixel.
-        elevation : ndarray, shape (n,)
+        Pixels need not be whole. Azimuths are in (-pi, pi]; both are NaN where the model has no ray
+        for a pixel.
         """
         raise NotImplementedError
 
@@ -122,28 +112,15 @@ FLAT = 1e-10
 def tag_bearings(
     corners: np.ndarray, sigma: np.ndarray | float, camera: Camera, shape: tuple[int, int]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bearings of the middles of tags, and their standard deviations.
+    """Return the bearings (n,) of the centres of tags, and their standard deviations (n,) [rad].
 
-    A tag's middle is where its diagonals cross. Each diagonal spans a plane with the camera, and
-    the line in which the planes meet is the ray of the middle: exact for every lens, where the
-    crossing in a distorted image, and the mean of the corners in any, are not. It is the
-    projective centre: that of the tag's homography.
+    The centre of a tag is where its diagonals cross. Each diagonal spans a plane with the camera,
+    and the planes meet in the ray of the centre. This is exact for every lens; the crossing in a
+    distorted image, and the mean of the corners in any image, are not.
 
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 4, 2)
-        Columns and rows [px], in turn round the tag, from any.
-    sigma : float or ndarray, shape (n,)
-        Standard deviation of each of their coordinates [px].
-    camera : Camera
-        That took the image; what is not known of its tilt is in the deviations.
-    shape : tuple of int
-        Height and width of the image [px].
-
-    Returns
-    -------
-    bearing, sigma : ndarray, shape (n,)
-        [rad]; NaN where the camera has no ray for a corner.
+    `corners` (n, 4, 2) are columns and rows [px], in order round the tag; `sigma`, a number or
+    (n,), is the standard deviation of each coordinate [px]. The unknown part of the camera's tilt
+    is in the deviations. Bearings are NaN where the camera has no ray for a corner.
     """
     n = len(corners)
     step = np.broadcast_to(np.asarray(sigma, float), (n,))

@@ -29,12 +29,9 @@ LEFT_OUT = "landmarks that home leaves out, as their sightings during its turn d
 
 
 def with_home(drive: Drive, when: HomeWhen) -> Drive:
-    """Return a drive with the home bearings that it saw itself, instead of any that it has.
+    """Return a drive with home bearings from its own sightings, instead of any that it has.
 
-    Raises
-    ------
-    InputError
-        When the robot was not at home then, or saw nothing; see `spin`.
+    `InputError` where the robot was not at home then, or saw nothing; see `spin`.
     """
     span = when.during or when.spin
     if span is None:

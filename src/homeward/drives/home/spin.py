@@ -87,22 +87,11 @@ def spin(
     sightings: Sightings,
     settings: DriveSettings,
 ) -> Spin:
-    """Return what a turn on the spot tells of home: the pose of the robot when it begins.
+    """Return home from a turn on the spot in an interval [s]: the robot's pose when it begins.
 
-    It need not be a full turn, nor without rests: several looks from one place are one, too.
-
-    Parameters
-    ----------
-    interval : (float, float)
-        From when until when, on the drive's clock [s].
-    odometry, sightings, settings
-        Of the drive.
-
-    Raises
-    ------
-    InputError
-        When nothing was seen meanwhile, odometry has a gap, the robot drives away, or most
-        sightings disagree with its turn.
+    The turn need not be complete, and may have rests: several looks from one place are one, too.
+    `InputError` where nothing was seen meanwhile, odometry has a gap, the robot drives away, or
+    most sightings disagree with its turn.
     """
     turn = TurnProblem.within(interval, odometry, sightings, settings)
     x, drift = turn.first_guess(), turn.drift()

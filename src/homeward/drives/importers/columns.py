@@ -106,12 +106,8 @@ class Column:
 def told_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:
     """Return the columns of ``[FILE:]ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
 
-    `there` holds the names and numbers of columns by the name of their file.
-
-    Raises
-    ------
-    InputError
-        When one has another form, role or unit are not known, or there is no column NAME.
+    `there` has the names and numbers of columns by the name of their file. `InputError` where a
+    text has another form, role or unit are not known, or there is no column NAME.
     """
     return [column for text in texts for column in _told(text, there)]
 
@@ -145,10 +141,7 @@ def _told(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
 def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[str, Column] | None:
     """Return the columns of one kind of table by role; None where it lacks one.
 
-    Raises
-    ------
-    InputError
-        When two columns may be the same thing.
+    `InputError` where two columns may have the same role.
     """
     roles = [*KINDS[kind], *(["sigma"] if kind in ("bearings", "home") else [])]
     found = {c.role: c for c in _together(names) if c.role in roles}

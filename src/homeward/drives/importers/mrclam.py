@@ -35,32 +35,14 @@ def is_mrclam(path: Path) -> bool:
 def read_mrclam(
     path: str | os.PathLike[str], robot: int, home: Pose, home_noise: float = 0.0, seed: int = 0
 ) -> Drive:
-    """Read the drive of one robot of an MRCLAM folder.
+    """Read the drive of one robot of an MRCLAM folder; `InputError` names the file and the row.
 
-    Parameters
-    ----------
-    path : path-like
-        Folder with Barcodes.dat, Landmark_Groundtruth.dat, RobotN_Odometry.dat,
-        RobotN_Measurement.dat and perhaps RobotN_Groundtruth.dat.
-    robot : int
-        The N of those names.
-    home : Pose
-        Where home is: x [m], y [m], heading [rad] in the frame of the surveyed landmarks.
-    home_noise : float
-        Standard deviation of the normal noise on the home bearings [rad].
-    seed : int
-        Of that noise.
+    The folder has Barcodes.dat, Landmark_Groundtruth.dat and, of the robot of number N,
+    RobotN_Odometry.dat, RobotN_Measurement.dat and perhaps RobotN_Groundtruth.dat. Ids of landmarks
+    are the numbers of their subjects; truth is in the home frame. Remarks count what was left out.
 
-    Returns
-    -------
-    Drive
-        Landmarks bear the subject's number as id; truth is in the home frame, None without its
-        file. Its remarks count what was left out.
-
-    Raises
-    ------
-    InputError
-        When an argument or a file cannot be used; names file, row and what is wrong.
+    `home` is x [m], y [m] and heading [rad] in the frame of the survey. Its bearings are computed,
+    with normal noise of a standard deviation `home_noise` [rad] from a `seed`.
     """
     folder = Path(path)
     _check_arguments(home, home_noise, seed)

@@ -75,10 +75,9 @@ class Part:
     """Whether it is all that its file holds."""
 
     def read(self, clock: str | None, angle: str | None = None) -> list[Understood]:
-        """Read it, in SI units.
+        """Read the part in SI units.
 
-        Where it does not say them, `clock` is the unit of its stamps, as odometry's, and `angle`
-        that of its bearings, as those seen on the drive.
+        Units that the file does not specify: `clock` is that of stamps, `angle` that of bearings.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
         # Deviations last: of no unit they have that of their bearings.

@@ -46,17 +46,9 @@ BY_POSES = "odometry rows are poses; twists are what leads from each to the next
 def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Understood]:
     """Find out what the columns of text files are, and read them.
 
-    Parameters
-    ----------
-    files : sequence of path
-        Tables with whatever separator, decimal mark, header and units.
-    columns : sequence of str
-        ``[FILE:]ROLE=COLUMN[UNIT]``, of what names do not say, or say wrongly.
-
-    Raises
-    ------
-    InputError
-        When a file cannot be read, is no part of a drive, or a column may be several things.
+    The tables may have any separator, decimal mark, header and units. `columns` are texts
+    ``[FILE:]ROLE=COLUMN[UNIT]`` for what names do not say, or say wrongly. `InputError` where a
+    file cannot be read, is no part of a drive, or a column may have several roles.
     """
     for path in files:
         _refuse_drives(path)
@@ -100,10 +92,7 @@ def drive_of(
 ) -> Drive:
     """Return the drive that tables make, its home as in `open_drive`.
 
-    Raises
-    ------
-    InputError
-        When a part is missing, or what a drive cannot be; it names file and row.
+    `InputError` names the missing part, or the file and row at fault.
     """
     tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home_spin is None else 2]:

@@ -44,10 +44,7 @@ UNIT_NORM = 0.01
 
 
 def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
-    """Return the names of the columns of a table without a header, from its first rows.
-
-    None where they are of no known layout.
-    """
+    """Return the names of the columns of a table without a header; None for an unknown layout."""
     width = len(rows[0])
     if width == len(TUM) and all(map(_is_tum, rows)):
         return TUM
@@ -180,13 +177,7 @@ class Sheet:
 
 
 def sheet(path: Path) -> Sheet:
-    """Find out the form of a text file.
-
-    Raises
-    ------
-    InputError
-        When it cannot be read, is empty, or nothing parts its lines into fields.
-    """
+    """Find out the layout of a text file; `InputError` where it is empty or no table."""
     encoding = _encoding(path)
     with text_lines(path, encoding) as lines:
         first = list(itertools.islice(lines, LOOKED_AT))

@@ -17,8 +17,8 @@ BEARING_WORDS = frozenset(ROLES["bearing"][1].split())
 def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, str]:
     """Return the columns of landmarks, by id; none where it is no such table.
 
-    A column is a landmark's if it is called as one of the `ids` that are known, or as these but for
-    its number; or if it has a word for a bearing and something else in its name, as ``bearing_L1``.
+    The name of such a column is one of the known `ids`, or equals one except for its number, or has
+    a word for a bearing and something else, as ``bearing_L1``.
     """
     shapes = {shape for shape in map(_shape, ids) if "#" in shape}
     found: dict[str, str] = {}
@@ -42,10 +42,7 @@ def unit_of(columns: Sequence[str]) -> str | None:
 def long(raw: Table, columns: dict[str, str], t: np.ndarray | None) -> Table:
     """Return a table with a row for each sighting in a wide one, with its times `t` (n,) if any.
 
-    Raises
-    ------
-    InputError
-        Where two landmarks are seen at exactly 0 at once, which means something else.
+    `InputError` where two bearings are exactly 0 at once: zeros stand for landmarks not seen.
     """
     values = np.stack([raw[name] for name in columns.values()], axis=1)
     twice = np.flatnonzero((values == 0).sum(axis=1) > 1)

@@ -61,15 +61,7 @@ class LogInfo:
 
 
 def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
-    """Look into a log, or a folder that holds a drive, complete or not.
-
-    `topics` is a topics file to be tried.
-
-    Raises
-    ------
-    InputError
-        When it is none of them, or damaged.
-    """
+    """Look into a log, or a folder that holds a drive, complete or not, and try a topics file."""
     path = located(path)
     if is_mrclam(path):
         way = f"{mrclam_command(path)} makes a drive of it."

@@ -99,13 +99,7 @@ class Log:
     """A log of any kind, whose messages may be read several times."""
 
     def __init__(self, path: Path) -> None:
-        """Find the files of a log.
-
-        Raises
-        ------
-        InputError
-            When it is of no kind that is known.
-        """
+        """Find the files of a log; `InputError` where it is of no known kind."""
         self.path = path
         self.done = 0.0
         """Fraction of the messages read, in [0, 1]."""
@@ -121,19 +115,10 @@ class Log:
     def messages(
         self, topics: Collection[str] | None = None, prefix: int | None = None
     ) -> Iterator[Message]:
-        """Read the messages of each file in order of time.
+        """Read the messages of each file in order of time: of all topics, or of some.
 
-        Parameters
-        ----------
-        topics : collection of str, optional
-            Those wanted; None: all.
-        prefix : int, optional
-            Length to which data are cut, but for the first message of each channel [byte].
-
-        Raises
-        ------
-        InputError
-            When a file is damaged, or needs more memory or time than a log may.
+        Data are cut to a length `prefix` [byte], except for the first message of each channel.
+        `InputError` where a file is damaged, or needs more memory or time than a log may.
         """
         for number, file in enumerate(self._files):
             with self._unpacked(file) as whole, _about(file):

@@ -139,20 +139,10 @@ READERS = {"bag": rosbag1.Reader, "mcap": Mcap, "db3": Sqlite}
 def walk(
     path: str, kind: str, topics: list[str] | None, prefix: int | None, is_packed: bool
 ) -> Iterator[tuple[Any, ...]]:
-    """Yield parts of what `log.Log` reads.
+    """Yield parts of the file `path` for `log.Log`; `kind` is a key of `READERS`.
 
-    Parameters
-    ----------
-    path : str
-        A file.
-    kind : str
-        Of `READERS`.
-    topics : list of str, optional
-        Those wanted; None: all.
-    prefix : int, optional
-        Length to which data are cut, but for the first message of each channel [byte].
-    is_packed : bool
-        Whether each message is compressed.
+    `topics` None: all. Data are cut to a length `prefix` [byte], except for the first message of
+    each channel. `is_packed`: each message is compressed.
     """
     reader: Any = READERS[kind](Path(path))
     reader.open()

@@ -47,27 +47,11 @@ def read_log(
 ) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 
-    Parameters
-    ----------
-    path : Path
-        A file, or the folder of a ROS 2 bag.
-    topics : Path, optional
-        A YAML file of `LogSettings`; what it does not say is guessed.
-    tell : callable, optional
-        Told the fraction done, in [0, 1].
-    eye : callable, optional
-        Finds tags in pictures; without one, topics of pictures tell nothing.
-
-    Returns
-    -------
-    Drive
-        Times are header stamps unless asked otherwise, counted from `DriveSettings.epoch` where
-        they are Unix time. Its remarks count what was left out.
-
-    Raises
-    ------
-    InputError
-        When the log is damaged, or the topics in it do not make a drive.
+    `topics` is a YAML file of `LogSettings`; what it does not specify is guessed. `tell` receives
+    the fraction done, in [0, 1]. `eye` finds tags in pictures; without it topics of pictures
+    contribute nothing. Times are header stamps unless asked otherwise, counted from
+    `DriveSettings.epoch` where they are Unix time. Remarks count what was left out. `InputError`
+    where the log is damaged, or its topics do not make a drive.
     """
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if tell is None else lambda done: tell(done / 2)

@@ -86,12 +86,8 @@ class LogFile:
 def writing(path: Path) -> Iterator[LogFile]:
     """Lend a log that becomes the file `path` when the block ends without an error.
 
-    Its suffix is .bag, .mcap or .db3. Missing parents are made.
-
-    Raises
-    ------
-    InputError
-        When it exists or cannot be written.
+    Its suffix is .bag, .mcap or .db3. Missing parents are made. `InputError` where it exists or
+    cannot be written.
     """
     if is_there(path):
         raise InputError("exists already; choose another name", path)
@@ -122,13 +118,8 @@ BASE, CAMERA, HOME = "base_link", "camera", "home"
 def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
     """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file: .bag, .mcap or .db3.
 
-    Its name and remarks are not part of the format.
-
-    Raises
-    ------
-    InputError
-        When it cannot be written, or the drive holds a number that is not finite, or an id that no
-        file can hold.
+    Name and remarks are not part of the format. `InputError` where the file cannot be written, or
+    the drive has a number that is not finite, or an id that no file can hold.
     """
     if not drive.odometry.t.size:
         raise InputError("there is no odometry to write", path)

@@ -24,9 +24,9 @@ LANDMARKS_HEADER = (
 
 
 def write_estimate(file: Path, track: Track) -> None:
-    """Write estimate.csv: a row per row of the track, empty fields where there is no pose.
+    """Write estimate.csv, a row per row of the track; [m], [rad] and [s] to nine digits.
 
-    Metres, radians, seconds; nine significant digits, and times to the last bit.
+    Times are to the last bit; fields are empty where there is no pose.
     """
     polar = np.column_stack([track.R, track.theta, track.heading])
     poses = np.column_stack([track.x, track.y, track.heading, polar, track.sigmas])
@@ -108,16 +108,8 @@ def write_tables(
 ) -> None:
     """Write table.md and table.tex as they are read, and table.csv to the last bit.
 
-    Parameters
-    ----------
-    folder : Path
-        That is there.
-    rows : sequence of rows of str
-        With the head first.
-    exact : sequence of rows
-        The same in plain numbers, units in the head.
-    left : int
-        So many columns stand left, the others right.
+    Rows begin with the head; those of `exact` hold plain numbers, with units in the head. The first
+    `left` columns are aligned to the left, the others to the right.
     """
     (folder / "table.md").write_text(markdown(rows, left), encoding="utf-8")
     (folder / "table.tex").write_text(latex(rows, left), encoding="utf-8")

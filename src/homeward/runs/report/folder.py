@@ -56,19 +56,10 @@ def write_run(
 
     The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap with `VIEWS`,
     report.html and run.yaml; without the extra report neither log nor page. They replace those of
-    an earlier run; nothing else in the folder is touched.
-    `settings` is every setting used, as plain data; run.yaml contains it, and the versions of
-    everything under ``versions``. `images` are written to run.mcap.
-
-    Returns
-    -------
-    str
-        `summarise` of the run.
-
-    Raises
-    ------
-    InputError
-        When the folder holds something that is not an earlier run, or cannot be written.
+    an earlier run; nothing else in the folder is touched. `settings` is every setting used, as
+    plain data; run.yaml contains it, and the versions of everything under ``versions``. `images`
+    are written to run.mcap. `InputError` where the folder is not an earlier run, or cannot be
+    written.
     """
     metrics = score(track, drive.truth)
     summary = summarise(drive, track, metrics)

@@ -21,10 +21,7 @@ MOST_DRAWN = 100
 
 
 def glance(drive: Drive) -> Figure:
-    """Draw where odometry alone leads, what was seen from home, and the bearings over time.
-
-    `drive` needs odometry, sightings and home bearings.
-    """
+    """Draw the path from odometry alone, home bearings, and the bearings over time."""
     with style():
         figure = new_figure(6.4)
         grid = figure.add_gridspec(2, 2, height_ratios=(1.15, 1))
@@ -64,10 +61,7 @@ def glance(drive: Drive) -> Figure:
 
 
 def label_radii(bearings: np.ndarray) -> list[float]:
-    """Return how far out to write the label of each of sorted bearings, (n,) [rad].
-
-    As near as it is clear of those before it; where none is, where the last label is the oldest.
-    """
+    """Return how far out to write the label of each of sorted bearings, (n,) [rad]."""
     last = dict.fromkeys(LABELS, -math.inf)
     radii = []
     for bearing in bearings.tolist():

@@ -59,13 +59,7 @@ Row = tuple[int, str, Any]
 
 
 def write_recording(file: Path, drive: Drive, track: Track, images: Images | None = None) -> None:
-    """Write a run as an MCAP file of standard messages of ROS 2; docs/look-up/files.md lists them.
-
-    Raises
-    ------
-    InputError
-        When it cannot be written.
-    """
+    """Write a run as an MCAP file of messages of ROS 2, as docs/look-up/files.md lists them."""
     with writing(file) as log:
         for stamp, topic, message in _Messages(log, drive, track).all(images):
             log.write(topic, stamp, message)

@@ -13,15 +13,10 @@ from homeward.io.reading import is_there, naming
 
 
 def check_output(directory: Path, marker: str) -> None:
-    """Refuse an output folder that holds something other than earlier output, told by a `marker`.
+    """Refuse an output folder that has files, but not the `marker` of earlier output.
 
-    The folder may not exist yet.
-
-    Raises
-    ------
-    InputError
-        When it holds files without that one among them, is no folder, or cannot be written: what
-        takes minutes should not end with that.
+    The folder may not exist yet. `InputError` also where it is no folder, or cannot be written: a
+    run of minutes should not end with that.
     """
     there = next(p for p in (directory, *directory.absolute().parents) if is_there(p))
     if not there.is_dir():
@@ -43,22 +38,10 @@ def check_output(directory: Path, marker: str) -> None:
 def whole_folder(directory: Path, marker: str, merge: bool = False) -> Iterator[Path]:
     """Lend a scratch folder whose files enter `directory` together, once all are written.
 
-    `marker` enters last: a folder that holds it is whole.
-
-    Parameters
-    ----------
-    directory : Path
-        The output folder.
-    marker : str
-        Name of the file that marks earlier output.
-    merge : bool
-        Whether other files in subfolders of earlier output stay, as where users work in them;
-        by default a new subfolder replaces the old one, so that no old frame stays.
-
-    Raises
-    ------
-    InputError
-        When `check_output` refuses the folder, or it cannot be written.
+    The `marker` of earlier output enters last: a folder that has it is whole. With `merge`, other
+    files in subfolders of earlier output stay, as where users work in them; by default a new
+    subfolder replaces the old one, so that no old frame stays. `InputError` as `check_output`, or
+    where the folder cannot be written.
     """
     with naming(directory, "cannot be written"):
         check_output(directory, marker)

@@ -47,13 +47,7 @@ def sentence(track: Track, metrics: Metrics) -> str:
 
 
 def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
-    """Say how long the robot was localised, how far off it was, and what had moved.
-
-    Returns
-    -------
-    str
-        One paragraph, for the terminal and for the top of the page.
-    """
+    """Return how long the robot was localised, its errors, and what had moved, in a paragraph."""
     if not track.t.size:
         return "The drive holds no samples, so there is nothing to say."
     sentences = [

@@ -87,11 +87,7 @@ def _detections(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
 
 
 def _detected(detection: Any) -> str:
-    """Return what a detector calls a thing: its own id, or its likeliest class.
-
-    The message has had several forms; a tracker's id is the only one that tells two of a class
-    apart.
-    """
+    """Return the id of a detection, as a tracker gave it, or else its likeliest class."""
     for name in ("id", "tracking_id"):
         if value := getattr(detection, name, ""):
             return str(value)

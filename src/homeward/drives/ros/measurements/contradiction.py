@@ -47,11 +47,8 @@ class SourceContradiction(NamedTuple):
 def contradiction(rows: np.ndarray) -> SourceContradiction | None:
     """Compare the twists of messages with the motion of their poses; None where they agree.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (n, 7)
-        t [s], forward speed [m/s], yaw rate [rad/s], sideways speed [m/s], x [m], y [m] and heading
-        [rad]; t increases.
+    `rows` (n, 7) are t [s], forward speed [m/s], yaw rate [rad/s], sideways speed [m/s], x [m], y
+    [m] and heading [rad]; t increases.
     """
     rows = rows[np.isfinite(rows).all(axis=1)]
     if len(rows) < 3:

@@ -76,28 +76,10 @@ class Transforms:
 def mount(
     transforms: Transforms, frames: MountFrames, kind: str, told: BearingsTopic
 ) -> tuple[Mount, BearingsTopic] | None:
-    """Return where the camera sits, and what is told of its bearings, its tilt included.
+    """Return camera extrinsics from /tf_static, and the settings of bearings with the tilt.
 
-    Parameters
-    ----------
-    transforms : Transforms
-        What was heard.
-    frames : MountFrames
-        Which of them.
-    kind : str
-        The type of the bearings' messages.
-    told : BearingsTopic
-        What is said of them.
-
-    Returns
-    -------
-    tuple or None
-        None as long as nothing ties the two frames together.
-
-    Raises
-    ------
-    InputError
-        When the camera is tilted more than bearings of that type can be used with.
+    None as long as no transform ties the two `frames` together. `kind` is the message type of the
+    bearings. `InputError` where the camera is tilted more than bearings of that type allow.
     """
     assert frames.camera is not None
     place = transforms.find(frames.base, frames.camera)
@@ -162,27 +144,10 @@ def extrinsics(
 ) -> Mount | None:
     """Return the extrinsics of the first camera, and relate the others to it.
 
-    Points in space are transformed exactly. Bearings alone can only be turned, so these cameras
-    must be in one place.
-
-    Parameters
-    ----------
-    cameras : sequence of TopicSightings
-        In the order of the topics file; their rows are changed.
-    transforms : Transforms
-        Of /tf_static.
-    plan : LogSettings
-        `mount`, and `drive` for the only camera without other extrinsics.
-
-    Returns
-    -------
-    Mount or None
-        None where the log has one camera whose extrinsics its topics and `mount` do not specify.
-
-    Raises
-    ------
-    InputError
-        When one of several cameras has no extrinsics, or cannot be related to the first.
+    Cameras are in the order of the topics file. Points in space are transformed exactly. Bearings
+    alone can only be turned, so these cameras must be in one place. None where the log has one
+    camera whose extrinsics its topics and `mount` do not specify. `InputError` where one of several
+    cameras has no extrinsics, or cannot be related to the first.
     """
     several = len({(camera.frame, camera.rows.told.sensor) for camera in cameras}) > 1
     found = [_specified(camera, transforms, plan, several) for camera in cameras]

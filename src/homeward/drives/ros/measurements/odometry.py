@@ -103,10 +103,8 @@ class OdometryRows:
     def odometry(self, remarks: Remarks) -> Odometry:
         """Return the odometry of all messages; count in `remarks` what was left out or found.
 
-        Raises
-        ------
-        InputError
-            When no message has finite numbers, or the orientations of needed poses are zero.
+        `InputError` where no message has finite numbers, or the orientations of needed poses are
+        zero.
         """
         if not self._rows:
             raise InputError(f"{self._given.topic}: no message tells odometry")
@@ -150,10 +148,7 @@ class OdometryRows:
         )
 
     def _by_twist(self, rows: np.ndarray, remarks: Remarks) -> bool:
-        """Return whether twists are used rather than poses; rows have shape (n, 7).
-
-        Where messages hold both, a contradiction is counted in `remarks` with the consequence.
-        """
+        """Return whether twists are used rather than poses, (n, 7); remark a contradiction."""
         use = self._given.use
         if self._kind != NAV_ODOMETRY:
             return self._kind in TWISTS

@@ -37,15 +37,10 @@ def clean_rows(
     repeats: str,
     remarks: Remarks,
 ) -> np.ndarray:
-    """Return rows in order of time, finite, and of equal stamps the last.
+    """Return rows (n, k) in order of time, finite, and of equal stamps the last; time [s] first.
 
-    They have shape (n, k), the time [s] first. `remarks` counts what is left out of `what`, and
-    equal stamps under `repeats`.
-
-    Raises
-    ------
-    InputError
-        When nothing is left.
+    `remarks` counts what is left out of `what`, and equal stamps under `repeats`. `InputError`
+    where nothing is left.
     """
     table = np.array(rows, float)
     finite = np.isfinite(table).all(axis=1)

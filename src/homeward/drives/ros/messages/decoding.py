@@ -77,10 +77,8 @@ class Decoder:
     def decode(self, channel: Channel, data: bytes | memoryview) -> Any:
         """Return a message as rosbags' object, with the fields of its definition.
 
-        Raises
-        ------
-        InputError
-            When it does not fit its type, or the type is not known; names the topic.
+        `InputError` names the topic where the message does not fit its type, or the type is not
+        known.
         """
         if channel not in self._stores:
             self._characters += len(channel.definition)

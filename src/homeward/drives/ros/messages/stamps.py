@@ -26,10 +26,7 @@ BLOCK = 20
 def header_stamp(message: Message) -> int:
     """Return the stamp [ns] of a message that begins with a header.
 
-    Raises
-    ------
-    struct.error, IndexError
-        When it is too short to.
+    `struct.error` or `IndexError` where the message is too short.
     """
     if message.channel.encoding == "ros1":
         _, seconds, nanoseconds = struct.unpack_from("<III", message.data)

@@ -27,15 +27,11 @@ NO_PICTURES = "no pictures in it; of tags that it has already homeward run makes
 
 
 def choose(survey: TopicSurvey, told: LogSettings, pictures: bool = False) -> LogSettings:
-    """Return what was told, with guesses where nothing was.
+    """Return the settings of a log with guesses for the topics that the user did not name.
 
-    Bearings are looked for in `pictures`, or in messages that tell them.
-
-    Raises
-    ------
-    InputError
-        When a topic that was named is not there or of a type that does not serve, when several
-        topics would serve equally and none was named, or when there are no pictures.
+    Bearings are looked for in `pictures`, or in messages that contain them. `InputError` where a
+    named topic is missing or of an unsuitable type, where several topics are equally suitable and
+    none was named, or where there are no pictures.
     """
     odometry = told.odometry or next(
         (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None

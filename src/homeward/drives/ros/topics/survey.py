@@ -93,13 +93,7 @@ class TopicSurvey:
     """First message of each topic that was asked for, by its name."""
 
     def topic(self, name: str) -> Topic:
-        """Return the topic of that name.
-
-        Raises
-        ------
-        InputError
-            When there is none; says which there are.
-        """
+        """Return the topic of that name; else `InputError` lists those there are."""
         for topic in self.topics:
             if topic.name == name:
                 return topic
@@ -110,12 +104,8 @@ class TopicSurvey:
 def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> TopicSurvey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
-    The first message of each topic is kept whose name or type is in `keep`.
-
-    Raises
-    ------
-    InputError
-        When the log is damaged, or a message too short for its header.
+    The first message of each topic is kept whose name or type is in `keep`. `InputError` where the
+    log is damaged, or a message too short for its header.
     """
     from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
 
@@ -155,15 +145,11 @@ OTHER_CLOCKS = (
 
 
 class MessageTimes:
-    """Turns messages into times [s] of the drive.
+    """Converts the stamps of messages to times [s] of the drive.
 
-    The drive's time begins at `epoch` [s], in a log that homeward wrote; None: to be chosen.
-
-    Raises
-    ------
-    InputError
-        When the headers of a topic hold no times, those of two topics are of other clocks, or one
-        was set back.
+    `epoch` [s] is where the drive's time begins, in a log that homeward wrote; None: to be chosen.
+    `InputError` where the headers of a topic hold no times, those of two topics are of different
+    clocks, or one was set back.
     """
 
     def __init__(self, known: TopicSurvey, plan: LogSettings, epoch: int | None) -> None:

@@ -288,10 +288,7 @@ def _old_place(m: LandmarkEstimate) -> tuple[float, float]:
 
 
 def _landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
-    """Return lines on a landmark: whether it moved, its sightings, its residuals, its place.
-
-    `rows` are its entries among the track's innovations.
-    """
+    """Return lines on a landmark; `rows` are its entries among the track's innovations."""
     lines = [
         _moved_words(m, track),
         _sighting_words(m, track, rows),

@@ -80,9 +80,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
 def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
     """Return the bearings at each of some rows (m,) of a track, and what became of them.
 
-    Returns
-    -------
-    list of lists of (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`)
+    Each is (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`).
     """
     judged = track.innovations
     wanted = set(track.t[rows].tolist())

@@ -83,15 +83,9 @@ def chi_square_interval(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def windowed_nis(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return (span [s of the drive], number of sightings, mean NIS) of windows of a drive.
+    """Return spans (w, 2) [s of the drive], numbers of sightings and mean NIS (w,) of windows.
 
-    A window is a share of the drive, and goes on until it holds `FEWEST` sightings.
-
-    Returns
-    -------
-    spans : ndarray, shape (w, 2)
-        Its first and last sighting.
-    number, mean : ndarray, shape (w,)
+    A window is a share of the drive, and goes on until it has `FEWEST` sightings.
     """
     seen = track.innovations
     t = seen.t[seen.accepted] - track.t[0]
