@@ -257,6 +257,7 @@ def _write(
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         page = render(
             "observe.html.j2",
+            package="homeward.lab.report",
             **values,
             words=words,
             figure=drawn(scratch, FIGURE, label, figure, vector=True)[1],

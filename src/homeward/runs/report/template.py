@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from homeward.io.reading import shipped
@@ -50,10 +50,14 @@ GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(enc
 """Each term of the reports and the documentation, and its meaning."""
 
 
-def render(template: str, **values: Any) -> str:
-    """Return a page of the package's templates, filled with `values`, `versions` among them."""
+def render(template: str, package: str = "homeward.runs.report", **values: Any) -> str:
+    """Return a page filled with `values`, and with `versions`.
+
+    Its template is in a `package`, and what all pages share in this one.
+    """
+    own, shared = PackageLoader(package), PackageLoader("homeward.runs.report")
     environment = Environment(
-        loader=PackageLoader("homeward.runs.report"),
+        loader=ChoiceLoader([own, shared]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

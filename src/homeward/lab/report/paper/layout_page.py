@@ -301,6 +301,7 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
     settings = study.settings.model_dump(mode="json")
     return render(
         "layouts.html.j2",
+        package="homeward.lab.report",
         verdict=verdict(study.grid, study.settings.paper.printed.M),
         figures=pictures,
         printed=[

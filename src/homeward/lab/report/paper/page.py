@@ -294,6 +294,7 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
     table, settings = rows(result), result.settings
     return render(
         "paper.html.j2",
+        package="homeward.lab.report",
         figures=figures,
         verdict=sentences(result),
         printed_rows=[row for row in table if row.case in PRINTED],

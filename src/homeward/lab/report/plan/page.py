@@ -144,6 +144,7 @@ def _page(view: PlanView, drawings: dict[str, Markup]) -> str:
     order = sorted(range(q), key=lambda i: float((view.hidden[:, i] <= 1).mean()))
     return render(
         "plan.html.j2",
+        package="homeward.lab.report",
         words=words,
         view=view,
         plan=view.plan,

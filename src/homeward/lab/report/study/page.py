@@ -76,6 +76,7 @@ def _page(
     settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
     return render(
         "study.html.j2",
+        package="homeward.lab.report",
         title=plan.study.name,
         headline=headline(results),
         closed=found.closed,
