@@ -22,9 +22,8 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
 from homeward.geometry.angles import wrap
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import PAPER_HOMING
 from homeward.lab.simulation.scenario import Moved, Ring, Scenario
-from homeward.lab.simulation.simulate import Simulation, prepare, simulate
+from homeward.lab.simulation.simulate import PAPER_HOMING, Simulation, prepare, simulate
 from homeward.lab.studies.study.trial import simulated_trial
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator

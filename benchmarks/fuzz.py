@@ -43,8 +43,8 @@ from homeward.geometry.frames import Pose
 from homeward.io.reading import shipped_yaml
 from homeward.io.settings import read_settings, settings_yaml
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.simulation.files import PRESETS, load_scenario, scenario_yaml
 from homeward.lab.simulation.render.room.presets import load_room, room
+from homeward.lab.simulation.simulate import PRESETS, load_scenario, scenario_yaml
 from homeward.lab.studies.blocks.store import BlockStore
 from homeward.lab.studies.study.plan import make_plan
 from homeward.lab.studies.study.settings import load_study

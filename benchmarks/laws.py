@@ -15,8 +15,7 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.monte_carlo import Run
 from homeward.control.laws import LAWS, STOP_RADIUS
-from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.simulate import prepare, simulate
+from homeward.lab.simulation.simulate import load_scenario, prepare, simulate
 from homeward.registry import make_estimator
 from homeward.runs.report.files import markdown
 

@@ -24,9 +24,8 @@ from homeward.drives.drive import Drive
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.engine.export.source import project
 from homeward.lab.filters.settings import FilterSettings
-from homeward.lab.simulation.files import PAPER_HOMING
 from homeward.lab.simulation.scenario import Moved
-from homeward.lab.simulation.simulate import Simulation, simulate
+from homeward.lab.simulation.simulate import PAPER_HOMING, Simulation, simulate
 from homeward.registry import make_estimator
 
 REPLAY = Path(__file__).parents[1] / "tests" / "lab" / "engine" / "replay.c"

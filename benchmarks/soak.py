@@ -22,8 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import (
     Answer,
     BearingsIn,

@@ -13,7 +13,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from homeward.lab.simulation.files import load_scenario, scenario_yaml
+from homeward.lab.simulation.simulate import load_scenario, scenario_yaml
 
 TESTS = Path(__file__).parents[1] / "tests"
 ESTIMATORS = "robust,ekf,a-ekf,pi-ekf"

@@ -35,7 +35,6 @@ from benchmarks.consistency.trial import (
 )
 from homeward.drives.settings import Mount
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.scenario import (
     Listed,
     Moved,
@@ -51,7 +50,7 @@ from homeward.lab.simulation.scenario import (
     Visibility,
     Waypoints,
 )
-from homeward.lab.simulation.simulate import Simulation, simulate
+from homeward.lab.simulation.simulate import Simulation, load_scenario, simulate
 
 DRIVE_S, LEG_S = 80.0, 50.0
 """How long a drive, and each leg of one in two, takes [s]."""

@@ -16,8 +16,7 @@ from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import lagging, slipping, untold
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.files import PRESETS
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import PRESETS, simulate
 from homeward.track import track_of
 
 HALF_SIGMAS = "covariances x 0.25"

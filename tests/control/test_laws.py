@@ -17,8 +17,7 @@ from homeward.control.laws import (
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, Pose, advance
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import load_scenario, simulate
 
 TERMS = {
     average_landmark_vector: lambda d: 1 - np.cos(d),

@@ -19,8 +19,8 @@ from homeward.io import yaml_text
 from homeward.io.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
 from homeward.io.yaml_text import DEEPEST
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.render.room.presets import load_room
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.studies.study.settings import load_study
 from homeward.runs.single_run import load_run
 from homeward.vision.recorded.settings import read_image_settings

@@ -3,8 +3,8 @@
 from functools import partial
 
 from homeward.geometry.frames import Twist
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.simulation.trajectories import make_control
 from homeward.live.messages import Departure, EventOut, StoreRoute
 from homeward.live.session import Session

@@ -15,8 +15,8 @@ from live_rig import SCENARIO
 from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import in_turn
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
 from homeward.live.server import Address, Server, address
 from homeward.live.session import Session

@@ -21,8 +21,8 @@ from cyclonedds.topic import Topic
 from live_rig import SCENARIO
 
 from homeward.geometry.frames import Twist as Command
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import (
     Answer,
     BearingsIn,

@@ -22,8 +22,8 @@ from rosgraph_msgs.msg import Clock
 from homeward.geometry.frames import Pose as Planar
 from homeward.geometry.frames import Twist as Command
 from homeward.geometry.frames import advance, compose
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.simulate import load_scenario
 
 
 class RobotNode(Node):

@@ -10,8 +10,8 @@ from pathlib import Path
 
 from live_rig import SCENARIO
 
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot
+from homeward.lab.simulation.simulate import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).parent

@@ -10,16 +10,17 @@ from made_up_study import made_up_study
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import Plan
 from homeward.lab.report.plan.figures import draw_accuracy, draw_begin, draw_hidden
-from homeward.lab.report.study.figures import (
+from homeward.lab.report.study.maps import draw_maps, grids
+from homeward.lab.report.study.page import (
     MARK,
+    PAGE,
     below_bound,
     draw_nees,
     draw_overview,
     draw_rmse,
     note_below,
+    write_study,
 )
-from homeward.lab.report.study.maps import draw_maps, grids
-from homeward.lab.report.study.page import PAGE, write_study
 from homeward.lab.studies.study.summary import summary, table
 from homeward.runs.report.canvas import legend_below, new_figure, style, svg, svg_file, uncrowd
 

@@ -18,9 +18,9 @@ from homeward.drives.opening import open_drive
 from homeward.drives.settings import Start
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, bearing
-from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.render.room.presets import room
+from homeward.lab.simulation.simulate import changed_scenario
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.reasons import Rejection

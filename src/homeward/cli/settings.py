@@ -25,7 +25,7 @@ OTHERS = {
     "study": ("the YAML file of homeward study", "lab.studies.study.settings:StudySettings"),
     "map": (
         "the YAML file of homeward study, for a map",
-        "lab.studies.paper.map:MapSettings",
+        "lab.studies.paper.map_settings:MapSettings",
     ),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),

@@ -43,7 +43,7 @@ def studio(
     from homeward.drives.opening import SAMPLE, located
     from homeward.drives.ros.info import log_info
     from homeward.drives.ros.log import is_log
-    from homeward.lab.simulation.files import PRESETS
+    from homeward.lab.simulation.simulate import PRESETS
     from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model
     from homeward.studio.replay import Replay

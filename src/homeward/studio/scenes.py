@@ -14,9 +14,9 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
 from homeward.lab.observability.scene import Scene
 from homeward.lab.observability.study import observe_scene, trace_family
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.simulation.world import World, build_world
 from homeward.studio.messages import LARGEST
 

@@ -12,9 +12,9 @@ from typing import Any
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between, compose
-from homeward.lab.simulation.files import changed_scenario, scenario_yaml
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Listed, Moved, Scenario
+from homeward.lab.simulation.simulate import changed_scenario, scenario_yaml
 from homeward.registry import ESTIMATORS
 from homeward.studio.messages import (
     Add,

@@ -9,8 +9,7 @@ from homeward.drives.settings import HomeWhen, KnownLandmarks, Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.settings import validated
-from homeward.lab.simulation.files import PRESETS
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import PRESETS, simulate
 
 WHEN = HomeWhen(spin=(0.0, 16.0))
 

@@ -7,8 +7,7 @@ import pytest
 
 from homeward.drives.drive import HomeBearing
 from homeward.lab.engine.estimators.side_by_side import batch_kind, run_side_by_side
-from homeward.lab.simulation.files import changed_scenario, load_scenario
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import changed_scenario, load_scenario, simulate
 from homeward.native.compiler import NativeError, find_compiler
 from homeward.registry import make_estimator
 from homeward.track import run

@@ -8,7 +8,7 @@ from numpy_oracle import Oracle
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
 from homeward.lab.engine.estimators.runner import filter_kernels
-from homeward.lab.engine.program.kernels import (
+from homeward.lab.engine.program.stages import (
     BELIEF,
     GenericPredict,
     GenericUpdate,

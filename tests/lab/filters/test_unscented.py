@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.lab.engine.program.kernels import BELIEF, Interpreter
+from homeward.lab.engine.program.stages import BELIEF, Interpreter
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     UnscentedFilter,

@@ -10,9 +10,8 @@ from homeward.drives.importers.mrclam import read_mrclam
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.lab.bounds import posterior_bound
-from homeward.lab.simulation.files import CIRCLE
 from homeward.lab.simulation.scenario import Noise, OdometryErrors
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import CIRCLE, simulate
 from homeward.lab.studies.observing import observe_drive
 
 

@@ -6,9 +6,9 @@ pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
 from homeward.estimator import Status
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of
 from homeward.lab.simulation.render.room.presets import room
+from homeward.lab.simulation.simulate import changed_scenario
 from homeward.registry import make_estimator
 from homeward.vision.features.detection import extract
 from homeward.vision.front_end import FrontEnd

@@ -10,8 +10,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.render.rays.raycast import cast, trace
-from homeward.lab.simulation.render.room.camera import RoomCamera
 from homeward.lab.simulation.render.room.presets import load_room
+from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import tag_places
 from homeward.lab.simulation.render.shading.picture import NOTHING, rays_of
 from homeward.vision.recorded.recording import see_recording

@@ -9,7 +9,6 @@ from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import changed_scenario, load_scenario, scenario_yaml
 from homeward.lab.simulation.scenario import (
     Listed,
     Noise,
@@ -20,7 +19,13 @@ from homeward.lab.simulation.scenario import (
     StartPose,
     Teach,
 )
-from homeward.lab.simulation.simulate import prepare, simulate
+from homeward.lab.simulation.simulate import (
+    changed_scenario,
+    load_scenario,
+    prepare,
+    scenario_yaml,
+    simulate,
+)
 from homeward.lab.simulation.trajectories import SEARCH_RADIUS, settled
 from homeward.places.files import save_place
 from homeward.places.joint_map import JointMap

@@ -11,8 +11,7 @@ from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, from_polar, to_polar
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import load_scenario
-from homeward.lab.simulation.simulate import prepare, simulate
+from homeward.lab.simulation.simulate import load_scenario, prepare, simulate
 from homeward.lab.simulation.trajectories import SEARCH_RADIUS
 from homeward.registry import make_estimator
 

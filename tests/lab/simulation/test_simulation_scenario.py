@@ -5,8 +5,13 @@ import math
 import pytest
 
 from homeward.errors import InputError
-from homeward.lab.simulation.files import PRESETS, load_scenario, scenario_yaml, write_simulation
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import (
+    PRESETS,
+    load_scenario,
+    scenario_yaml,
+    simulate,
+    write_simulation,
+)
 
 
 @pytest.mark.parametrize("preset", list(PRESETS))

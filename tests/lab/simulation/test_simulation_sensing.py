@@ -8,7 +8,7 @@ import pytest
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, bearing, compose
 from homeward.lab.simulation.course import Camera, Wheels
-from homeward.lab.simulation.files import load_scenario
+from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.simulation.world import build_world
 
 N = 4000

@@ -11,9 +11,8 @@ from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.files import WAREHOUSE, load_scenario
 from homeward.lab.simulation.scenario import Room
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import WAREHOUSE, load_scenario, simulate
 from homeward.lab.simulation.trajectories import (
     LOOK_RATE,
     LOOKAHEAD,

@@ -8,9 +8,8 @@ import pytest
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
-from homeward.lab.simulation.files import load_scenario
 from homeward.lab.simulation.scenario import Mount
-from homeward.lab.simulation.simulate import prepare
+from homeward.lab.simulation.simulate import load_scenario, prepare
 from homeward.lab.simulation.world import build_world
 
 EXACT = {"noise.home_sigma": 0}

@@ -16,7 +16,8 @@ from homeward.lab.studies.blocks.store import store_of
 from homeward.lab.studies.paper import map as maps
 from homeward.lab.studies.paper.cases import run_many
 from homeward.lab.studies.paper.layouts import changed
-from homeward.lab.studies.paper.map import FAR_M, load_map, run_map, with_engine
+from homeward.lab.studies.paper.map import FAR_M, run_map, with_engine
+from homeward.lab.studies.paper.map_settings import load_map
 from homeward.lab.studies.paper.world import draw_world
 from homeward.lab.studies.study.settings import load_study
 

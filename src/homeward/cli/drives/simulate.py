@@ -82,8 +82,7 @@ def simulate(
     images, images.yaml, things.csv with what was moved since the home image, and scenario.yaml;
     with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
     """
-    from homeward.lab.simulation.files import SCENARIO, load_scenario, write_simulation
-    from homeward.lab.simulation.simulate import prepare
+    from homeward.lab.simulation.simulate import SCENARIO, load_scenario, prepare, write_simulation
     from homeward.lab.simulation.simulate import simulate as run_simulation
     from homeward.lab.simulation.trajectories import settled
     from homeward.registry import make_estimator
@@ -212,9 +211,9 @@ def render(
     given: dict[str, Any],
 ) -> None:
     """Render what a camera sees on a drive through a room, and write an image data set."""
-    from homeward.lab.simulation.files import SCENARIO
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
     from homeward.lab.simulation.render.room.presets import load_room
+    from homeward.lab.simulation.simulate import SCENARIO
     from homeward.runs.report.output import check_output, whole_folder
     from homeward.runs.report.words import describe_moved
 

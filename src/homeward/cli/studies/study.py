@@ -16,7 +16,7 @@ from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.lab.studies.blocks.finish import Where
-    from homeward.lab.studies.paper.map import MapSettings
+    from homeward.lab.studies.paper.map_settings import MapSettings
 
 PAPER = ("paper", "layouts")
 """Studies of the paper's cases."""
@@ -67,7 +67,7 @@ def study(
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
     from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
-    from homeward.lab.studies.paper.map import load_map
+    from homeward.lab.studies.paper.map_settings import load_map
     from homeward.lab.studies.study.plan import make_plan
     from homeward.lab.studies.study.results import run_study
     from homeward.lab.studies.study.settings import load_study

@@ -87,7 +87,7 @@ def run_recorded(
         The filter.
     given : mapping of str to array_like
         What does not change, and the belief at the start, by the names of
-        `homeward.lab.filters.belief` (state, covariance, active, stored, dt, ...): one value for
+        `homeward.lab.filters.ekf` (state, covariance, active, stored, dt, ...): one value for
         all runs, or with a leading axis of runs. What is in neither mapping is zero.
     series : mapping of str to array_like
         What changes from step to step (control, bearings, mask, ...): (steps, ...) for all runs, or

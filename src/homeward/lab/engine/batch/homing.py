@@ -172,7 +172,7 @@ def run_homing(
         The filter.
     given : mapping of str to array_like
         What does not change from step to step, for all runs at once or with a leading axis of
-        runs. By the names of `homeward.lab.filters.belief`: the first belief (state, covariance;
+        runs. By the names of `homeward.lab.filters.ekf`: the first belief (state, covariance;
         active is zero unless given) and the filter's parameters (dt, stored, input_covariance,
         state_variance, variance, gate, minimum_visible and, with an integral, proportional and
         integral_gain). And of the world: ``pose`` (3,), the true x [m], y [m], heading [rad] at the

@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.lab.engine.batch.job import LARGEST, Job
 from homeward.lab.engine.cuda.device import CudaError
-from homeward.lab.engine.native.split import Split, emit_split, split_step
+from homeward.lab.engine.native.emit import Split, emit_split, split_step
 from homeward.lab.engine.program.stages import Separable
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import POLAR

@@ -12,8 +12,13 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
 from homeward.lab.engine.batch.job import LARGEST
 from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
-from homeward.lab.engine.program.kernels import BELIEF, Kernel
-from homeward.lab.engine.program.stages import COMPILES_UP_TO, filter_parts, filter_program
+from homeward.lab.engine.program.stages import (
+    BELIEF,
+    COMPILES_UP_TO,
+    Kernel,
+    filter_parts,
+    filter_program,
+)
 from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, LandmarkBelief, Outputs
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
@@ -70,7 +75,7 @@ def filter_kernels(
 
 
 class Numbers:
-    """A belief in numbers: views of one piece of memory; see `homeward.lab.filters.belief`.
+    """A belief in numbers: views of one piece of memory; see `homeward.lab.filters.ekf`.
 
     `memory` has the entries in that order, matrices column-major, of n states and q landmarks.
     """

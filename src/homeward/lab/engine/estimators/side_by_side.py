@@ -23,11 +23,15 @@ from homeward.lab.engine.batch.job import Given, Job, given_values
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, in_steps
 from homeward.lab.engine.native.source import choose
-from homeward.lab.engine.program.kernels import BELIEF
-from homeward.lab.engine.program.stages import Program, Symbolic, filter_parts
-from homeward.lab.filters.belief import Prediction, symbols
+from homeward.lab.engine.program.stages import BELIEF, Program, Symbolic, filter_parts
 from homeward.lab.filters.carrier import LOST_SIGMA
-from homeward.lab.filters.ekf import UPDATE_OUTPUTS, ExtendedKalmanFilter, named_function
+from homeward.lab.filters.ekf import (
+    UPDATE_OUTPUTS,
+    ExtendedKalmanFilter,
+    Prediction,
+    named_function,
+    symbols,
+)
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR
 from homeward.odometry.validity import TwistValidity

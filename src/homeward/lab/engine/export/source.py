@@ -24,7 +24,7 @@ from homeward.errors import InputError
 from homeward.estimator import CHECKED
 from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
 from homeward.lab.engine.batch.job import LARGEST
-from homeward.lab.engine.native.split import Split, emit_split, split_step
+from homeward.lab.engine.native.emit import Split, emit_split, split_step
 from homeward.lab.filters.carrier import LOST_SIGMA
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
 from homeward.lab.filters.settings import (

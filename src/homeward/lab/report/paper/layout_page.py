@@ -18,7 +18,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from homeward.io.table import write_csv
 from homeward.lab.report.paper.claims import claims, reading_words, start_words, verdict
 from homeward.lab.report.paper.page import COLOURS, QUANTITIES
-from homeward.lab.report.study.figures import below_bound, note_below
+from homeward.lab.report.study.page import below_bound, note_below
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT
 from homeward.lab.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Start

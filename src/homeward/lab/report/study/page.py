@@ -1,29 +1,274 @@
-"""What `homeward study` leaves behind: a page, figures, and one netCDF file."""
+"""Figures and page of `homeward study`, estimators below their bound, and one netCDF file."""
 
 from __future__ import annotations
 
+import math
+import textwrap
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import yaml
 from markupsafe import Markup
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.transforms import blended_transform_factory
 
-from homeward.lab.report.study.figures import (
-    MOST_PANELS,
-    MOST_ROWS,
-    OVER_TIME,
-    OVERVIEW,
-    below,
-    figures,
-    note_below,
-)
+from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.study.results import Results, write_netcdf
-from homeward.lab.studies.study.summary import Summary, exact_table, failures, summary, table
-from homeward.runs.report.canvas import drawn
+from homeward.lab.studies.study.summary import (
+    Line,
+    Summary,
+    exact_table,
+    failures,
+    lines,
+    over_time,
+    summary,
+    table,
+)
+from homeward.runs.report.canvas import (
+    drawn,
+    legend_below,
+    new_figure,
+    plain,
+    quantile_bar,
+    style,
+    uncrowd,
+)
 from homeward.runs.report.files import write_tables
 from homeward.runs.report.output import whole_folder
+from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED, RULE
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
+
+MARK = "†"
+"""Of such an estimator in a figure."""
+MOST = 6
+"""Of them are named."""
+CHANCE, FEWEST = 3.0, 10
+"""Standard errors that chance explains 999 times in 1000, and runs that it takes to know them."""
+
+
+def below_bound(errors: np.ndarray, bounds: np.ndarray) -> str:
+    """Say how far an RMSE lies below its bound, and whether by chance; nothing where it does not.
+
+    Errors are the RMSE of each run, bounds the bound on it, (runs,); NaN where not known.
+    """
+    known = np.isfinite(errors) & np.isfinite(bounds)
+    excess = (errors**2 - bounds**2)[known]
+    if not excess.size or excess.mean() >= 0.0:
+        return ""
+    share = np.sqrt(np.mean(errors[known] ** 2) / np.mean(bounds[known] ** 2))
+    error = excess.std() / np.sqrt(excess.size)
+    told = excess.size >= FEWEST and -excess.mean() > CHANCE * error
+    return f"{100 * share:.1f} % of it, {'which is not chance' if told else 'perhaps by chance'}"
+
+
+def note_below(found: Mapping[str, str]) -> str:
+    """Return the note of a page on those that `below_bound` found, by name; empty without any."""
+    told = [f"{name} ({words})" for name, words in found.items() if words]
+    if not told:
+        return ""
+    return (
+        f"{MARK} RMSE below its bound: {listing(told, MOST)}. The bound is of the mean over all"
+        " drives, for estimators without a bias: over few runs chance gets below it, and so does an"
+        " estimator whose errors are drawn towards what it expects."
+    )
+
+
+OVERVIEW, OVER_TIME = "overview", "rmse_over_time"
+"""Names of figures that not every study has."""
+MOST_ROWS = 80
+"""Of the overview."""
+MOST_CONTENDERS = 24
+"""Of the overview; more have a map, and the table."""
+MOST_PANELS = 8
+"""Scenarios over time."""
+LINE = 34
+"""Letters of a label in one line."""
+BELOW = "RMSE below its bound"
+CONSISTENT = 3.0
+"""Mean NEES of (x, y, heading) of a consistent estimator."""
+
+
+def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
+    """Yield (file name, caption, figure) of everything worth drawing."""
+    for grid in grids(results):
+        yield f"map_{grid.name}", grid.caption, draw_maps(results, grid)
+    if len(results.plan.contenders) <= MOST_CONTENDERS:
+        words = "Errors, homecoming and consistency, over all runs"
+        yield OVERVIEW, words, draw_overview(results)
+    if len(results.plan.contenders) <= len(CONTENDER_COLOURS):
+        words = "RMSE of the position over time, and the Cramér-Rao bound"
+        yield OVER_TIME, words, draw_rmse(results)
+        words = "Consistency over time: mean NEES of (x, y, heading), 3 when consistent"
+        yield "nees_over_time", words, draw_nees(results)
+
+
+def below(results: Results) -> dict[str, str]:
+    """Return what is to be said of each "estimator in scenario" below its bound, else nothing."""
+    run, plan = results.run, results.plan
+    return {
+        f"{contender.label} in {case.label}": below_bound(
+            run["position_rmse"][i, j], run["position_bound"][i, j]
+        )
+        for i, case in enumerate(plan.cases)
+        for j, contender in enumerate(plan.contenders)
+    }
+
+
+def draw_overview(results: Results) -> Figure:
+    """Draw a row for each scenario and estimator: errors, share at home, NEES."""
+    rows = lines(results)[:MOST_ROWS]
+    closed = results.plan.study.loop == "closed"
+    colours = {
+        c.label: CONTENDER_COLOURS[j % len(CONTENDER_COLOURS)]
+        for j, c in enumerate(results.plan.contenders)
+    }
+    places = _places(rows)
+    with style():
+        found = below(results)
+        beneath = [bool(found[f"{line.estimator} in {line.scenario}"]) for line in rows]
+        names = [
+            _wrapped(f"{line.estimator} {MARK if b else ''}")
+            for line, b in zip(rows, beneath, strict=True)
+        ]
+        height = 0.06 + 0.155 * max(name.count("\n") + 1 for name in names)
+        figure = new_figure(1.1 + height * (places[-1] + 1))
+        panels = figure.subplots(
+            1, 3 if closed else 2, sharey=True, width_ratios=[5, 2, 3] if closed else [5, 3]
+        )
+        for place, line in zip(places, rows, strict=True):
+            colour = colours[line.estimator]
+            for axes, values in ((panels[0], line.quantiles), (panels[-1], line.nees)):
+                if np.isfinite(values[0]):
+                    quantile_bar(axes, place, values, colour)
+            if np.isfinite(line.bound):
+                panels[0].plot(line.bound, place, "|", color=INK, ms=9, mew=1.4)
+            if closed:
+                low, high = 100 * np.array(line.home_interval)
+                panels[1].plot((low, high), (place, place), color=colour, lw=1.6)
+                panels[1].plot(100 * line.home, place, "o", ms=4.5, mew=0, color=colour)
+        for axes, words in ((panels[0], "position RMSE of a run [m]"), (panels[-1], "mean NEES")):
+            axes.set(xscale="log", xlabel=words)
+            axes.xaxis.set_minor_formatter(NullFormatter())
+            axes.xaxis.set_major_locator(_ticks(axes))
+            axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+        panels[-1].axvline(CONSISTENT, color=INK, lw=0.9, zorder=0)
+        if closed:
+            panels[1].set(xlim=(-4, 104), xlabel="reached home [%]")
+        panels[0].set_yticks(places, names)
+        panels[0].set_ylim(places[-1] + 0.7, places[0] - 1.3)
+        for axes in panels:
+            axes.grid(False, axis="y")
+        _name_scenarios(panels[0], rows, places)
+        entries = [
+            Line2D([], [], color=MUTED, marker="o", ms=5, lw=0, label="median"),
+            Line2D([], [], color=MUTED, lw=4, label="half of the runs"),
+            Line2D([], [], color=MUTED, lw=1.2, label="90 %"),
+            Line2D([], [], color=INK, marker="|", ms=9, mew=1.4, ls="none", label="bound"),
+        ]
+        if any(beneath):
+            mark = f"${MARK}$"
+            entries.append(Line2D([], [], color=INK, marker=mark, ls="none", label=BELOW))
+        legend_below(figure, entries, len(entries))
+        uncrowd(figure)
+    return figure
+
+
+def _wrapped(label: str) -> str:
+    """Return a label as it is, in lines that leave a panel its room."""
+    return textwrap.fill(plain(label), LINE)
+
+
+def _ticks(axes: Axes) -> LogLocator:
+    """Return ticks at 1, 2 and 5 where the axis spans little, else at powers of ten."""
+    low, high = axes.get_xlim()
+    return LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 50 else (1.0,), numticks=7)
+
+
+def _places(rows: list[Line]) -> list[float]:
+    """Return where each row stands, with room for a heading before each scenario."""
+    places, at, before = [], 0.0, rows[0].scenario
+    for line in rows:
+        at += 1.4 if line.scenario != before else 0.0
+        before = line.scenario
+        places.append(at)
+        at += 1.0
+    return places
+
+
+def _name_scenarios(axes: Axes, rows: list[Line], places: list[float]) -> None:
+    across = blended_transform_factory(axes.transAxes, axes.transData)
+    before = None
+    for line, place in zip(rows, places, strict=True):
+        if line.scenario != before:
+            where: dict[str, Any] = {"transform": across, "va": "center"}
+            axes.text(0.02, place - 0.75, plain(line.scenario), weight="bold", **where)
+            before = line.scenario
+
+
+def draw_rmse(results: Results) -> Figure:
+    """Draw the RMSE of the position over time in each scenario, with the bound."""
+
+    def draw(axes: Axes, i: int) -> None:
+        times = results.plan.times
+        for j in range(len(results.plan.contenders)):
+            rmse = over_time(results, "position_error", i, j, root=True)
+            axes.plot(times, rmse, color=CONTENDER_COLOURS[j])
+            bound = over_time(results, "position_bound_over_time", i, j, root=True)
+            axes.plot(times, bound, color=CONTENDER_COLOURS[j], lw=0.9, ls=(0, (4, 3)))
+        axes.set(yscale="log", ylabel="RMSE [m]")
+
+    return _panels(results, draw, [Line2D([], [], color=MUTED, lw=0.9, ls="--", label="bound")])
+
+
+def draw_nees(results: Results) -> Figure:
+    """Draw the mean NEES over time in each scenario, with what it should be."""
+
+    def draw(axes: Axes, i: int) -> None:
+        for j in range(len(results.plan.contenders)):
+            nees = over_time(results, "nees_over_time", i, j, root=False)
+            axes.plot(results.plan.times, nees, color=CONTENDER_COLOURS[j])
+        # Of the mean of N draws from chi-square(3), which has variance 6.
+        half = 1.96 * math.sqrt(6.0 / results.plan.cases[i].runs)
+        axes.axhspan(max(CONSISTENT - half, 0.1), CONSISTENT + half, color=RULE, lw=0, zorder=0)
+        axes.axhline(CONSISTENT, color=INK, lw=0.8, zorder=0)
+        axes.set(yscale="log", ylabel="mean NEES")
+
+    return _panels(results, draw, [Line2D([], [], color=RULE, lw=6, label="95 % if consistent")])
+
+
+def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[Line2D]) -> Figure:
+    """Draw a panel for each scenario, and one legend for all."""
+    cases = results.plan.cases[:MOST_PANELS]
+    columns = min(len(cases), 2)
+    rows = -(-len(cases) // columns)
+    with style():
+        figure = new_figure(0.9 + 2.3 * rows)
+        panels = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+        for i, case in enumerate(cases):
+            axes = panels.flat[i]
+            draw(axes, i)
+            axes.set_title(_wrapped(case.label), loc="left", fontsize=9)
+            axes.label_outer()
+        for axes in panels.flat[len(cases) :]:
+            axes.remove()
+        for axes in panels.flat[max(len(cases) - columns, 0) : len(cases)]:  # the lowest ones
+            axes.tick_params(labelbottom=True)
+            axes.set_xlabel("time [s]")
+        handles = [
+            Line2D([], [], color=CONTENDER_COLOURS[j], label=_wrapped(contender.label))
+            for j, contender in enumerate(results.plan.contenders)
+        ]
+        legend_below(figure, [*handles, *entries])
+        uncrowd(figure)
+    return figure
+
 
 PAGE, DATA = "study.html", "results.nc"
 

@@ -24,7 +24,6 @@ from homeward.io.one_thread import one_thread
 from homeward.io.reading import naming
 from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Driven, Log, before, drive_course
-from homeward.lab.simulation.files import SCENARIO, scenario_yaml
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
 from homeward.lab.simulation.render.room.furnish import furnished
 from homeward.lab.simulation.render.room.settings import RenderScenario
@@ -36,6 +35,7 @@ from homeward.lab.simulation.render.shading.picture import (
     pixel_truth,
     png,
 )
+from homeward.lab.simulation.simulate import SCENARIO, scenario_yaml
 from homeward.lab.simulation.world import Stream
 from homeward.vision.cameras.panoramic import Panorama, PartialPanorama
 from homeward.vision.features.detection import Features, extract

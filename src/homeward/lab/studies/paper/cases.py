@@ -14,8 +14,7 @@ from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist
 from homeward.lab.engine.batch.homing import Law, homing_program, run_homing
-from homeward.lab.engine.program.kernels import allocate
-from homeward.lab.engine.program.stages import Machine
+from homeward.lab.engine.program.stages import Machine, allocate
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel

@@ -16,8 +16,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, between, compose, from_polar
 from homeward.lab.simulation.render.drive import Eye, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
-from homeward.lab.simulation.render.room.camera import RoomCamera
-from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
+from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, RoomCamera, Walls
 from homeward.lab.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world, fault_count

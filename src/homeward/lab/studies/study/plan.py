@@ -14,8 +14,8 @@ import numpy as np
 from homeward.errors import InputError
 from homeward.io.keys import Strict
 from homeward.io.settings import nested, validated
-from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.scenario import Scenario
+from homeward.lab.simulation.simulate import changed_scenario
 from homeward.lab.studies.study.settings import StudySettings
 from homeward.lab.studies.study.trial import Recording, recorded
 from homeward.registry import estimator_settings

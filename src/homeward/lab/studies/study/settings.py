@@ -14,7 +14,7 @@ from homeward.errors import InputError
 from homeward.io.keys import Strict
 from homeward.io.reading import is_there, shipped_yaml
 from homeward.io.settings import read_tree, validated
-from homeward.lab.simulation.files import PRESETS, load_scenario
+from homeward.lab.simulation.simulate import PRESETS, load_scenario
 from homeward.lab.studies.study.trial import Recording
 from homeward.registry import settings_model
 

@@ -16,9 +16,9 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.reading import is_there
 from homeward.io.settings import read_settings
-from homeward.lab.simulation.files import changed_scenario
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
+from homeward.lab.simulation.simulate import changed_scenario
 
 TRIES = 2000
 """Draws of home and start before a room counts as too small."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.lab.simulation.render.rays.raycast import Rays, Viewpoint, cast, points
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
-from homeward.lab.simulation.render.room.camera import RoomCamera
+from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import RoomScene
 from homeward.lab.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
