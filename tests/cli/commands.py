@@ -1,7 +1,7 @@
 """Commands as tests call them, and a drive that is short."""
 
 import shutil
-from contextlib import nullcontext
+from contextlib import ExitStack
 from unittest.mock import patch
 
 from typer.testing import CliRunner
@@ -11,9 +11,11 @@ from homeward.drives.opening import sample_drive
 
 
 def call(*words, page=False, **options):
-    """Call a command in this process; a run writes an empty page, unless a test needs its words."""
-    empty = patch("homeward.runs.report.page.write_page", lambda file, *rest: file.touch())
-    with nullcontext() if page else empty:
+    """Call a command in this process; page and recording of a run are empty but with `page`."""
+    with ExitStack() as patches:
+        for name in () if page else ("page.write_page", "mcap.write_recording"):
+            empty = patch(f"homeward.runs.report.{name}", lambda file, *rest: file.touch())
+            patches.enter_context(empty)
         return CliRunner().invoke(app, [str(word) for word in words], **options)
 
 

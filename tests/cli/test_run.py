@@ -50,7 +50,8 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
 
 
 @pytest.mark.parametrize("command", ["run", "info", "convert"])
-def test_stamps_in_milliseconds_are_remarked_on_the_terminal(short, tmp_path, command):
+def test_stamps_in_milliseconds_are_remarked_on_the_terminal(tmp_path, command):
+    short = first_seconds(tmp_path / "short", 2.0)
     for name in ("odometry.csv", "bearings.csv", "truth.csv"):
         head, *rows = (short / name).read_text().splitlines()
         cells = [row.partition(",") for row in rows]
