@@ -66,7 +66,7 @@ def test_the_marker_of_a_whole_folder_enters_last(tmp_path, monkeypatch):
     names = []
     replace = os.replace
     monkeypatch.setattr(os, "replace", lambda a, b: (names.append(a.name), replace(a, b)))
-    with whole_folder(tmp_path, last="b") as scratch:
+    with whole_folder(tmp_path, marker="b") as scratch:
         fill(scratch, ["a", "b", "c"])
     assert sorted(names[:2]) == ["a", "c"]
     assert names[2:] == ["b"]

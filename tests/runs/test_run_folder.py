@@ -13,7 +13,8 @@ from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.runs.report import output, page
+from homeward.io import writing as output
+from homeward.runs.report import page
 from homeward.runs.report.folder import write_run
 
 

@@ -27,9 +27,9 @@ def export(
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
     from homeward.io.settings import validated
+    from homeward.io.writing import check_output, whole_folder
     from homeward.lab.engine.export.source import MARKER, most_work, project
     from homeward.lab.filters.settings import FilterSettings
-    from homeward.runs.report.output import check_output, whole_folder
 
     settings = validated(FilterSettings, key_values(changes or []))
     files = project(landmarks, settings, precision == "float")

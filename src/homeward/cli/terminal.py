@@ -86,11 +86,7 @@ def _wrapped(text: str, stream: TextIO, indent: str = "") -> str:
     if (width := _width(stream)) is None:
         return text
     return textwrap.fill(
-        text,
-        width,
-        subsequent_indent=indent,
-        break_long_words=False,
-        break_on_hyphens=False,
+        text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
     )
 
 

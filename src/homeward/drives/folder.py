@@ -16,7 +16,7 @@ from homeward.drives.settings import DriveSettings, KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.naming import listing, natural
-from homeward.io.reading import is_there, naming, require_folder
+from homeward.io.reading import is_there, require_folder
 from homeward.io.settings import read_settings, settings_yaml
 from homeward.io.table import (
     Table,
@@ -136,7 +136,7 @@ def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
     """
     folder = Path(path)
     owned = (*REQUIRED, *OPTIONAL)
-    with naming(folder, "cannot be written"), whole_folder(folder, owned=owned) as scratch:
+    with whole_folder(folder, owned=owned) as scratch:
         _write_files(drive, scratch, folder)
 
 

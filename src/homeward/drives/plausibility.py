@@ -63,10 +63,7 @@ def without_implausible(
     bad |= _jumps(t, omega, MAX_TURN_RATE, MAX_TURN_ACCELERATION, MIN_TURN_JUMP)
     if sideways is not None:
         bad |= _jumps(t, sideways, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
-    for rate, limit, unit in (
-        (v, USUAL_SPEED, SPEED_UNIT),
-        (omega, USUAL_TURN_RATE, TURN_UNIT),
-    ):
+    for rate, limit, unit in ((v, USUAL_SPEED, SPEED_UNIT), (omega, USUAL_TURN_RATE, TURN_UNIT)):
         if _quick(t[~bad], rate[~bad]) > limit:
             remarks[unit] = int((np.abs(rate) > limit).sum())
     if not np.any(np.abs(v) > 0) and np.any(np.abs(omega) > 0):

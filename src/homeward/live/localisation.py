@@ -18,34 +18,8 @@ from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar
 from homeward.io.table import quoted
+from homeward.live import messages as msg
 from homeward.live.looking import NEAREST_M, Looking
-from homeward.live.messages import (
-    Answer,
-    BearingsIn,
-    BeginRoute,
-    Cancel,
-    Departure,
-    EStop,
-    EventOut,
-    FollowRoute,
-    GoHome,
-    GoTo,
-    GoToLandmark,
-    Input,
-    LandmarkOut,
-    LandmarksOut,
-    LookRound,
-    MountIs,
-    OdometryIn,
-    Output,
-    Reset,
-    SavePlace,
-    SetHome,
-    StartIn,
-    StoreHome,
-    StoreRoute,
-    TurnHome,
-)
 from homeward.live.sending import NO_PLACE, resolve_goal
 from homeward.live.visiting import PlaceSession
 from homeward.localizer.localizer import Localizer
@@ -93,9 +67,9 @@ class Localisation:
         """In whose frame answers are; in a place its first one."""
         self.goal: Goal | None = None
         """Where the robot was sent last, in that frame; None before it was."""
-        self._sent: Departure | None = None
+        self._sent: msg.Departure | None = None
         """By what, as long as it can go there."""
-        self._homeward = GoHome()
+        self._homeward = msg.GoHome()
         """The home that it was sent to last."""
         self._aimed = -math.inf
         """When it was found last where a landmark is that it is sent to [s]."""
@@ -119,7 +93,7 @@ class Localisation:
         """Whether homes are those of a place that is known."""
         return self.place is not None and self.place.place is not None
 
-    def do(self, message: Input, odom: Pose | None) -> Output | None:
+    def do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
         """Process a message, and return the answer to it; `odom` is the odometry pose at its stamp.
 
         `InputError` where it cannot be done; nothing is changed then. `InternalError` at any other
@@ -133,64 +107,64 @@ class Localisation:
             self._restart()
             raise InternalError(error, "the map was begun again") from error
 
-    def _do(self, message: Input, odom: Pose | None) -> Output | None:
-        if isinstance(message, Cancel | EStop | Departure):
+    def _do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
+        if isinstance(message, msg.Cancel | msg.EStop | msg.Departure):
             self._looking.end()
         match message:
-            case OdometryIn():
+            case msg.OdometryIn():
                 self._looking.odometry(message)
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
-            case BearingsIn():
+            case msg.BearingsIn():
                 return self._answer(message, odom)
-            case SetHome(name=name) if self.place is not None and self.place.has_homes:
+            case msg.SetHome(name=name) if self.place is not None and self.place.has_homes:
                 text = f"home {quoted(name)} is not looked at: the place knows its homes"
-                return EventOut(type="event", text=text)
-            case SetHome(name=name) | StoreHome(name=name) if self._is_one_too_many(name):
+                return msg.EventOut(type="event", text=text)
+            case msg.SetHome(name=name) | msg.StoreHome(name=name) if self._is_one_too_many(name):
                 raise InputError(
                     f"{MAX_HOMES} homes are kept already; store home under one of their names"
                 )
-            case SetHome(name=name, bearings=seen, sigmas=known):
+            case msg.SetHome(name=name, bearings=seen, sigmas=known):
                 home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
                 return self._new(name, home)
-            case StoreHome(name=name) if self._adds_home(name):
+            case msg.StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
-            case StoreHome(name=name):
+            case msg.StoreHome(name=name):
                 return self._new(name, *self._looking.here())
-            case LookRound() | TurnHome():
+            case msg.LookRound() | msg.TurnHome():
                 self._looking.begin(self._robot)
-            case SavePlace():
-                return EventOut(type="event", text=self._merge())
-            case GoHome(name=str(name)) if self.place is None and name != self.home:
+            case msg.SavePlace():
+                return msg.EventOut(type="event", text=self._merge())
+            case msg.GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
                     there = ", ".join(self.homes) or "none yet"
                     raise InputError(f"no home {quoted(name)}; there is {there}")
                 self.home, self._sent = name, None
                 self._begin(None)
                 self._send(message)
-            case GoHome(name=None):
+            case msg.GoHome(name=None):
                 self._send(self._homeward)
-            case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
+            case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
                 self._send(message)
-            case BeginRoute():
+            case msg.BeginRoute():
                 text = self._required_place().begin_route(self.fix.estimate)
-                return EventOut(type="event", text=text)
-            case StoreRoute(name=name):
+                return msg.EventOut(type="event", text=text)
+            case msg.StoreRoute(name=name):
                 if len(self._required_place().routes) >= MAX_HOMES:
                     raise InputError(f"{MAX_HOMES} routes are kept already; no more can be stored")
                 text = self._required_place().store_route(name, self._known())
-                return EventOut(type="event", text=text)
-            case StartIn(sigma=sigma):
+                return msg.EventOut(type="event", text=text)
+            case msg.StartIn(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
                 R = max(polar.R, NEAREST_M)
                 sigmas = sigma, sigma / R, message.sigma_heading
                 self._begin(Start.about(polar._replace(R=R), *sigmas))
-            case MountIs(x=x, y=y, yaw=yaw):
+            case msg.MountIs(x=x, y=y, yaw=yaw):
                 sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
                 self._robot = self._robot.model_copy(update={"sensor": sensor})
                 if self.drive is not None:
                     self._begin(None)
-            case Reset():
+            case msg.Reset():
                 self._begin(None)
         return None
 
@@ -211,11 +185,11 @@ class Localisation:
                 return text
             raise type(error)(text) from error
 
-    def landmarks(self) -> LandmarksOut:
+    def landmarks(self) -> msg.LandmarksOut:
         """Return what is known of all landmarks."""
-        return LandmarksOut(
+        return msg.LandmarksOut(
             landmarks=tuple(
-                LandmarkOut(
+                msg.LandmarkOut(
                     landmark=m.landmark,
                     x=_finite(m.x),
                     y=_finite(m.y),
@@ -225,7 +199,7 @@ class Localisation:
             )
         )
 
-    def _answer(self, message: BearingsIn, odom: Pose | None) -> Answer:
+    def _answer(self, message: msg.BearingsIn, odom: Pose | None) -> msg.Answer:
         self._looking.bearings(message)
         if self.estimator is None:
             return _said(Estimate(message.t, Status.WAITING, NO_HOME))
@@ -236,7 +210,7 @@ class Localisation:
         self.fix = Fix(estimate, frame)
         if self.place is not None:
             self.place.see(message, estimate)
-        if isinstance(self._sent, GoToLandmark) and abs(message.t - self._aimed) > AIM_S:
+        if isinstance(self._sent, msg.GoToLandmark) and abs(message.t - self._aimed) > AIM_S:
             self._aimed = message.t
             self._find_goal()
         return _said(estimate)
@@ -253,11 +227,11 @@ class Localisation:
             raise InputError(NO_PLACE)
         return self.place
 
-    def _send(self, message: Departure) -> None:
+    def _send(self, message: msg.Departure) -> None:
         """Send the robot where a message says."""
         self.goal = resolve_goal(message, self.home, self.place, self._known)
         self._sent = message
-        if isinstance(message, GoHome):
+        if isinstance(message, msg.GoHome):
             self._homeward = message
 
     def _known(self) -> Iterable[LandmarkEstimate]:
@@ -268,29 +242,25 @@ class Localisation:
         begun = self.drive is not None and name != self.home
         return self.place is not None and (self.in_place or begun)
 
-    def _store(self, name: str) -> EventOut:
+    def _store(self, name: str) -> msg.EventOut:
         """Store one more home of the place, where the robot is."""
         assert self.place is not None
         self._looking.end()  # its landmarks are in the map
         if (now := self._looking.newest) is None:
             raise InputError("home cannot be stored: nothing is seen")
         text = self.place.store_home(name, self.home, now, self.fix.estimate)
-        return EventOut(type="event", text=text)
+        return msg.EventOut(type="event", text=text)
 
     def _new(
-        self,
-        name: str,
-        seen: dict[str, HomeBearing],
-        start: Start | None = None,
-        words: str = "",
-    ) -> EventOut:
+        self, name: str, seen: dict[str, HomeBearing], start: Start | None = None, words: str = ""
+    ) -> msg.EventOut:
         """Take a home, and begin the map anew; words say how it was found."""
         if not seen:
             raise InputError(f"home {quoted(name)} has no landmarks: nothing is stored")
         self.homes[name], self.home = seen, name
         self._begin(start)
         said = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
-        return EventOut(type="event", text=f"home {quoted(name)} {said}")
+        return msg.EventOut(type="event", text=f"home {quoted(name)} {said}")
 
     def _begin(self, start: Start | None) -> None:
         """Begin the map anew."""
@@ -335,16 +305,16 @@ class Localisation:
             goal = resolve_goal(self._sent, self.home, self.place, self._known)
         except InputError as error:  # it was stored, and not saved
             self.goal = self._sent = None
-            self._homeward, self.goal_lost = GoHome(), str(error)
+            self._homeward, self.goal_lost = msg.GoHome(), str(error)
             return
         if not isinstance(goal, RouteGoal):  # a drive along a route goes on where it was
             self.goal = goal
 
 
-def _said(estimate: Estimate) -> Answer:
+def _said(estimate: Estimate) -> msg.Answer:
     pose, covariance = estimate.pose, estimate.covariance
     six = None if covariance is None else tuple(covariance[np.triu_indices(3)].tolist())
-    return Answer(
+    return msg.Answer(
         t=estimate.t, status=estimate.status, reason=estimate.reason, pose=pose, covariance=six
     )
 

@@ -20,17 +20,8 @@ from homeward.io.keys import Strict
 from homeward.io.one_thread import one_thread
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import validated
+from homeward.live import messages as msg
 from homeward.live.localisation import Homes, Localisation
-from homeward.live.messages import (
-    LONGEST_LINE,
-    Answer,
-    BearingsIn,
-    Input,
-    OdometryIn,
-    Output,
-    line_of,
-    parse,
-)
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import PlaceSession
 from homeward.places.files import load_place, save_place
@@ -97,11 +88,11 @@ class Recorder:
             save_place(known, folder / PLACE)
         self._folder, self._lines, self._failure = folder, 0, ""
 
-    def keep(self, message: Input | Output) -> None:
+    def keep(self, message: msg.Input | msg.Output) -> None:
         """Write a message; where that fails the recording ends, with an InputError."""
         try:
             with naming(self._folder / SESSION, "cannot be written"):
-                self._file.write(line_of(message))
+                self._file.write(msg.line_of(message))
                 self._lines += 1
                 if self._lines % FLUSH_EVERY == 0:
                     self._file.flush()
@@ -143,8 +134,8 @@ def replay(file: Path) -> tuple[int, str | None]:
                 same, expected = same + 1, None
             else:
                 # No answer depends on where odometry alone would have the robot.
-                out = _done(localisation, parse(line))
-                expected = line_of(out) if isinstance(out, Answer) else None
+                out = _done(localisation, msg.parse(line))
+                expected = msg.line_of(out) if isinstance(out, msg.Answer) else None
     return same, None
 
 
@@ -155,13 +146,13 @@ def read_drive(file: Path) -> Drive | None:
     for line in lines:
         if line.startswith(_ANSWER):
             continue
-        message, before = parse(line), localisation.drive
+        message, before = msg.parse(line), localisation.drive
         _done(localisation, message)
         if localisation.drive is not before:
             samples = Samples()
-        elif isinstance(message, OdometryIn):
+        elif isinstance(message, msg.OdometryIn):
             samples.add_twist(message.t, message.v, message.omega)
-        elif isinstance(message, BearingsIn):
+        elif isinstance(message, msg.BearingsIn):
             samples.add_bearings(message.t, message.bearings, message.sigmas)
     drive, odometry = localisation.drive, samples.odometry()
     if drive is None or not odometry.t.size:
@@ -169,7 +160,7 @@ def read_drive(file: Path) -> Drive | None:
     return replace(drive, odometry=odometry, sightings=samples.sightings())
 
 
-def _done(localisation: Localisation, message: Input) -> Output | None:
+def _done(localisation: Localisation, message: msg.Input) -> msg.Output | None:
     try:
         return localisation.do(message, None)
     except HomewardError:  # as it was in the session
@@ -198,6 +189,6 @@ def _lines(file: Path) -> Iterator[str]:
     """Yield the lines of a session but its head, and but a last one that was not finished."""
     with naming(file, "cannot be read"), file.open(encoding="utf-8") as stream:
         stream.readline(LONGEST_HEAD)
-        while line := stream.readline(LONGEST_LINE):
+        while line := stream.readline(msg.LONGEST_LINE):
             if line.endswith("\n"):
                 yield line

@@ -23,28 +23,8 @@ from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
+from homeward.live import messages as msg
 from homeward.live.localisation import Homes, Localisation
-from homeward.live.messages import (
-    Answer,
-    BearingsIn,
-    Cancel,
-    Command,
-    Departure,
-    Diagnostics,
-    EStop,
-    EventOut,
-    FollowRoute,
-    GoHome,
-    GoTo,
-    GoToLandmark,
-    Input,
-    Obstacle,
-    OdometryIn,
-    Output,
-    Reset,
-    StoreHome,
-    TurnHome,
-)
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
 from homeward.live.visiting import PlaceSession
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
@@ -75,10 +55,10 @@ class Session:
         """Whether the noise of odometry is given, so that the robot may drive on by it alone."""
         self.homing, self._turning = Driver(told.limits), Driver(told.limits)
         self._driver = self.homing
-        self._turned_for = StoreHome()
+        self._turned_for = msg.StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not get to the estimator, by reason in words."""
-        self._keepers = list[Callable[[Input | Output], None]]()
+        self._keepers = list[Callable[[msg.Input | msg.Output], None]]()
         clock = Clock()
         self._gate, self._twists = StampGate(), TwistHistory()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
@@ -91,11 +71,11 @@ class Session:
         self._heard = -math.inf
         self._obstacle: tuple[float, float] | None = None
         self._stopped = False
-        self._queue: deque[tuple[Input, Pose | None, float, object]] = deque()
+        self._queue: deque[tuple[msg.Input, Pose | None, float, object]] = deque()
         self._lock = threading.Lock()
         self._answered = -math.inf
         self._work_s = 0.0
-        self._sent: Departure | None = None
+        self._sent: msg.Departure | None = None
         """Where to the robot is sent, until that is processed: it stands as long ..."""
         self._refused = ""
         """... and why it cannot go there."""
@@ -107,11 +87,11 @@ class Session:
         """Messages that wait for `process`."""
         return len(self._queue)
 
-    def watch(self, keep: Callable[[Input | Output], None]) -> None:
+    def watch(self, keep: Callable[[msg.Input | msg.Output], None]) -> None:
         """Tell `keep` each message in the order in which it is processed, and each answer."""
         self._keepers.append(keep)
 
-    def receive(self, message: Input, now: float, sender: object = None) -> None:
+    def receive(self, message: msg.Input, now: float, sender: object = None) -> None:
         """Take a message: watch it, and queue it for `process`. Quick.
 
         Where too many wait, messages of the sender of most of them are thrown away. `InternalError`
@@ -122,32 +102,32 @@ class Session:
         except Exception as error:
             raise self._failure(error, f"a message {message.type} is left out", now) from error
 
-    def _receive(self, message: Input, now: float, sender: object) -> None:
+    def _receive(self, message: msg.Input, now: float, sender: object) -> None:
         odom, t = None, math.nan
         match message:
-            case OdometryIn() | BearingsIn():
+            case msg.OdometryIn() | msg.BearingsIn():
                 if not self._gate.takes(message.t):
                     self.counts["stamps far ahead of all others"] += 1
                     return
-                if isinstance(message, BearingsIn) and self._late:
+                if isinstance(message, msg.BearingsIn) and self._late:
                     message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
                 odom = self._here(t)
-            case EStop(engaged=engaged):
+            case msg.EStop(engaged=engaged):
                 self._stopped = engaged
                 # Also its release ends a drive: that nobody has begun anew since must not move.
                 self._driver.fail("emergency stop", now)
-            case Cancel():
+            case msg.Cancel():
                 self._driver.fail("cancelled", now)
-            case Obstacle(distance=distance):
+            case msg.Obstacle(distance=distance):
                 self._obstacle = distance, now
                 return
-            case GoHome() | GoTo() | GoToLandmark() | FollowRoute():
+            case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
                 with self._lock:
                     self._sent, self._refused = message, ""
                 self._hand_to(self.homing, now)
-            case TurnHome(name=name):
-                self._turned_for = StoreHome(name=name)
+            case msg.TurnHome(name=name):
+                self._turned_for = msg.StoreHome(name=name)
                 self._hand_to(self._turning, now, TurnGoal())
         self._put(message, odom, t, sender)
 
@@ -155,7 +135,7 @@ class Session:
         """Let `process` yield what is known of landmarks, too. Quick: an estimator may be busy."""
         self._asked = True
 
-    def process(self) -> Iterator[Output]:
+    def process(self) -> Iterator[msg.Output]:
         """Do what is queued, and yield what is to be said. As slow as the estimator."""
         while self._queue or self._asked:
             if self._asked:
@@ -163,7 +143,7 @@ class Session:
                 try:
                     yield self.localisation.landmarks()
                 except Exception as error:
-                    yield EventOut(type="error", text=str(InternalError(error, "no landmarks")))
+                    yield msg.EventOut(type="error", text=str(InternalError(error, "no landmarks")))
                 continue
             with self._lock:
                 message, odom, t, _ = self._queue.popleft()
@@ -172,8 +152,8 @@ class Session:
             try:
                 out = self.localisation.do(message, odom)
             except HomewardError as error:
-                out = EventOut(type="error", text=str(error))
-                fails = isinstance(message, Departure) or isinstance(error, InternalError)
+                out = msg.EventOut(type="error", text=str(error))
+                fails = isinstance(message, msg.Departure) or isinstance(error, InternalError)
                 self._refuse(message, str(error) if fails else "")
             lost, self.localisation.goal_lost = self.localisation.goal_lost, ""
             self._refuse(message, lost)
@@ -181,19 +161,19 @@ class Session:
             with self._lock:
                 if message is self._sent:
                     self._sent = None
-            if isinstance(out, Answer):
+            if isinstance(out, msg.Answer):
                 self._answered = t
                 yield from self._keep(out)
             if out is not None:
                 yield out
 
-    def _refuse(self, message: Input, why: str) -> None:
+    def _refuse(self, message: msg.Input, why: str) -> None:
         """Let the drive fail, in words if any, unless the robot was sent elsewhere meanwhile."""
         with self._lock:
             if why and (self._sent is None or self._sent is message):
                 self._refused = why
 
-    def _keep(self, message: Input | Output) -> Iterator[EventOut]:
+    def _keep(self, message: msg.Input | msg.Output) -> Iterator[msg.EventOut]:
         """Give a message to all that keep them; one that cannot keep it gets no more."""
         for keep in list(self._keepers):
             try:
@@ -201,9 +181,9 @@ class Session:
             except Exception as error:  # a full disk must not end a robot's session
                 self._keepers.remove(keep)
                 text = str(error) if isinstance(error, HomewardError) else repr(error)
-                yield EventOut(type="error", text=f"recording or view stopped: {text}")
+                yield msg.EventOut(type="error", text=f"recording or view stopped: {text}")
 
-    def tick(self, now: float) -> Command | None:
+    def tick(self, now: float) -> msg.Command | None:
         """Return the command at `now` [s]; None where the robot is left to others. Quick.
 
         `InternalError` at any error; a drive has failed then.
@@ -218,10 +198,10 @@ class Session:
         failure = InternalError(error, consequence)
         self._driver.fail(str(failure), now)
         self._twists = TwistHistory()
-        self._put(Reset(), None, math.nan)
+        self._put(msg.Reset(), None, math.nan)
         return failure
 
-    def _command(self, now: float) -> Command | None:
+    def _command(self, now: float) -> msg.Command | None:
         if self._refused:
             self.homing.fail(self._refused, now)
             self._refused = ""
@@ -235,7 +215,7 @@ class Session:
             twist = self.homing.command(now, belief, self.faults(now) + self._blind(now))
         if twist is None:
             return None
-        return Command(
+        return msg.Command(
             v=twist.v,
             omega=twist.omega,
             state=self._driver.state.value,
@@ -284,7 +264,7 @@ class Session:
             return ()
         return (Fault(f"no landmark in view for more than {longest:g} s", unseen),)
 
-    def diagnostics(self, now: float) -> Diagnostics:
+    def diagnostics(self, now: float) -> msg.Diagnostics:
         """Return how the session is, at `now` [s]."""
         estimate, estimator = self.localisation.fix.estimate, self.localisation.estimator
         counts = dict(self.counts)
@@ -292,7 +272,7 @@ class Session:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
         faults = self.faults(now)
         work, self._work_s = self._work_s, 0.0
-        return Diagnostics(
+        return msg.Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
             homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
@@ -323,19 +303,19 @@ class Session:
         twist = self._turning.command(now, belief, self.faults(now))
         if began and not self._turning.active:
             whole = self._turning.state is GoalState.TURNED
-            self._put(self._turned_for if whole else Cancel(), None, math.nan)
+            self._put(self._turned_for if whole else msg.Cancel(), None, math.nan)
         return twist
 
-    def _put(self, message: Input, odom: Pose | None, t: float, sender: object = None) -> None:
+    def _put(self, message: msg.Input, odom: Pose | None, t: float, sender: object = None) -> None:
         """Queue a message for `process`."""
         with self._lock:
             self._queue.append((message, odom, t, sender))
             if len(self._queue) > self.settings.queue:
                 self._shed()
 
-    def _watch(self, sample: OdometryIn | BearingsIn, now: float) -> float:
+    def _watch(self, sample: msg.OdometryIn | msg.BearingsIn, now: float) -> float:
         """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""
-        if isinstance(sample, BearingsIn):
+        if isinstance(sample, msg.BearingsIn):
             t = self._bearings.hear(sample.t, now)
             frozen = self._frozen.add_bearings(t, sample.bearings, self._twists.at(t))
             if len(frozen) < len(sample.bearings):
@@ -357,7 +337,7 @@ class Session:
     def _shed(self) -> None:
         """Throw away the oldest bearings, odometry or message of the sender of most that wait."""
         most = Counter(id(sender) for *_, sender in self._queue).most_common(1)[0][0]
-        for kind in (BearingsIn, OdometryIn, object):
+        for kind in (msg.BearingsIn, msg.OdometryIn, object):
             for place, (message, *_, sender) in enumerate(self._queue):
                 if id(sender) == most and isinstance(message, kind):
                     del self._queue[place]

@@ -168,10 +168,7 @@ class Place:
         return replace(drive, home={}, known=known, settings=settings, truth=truth)
 
     def without(
-        self,
-        landmarks: Collection[str],
-        homes: Collection[str] = (),
-        routes: Collection[str] = (),
+        self, landmarks: Collection[str], homes: Collection[str] = (), routes: Collection[str] = ()
     ) -> Place:
         """Return it without some landmarks, homes and routes, never its first home.
 

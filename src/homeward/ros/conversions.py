@@ -22,15 +22,7 @@ from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.io.settings import validated
-from homeward.live.messages import (
-    Answer,
-    BearingsIn,
-    Diagnostics,
-    LandmarksOut,
-    Obstacle,
-    OdometryIn,
-    StartIn,
-)
+from homeward.live import messages as msg
 from homeward.runs.report.palette import LEVELS, UNJUDGED, colour
 
 JSON = "std_msgs/msg/String"
@@ -70,7 +62,7 @@ class StampConverter:
         return self.epoch
 
 
-def odometry_in(message: Any, t: float) -> OdometryIn:
+def odometry_in(message: Any, t: float) -> msg.OdometryIn:
     """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose where it tells one.
 
     `InputError` where a number is none, as in all that follows.
@@ -78,7 +70,7 @@ def odometry_in(message: Any, t: float) -> OdometryIn:
     v, omega, _ = twist_of(message)
     pose = pose_of(message)
     known = pose if all(map(math.isfinite, pose)) else None
-    return validated(OdometryIn, {"t": t, "v": v, "omega": omega, "pose": known})
+    return validated(msg.OdometryIn, {"t": t, "v": v, "omega": omega, "pose": known})
 
 
 def bearings_in(
@@ -88,7 +80,7 @@ def bearings_in(
     told: BearingsTopic,
     camera: Lens | None,
     eye: Eye | None = None,
-) -> BearingsIn:
+) -> msg.BearingsIn:
     """Return the bearings in a message of any type of `READERS`, as those in logs are read.
 
     In one of `PICTURES` the `eye` finds tags. `InputError` where there are none, or a camera model
@@ -101,10 +93,10 @@ def bearings_in(
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
     bearings = dict(zip(ids, columns["bearing"].tolist(), strict=True))
     known = {"t": t, "bearings": bearings, "sigmas": {i: s for i, s in sigmas if s > 0}}
-    return validated(BearingsIn, known)
+    return validated(msg.BearingsIn, known)
 
 
-def start_in(message: Any) -> StartIn:
+def start_in(message: Any) -> msg.StartIn:
     """Return the start that a geometry_msgs/PoseWithCovarianceStamped tells."""
     x, y, heading = pose_of(message)
     c = message.pose.covariance
@@ -113,10 +105,10 @@ def start_in(message: Any) -> StartIn:
         sigmas["sigma"] = math.sqrt(var)
     if c[35] > 0:
         sigmas["sigma_heading"] = math.sqrt(c[35])
-    return validated(StartIn, {"x": x, "y": y, "heading": heading, **sigmas})
+    return validated(msg.StartIn, {"x": x, "y": y, "heading": heading, **sigmas})
 
 
-def obstacle_in(message: Any, half_angle: float) -> Obstacle:
+def obstacle_in(message: Any, half_angle: float) -> msg.Obstacle:
     """Return how far the way ahead, `half_angle` [rad] to either side, is free by a LaserScan.
 
     By REP 117 minus infinity is something too near to be measured, and infinity nothing in reach.
@@ -126,7 +118,7 @@ def obstacle_in(message: Any, half_angle: float) -> Obstacle:
     measured = (ranges >= max(message.range_min, 1e-3)) | (ranges == -math.inf)
     ahead = ranges[measured & (np.abs(wrap(angles)) <= half_angle)]
     free = [*np.maximum(ahead, 0.0).tolist(), message.range_max, FARTHEST_M]
-    return validated(Obstacle, {"distance": min(free)})
+    return validated(msg.Obstacle, {"distance": min(free)})
 
 
 def fill_pose(target: Any, pose: Pose) -> None:
@@ -136,7 +128,7 @@ def fill_pose(target: Any, pose: Pose) -> None:
     target.orientation.w = math.cos(pose.heading / 2)
 
 
-def fill_covariance(target: Any, answer: Answer) -> None:
+def fill_covariance(target: Any, answer: msg.Answer) -> None:
     """Fill the covariance of a geometry_msgs/PoseWithCovariance."""
     xx, xy, xh, yy, yh, hh = answer.covariance or (0.0,) * 6
     for row, values in zip(PLANAR, ((xx, xy, xh), (xy, yy, yh), (xh, yh, hh)), strict=True):
@@ -154,7 +146,7 @@ def transform(stamp: Any, parent: str, child: str, pose: Pose) -> Any:
     return message
 
 
-def diagnostics_out(said: Diagnostics, stamp: Any) -> Any:
+def diagnostics_out(said: msg.Diagnostics, stamp: Any) -> Any:
     """Return a diagnostic_msgs/DiagnosticArray: status and reason in words, counts as values."""
     array = message_class("diagnostic_msgs/msg/DiagnosticArray")()
     status = message_class("diagnostic_msgs/msg/DiagnosticStatus")()
@@ -170,7 +162,7 @@ def diagnostics_out(said: Diagnostics, stamp: Any) -> Any:
     return array
 
 
-def markers_out(known: LandmarksOut, stamp: Any, frame: str) -> Any:
+def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str) -> Any:
     """Return a visualization_msgs/MarkerArray, coloured by the probability of having moved."""
     array = message_class("visualization_msgs/msg/MarkerArray")()
     make = message_class("visualization_msgs/msg/Marker")

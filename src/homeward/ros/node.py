@@ -25,24 +25,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose
 from homeward.io.one_thread import one_thread
 from homeward.io.settings import read_settings, validated
-from homeward.live.messages import (
-    BearingsIn,
-    BeginRoute,
-    Cancel,
-    EStop,
-    EventOut,
-    FollowRoute,
-    GoHome,
-    Input,
-    LookRound,
-    Output,
-    Reset,
-    SavePlace,
-    StoreHome,
-    StoreRoute,
-    TurnHome,
-    parse,
-)
+from homeward.live import messages as msg
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
@@ -83,11 +66,11 @@ PARAMETERS: dict[str, Any] = {
 }
 """With their defaults; docs/do/live.md says what they are."""
 NAMED: dict[str, Any] = {
-    "store_home": StoreHome,
-    "turn_home": TurnHome,
-    "go_home": GoHome,
-    "store_route": StoreRoute,
-    "follow_route": FollowRoute,
+    "store_home": msg.StoreHome,
+    "turn_home": msg.TurnHome,
+    "go_home": msg.GoHome,
+    "store_route": msg.StoreRoute,
+    "follow_route": msg.FollowRoute,
 }
 """What is asked for with a name, by topic."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
@@ -107,7 +90,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
         self._camera: MessageCamera | None = None
-        self._pictures: Newest[BearingsIn] | None = None
+        self._pictures: Newest[msg.BearingsIn] | None = None
         self._stamps = convert.StampConverter()
         self._map_to_odom: Pose | None = None
         self._complained = ""
@@ -158,7 +141,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         """Tell the robot to stand, if it was driving home, and listen no more."""
         assert self._session is not None
         if self._session.driving:
-            self._session.receive(Cancel(), time.monotonic())
+            self._session.receive(msg.Cancel(), time.monotonic())
             self._tick()
         self._stop()
         return super().on_deactivate(state)
@@ -210,11 +193,15 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except ImportError:
             self.get_logger().warning("no std_srvs here: ask on ~/request")
             return
-        asked = {"store_home": StoreHome, "look_round": LookRound, "turn_home": TurnHome}
-        asked |= {"go_home": GoHome, "begin_route": BeginRoute, "save_place": SavePlace}
-        asked |= {"cancel": Cancel, "reset": Reset}
+        asked = {
+            "store_home": msg.StoreHome,
+            "look_round": msg.LookRound,
+            "turn_home": msg.TurnHome,
+        }
+        asked |= {"go_home": msg.GoHome, "begin_route": msg.BeginRoute, "save_place": msg.SavePlace}
+        asked |= {"cancel": msg.Cancel, "reset": msg.Reset}
         services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
-        stop = self._service(lambda request: EStop(engaged=request.data))
+        stop = self._service(lambda request: msg.EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):
             made = self.create_service(kind, f"~/{name}", serve)
             self._parts.append((self.destroy_service, made))
@@ -248,7 +235,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         """Return a callback that asks for something with the name that a message says."""
         return lambda message: self._take(validated(kind, {"name": message.data}))
 
-    def _take(self, message: Input) -> None:
+    def _take(self, message: msg.Input) -> None:
         assert self._session is not None
         self._session.receive(message, time.monotonic())
         self._work.set()
@@ -277,14 +264,14 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         while self._pictures is not None and (seen := self._pictures.take()) is not None:
             self._take(seen)
 
-    def _read(self, message: Any) -> Callable[[], BearingsIn]:
+    def _read(self, message: Any) -> Callable[[], msg.BearingsIn]:
         """Return what reads the bearings in a message, on whatever thread."""
         assert self._camera is not None
         return self._camera.reader(message, self._stamps.seconds(message.header.stamp))
 
     def _line(self, message: Any) -> None:
-        said = parse(message.data)
-        if isinstance(said, BearingsIn) and self._camera is not None:
+        said = msg.parse(message.data)
+        if isinstance(said, msg.BearingsIn) and self._camera is not None:
             self._camera.require_mount()
         if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
             said = said.model_copy(update={"t": self._stamps.of_unix(said.t)})
@@ -311,7 +298,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
                 raise
 
-    def _output(self, said: Output) -> None:
+    def _output(self, said: msg.Output) -> None:
         """Publish what the session says; what cannot be published is named in the log."""
         try:
             self._say.output(said, (self._stamps.epoch or 0) * NANO)
@@ -328,7 +315,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         except HomewardError as error:
             command = None
             self.get_logger().error(str(error))
-            self._output(EventOut(type="error", text=str(error)))
+            self._output(msg.EventOut(type="error", text=str(error)))
         if command is not None:
             self._say.command(command)
         # Where there is no pose any more, the last transform is the best there is.

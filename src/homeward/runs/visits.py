@@ -92,11 +92,7 @@ def day_of(run: RunSettings, drive: Drive) -> float:
 
 
 def save_visit(
-    run: RunSettings,
-    drive: Drive,
-    estimator: Estimator,
-    track: Track,
-    store: ToStore = NOTHING,
+    run: RunSettings, drive: Drive, estimator: Estimator, track: Track, store: ToStore = NOTHING
 ) -> tuple[Place, list[str]]:
     """Merge a run into the newest version of its place, and save that.
 

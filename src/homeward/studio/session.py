@@ -16,18 +16,7 @@ from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Listed, Moved, Scenario
 from homeward.lab.simulation.simulate import changed_scenario, scenario_yaml
 from homeward.registry import ESTIMATORS
-from homeward.studio.messages import (
-    Add,
-    Asked,
-    Estimators,
-    Keys,
-    Move,
-    Open,
-    Plain,
-    Remove,
-    Set,
-    Steer,
-)
+from homeward.studio import messages as msg
 from homeward.studio.rival import Best, Rival
 from homeward.studio.scenes import (
     MOST_LANDMARKS,
@@ -53,7 +42,7 @@ class Session:
     def __init__(self, scenario: Scenario, estimators: tuple[str, ...]) -> None:
         self._names = estimators
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
-        self._undo, self._steer = Undo(), Steer(do="steer", by="path")
+        self._undo, self._steer = Undo(), msg.Steer(do="steer", by="path")
         self.version = self._begun = 0
         """Counts what changes `scene`."""
         self._begin(scenario)
@@ -92,39 +81,39 @@ class Session:
             self._views.add(pose, frozenset(sensed.seen))
             self._best.see(sensed.t, pose, set(sensed.seen))
 
-    def do(self, asked: Asked) -> dict[str, Any] | None:
+    def do(self, asked: msg.Asked) -> dict[str, Any] | None:
         """Do what the page asks for, or change nothing and raise InputError; return any answer."""
         match asked:
-            case Move(what="landmark"):
+            case msg.Move(what="landmark"):
                 self._move_landmark(asked)
-            case Move(what="robot"):
+            case msg.Move(what="robot"):
                 self._move_robot(asked)
-            case Move():
+            case msg.Move():
                 self._move_home(asked)
-            case Set():
+            case msg.Set():
                 self._set(asked)
-            case Add():
+            case msg.Add():
                 self._add(asked.x, asked.y)
-            case Remove():
+            case msg.Remove():
                 self._remove(asked.name)
-            case Steer():
+            case msg.Steer():
                 self._steering.steer(asked)
                 self._steer, self.version = asked, self.version + 1
-            case Keys():
+            case msg.Keys():
                 self._steering.hold(asked)
-            case Estimators():
+            case msg.Estimators():
                 self._choose(asked.names)
-            case Open():
+            case msg.Open():
                 self._again(as_scene(asked.scene), "Another scene.")
-            case Plain(do="again"):
+            case msg.Plain(do="again"):
                 anew = with_landmarks(self._scenario, self._robot.world)
                 self._again(anew.model_copy(update={"start": self._start}), "All began again.")
-            case Plain(do="undo"):
+            case msg.Plain(do="undo"):
                 self._undo.back()
                 self._said, self.version = "Undone.", self.version + 1
-            case Plain(do="worlds"):
+            case msg.Plain(do="worlds"):
                 return {"type": "worlds", **worlds_alike(self._robot, self._views.kept)}
-            case Plain(do="save"):
+            case msg.Plain(do="save"):
                 return {"type": "file", "name": "scenario.yaml", "text": scenario_yaml(self.now())}
             case _:
                 raise InputError("that is for a drive that was driven, not for a scene")
@@ -141,7 +130,7 @@ class Session:
         self._undo.remember(stroke, lambda: self._begin(before))
         self._said = said
 
-    def _move_landmark(self, asked: Move) -> None:
+    def _move_landmark(self, asked: msg.Move) -> None:
         world = self._robot.world
         if asked.name not in world.ids:
             raise InputError(f"no landmark {asked.name}")
@@ -160,7 +149,7 @@ class Session:
         self._views = Views()  # they saw another world
         self.version += 1
 
-    def _move_robot(self, asked: Move) -> None:
+    def _move_robot(self, asked: msg.Move) -> None:
         old, home = self._robot.pose, self._robot.world.home
         there = between(home, Pose(asked.x, asked.y, asked.heading or 0.0))
         heading = old.heading if asked.heading is None else float(wrap(there.heading))
@@ -180,12 +169,12 @@ class Session:
         self._best.carry()
         self._views = Views()
 
-    def _move_home(self, asked: Move) -> None:
+    def _move_home(self, asked: msg.Move) -> None:
         heading = self._scenario.home.heading if asked.heading is None else asked.heading
         moved = with_home(self.now(), self._robot.pose, asked.x, asked.y, heading)
         self._again(moved, "Home was stored anew; all began again.", ("home", asked.stroke))
 
-    def _set(self, asked: Set) -> None:
+    def _set(self, asked: msg.Set) -> None:
         before = self._scenario
         changes: dict[str, Any] = {asked.key: asked.value}
         if asked.key.startswith("sensor.") and before.home_sensor is None:

@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from homeward.io.table import write_csv
+from homeward.io.writing import whole_folder
 from homeward.runs.report.canvas import WIDTH_IN, bare, new_figure, png, style
 from homeward.runs.report.files import number
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import BLUE, INK, MUTED, VERMILLION
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import Features

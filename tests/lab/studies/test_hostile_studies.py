@@ -11,12 +11,12 @@ from lab.studies.test_study import QUICK, call, computed, plan_of, written
 
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
+from homeward.io.writing import check_output
 from homeward.lab.report.study.page import PAGE, write_study
 from homeward.lab.studies.blocks.store import MARKER, BlockStore, store_of
 from homeward.lab.studies.study.plan import block_name
 from homeward.lab.studies.study.results import _gather
 from homeward.runs.report.canvas import plain
-from homeward.runs.report.output import check_output
 from homeward.runs.single_run import sample_drive
 
 SETTINGS = {"runs": 1}

@@ -13,8 +13,7 @@ from homeward.cli.terminal import say, warn
 
 def convert(
     source: Annotated[
-        str,
-        typer.Argument(help="A drive folder, a ROS bag, an MCAP file, or: sample."),
+        str, typer.Argument(help="A drive folder, a ROS bag, an MCAP file, or: sample.")
     ],
     target: Annotated[
         Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")

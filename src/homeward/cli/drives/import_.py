@@ -25,8 +25,7 @@ def import_(
         ),
     ],
     out: Annotated[
-        Path | None,
-        typer.Option(help="The drive folder to write; without it, --picture alone."),
+        Path | None, typer.Option(help="The drive folder to write; without it, --picture alone.")
     ] = None,
     columns: Annotated[
         list[str] | None,
@@ -68,7 +67,7 @@ def import_(
         ways = "--robot, --home, --home-noise-deg and --seed are for homeward import mrclam FOLDER"
         raise InputError(ways)
     from homeward.drives.importers.reading import about_home, drive_of, understand
-    from homeward.io.reading import naming
+    from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png
     from homeward.runs.report.imported import glance
 
@@ -81,9 +80,7 @@ def import_(
     if not json:
         table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     drive = drive_of(found, "import" if out is None else out.name, spin_span(home_spin))
-    with naming(picture, "cannot be written"):
-        picture.parent.mkdir(parents=True, exist_ok=True)
-        picture.write_bytes(png(glance(drive)))
+    write_whole(picture, png(glance(drive)))
     remarks = [*drive.remark_lines, *about_home(drive)]
     if json:
         if out is not None:

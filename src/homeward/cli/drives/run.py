@@ -173,8 +173,8 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     drive of that name.
     """
     from homeward.io.settings import read_tree
+    from homeward.io.writing import check_output
     from homeward.runs.report.folder import SETTINGS_FILE
-    from homeward.runs.report.output import check_output
 
     if chosen is not None:
         check_output(chosen, SETTINGS_FILE)
@@ -263,7 +263,7 @@ def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:
 
 
 def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool) -> None:
-    from homeward.runs.report.output import check_output
+    from homeward.io.writing import check_output
     from homeward.runs.report.several import PAGE, table, write_several
     from homeward.runs.single_run import run_several
 

@@ -77,7 +77,7 @@ def see(
     from homeward.drives.home.choosing import with_home
     from homeward.drives.settings import HomeWhen
     from homeward.errors import speaking_of
-    from homeward.runs.report.output import check_output
+    from homeward.io.writing import check_output
     from homeward.runs.report.words import describe_sightings
     from homeward.vision.recorded.recording import see_recording
 
@@ -91,12 +91,7 @@ def see(
         when = HomeWhen(spin=spin, during=during)
     with progress(f"looking at {folder}") as tell:
         drive = see_recording(
-            folder,
-            tell,
-            lambda: check_output(out, ODOMETRY),
-            tags=tags,
-            topics=topics,
-            force=force,
+            folder, tell, lambda: check_output(out, ODOMETRY), tags=tags, topics=topics, force=force
         )
         if when is not None:
             with speaking_of(folder):
@@ -125,7 +120,7 @@ def compare(
     json: bool,
 ) -> None:
     """Report how the camera has turned since home, and in which direction home is."""
-    from homeward.runs.report.output import check_output
+    from homeward.io.writing import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas
     from homeward.vision.checks.self_occlusion import find_self_occlusion

@@ -82,11 +82,11 @@ def simulate(
     images, images.yaml, things.csv with what was moved since the home image, and scenario.yaml;
     with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
     """
+    from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.simulate import SCENARIO, load_scenario, prepare, write_simulation
     from homeward.lab.simulation.simulate import simulate as run_simulation
     from homeward.lab.simulation.trajectories import settled
     from homeward.registry import make_estimator
-    from homeward.runs.report.output import check_output, whole_folder
 
     options = {
         "seed": seed,
@@ -203,18 +203,12 @@ if TYPE_CHECKING:
     from homeward.lab.simulation.render.room.settings import RenderScenario
 
 
-def render(
-    room: str,
-    out: Path,
-    seed: int | None,
-    points: bool,
-    given: dict[str, Any],
-) -> None:
+def render(room: str, out: Path, seed: int | None, points: bool, given: dict[str, Any]) -> None:
     """Render what a camera sees on a drive through a room, and write an image data set."""
+    from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
     from homeward.lab.simulation.render.room.presets import load_room
     from homeward.lab.simulation.simulate import SCENARIO
-    from homeward.runs.report.output import check_output, whole_folder
     from homeward.runs.report.words import describe_moved
 
     scenario = load_room(room, seed, given)

@@ -21,8 +21,7 @@ HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NE
 
 def tune(
     drives: Annotated[
-        list[str],
-        typer.Argument(help="Drives or logs of one robot, as of `homeward run`."),
+        list[str], typer.Argument(help="Drives or logs of one robot, as of `homeward run`.")
     ],
     topics: Topics = None,
     json: AsJson = False,

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
 def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
     """Report what the bearings of a number of landmarks do not determine, and draw it."""
+    from homeward.io.writing import check_output
     from homeward.lab.observability.study import observe
     from homeward.lab.report.observe import (
         PAGE,
@@ -23,7 +24,6 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
         same_to,
         write_model_view,
     )
-    from homeward.runs.report.output import check_output
 
     asked = {**given, "unknown": tuple(given.get("unknown", ()))}
     with progress("observing") as tell:
@@ -73,14 +73,9 @@ def _numbers(view: ModelView) -> str:
 
 def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
     """Report what the bearings of stretches of a drive do not determine, and draw it."""
-    from homeward.lab.report.observe import (
-        PAGE,
-        SETTINGS_FILE,
-        drive_summary,
-        write_drive_view,
-    )
+    from homeward.io.writing import check_output
+    from homeward.lab.report.observe import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
     from homeward.lab.studies.observing import WINDOW_S, check_window, observe_drive
-    from homeward.runs.report.output import check_output
 
     settings = {"window": WINDOW_S, **given}
     opened = read_drive(given["drive"], given.get("topics"))

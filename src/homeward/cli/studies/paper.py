@@ -23,6 +23,7 @@ IMAGE_RUNS = 10
 def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     """Run the paper's Cases 1 to 4 with its filters and printed parameters."""
     from homeward.io.settings import validated
+    from homeward.io.writing import check_output
     from homeward.lab.report.paper.page import (
         PAGE,
         SETTINGS_FILE,
@@ -35,7 +36,6 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     from homeward.lab.studies.paper.reproduction import reproduce as run_cases
     from homeward.lab.studies.paper.reproduction import rows
     from homeward.lab.studies.paper.settings import PaperSettings
-    from homeward.runs.report.output import check_output
 
     if values.get("measurements") == "images":
         values = {"runs": IMAGE_RUNS} | values
@@ -71,6 +71,7 @@ def _cells(row: Row) -> list[str]:
 
 def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper."""
+    from homeward.io.writing import check_output
     from homeward.lab.report.paper.layout_page import (
         DATA,
         PAGE,
@@ -85,7 +86,6 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     from homeward.lab.studies.blocks.store import MARKER
     from homeward.lab.studies.paper.layouts import open_store
     from homeward.lab.studies.paper.reproduction import layout_settings, study_layouts
-    from homeward.runs.report.output import check_output
 
     settings = layout_settings(values, values.pop("runs", None), values.pop("seed", None))
     check_output(out, MARKER)

@@ -28,8 +28,7 @@ def plan(
         bool, typer.Option("--compass", help="With --landmarks: the heading is known.")
     ] = False,
     distances: Annotated[
-        bool,
-        typer.Option("--distances", help="With --landmarks: distances from home are known."),
+        bool, typer.Option("--distances", help="With --landmarks: distances from home are known.")
     ] = False,
     motion: Annotated[
         str | None,
@@ -70,11 +69,7 @@ def plan(
         "motion": motion,
         "unknown": unknown or None,
     }
-    of_drive = {
-        "drive": drive,
-        "window": window,
-        "topics": None if topics is None else str(topics),
-    }
+    of_drive = {"drive": drive, "window": window, "topics": None if topics is None else str(topics)}
     chosen = _analysis(source, of_model, of_drive)
     if chosen is of_model:
         observe_model(_given(of_model), out or Path("out/observe"), json)
@@ -101,11 +96,11 @@ def _analysis(source: str | None, *analyses: dict[str, Any]) -> dict[str, Any] |
 
 
 def _plan(source: str, out: Path, json: bool) -> None:
+    from homeward.io.writing import check_output
     from homeward.lab.planning.analysis import analyse
     from homeward.lab.planning.floor import make_floor
     from homeward.lab.planning.settings import load_plan
     from homeward.lab.report.plan.page import PAGE, SETTINGS_FILE, plan_summary, write_plan
-    from homeward.runs.report.output import check_output
 
     settings = load_plan(source)
     try:

@@ -64,6 +64,7 @@ def study(
     where there is one, and leaves map.png and map.csv; --runs is that of all cells together.
     """
     from homeward.io.settings import nested
+    from homeward.io.writing import check_output
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
     from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
@@ -72,7 +73,6 @@ def study(
     from homeward.lab.studies.study.results import run_study
     from homeward.lab.studies.study.settings import load_study
     from homeward.lab.studies.study.summary import failures, lines
-    from homeward.runs.report.output import check_output
 
     where = Where(scheduler, workers)
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
@@ -111,11 +111,11 @@ def study(
 
 
 def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
+    from homeward.io.writing import check_output
     from homeward.lab.report.paper.map import FIGURE, TABLE, headline, write_map
     from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
     from homeward.lab.studies.paper.map import run_map, with_engine
-    from homeward.runs.report.output import check_output
 
     settings = with_engine(settings)
     check_output(folder, MARKER)

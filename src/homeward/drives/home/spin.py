@@ -82,10 +82,7 @@ class Spin(NamedTuple):
 
 
 def spin(
-    interval: tuple[float, float],
-    odometry: Odometry,
-    sightings: Sightings,
-    settings: DriveSettings,
+    interval: tuple[float, float], odometry: Odometry, sightings: Sightings, settings: DriveSettings
 ) -> Spin:
     """Return home from a turn on the spot in an interval [s]: the robot's pose when it begins.
 

@@ -40,10 +40,7 @@ Taker: TypeAlias = Callable[[float, Any], None]
 
 
 def read_log(
-    path: Path,
-    topics: Path | None = None,
-    tell: Tell | None = None,
-    eye: Eye | None = None,
+    path: Path, topics: Path | None = None, tell: Tell | None = None, eye: Eye | None = None
 ) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 

@@ -11,12 +11,12 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 
+from homeward.io.writing import whole_folder
 from homeward.lab.observability.lie import printed_matrix, rank_table
 from homeward.lab.observability.study import ModelView, Trace, observe_motions
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
 from homeward.runs.report.template import render, write_settings
 from homeward.runs.report.words import name

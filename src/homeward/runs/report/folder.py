@@ -11,13 +11,13 @@ from typing import Any
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
 from homeward.errors import InputError, without
+from homeward.io.writing import whole_folder
 from homeward.runs.report.files import (
     write_estimate,
     write_landmarks,
     write_metrics,
     write_trajectory,
 )
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.summary import summarise
 from homeward.runs.report.template import write_settings
 from homeward.runs.scoring import score

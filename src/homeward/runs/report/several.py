@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from homeward.io.naming import number, share
+from homeward.io.writing import whole_folder
 from homeward.runs.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
 from homeward.runs.report.files import write_tables
 from homeward.runs.report.folder import write_run
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, name

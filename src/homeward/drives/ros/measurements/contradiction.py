@@ -89,10 +89,7 @@ def _motions(
         return sums + 1j * np.bincount(number, steps.imag) if np.iscomplexobj(steps) else sums
 
     way = twist[:, 0] + 1j * twist[:, 2], forward + 1j * sideways, odom
-    return (
-        (summed(way[0]), summed(way[1]), summed(way[2])),
-        (summed(twist[:, 1]), summed(turned)),
-    )
+    return ((summed(way[0]), summed(way[1]), summed(way[2])), (summed(twist[:, 1]), summed(turned)))
 
 
 def _compare(

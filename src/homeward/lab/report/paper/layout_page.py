@@ -16,6 +16,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.io.table import write_csv
+from homeward.io.writing import whole_folder
 from homeward.lab.report.paper.claims import claims, reading_words, start_words, verdict
 from homeward.lab.report.paper.page import COLOURS, QUANTITIES
 from homeward.lab.report.study.page import below_bound, note_below
@@ -42,7 +43,6 @@ from homeward.runs.report.canvas import (
     style,
     uncrowd,
 )
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import GREEN, INK, MUTED, SKY
 from homeward.runs.report.template import render
 from homeward.runs.report.words import percent

@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 from scipy.stats import binomtest
 
 from homeward.io.table import write_csv
+from homeward.io.writing import whole_folder
 from homeward.lab.report.study.maps import GOOD_TO_BAD
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.paper.map import FAR_M, MapResults
 from homeward.runs.report.canvas import new_figure, png, style
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import INK, VERMILLION
 
 FIGURE, TABLE = "map.png", "map.csv"

@@ -16,6 +16,7 @@ from matplotlib.patches import Arc
 
 from homeward.geometry.angles import wrap
 from homeward.io.table import write_csv
+from homeward.io.writing import whole_folder
 from homeward.lab.report.paper.claims import median, triple, verdict
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS
 from homeward.lab.studies.paper.layouts import Reading
@@ -28,7 +29,6 @@ from homeward.lab.studies.paper.reproduction import (
 )
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
 from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
 from homeward.runs.report.template import render, write_settings
 from homeward.runs.report.words import count, listing

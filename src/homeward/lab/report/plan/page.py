@@ -9,13 +9,13 @@ import yaml
 from markupsafe import Markup
 
 from homeward.io.table import write_csv
+from homeward.io.writing import whole_folder
 from homeward.lab.planning.accuracy import Arcs
 from homeward.lab.planning.analysis import PlanView
 from homeward.lab.report.plan.figures import costliest, draw_accuracy, draw_begin, draw_hidden
 from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn
 from homeward.runs.report.files import number
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.template import render
 
 RIGID = 3

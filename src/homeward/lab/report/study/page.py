@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 
+from homeward.io.writing import whole_folder
 from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.study.results import Results, write_netcdf
@@ -40,7 +41,6 @@ from homeward.runs.report.canvas import (
     uncrowd,
 )
 from homeward.runs.report.files import write_tables
-from homeward.runs.report.output import whole_folder
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED, RULE
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing

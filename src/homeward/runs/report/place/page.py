@@ -9,7 +9,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from homeward.io.reading import naming
+from homeward.io.writing import write_whole
 from homeward.places.place import Place
 from homeward.runs.report import words
 from homeward.runs.report.canvas import legend_below, new_figure, plain, style, svg
@@ -45,9 +45,7 @@ def write_page(file: Path, place: Place) -> None:
         ],
         visits=place.visits[: -MOST_ROWS - 1 : -1],
     )
-    with naming(file, "cannot be written"):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(html, encoding="utf-8")
+    write_whole(file, html.encode())
 
 
 def _draw_map(place: Place) -> Figure:

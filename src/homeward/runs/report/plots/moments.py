@@ -50,8 +50,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     return {
         "t": _rounded(t, 3),
         "opening": min(
-            range(rows.size),
-            key=lambda i: (poses[i] is None, not seen[i], abs(t[i] - t[-1] / 2)),
+            range(rows.size), key=lambda i: (poses[i] is None, not seen[i], abs(t[i] - t[-1] / 2))
         ),
         "pose": poses,
         "cov": _rows(track.covariance[rows][:, [0, 0, 1], [0, 1, 1]], 8),
