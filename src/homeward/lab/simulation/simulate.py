@@ -132,7 +132,13 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
     write_folder(simulation.drive, folder)
     with naming(folder, "cannot be written"):
         (folder / SCENARIO).write_text(scenario_yaml(simulation.scenario), encoding="utf-8")
-        _write_world(simulation.world, folder / WORLD)
+        world, head = simulation.world, ("landmark", "x", "y", "moved", "fault")
+        columns = zip(world.ids, world.in_home_frame, world.fault, strict=True)
+        rows = (
+            (landmark, quantise(x, 4), quantise(y, 4), int(fault != 0.0), quantise(fault, 5))
+            for landmark, (x, y), fault in columns
+        )
+        write_csv(folder / WORLD, head, rows)
 
 
 def _existing(source: str) -> Path:
@@ -156,12 +162,3 @@ def _change(tree: dict[str, Any], key: str, value: Any) -> None:
         for other in branch.keys() - {"speed", "duration"} - points:
             del branch[other]
     branch[last] = value
-
-
-def _write_world(world: World, path: Path) -> None:
-    columns = zip(world.ids, world.in_home_frame, world.fault, strict=True)
-    rows = (
-        (landmark, quantise(x, 4), quantise(y, 4), int(fault != 0.0), quantise(fault, 5))
-        for landmark, (x, y), fault in columns
-    )
-    write_csv(path, ("landmark", "x", "y", "moved", "fault"), rows)

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from homeward.lab.engine.batch.job import LARGEST, Draw, Given, Job, Result
+from homeward.lab.engine.batch.job import LARGEST, Given, Job, Result
 from homeward.lab.engine.native.source import Source, source_of
 from homeward.native.library import load
 
@@ -70,7 +70,10 @@ def _described(
     tables: dict[str, list[tuple[int, ...]]] = {
         "start": [_given(g, places) for g in job.start],
         "series": [_given(g, places) for g in job.series],
-        "draws": [_draw(d, job, places) for d in job.draws],
+        "draws": [
+            (places[d.name], job.size(d.name), places[d.scale], int(d.normal), d.stream)
+            for d in job.draws
+        ],
         "guarded": [(places[k], job.size(k), 0) for k in job.guarded],
         "sums": _kept(result.sums, places),
         "final": _kept(result.final, places),
@@ -102,12 +105,6 @@ def _given(given: Given, places: Mapping[str, int]) -> tuple[int, ...]:
     by_run = steps * size if runs > 1 else 0
     place = places[given.name]
     return place, size, given.values.ctypes.data, by_run, size if steps > 1 else 0
-
-
-def _draw(draw: Draw, job: Job, places: Mapping[str, int]) -> tuple[int, ...]:
-    """Return its place, size, scale, whether it is normal, and its stream."""
-    size = job.size(draw.name)
-    return places[draw.name], size, places[draw.scale], int(draw.normal), draw.stream
 
 
 def _kept(arrays: Mapping[str, np.ndarray], places: Mapping[str, int]) -> list[tuple[int, ...]]:

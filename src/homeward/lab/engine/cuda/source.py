@@ -34,10 +34,11 @@ def parts_of(job: Job, loop: Separable) -> dict[str, list[str]]:
         own += world.own
     step = split_step(loop.kind, _place)
     observe = [] if loop.score is None else _score(loop.score)
+    sums = [f"sums[{k}] += {entry};" for k, entry in enumerate(summed(job))]
     return {
         "shared": shared + step.shared,
         "own": own + step.own,
-        "observe": observe + _sums(job) + _kept(job, "history"),
+        "observe": observe + sums + _kept(job, "history"),
         "finish": _kept(job, "final") + _finished_sums(job),
         "advance": template("advance.cu").splitlines(),
         "total": template("total.cu").splitlines(),
@@ -62,7 +63,7 @@ def _draws(job: Job) -> tuple[list[str], list[str]]:
         own.append("const REAL noise = READ_NOISE(i);")
     if "mask" not in drawn:
         own.append("seen |= (Bits)(READ_MASK(i) != (REAL)0) << i;")
-    elif _always(job, "visibility"):
+    elif any(g.name == "visibility" and np.all(g.values >= 1.0) for g in job.start):
         own.append("seen |= (Bits)1 << i;")
     else:
         own.append(f"{_EVEN} uniforms({words.format(drawn['mask'], 'i / 2')}, chance);")
@@ -71,10 +72,6 @@ def _draws(job: Job) -> tuple[list[str], list[str]]:
 
 
 _EVEN = "if (GROUP > 1 || i % 2 == 0)"  # one draw gives two numbers
-
-
-def _always(job: Job, name: str) -> bool:
-    return any(g.name == name and bool(np.all(g.values >= 1.0)) for g in job.start)
 
 
 def _world(function: ca.Function) -> Split:
@@ -118,10 +115,6 @@ def _score(function: ca.Function) -> list[str]:
 
 
 _SCORED = {"error": 3, "squared_error": 3, "nees": 1, "arrived": 1}
-
-
-def _sums(job: Job) -> list[str]:
-    return [f"sums[{k}] += {entry};" for k, entry in enumerate(summed(job))]
 
 
 def _finished_sums(job: Job) -> list[str]:

@@ -149,22 +149,15 @@ class OnlineFilter:
         home, distances, sigmas = self._carrier.landmarks(belief)
         known = []
         for i, landmark in enumerate(self._ids):
-            entry = LandmarkEstimate(landmark, home_bearing_stored=float(wrap(stored[i])))
+            entry: dict[str, Any] = {"home_bearing_stored": float(wrap(stored[i]))}
             if belief.active[i]:
-                entry = replace(
-                    entry,
-                    home_bearing_estimated=float(home[i]),
-                    sightings=int(self._sightings[i]),
-                )
-                if 0 < distances[i] < math.inf:
-                    entry = replace(
-                        entry,
-                        x=float(distances[i] * np.cos(home[i])),
-                        y=float(distances[i] * np.sin(home[i])),
-                        distance=float(distances[i]),
-                        sigma_distance=float(sigmas[i]),
-                    )
-            known.append(entry)
+                entry["home_bearing_estimated"] = float(home[i])
+                entry["sightings"] = int(self._sightings[i])
+                if 0 < (distance := float(distances[i])) < math.inf:
+                    entry |= {"distance": distance, "sigma_distance": float(sigmas[i])}
+                    entry["x"] = float(distances[i] * np.cos(home[i]))
+                    entry["y"] = float(distances[i] * np.sin(home[i]))
+            known.append(LandmarkEstimate(landmark, **entry))
         return sorted(known, key=lambda m: natural(m.landmark))
 
     def _advance(self, t: float) -> None:

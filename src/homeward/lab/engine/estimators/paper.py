@@ -7,13 +7,13 @@ of a `FilterConfig`, and raises `InputError` where home is empty or there is no 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Generic, Literal, TypeVar, Unpack
 
 import numpy as np
 
-from homeward.drives.drive import HomeBearing
+from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.known import Home, known_home, known_robot, known_settings
 from homeward.drives.settings import DriveSettings, Robot, Start
 from homeward.errors import InputError, needs_start_prior
@@ -309,3 +309,22 @@ def _home_sigma(told: FilterConfig[CartesianSettings]) -> np.ndarray:
 
 def _sensor_noise(told: FilterConfig[CartesianSettings]) -> SensorNoise:
     return SensorNoise(told.input_density, told.bearing_sigma, told.settings.gate_threshold)
+
+
+PEERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
+    "adaptive": adaptive,
+    "invariant": invariant,
+    "particle": particle,
+    "schmidt": schmidt,
+    "ukf": ukf,
+}
+
+
+def filter_for(name: str, drive: Drive, settings: Any) -> OnlineFilter:
+    """Return a filter by its name for a drive; for many samples it is worth compiling."""
+    samples = drive.odometry.t.size + drive.sightings.t.size
+    if name in PEERS:
+        home = known_home(drive.home)
+        return PEERS[name](FilterConfig(name, home, drive.settings, settings, samples))
+    make = {"ekf": ekf, "a-ekf": a_ekf, "pi-ekf": pi_ekf}[name]
+    return make(drive.home, settings=settings, samples=samples, **drive.settings.robot)

@@ -191,7 +191,8 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             _final(o, name) for o in (study.grid["4", circle], study.varied[LONG, "4", start])
         )
         falls = np.mean(late < early[: len(late)], axis=0)
-        words = " and ".join(_three(np.median(e, axis=0) * TO_PAPER_UNITS) for e in (early, late))
+        ends = (np.median(e, axis=0) * TO_PAPER_UNITS for e in (early, late))
+        words = " and ".join("{:.2g} cm, {:.2g}, {:.2g} rad".format(*end) for end in ends)
         seconds = f"{study.settings.paper.assumed.circle_time:g} and 200 s"
         said = f"Case 4, {name}, {start_words(circle)}"
         figure = f"errors after {seconds}: {words}; smaller in {triple(falls)} of layouts"
@@ -210,16 +211,13 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             last = _final(study.grid["1", precise], name)
             nearer = np.mean(last < first, axis=0)[[0, 2]]
             figure = "R {:.2g} cm and alpha {:.2g} rad at the start, {:.2g} and {:.2g} at the end"
-            ends = (
-                (first * TO_PAPER_UNITS)[[0, 2]],
-                (np.median(last, axis=0) * TO_PAPER_UNITS)[[0, 2]],
-            )
+            both = np.array([first, np.median(last, axis=0)]) * TO_PAPER_UNITS
             table.append(
                 Claim(
                     "It converges when precise information is given",
                     f"Case 1, {name}, {start_words(precise)}",
                     judged(nearer),
-                    figure.format(*ends[0], *ends[1])
+                    figure.format(*both[:, [0, 2]].ravel())
                     + f" in the median; below it in {triple(nearer)}",
                     command(study, precise),
                 )
@@ -263,10 +261,6 @@ def median(outcome: Outcome, name: str) -> np.ndarray:
 
 def _final(outcome: Outcome, name: str) -> np.ndarray:
     return np.asarray(outcome.final[outcome.names.index(name)])
-
-
-def _three(values: np.ndarray) -> str:
-    return "{:.2g} cm, {:.2g}, {:.2g} rad".format(*values)
 
 
 def triple(shares: np.ndarray) -> str:

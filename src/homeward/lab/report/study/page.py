@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -280,7 +281,7 @@ def write_study(directory: Path, results: Results) -> list[list[str]]:
     """
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
-            (name, *drawn(scratch, _file(name), caption, figure))
+            (name, *drawn(scratch, re.sub(r"[^\w-]", "_", name), caption, figure))
             for name, caption, figure in figures(results)
         ]
         write_netcdf(results, scratch / DATA)
@@ -335,7 +336,3 @@ def _page(
         failures=failures(results),
         settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
     )
-
-
-def _file(name: str) -> str:
-    return "".join(c if c.isalnum() or c in "-_" else "_" for c in name)

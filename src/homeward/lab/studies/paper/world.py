@@ -54,13 +54,17 @@ class PaperWorld:
 
 def fault_count(case: CaseName, settings: PaperSettings) -> int:
     """Return how many landmarks of a case have been moved."""
-    assumed, q = settings.assumed, settings.printed.landmarks
-    counts: dict[str, int] = {
-        "2": assumed.faults,
-        "3 (one fault)": int(assumed.single_fault != 0),
-        "3 (several)": sum(fault != 0 for fault in assumed.several_faults[:q]),
-    }
-    return min(counts.get(case, 0), q)
+    if case == "2":
+        return min(settings.assumed.faults, settings.printed.landmarks)
+    return sum(fault != 0 for fault in _given_faults(case, settings))
+
+
+def _given_faults(case: CaseName, settings: PaperSettings) -> tuple[float, ...]:
+    """Return the faults of the first landmarks, as far as none is drawn [rad]."""
+    assumed = settings.assumed
+    given: dict[str, tuple[float, ...]] = {"3 (one fault)": (assumed.single_fault,)}
+    given["3 (several)"] = assumed.several_faults
+    return given.get(case, ())[: settings.printed.landmarks]
 
 
 def visibility(case: CaseName, settings: PaperSettings) -> float:
@@ -100,9 +104,6 @@ def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -
     if case == "2":
         which = rng.choice(q, size=min(assumed.faults, q), replace=False)
         faults[which] = rng.uniform(*assumed.fault, which.size) * rng.choice([-1, 1], which.size)
-    elif case == "3 (one fault)":
-        faults[0] = assumed.single_fault
-    elif case == "3 (several)":
-        given = assumed.several_faults[:q]
-        faults[: len(given)] = given
+    given = _given_faults(case, settings)
+    faults[: len(given)] = given
     return faults

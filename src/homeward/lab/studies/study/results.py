@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import InputError
+from homeward.io.writing import whole_file
 from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import BlockStore, our_version
 from homeward.lab.studies.study.plan import StudyPlan, block_name
@@ -122,7 +123,8 @@ def write_netcdf(results: Results, path: Path) -> None:
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
     # In memory first: on a disk that is full, HDF5 may end the whole process.
     content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
-    path.write_bytes(content)
+    with whole_file(path) as scratch:
+        scratch.write_bytes(content)
 
 
 def _coordinate(values: list[Any]) -> Any:

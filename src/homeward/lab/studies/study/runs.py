@@ -105,7 +105,8 @@ def run_block(block: StudyBlock) -> Arrays:
         for j, run, found in each(block, range(first, min(first + TOGETHER, block.last))):
             i = run - block.first
             if isinstance(found, Exception):
-                failures[j][i] = _reason(found)
+                reason = " ".join(f"{type(found).__name__}: {found}".split())
+                failures[j][i] = reason[:LONGEST_REASON]
             else:
                 for name, value in found.items():
                     kept[name][j, i] = value
@@ -123,10 +124,6 @@ def _tried(function: Callable[[], T]) -> T | Exception:
         return function()
     except Exception as error:
         return error
-
-
-def _reason(error: Exception) -> str:
-    return " ".join(f"{type(error).__name__}: {error}".split())[:LONGEST_REASON]
 
 
 def _closed_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
