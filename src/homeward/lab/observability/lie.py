@@ -137,19 +137,9 @@ def observe_model(landmarks: int, compass: bool = False, distances: bool = False
     state, stored = points[k]
     to_robot = _robot_chart(landmarks)
     chart, by_state = (np.array(m) for m in to_robot(state, stored))
-    return ModelRank(
-        landmarks=landmarks,
-        compass=compass,
-        distances=distances,
-        n=landmarks + POLAR,
-        rank=best.value,
-        order=order,
-        singular_values=best.singular_values,
-        precise=precise,
-        home=chart[:POLAR, 0],
-        marks=chart[POLAR:, 0].reshape(-1, 2),
-        null=by_state @ best.null,
-    )
+    model = landmarks, compass, distances, landmarks + POLAR
+    seen = chart[:POLAR, 0], chart[POLAR:, 0].reshape(-1, 2), by_state @ best.null
+    return ModelRank(*model, best.value, order, best.singular_values, precise, *seen)
 
 
 @lru_cache(maxsize=32)

@@ -128,7 +128,8 @@ def in_words(scene: Scene, null: np.ndarray, tolerance: float = ANGLE) -> list[F
     freedoms += [
         Freedom(_components(scene, v), (v * scene.worth)[:, None]) for v in beyond(whole, told).T
     ]
-    return sorted(freedoms, key=lambda f: not _moves_home(scene, f))
+    home = scene.worth[:POLAR, None]
+    return sorted(freedoms, key=lambda f: np.abs(f.directions[:POLAR] / home).max() <= 1e-6)
 
 
 Described = list[tuple[str, np.ndarray]]
@@ -272,10 +273,6 @@ def _sight(scene: Scene, i: int) -> np.ndarray:
     origin = scene.poses[rows if rows.any() else slice(None), :2].mean(axis=0)
     away = scene.landmarks[i] - origin
     return np.asarray(away / max(float(np.hypot(*away)), 1e-12))
-
-
-def _moves_home(scene: Scene, freedom: Freedom) -> bool:
-    return bool(np.abs(freedom.directions[:POLAR] / scene.worth[:POLAR, None]).max() > 1e-6)
 
 
 @dataclass(frozen=True)

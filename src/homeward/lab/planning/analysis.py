@@ -288,23 +288,9 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
         Places.pairs, CHUNK // 10, arcs, floor, places[rows], marks, lambda f: tell(0.5 + 0.2 * f)
     )
     advice = _advise(plan, floor, arcs, rows, lambda f: tell(0.7 + 0.3 * f))
-    return PlanView(
-        plan=plan,
-        floor=floor,
-        names=tuple(plan.landmarks),
-        marks=marks,
-        stored=home_sees(plan, floor, marks),
-        position=position,
-        heading=heading,
-        common=common,
-        score=score,
-        hidden=hidden,
-        sample=rows,
-        moved=moved,
-        pair_share=begins.mean(axis=0),
-        pair_safe=safe,
-        advice=advice,
-    )
+    known = plan, floor, tuple(plan.landmarks), marks, home_sees(plan, floor, marks)
+    best = position, heading, common, score, hidden
+    return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe, advice)
 
 
 def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progress) -> Advice:

@@ -139,20 +139,10 @@ def observe_drive(
         windows.append(seen.window(float(begin), min(float(begin) + window, float(seen.t[-1]))))
         if progress is not None:
             progress((k + 1) / begins.size)
-    return DriveView(
-        name=drive.name,
-        path_from=path_from,
-        bearing_sigma=seen.sigma,
-        home_sigma=seen.home_sigma,
-        t=seen.t,
-        poses=seen.poses,
-        names=seen.names,
-        places=seen.places,
-        stored=seen.stored,
-        unplaced=seen.unplaced,
-        windows=tuple(windows),
-        whole=seen.window(0.0, float(seen.t[-1])),
-    )
+    whole = seen.window(0.0, float(seen.t[-1]))
+    path = seen.sigma, seen.home_sigma, seen.t, seen.poses
+    marks = seen.names, seen.places, seen.stored, seen.unplaced
+    return DriveView(drive.name, path_from, *path, *marks, tuple(windows), whole)
 
 
 def _path(drive: Drive) -> tuple[np.ndarray, Pose, str]:

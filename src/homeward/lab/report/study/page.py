@@ -6,6 +6,7 @@ import math
 import re
 import textwrap
 from collections.abc import Callable, Iterator, Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -194,12 +195,8 @@ def _ticks(axes: Axes) -> LogLocator:
 
 def _places(rows: list[Line]) -> list[float]:
     """Return where each row stands, with room for a heading before each scenario."""
-    places, at, before = [], 0.0, rows[0].scenario
-    for line in rows:
-        at += 1.4 if line.scenario != before else 0.0
-        before = line.scenario
-        places.append(at)
-        at += 1.0
+    new = [False, *(a.scenario != b.scenario for a, b in pairwise(rows))]
+    places: list[float] = (np.arange(len(rows)) + 1.4 * np.cumsum(new)).tolist()
     return places
 
 

@@ -80,12 +80,9 @@ def to_dataset(results: Results) -> Any:
     plan, study = results.plan, results.plan.study
     dims = ("scenario", "estimator", "run")
     data: dict[str, Any] = {}
-    for name, quantity in RUN.items():
-        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
-        data[name] = (dims, results.run[name], attributes)
-    for name, quantity in SERIES.items():
-        attributes = {"units": quantity.unit, "long_name": quantity.meaning}
-        data[name] = ((*dims, "time"), results.series[name], attributes)
+    for name, quantity in (RUN | SERIES).items():
+        along, values = (dims, results.run) if name in RUN else ((*dims, "time"), results.series)
+        data[name] = along, values[name], {"units": quantity.unit, "long_name": quantity.meaning}
     words = {"long_name": "why the run failed; empty where it did not"}
     data[FAILURE] = (dims, results.failure.astype(object), words)
 
