@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from homeward.cli.options import AsJson
-from homeward.cli.terminal import answer, say
+from homeward.cli.terminal import say, show
 
 if TYPE_CHECKING:
     from homeward.places.place import Place
@@ -30,11 +30,7 @@ def info(folder: Folder, json: AsJson = False) -> None:
     from homeward.runs.report.place.words import info_lines
 
     found = load_place(folder)
-    if json:
-        answer(_facts(found))
-        return
-    for line in info_lines(found):
-        say(line)
+    show(json, _facts(found), *info_lines(found))
 
 
 def _facts(place: Place) -> dict[str, Any]:

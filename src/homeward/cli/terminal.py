@@ -39,9 +39,19 @@ def answer(facts: dict[str, Any]) -> None:
     typer.echo(json.dumps(plain, indent=2))
 
 
-def warn(text: str) -> None:
+def show(as_json: bool, facts: dict[str, Any], *lines: str) -> None:
+    """Print an answer for programs, or else its lines for people."""
+    if as_json:
+        answer(facts)
+        return
+    for line in lines:
+        say(line)
+
+
+def warn(*texts: str) -> None:
     """Print what a user must know, so that it stands out."""
-    _marked("Note: ", text, typer.colors.YELLOW)
+    for text in texts:
+        _marked("Note: ", text, typer.colors.YELLOW)
 
 
 def refuse(text: str) -> None:

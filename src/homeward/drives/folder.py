@@ -161,8 +161,7 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
         )
     order = np.argsort(t, kind="stable")
     remarks[SORTED.format(what)] = int((late > 0).sum())
-    columns = {name: values[order] for name, values in table.columns.items()}
-    return Table(table.file, table.row[order], columns)
+    return table.rows(order)
 
 
 def _by_landmarks(table: Table) -> bool:

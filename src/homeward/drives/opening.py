@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
 from homeward.drives.drive import Drive
@@ -31,32 +30,11 @@ from homeward.io.table import quoted
 
 SAMPLE = "sample"
 """The word for the drive that ships inside the package."""
+IMAGE_FOLDER = "folder of images (images.csv)"
+DRIVE_FOLDER = "drive folder (odometry.csv, bearings.csv, home.csv)"
+LOG = "log (a ROS bag or an MCAP file)"
 TABLES = (".csv", ".tsv")
 """Files that may be made a drive."""
-
-
-@dataclass(frozen=True)
-class Choices:
-    """What a user says of a drive beside where it is."""
-
-    topics: Path | None
-    home_spin: tuple[float, float] | None
-    tell: Callable[[float], None] | None
-
-    def refuse_topics(self, kind: str, path: Path) -> None:
-        """Raise InputError when topics were named: a drive of this kind has none."""
-        if self.topics is not None:
-            raise InputError(f"there are no topics to choose in a {kind}", path)
-
-
-@dataclass(frozen=True)
-class Reader:
-    """One kind of drive."""
-
-    kind: str
-    """In words, for messages."""
-    recognises: Callable[[Path], bool]
-    read: Callable[[Path, Choices], Drive]
 
 
 def open_drive(
@@ -86,10 +64,21 @@ def open_drive(
         When no reader knows it, its reader refuses it, or bearings and odometry do not overlap.
     """
     place = located(path)
-    named = None if topics is None else Path(topics)
-    choices = Choices(named, home_spin, tell)
-    drive = on_one_clock(on_time(reader_of(place).read(place, choices)), place)
-    drive = _truth_from_home(drive, place)
+    kind = kind_of(place)
+    if topics is not None and kind != LOG:
+        raise InputError(f"there are no topics to choose in a {kind.partition(' (')[0]}", place)
+    # Imported where they are needed alone: rosbags and OpenCV take a while.
+    if kind == IMAGE_FOLDER:
+        from homeward.vision.recorded.recording import see_recording
+
+        drive = see_recording(place, tell)
+    elif kind == DRIVE_FOLDER:
+        drive = read_folder(place, home_needed=home_spin is None)
+    else:
+        from homeward.drives.ros.reading import read_log
+
+        drive = read_log(place, None if topics is None else Path(topics), tell)
+    drive = _truth_from_home(on_one_clock(on_time(drive), place), place)
     when = drive.settings.home
     if home_spin is not None:
         when = validated(HomeWhen, {"spin": home_spin})
@@ -125,11 +114,11 @@ def sample_drive() -> Path:
     return shipped(SAMPLE)
 
 
-def reader_of(place: Path) -> Reader:
-    """Return the reader that recognises a path; `InputError` says what to do where none does."""
-    for reader in READERS:
-        if reader.recognises(place):
-            return reader
+def kind_of(place: Path) -> str:
+    """Return the kind of drive at a path; `InputError` says what to do where there is none."""
+    for kind, recognises in KINDS.items():
+        if recognises(place):
+            return kind
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
         ways = "homeward place tells of it, homeward run DRIVE --place uses it"
         raise InputError(f"a place, not a drive: {ways}", place)
@@ -139,28 +128,7 @@ def reader_of(place: Path) -> Reader:
         raise InputError(f"a folder of logs; name one: {', '.join(map(quoted, logs[:4]))}", place)
     if is_mrclam(place):
         raise InputError(f"an MRCLAM folder: {mrclam_command(place)} makes a drive of it", place)
-    kinds = " nor ".join(reader.kind for reader in READERS)
-    raise InputError(f"neither {kinds}", place)
-
-
-def _open_folder(path: Path, choices: Choices) -> Drive:
-    choices.refuse_topics("drive folder", path)
-    return read_folder(path, home_needed=choices.home_spin is None)
-
-
-def _open_log(path: Path, choices: Choices) -> Drive:
-    # Imported here alone: rosbags takes a while.
-    from homeward.drives.ros.reading import read_log
-
-    return read_log(path, choices.topics, choices.tell)
-
-
-def _open_images(path: Path, choices: Choices) -> Drive:
-    choices.refuse_topics("folder of images", path)
-    # Imported here alone: what only reads logs needs no images.
-    from homeward.vision.recorded.recording import see_recording
-
-    return see_recording(path, choices.tell)
+    raise InputError(f"neither a {' nor a '.join(KINDS)}", place)
 
 
 def is_image_folder(path: Path) -> bool:
@@ -169,14 +137,8 @@ def is_image_folder(path: Path) -> bool:
     return is_there(path / IMAGES) and not is_there(path / BEARINGS)
 
 
-READERS = (
-    Reader("a folder of images (images.csv)", is_image_folder, _open_images),
-    Reader("a drive folder (odometry.csv, bearings.csv, home.csv)", is_drive_folder, _open_folder),
-    Reader("a log (a ROS bag or an MCAP file)", is_log, _open_log),
-)
-"""In the order in which they are asked."""
-
-
+KINDS = {IMAGE_FOLDER: is_image_folder, DRIVE_FOLDER: is_drive_folder, LOG: is_log}
+"""What recognises each kind of drive, in the order in which they are asked."""
 LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 """ROS 1 bag, MCAP, and the sqlite3 file of a ROS 2 bag."""
 

@@ -87,9 +87,11 @@ class Table:
     def last_of_equal_stamps(self) -> Table:
         """Keep only the last of the entries that share a `t`."""
         t = self["t"]
-        keep = np.ones(t.size, bool)
-        keep[:-1] = t[1:] != t[:-1]
-        return Table(self.file, self.row[keep], {n: c[keep] for n, c in self.columns.items()})
+        return self.rows(np.append(t[1:] != t[:-1], True)[: t.size])
+
+    def rows(self, use: np.ndarray) -> Table:
+        """Return some rows: a mask (n,), or their numbers."""
+        return Table(self.file, self.row[use], {n: c[use] for n, c in self.columns.items()})
 
 
 @dataclass(frozen=True)
@@ -179,14 +181,19 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
     raise InputError(f"{name} {trouble}", path, rows[i])
 
 
-def numbers_or_nothing(
-    name: str, cells: Sequence[str], rows: Sequence[int], path: Path
-) -> np.ndarray:
-    """Parse finite numbers; an empty cell gives NaN."""
-    given = [i for i, cell in enumerate(cells) if cell.strip()]
-    values = np.full(len(cells), np.nan)
-    values[given] = numbers(name, [cells[i] for i in given], [rows[i] for i in given], path)
-    return values
+def or_nothing(parse: Parser, nothing: float | str) -> Parser:
+    """Return a parser that gives `nothing` for an empty cell."""
+
+    def parse_given(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+        given = [i for i, cell in enumerate(cells) if cell.strip()]
+        values = np.full(len(cells), nothing, object if nothing == "" else float)
+        values[given] = parse(name, [cells[i] for i in given], [rows[i] for i in given], path)
+        return values
+
+    return parse_given
+
+
+numbers_or_nothing = or_nothing(numbers, math.nan)
 
 
 def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:

@@ -23,6 +23,7 @@ from homeward.io.table import (
     identifiers,
     numbers,
     numbers_or_nothing,
+    or_nothing,
     read_csv,
     write_csv,
 )
@@ -172,18 +173,8 @@ def _parser(of: Field[Any]) -> Parser:
     if of.name in DAYS:
         return _days
     if of.default == "":
-        return _identifiers_or_nothing
+        return or_nothing(identifiers, "")
     return identifiers if of.type == "str" else numbers
-
-
-def _identifiers_or_nothing(
-    name: str, cells: Sequence[str], rows: Sequence[int], path: Path
-) -> np.ndarray:
-    """Parse ids; an empty cell gives an empty one."""
-    given = [i for i, cell in enumerate(cells) if cell.strip()]
-    values = np.full(len(cells), "", object)
-    values[given] = identifiers(name, [cells[i] for i in given], [rows[i] for i in given], path)
-    return values
 
 
 def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:

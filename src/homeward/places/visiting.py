@@ -274,15 +274,9 @@ def _with_stored(place: Place, told: VisitData) -> Place:
         require_name("home", name, place.homes)
         if answer.pose is None or answer.covariance is None:
             continue
-        pose = np.array(_in_place(place, told.home, answer.pose))
-        turn = rotation(place.home_pose(place.required(told.home)).heading)
+        origin = place.home_pose(place.required(told.home))
+        pose, turn = compose(np.array(origin), np.array(answer.pose)), rotation(origin.heading)
         spread = turn @ answer.covariance @ turn.T
         there = place.map.with_home(name, {}, Pose(0.0, 0.0, 0.0), pose, spread)
         place = replace(place, map=there, homes={**place.homes, name: stored})
     return place
-
-
-def _in_place(place: Place, home: str | None, at: Pose) -> Pose:
-    """Return a pose that was answered in the frame of a home in that of the place."""
-    origin = np.array(place.home_pose(place.required(home)))
-    return Pose(*compose(origin, np.array(at)).tolist())

@@ -38,34 +38,31 @@ ELLIPSE_SHARES = (0.3934693402873666, 0.8646647167633873, 0.9888910034617577)
 
 @dataclass(frozen=True)
 class Errors:
-    """Errors of the rows of a track that truth can judge; all arrays have shape (m,)."""
+    """Errors of the rows of a track that ground truth covers; all arrays have shape (m,).
+
+    Errors are estimated minus true; lengths in m, angles in rad and wrapped.
+    """
 
     t: np.ndarray
-    """Times [s]."""
+    """[s]"""
     weight: np.ndarray
     """How long each row counts [s]."""
     x: np.ndarray
-    """Estimated minus true [m]."""
     y: np.ndarray
-    """Estimated minus true [m]."""
     position: np.ndarray
-    """Distance from the true position [m]."""
+    """Distance from the true position."""
     R: np.ndarray
-    """Estimated minus true distance from home [m]."""
+    """Of the distance from home."""
     theta: np.ndarray
-    """Estimated minus true direction from home [rad], wrapped."""
+    """Of the direction from home."""
     heading: np.ndarray
-    """Estimated minus true [rad], wrapped."""
     nees: np.ndarray
     """Normalised estimation error squared of (x, y, heading); chi-square(3) when consistent."""
     nees_position: np.ndarray
     """The same of (x, y)."""
     true_x: np.ndarray
-    """[m]"""
     true_y: np.ndarray
-    """[m]"""
     true_heading: np.ndarray
-    """[rad]"""
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Truth
 from homeward.drives.ros.settings import LogSettings, MountFrames
-from homeward.drives.settings import DriveSettings, Mount
+from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import HomewardError, InputError
 from homeward.io.keys import Strict
 from homeward.io.settings import settings_yaml, validated
@@ -110,7 +110,9 @@ class Replay:
                 self._undo.back()
             case Plain(do="save"):
                 settings = self.adjusted().settings
-                known: dict[str, Any] = {"sensor": _set_only(settings)}
+                known: dict[str, Any] = {
+                    "sensor": validated(Sensor, settings.sensor.model_dump(exclude_none=True))
+                }
                 if self._asked.bearings_late:
                     known["bearings_late"] = self._asked.bearings_late
                 if self._home is not None:
@@ -207,12 +209,6 @@ class Replay:
         marks = np.array([*placed.values()]).reshape(-1, 2)
         every = np.vstack([driven, marks[np.abs(marks - middle).max(axis=1) < reach]])
         return [*(every.min(axis=0) - MARGIN_M), *(every.max(axis=0) + MARGIN_M)]
-
-
-def _set_only(settings: DriveSettings) -> Mount:
-    """Return the sensor with every key that has a value as one that was set."""
-    values = settings.sensor.model_dump(exclude_none=True)
-    return validated(type(settings.sensor), values)
 
 
 def _rows(track: Track, t: np.ndarray, truth: Truth | None) -> dict[str, Any]:

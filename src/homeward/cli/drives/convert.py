@@ -32,5 +32,4 @@ def convert(
         f"{len(drive.home)} home bearings"
         + ("" if drive.truth is None else f", {drive.truth.t.size} true poses")
     )
-    for remark in drive.remark_lines:
-        warn(remark)
+    warn(*drive.remark_lines)

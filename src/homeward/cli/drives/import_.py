@@ -88,8 +88,7 @@ def import_(
         columns_read = [dict(zip(keys, row, strict=True)) for row in rows]
         answer({"columns": columns_read, "remarks": remarks, "picture": picture, "folder": out})
         return
-    for remark in remarks:
-        warn(remark)
+    warn(*remarks)
     say(f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?")
     if out is None:
         say("Nothing else was written; --out FOLDER writes the drive.")
@@ -122,6 +121,5 @@ def _mrclam(
     if json:
         answer({"remarks": drive.remark_lines, "folder": out})
         return
-    for remark in drive.remark_lines:
-        warn(remark)
+    warn(*drive.remark_lines)
     say(f"Drive folder: {out}")

@@ -51,8 +51,7 @@ def info(
     head = OF_FOLDERS if found.folder else OF_LOGS
     if found.topics:
         table([head, *(_row(topic) for topic in found.topics)], left=len(head))
-    for remark in found.remarks:
-        warn(remark)
+    warn(*found.remarks)
     if found.settings:
         say("Used, as a topics file would say it:")
         for line in found.settings.splitlines():

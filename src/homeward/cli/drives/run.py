@@ -233,8 +233,7 @@ def _run(
     else:
         for paragraph in words:
             say(paragraph)
-        for line in (*drive.remark_lines, *track.notes, *unread):
-            warn(line)
+        warn(*drive.remark_lines, *track.notes, *unread)
         if lack is None:
             say(f"Report: {folder / PAGE}")
         else:
@@ -294,8 +293,7 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
 
 def _say_several(outcomes: Sequence[Outcome], rows: list[list[str]], page: Path) -> None:
     print_rows(rows, left=1)
-    for line in outcomes[0].drive.remark_lines:
-        warn(line)
+    warn(*outcomes[0].drive.remark_lines)
     for outcome in outcomes:
         notes = () if outcome.track is None else outcome.track.notes
         for line in filter(None, (outcome.failure, *notes)):

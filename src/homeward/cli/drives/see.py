@@ -103,8 +103,7 @@ def see(
         answer({"summary": describe_sightings(drive), "folder": out, **known})
     else:
         say(describe_sightings(drive))
-        for line in drive.remark_lines:
-            warn(line)
+        warn(*drive.remark_lines)
         say(f"Drive: {out}")
     if not drive.sightings.t.size:
         raise no_answer()
@@ -147,8 +146,7 @@ def compare(
         answer({**told, "picture": str(out / PICTURE)})
     else:
         say(describe(seen))
-        for note in notes:
-            warn(note)
+        warn(*notes)
         say(f"Picture: {out / PICTURE}")
     if not seen.accepted:
         raise no_answer()

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import typer
 
 from homeward.cli.options import AsJson, Changes, key_values, progress
-from homeward.cli.terminal import answer, no_answer, say, warn
+from homeward.cli.terminal import no_answer, say, show, warn
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,23 +88,12 @@ def simulate(
     from homeward.lab.simulation.trajectories import settled
     from homeward.registry import make_estimator
 
-    options = {
-        "seed": seed,
-        "trajectory.kind": trajectory,
-        "estimator": estimator,
-        "trajectory.law": law,
-        "trajectory.place": place,
-        "trajectory.route": route,
-    }
     if (out is None) == (live is None):
         raise InputError("give one of --out and --live")
-    given = {key: value for key, value in options.items() if value is not None}
+    drive = {"trajectory": trajectory, "law": law, "place": place, "route": route}
     if images:
-        del options["seed"], options["estimator"]
-        if live is not None or (wrong := sorted(options.keys() & given.keys())):
-            name = "live" if live is not None else wrong[0].removeprefix("trajectory.")
-            name = "trajectory" if name == "kind" else name
-            raise InputError(f"--{name} is not for --images; --set takes its trajectory")
+        if wrong := [name for name, value in ({"live": live} | drive).items() if value is not None]:
+            raise InputError(f"--{wrong[0]} is not for --images; --set takes its trajectory")
         estimators = {"estimator": estimator} if estimator else {}
         render(scenario, cast(Path, out), seed, points, key_values(changes or []) | estimators)
         return
@@ -115,9 +104,11 @@ def simulate(
             raise InputError("--live knows no place: that is homeward live's")
         if (route is not None) != (trajectory in ("teach", "repeat")):
             raise InputError("--live takes --route NAME with --trajectory teach or repeat")
-        del options["trajectory.route"]
+        del drive["route"]
         if trajectory == "repeat":
-            del options["trajectory.kind"]
+            del drive["trajectory"]
+    options: dict[str, Any] = {"seed": seed, "estimator": estimator}
+    options |= {f"trajectory.{'kind' if k == 'trajectory' else k}": v for k, v in drive.items()}
     given = {key: value for key, value in options.items() if value is not None}
     chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
     if live is not None:
@@ -133,10 +124,7 @@ def simulate(
         simulation = run_simulation(chosen, steering, tell)
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
-    if json:
-        answer(_facts(simulation, out))
-    else:
-        say(_summary(simulation, out))
+    show(json, _facts(simulation, out), _summary(simulation, out))
 
 
 def _play(
@@ -154,14 +142,12 @@ def _play(
     hand = partial(make_control, scenario) if teach else None
     player = SimulatedRobotClient(LiveRobot(scenario), scenario.trajectory.duration, task, hand)
     token = os.environ.get("HOMEWARD_TOKEN") or None
-    asyncio.run(play(player, address(where), pace, token, lambda text: warn(text)))
+    asyncio.run(play(player, address(where), pace, token, warn))
     state, robot = player.last_words or "time up", player.robot
-    if json:
-        told = {"scenario": scenario.name, "ending": state}
-        answer({**told, "duration_s": robot.t, "from_home_m": robot.distance})
-    else:
-        end = f"{state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s"
-        say(f"{scenario.name}: {end}")
+    told = {"scenario": scenario.name, "ending": state}
+    end = f"{state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s"
+    facts = {**told, "duration_s": robot.t, "from_home_m": robot.distance}
+    show(json, facts, f"{scenario.name}: {end}")
     if not player.succeeded:
         raise no_answer()
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from homeward.cli.options import progress, read_drive
-from homeward.cli.terminal import answer, say
+from homeward.cli.terminal import show
 
 if TYPE_CHECKING:
     from homeward.lab.observability.study import ModelView
@@ -31,27 +31,22 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
         check_output(out, SETTINGS_FILE)
         tell(0.5)
         write_model_view(out, view, given)
-    if json:
-        rank = view.drive.found.value if view.model is None else view.model.rank
-        answer(
-            {
-                "summary": model_summary(view),
-                "rank": rank,
-                "unknowns": view.drive.unknowns if view.model is None else view.model.n,
-                "not_told": [freedom.words for freedom in view.freedoms],
-                "page": str(out / PAGE),
-            }
-        )
-        return
-    say(model_summary(view))
-    say(_numbers(view))
+    model = view.model
+    facts = {
+        "summary": model_summary(view),
+        "rank": view.drive.found.value if model is None else model.rank,
+        "unknowns": view.drive.unknowns if model is None else model.n,
+        "not_told": [freedom.words for freedom in view.freedoms],
+        "page": out / PAGE,
+    }
+    lines = [model_summary(view), _numbers(view)]
     if view.family:
         members = sum(len(t.unknowns) - 1 for t in view.family)
-        say(
+        lines.append(
             f"{members} other worlds drawn; in each all bearings are the same to"
             f" {same_to(view):.0e} rad."
         )
-    say(f"Page: {out / PAGE}")
+    show(json, facts, *lines, f"Page: {out / PAGE}")
 
 
 def _numbers(view: ModelView) -> str:
@@ -84,18 +79,13 @@ def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
     with progress(f"observing {opened.name}") as tell:
         view: DriveView = observe_drive(opened, settings["window"], tell)
         write_drive_view(out, view, settings)
-    if json:
-        answer(
-            {
-                "summary": drive_summary(view),
-                "whole": _window(view.whole),
-                "windows": [_window(window) for window in view.windows],
-                "page": str(out / PAGE),
-            }
-        )
-        return
-    say(drive_summary(view))
-    say(f"Page: {out / PAGE}")
+    facts = {
+        "summary": drive_summary(view),
+        "whole": _window(view.whole),
+        "windows": [_window(window) for window in view.windows],
+        "page": out / PAGE,
+    }
+    show(json, facts, drive_summary(view), f"Page: {out / PAGE}")
 
 
 def _window(window: Window) -> dict[str, Any]:

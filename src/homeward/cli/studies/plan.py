@@ -9,7 +9,7 @@ import typer
 
 from homeward.cli.options import AsJson, Topics, progress
 from homeward.cli.studies.observability import observe_model, observe_recording
-from homeward.cli.terminal import answer, say
+from homeward.cli.terminal import show
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
@@ -111,11 +111,8 @@ def _plan(source: str, out: Path, json: bool) -> None:
     with progress(f"planning {settings.name}") as tell:
         view = analyse(settings, tell)
         write_plan(out, view)
-    if json:
-        answer({"summary": plan_summary(view), **_facts(view), "page": str(out / PAGE)})
-        return
-    say(plan_summary(view))
-    say(f"Page: {out / PAGE}")
+    facts = {"summary": plan_summary(view), **_facts(view), "page": out / PAGE}
+    show(json, facts, plan_summary(view), f"Page: {out / PAGE}")
 
 
 def _facts(view: PlanView) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from homeward.cli.options import AsJson, Scheduler, Workers, key_values, progress, resumable
-from homeward.cli.terminal import answer, no_answer, say, warn
+from homeward.cli.terminal import answer, no_answer, say, show, warn
 from homeward.cli.terminal import table as print_rows
 from homeward.errors import InputError
 
@@ -125,9 +125,6 @@ def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> No
     with resumable(), progress(settings.name) as tell:
         results = run_map(settings, StudyBlocks(store, where, tell))
         write_map(folder, results)
-    files = {"figure": str(folder / FIGURE), "table": str(folder / TABLE)}
-    if as_json:
-        answer({"summary": headline(results), **files})
-    else:
-        say(headline(results))
-        say(f"Map: {folder / FIGURE}; every cell: {folder / TABLE}")
+    facts = {"summary": headline(results), "figure": folder / FIGURE, "table": folder / TABLE}
+    words = f"Map: {folder / FIGURE}; every cell: {folder / TABLE}"
+    show(as_json, facts, headline(results), words)

@@ -47,7 +47,8 @@ def read_mrclam(
     folder = Path(path)
     _check_arguments(home, home_noise, seed)
     require_folder(folder)
-    _check_robot(folder, robot)
+    if not is_there(folder / f"Robot{robot}_Odometry.dat"):
+        raise InputError(f"no robot {robot} in it; there are: {_robots_in(folder)}", folder)
     landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
     subjects = _read_barcodes(folder / BARCODES)
     remarks: dict[str, int] = {}
@@ -74,13 +75,6 @@ def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
         raise InputError(f"home noise is {home_noise}; it must be finite and not negative")
     if seed < 0:
         raise InputError(f"seed is {seed}; it must not be negative")
-
-
-def _check_robot(folder: Path, robot: int) -> None:
-    """Say which robots there are when this one is not."""
-    if is_there(folder / f"Robot{robot}_Odometry.dat"):
-        return
-    raise InputError(f"no robot {robot} in it; there are: {_robots_in(folder)}", folder)
 
 
 def mrclam_command(folder: Path) -> str:

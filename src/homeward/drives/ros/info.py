@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 
+from homeward.drives.drive import Truth
 from homeward.drives.folder import (
     BEARINGS,
     HOME,
@@ -26,7 +28,7 @@ from homeward.drives.folder import (
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
-from homeward.drives.opening import is_image_folder, located, reader_of
+from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
@@ -66,7 +68,7 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
     if is_mrclam(path):
         way = f"{mrclam_command(path)} makes a drive of it."
         return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
-    reader_of(path)  # refuses what is nothing
+    kind_of(path)  # refuses what is nothing
     if is_image_folder(path):
         return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
     if is_drive_folder(path):
@@ -100,14 +102,9 @@ _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
     ODOMETRY: ("t,v,omega", lambda file, told: read_odometry(file, told).t),
     BEARINGS: ("t,landmark,bearing", lambda file, told: np.unique(read_sightings(file, told).t)),
     IMAGES: ("t,file", lambda file, told: read_images(file.parent, told).t),
-    TRUTH: ("t,x,y,heading", lambda file, told: _true_times(file, told)),
+    TRUTH: ("t,x,y,heading", lambda file, told: cast(Truth, read_truth(file, told)).t),
 }
 """Files with times: their columns, and what reads the times [s]."""
-
-
-def _true_times(file: Path, told: _Remarks) -> np.ndarray:
-    truth = read_truth(file, told)
-    return np.empty(0) if truth is None else truth.t
 
 
 def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:

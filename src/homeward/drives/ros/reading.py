@@ -114,7 +114,9 @@ class _Reading:
             self._take(TF_STATIC, self._transforms.add)
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
-            self._take(plan.truth.topic, self._add_pose)
+            self._take(
+                plan.truth.topic, lambda t, m: self._poses.append((t, *map(float, pose_of(m))))
+            )
 
     def drive(self, tell: Tell | None) -> Drive:
         """Walk, and put together what was met."""
@@ -195,9 +197,6 @@ class _Reading:
         rows = CameraRows(told.camera, told.rectified)
         self._take(told.camera, rows.add)
         return rows.model
-
-    def _add_pose(self, t: float, message: Any) -> None:
-        self._poses.append((t, *map(float, pose_of(message))))
 
     def _walk(self, tell: Tell | None) -> None:
         log, clock = self._known.log, self._clock

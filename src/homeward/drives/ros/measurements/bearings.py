@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -79,84 +79,73 @@ def _bearings(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
         yield Sighting(landmark, value, sigma=sigma)
 
 
-def _detections(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for detection in message.detections:
-        centre = detection.bbox.center
-        point = getattr(centre, "position", centre)
-        yield Sighting(_detected(detection), point.x, point.y)
-
-
-def _detected(detection: Any) -> str:
-    """Return the id of a detection, as a tracker gave it, or else its likeliest class."""
-    for name in ("id", "tracking_id"):
-        if value := getattr(detection, name, ""):
-            return str(value)
-    hypotheses = [getattr(result, "hypothesis", result) for result in detection.results]
-    best = max(hypotheses, key=lambda hypothesis: float(hypothesis.score), default=None)
-    return str(getattr(best, "class_id", getattr(best, "id", "")))
+def _detection(found: Any) -> Sighting:
+    """Return a detection by the id of a tracker, or else by its likeliest class."""
+    centre = found.bbox.center
+    point = getattr(centre, "position", centre)
+    name = getattr(found, "id", "") or getattr(found, "tracking_id", "")
+    if not name:
+        hypotheses = [getattr(result, "hypothesis", result) for result in found.results]
+        best = max(hypotheses, key=lambda hypothesis: float(hypothesis.score), default=None)
+        name = getattr(best, "class_id", getattr(best, "id", ""))
+    return Sighting(str(name), point.x, point.y)
 
 
 def _corners(points: Any, off: float = 0.0) -> tuple[tuple[float, float], ...]:
     return tuple((p.x - off, p.y - off) for p in points)
 
 
-def _tags(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for tag in message.detections:
-        corners = _corners(tag.corners, HALF_PIXEL)
-        yield Sighting(str(tag.id), 0.0, corners=corners, errors=tag.hamming)
+def _points(
+    named: Callable[[Any, BearingsTopic], Iterable[tuple[Any, Any]]], axes: str | None = None
+) -> Reader:
+    """Return a reader of named points in space; without `axes` their frame specifies the axes."""
 
+    def read(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+        lie = _axes(message, told) if axes is None else told.axes or axes
+        for name, point in named(message, told):
+            yield Sighting(str(name), *_level(point, lie))
 
-def _tag_array(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for tag in message.apriltags:
-        yield Sighting(str(tag.id), 0.0, corners=_corners(tag.corners), errors=tag.hamming)
-
-
-def _fiducials(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for tag in message.fiducials:
-        corners = tuple((getattr(tag, f"x{k}"), getattr(tag, f"y{k}")) for k in range(4))
-        yield Sighting(str(tag.fiducial_id), 0.0, corners=corners)
-
-
-def _fiducial_poses(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for tag in message.transforms:
-        place = _level(tag.transform.translation, told.axes or "optical")
-        yield Sighting(str(tag.fiducial_id), *place)
-
-
-def _markers(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    axes = _axes(message, told)
-    for tag in message.markers:
-        yield Sighting(str(tag.id), *_level(tag.pose.pose.position, axes))
-
-
-def _tag_poses(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    for tag in message.detections:
-        name = "+".join(str(i) for i in tag.id)
-        yield Sighting(name, *_level(tag.pose.pose.pose.position, told.axes or "optical"))
-
-
-def _pose_array(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    axes = _axes(message, told)
-    for place, pose in enumerate(message.poses):
-        yield Sighting(str(place), *_level(pose.position, axes))
-
-
-def _point(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-    name = told.landmark or told.topic.rstrip("/").rpartition("/")[2]
-    yield Sighting(name, *_level(message.point, _axes(message, told)))
+    return read
 
 
 READERS: dict[str, Reader] = {
     BEARINGS: _bearings,
-    TAGS: _tags,
-    TAG_ARRAY: _tag_array,
-    FIDUCIALS: _fiducials,
-    MARKERS: _markers,
-    FIDUCIAL_POSES: _fiducial_poses,
-    TAG_POSES: _tag_poses,
-    DETECTIONS: _detections,
-    POSE_ARRAY: _pose_array,
-    POINT: _point,
+    TAGS: lambda message, _: (
+        Sighting(str(tag.id), 0.0, corners=_corners(tag.corners, HALF_PIXEL), errors=tag.hamming)
+        for tag in message.detections
+    ),
+    TAG_ARRAY: lambda message, _: (
+        Sighting(str(tag.id), 0.0, corners=_corners(tag.corners), errors=tag.hamming)
+        for tag in message.apriltags
+    ),
+    FIDUCIALS: lambda message, _: (
+        Sighting(
+            str(tag.fiducial_id),
+            0.0,
+            corners=tuple((getattr(tag, f"x{k}"), getattr(tag, f"y{k}")) for k in range(4)),
+        )
+        for tag in message.fiducials
+    ),
+    MARKERS: _points(lambda message, _: ((m.id, m.pose.pose.position) for m in message.markers)),
+    FIDUCIAL_POSES: _points(
+        lambda message, _: ((t.fiducial_id, t.transform.translation) for t in message.transforms),
+        "optical",
+    ),
+    TAG_POSES: _points(
+        lambda message, _: (
+            ("+".join(map(str, tag.id)), tag.pose.pose.pose.position) for tag in message.detections
+        ),
+        "optical",
+    ),
+    DETECTIONS: lambda message, _: map(_detection, message.detections),
+    POSE_ARRAY: _points(
+        lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
+    ),
+    POINT: _points(
+        lambda message, told: [
+            (told.landmark or told.topic.rstrip("/").rpartition("/")[2], message.point)
+        ]
+    ),
 }
 """By type, the best first."""
 

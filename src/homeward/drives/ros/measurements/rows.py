@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
-from homeward.drives.folder import without_repeats
+from homeward.drives.drive import last_of_equal
 from homeward.errors import InputError
-from homeward.io.table import Table
 
 NOT_FINITE = "{} with a number that is not finite, left out"
 LATE = "{} that came late, put in order by their stamps"
@@ -48,9 +45,6 @@ def clean_rows(
     table = table[finite]
     if not len(table):
         raise InputError(f"{topic}: no message with finite numbers that tells {what}")
-    table = table[in_order(table[:, 0], what, remarks)]
-    row = np.arange(len(table))
-    kept = without_repeats(
-        Table(Path(topic), row, {"t": table[:, 0], "row": row}), remarks, repeats
-    )
-    return np.asarray(table[kept["row"]])
+    kept = last_of_equal(table[in_order(table[:, 0], what, remarks)])
+    remarks.count(repeats, len(table) - len(kept))
+    return kept

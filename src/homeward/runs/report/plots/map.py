@@ -289,13 +289,20 @@ def _old_place(m: LandmarkEstimate) -> tuple[float, float]:
 
 def _landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
     """Return lines on a landmark; `rows` are its entries among the track's innovations."""
+    seen = track.innovations
+    mine, rejected = rows[seen.accepted[rows]], int((~seen.accepted[rows]).sum())
+    words_rejected = f"{rejected:,} rejected" if rejected else "none rejected"
     lines = [
         _moved_words(m, track),
-        _sighting_words(m, track, rows),
-        _residual_words(track, rows),
-        _whereabouts(m),
+        f"{words.count(m.sightings, 'sighting')} used, {words_rejected}",
     ]
-    return [line for line in lines if line]
+    if mine.size:
+        rms = float(np.sqrt(np.mean(seen.value[mine] ** 2)))
+        nis = float(np.mean((seen.value[mine] / seen.sigma[mine]) ** 2))
+        lines.append(f"innovations {words.degrees(rms)} RMS, mean NIS {nis:.2f}")
+    sigma = m.sigma_distance
+    spread = f", ± {words.quantity(sigma, 'm')}" if math.isfinite(sigma) else ""
+    return [*lines, f"{words.quantity(m.distance, 'm')} from home{spread}"]
 
 
 def _moved_words(m: LandmarkEstimate, track: Track) -> str:
@@ -306,30 +313,3 @@ def _moved_words(m: LandmarkEstimate, track: Track) -> str:
         return "not judged" + (": home did not see it" if math.isnan(m.home_bearing_stored) else "")
     chance = f"(moved with probability {words.percent(m.moved_probability)})"
     return f"{'moved since home was stored' if m.moved else 'in place'} {chance}"
-
-
-def _sighting_words(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> str:
-    """Say how often a landmark was seen."""
-    rejected = int((~track.innovations.accepted[rows]).sum())
-    return f"{words.count(m.sightings, 'sighting')} used" + (
-        f", {rejected:,} rejected" if rejected else ", none rejected"
-    )
-
-
-def _residual_words(track: Track, rows: np.ndarray) -> str:
-    """Say how far its sightings were from what was expected."""
-    seen = track.innovations
-    mine = rows[seen.accepted[rows]]
-    if not mine.size:
-        return ""
-    rms = float(np.sqrt(np.mean(seen.value[mine] ** 2)))
-    nis = float(np.mean((seen.value[mine] / seen.sigma[mine]) ** 2))
-    return f"innovations {words.degrees(rms)} RMS, mean NIS {nis:.2f}"
-
-
-def _whereabouts(m: LandmarkEstimate) -> str:
-    """Say where a landmark is."""
-    text = f"{words.quantity(m.distance, 'm')} from home"
-    if math.isfinite(m.sigma_distance):
-        text += f", ± {words.quantity(m.sigma_distance, 'm')}"
-    return text
