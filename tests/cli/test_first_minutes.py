@@ -20,7 +20,7 @@ from commands import call, first_seconds, refused
 from typer.testing import CliRunner
 
 import homeward
-from homeward.cli import terminal
+from homeward.cli import options as terminal
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings

@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from homeward.ros.newest import Newest
+from homeward.ros.camera import Newest
 
 
 def test_who_gives_never_waits_and_the_newest_alone_is_done():

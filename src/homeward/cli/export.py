@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from homeward.cli.options import Changes, key_values
-from homeward.cli.terminal import say, table
+from homeward.cli.options import Changes, key_values, say, table
 
 
 def export(

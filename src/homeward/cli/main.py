@@ -17,12 +17,12 @@ from homeward.cli.drives.see import see
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
 from homeward.cli.export import export
+from homeward.cli.options import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.cli.place import place
 from homeward.cli.settings import settings
 from homeward.cli.studies.plan import plan
 from homeward.cli.studies.study import study
 from homeward.cli.studio import studio
-from homeward.cli.terminal import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
 from homeward.errors import HomewardError, InputError, without
 
 FORMER = {

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import AsJson
-from homeward.cli.terminal import say, show
+from homeward.cli.options import AsJson, say, show
 
 if TYPE_CHECKING:
     from homeward.places.place import Place

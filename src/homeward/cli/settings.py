@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.options import AsJson
-from homeward.cli.terminal import answer, say
+from homeward.cli.options import AsJson, answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Topics, read_drive
-from homeward.cli.terminal import say
+from homeward.cli.options import Topics, read_drive, say
 
 
 def studio(

@@ -16,7 +16,7 @@ from homeward.drives.folder import (
     read_folder,
     write_folder,
 )
-from homeward.drives.home.choosing import with_home
+from homeward.drives.home.spin import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time

@@ -9,8 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.home.choosing import spin_words
-from homeward.drives.home.spin import HomeLooks
+from homeward.drives.home.spin import HomeLooks, spin_words
 from homeward.drives.settings import DriveSettings
 from homeward.drives.settings import Start as StartPrior
 from homeward.errors import InputError

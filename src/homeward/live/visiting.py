@@ -25,15 +25,7 @@ from homeward.io.table import quoted
 from homeward.live.messages import BearingsIn
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
-from homeward.places.files import (
-    PlaceChangedError,
-    check_place,
-    is_place,
-    load_place,
-    newest,
-    save_place,
-    update_place,
-)
+from homeward.places import files
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
 from homeward.places.route import Route, route_of, seen_along, taught_along
@@ -221,7 +213,7 @@ class PlaceSession:
             return merged(known, told)
 
         if self.place is not None and self._folder is not None and not self._is_merged:
-            after, self._version = update_place(self._folder, with_visit)
+            after, self._version = files.update_place(self._folder, with_visit)
         else:
             if self.place is None:
                 after = first_place(self.name, localizer, told, home)
@@ -235,11 +227,11 @@ class PlaceSession:
     def _save_again(self, after: Place, folder: Path) -> int:
         """Replace what an earlier save of this visit wrote; return the version."""
         try:
-            return save_place(after, folder, self._version)
-        except PlaceChangedError as error:
+            return files.save_place(after, folder, self._version)
+        except files.PlaceChangedError as error:
             if not self._is_merged:
                 raise
-            raise PlaceChangedError(
+            raise files.PlaceChangedError(
                 f"{error.what}, and holds this visit up to its last save; "
                 "reset the map to save the rest as a new visit",
                 error.file,
@@ -263,8 +255,8 @@ def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSes
         raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")
     when = time.time() / DAY_S
     if update:
-        check_place(folder)
-        if not is_place(folder):
+        files.check_place(folder)
+        if not files.is_place(folder):
             return PlaceSession(folder.resolve().name, when, update, folder)
-    version = newest(folder)
-    return PlaceSession(load_place(folder, version), when, update, folder, version)
+    version = files.newest(folder)
+    return PlaceSession(files.load_place(folder, version), when, update, folder, version)

@@ -31,9 +31,8 @@ from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
 from homeward.ros import conversions as convert
-from homeward.ros.camera import MessageCamera
+from homeward.ros.camera import MessageCamera, Newest
 from homeward.ros.conversions import JSON, TFS
-from homeward.ros.newest import Newest
 from homeward.ros.publishers import Publishers
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)

@@ -17,18 +17,8 @@ from homeward.lab.simulation.scenario import Listed, Moved, Scenario
 from homeward.lab.simulation.simulate import changed_scenario, scenario_yaml
 from homeward.registry import ESTIMATORS
 from homeward.studio import messages as msg
+from homeward.studio import scenes
 from homeward.studio.rival import Best, Rival
-from homeward.studio.scenes import (
-    MOST_LANDMARKS,
-    Views,
-    as_scene,
-    check_numbers,
-    extent,
-    with_home,
-    with_landmarks,
-    with_start,
-    worlds_alike,
-)
 from homeward.studio.steering import Steering
 from homeward.studio.undo import Undo
 
@@ -53,11 +43,11 @@ class Session:
         robot = LiveRobot(scenario)
         steering = Steering(scenario, robot, self._steer)
         self._scenario, self._robot, self._start = scenario, robot, scenario.start
-        self._steering, self._extent = steering, extent(scenario)
+        self._steering, self._extent = steering, scenes.extent(scenario)
         self._rivals = [Rival(name, robot.drive) for name in self._names]
         self._best, self._noises = Best(robot, scenario), 0
         self._now, self._seen = (0.0, robot.pose), dict[str, float]()
-        self._views = Views()
+        self._views = scenes.Views()
         self._said = ""
         self._begun, self.version = self._begun + 1, self.version + 1
 
@@ -104,15 +94,15 @@ class Session:
             case msg.Estimators():
                 self._choose(asked.names)
             case msg.Open():
-                self._again(as_scene(asked.scene), "Another scene.")
+                self._again(scenes.as_scene(asked.scene), "Another scene.")
             case msg.Plain(do="again"):
-                anew = with_landmarks(self._scenario, self._robot.world)
+                anew = scenes.with_landmarks(self._scenario, self._robot.world)
                 self._again(anew.model_copy(update={"start": self._start}), "All began again.")
             case msg.Plain(do="undo"):
                 self._undo.back()
                 self._said, self.version = "Undone.", self.version + 1
             case msg.Plain(do="worlds"):
-                return {"type": "worlds", **worlds_alike(self._robot, self._views.kept)}
+                return {"type": "worlds", **scenes.worlds_alike(self._robot, self._views.kept)}
             case msg.Plain(do="save"):
                 return {"type": "file", "name": "scenario.yaml", "text": scenario_yaml(self.now())}
             case _:
@@ -121,7 +111,9 @@ class Session:
 
     def now(self) -> Scenario:
         """Return the scenario that begins as things stand now."""
-        return with_start(with_landmarks(self._scenario, self._robot.world), self._robot.pose)
+        return scenes.with_start(
+            scenes.with_landmarks(self._scenario, self._robot.world), self._robot.pose
+        )
 
     def _again(self, scenario: Scenario, said: str, stroke: Hashable = None) -> None:
         """Begin another scene, so that it can be undone."""
@@ -146,7 +138,7 @@ class Session:
         was = world.places[world.ids.index(name)]
         self._robot.move_landmark(name, x - was[0], y - was[1])
         self._best.move(name)
-        self._views = Views()  # they saw another world
+        self._views = scenes.Views()  # they saw another world
         self.version += 1
 
     def _move_robot(self, asked: msg.Move) -> None:
@@ -167,11 +159,11 @@ class Session:
             raise
         self._now = self._robot.t, pose
         self._best.carry()
-        self._views = Views()
+        self._views = scenes.Views()
 
     def _move_home(self, asked: msg.Move) -> None:
         heading = self._scenario.home.heading if asked.heading is None else asked.heading
-        moved = with_home(self.now(), self._robot.pose, asked.x, asked.y, heading)
+        moved = scenes.with_home(self.now(), self._robot.pose, asked.x, asked.y, heading)
         self._again(moved, "Home was stored anew; all began again.", ("home", asked.stroke))
 
     def _set(self, asked: msg.Set) -> None:
@@ -180,7 +172,7 @@ class Session:
         if asked.key.startswith("sensor.") and before.home_sensor is None:
             changes["home_sensor"] = before.sensor.model_dump()  # home was stored with the old one
         changed = changed_scenario(before, changes)
-        check_numbers(changed)
+        scenes.check_numbers(changed)
         self._sense_by(changed)
         self._undo.remember((asked.key, asked.stroke), lambda: self._sense_by(before))
         self._said = "Nobody was told; who begins again is."
@@ -194,9 +186,11 @@ class Session:
 
     def _add(self, x: float, y: float) -> None:
         at = self._listed()
-        if len(at) >= MOST_LANDMARKS:
-            raise InputError(f"no more than {MOST_LANDMARKS} landmarks")
-        name = next(n for n in (f"N{k}" for k in range(1, MOST_LANDMARKS + 2)) if n not in at)
+        if len(at) >= scenes.MOST_LANDMARKS:
+            raise InputError(f"no more than {scenes.MOST_LANDMARKS} landmarks")
+        name = next(
+            n for n in (f"N{k}" for k in range(1, scenes.MOST_LANDMARKS + 2)) if n not in at
+        )
         self._with_marks(at | {name: (x, y)}, f"{name} was put up; all began again.")
 
     def _remove(self, name: str) -> None:

@@ -8,8 +8,7 @@ from drives.home.turning import TOLD, turned
 from scipy.stats import chi2
 
 from homeward.drives.drive import Drive, Odometry
-from homeward.drives.home.choosing import with_home
-from homeward.drives.home.spin import spin
+from homeward.drives.home.spin import spin, with_home
 from homeward.drives.settings import DriveSettings, HomeWhen, Mount, OdometryNoise, Sensor
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap

@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeSpin, Topics, progress, read_drive, spin_span
-from homeward.cli.terminal import say, warn
+from homeward.cli.options import HomeSpin, Topics, progress, read_drive, say, spin_span, warn
 
 
 def convert(

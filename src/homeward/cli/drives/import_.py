@@ -8,8 +8,16 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, HomeSpin, spin_span, three_numbers
-from homeward.cli.terminal import answer, say, table, warn
+from homeward.cli.options import (
+    AsJson,
+    HomeSpin,
+    answer,
+    say,
+    spin_span,
+    table,
+    three_numbers,
+    warn,
+)
 from homeward.errors import InputError
 
 MRCLAM = "mrclam"

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import AsJson, progress
-from homeward.cli.terminal import answer, say, table, warn
+from homeward.cli.options import AsJson, answer, progress, say, table, warn
 
 if TYPE_CHECKING:
     from homeward.drives.ros.info import LogInfo

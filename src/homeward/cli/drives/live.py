@@ -10,8 +10,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Changes, KnownPlace, key_values
-from homeward.cli.terminal import no_answer, refuse, say
+from homeward.cli.options import Changes, KnownPlace, key_values, no_answer, refuse, say
 from homeward.errors import InputError
 
 TOKEN = "HOMEWARD_TOKEN"

@@ -17,14 +17,17 @@ from homeward.cli.options import (
     HomeSpin,
     KnownPlace,
     Topics,
+    answer,
     day,
     key_values,
+    no_answer,
     progress,
+    say,
     spin_span,
     three_numbers,
+    warn,
 )
-from homeward.cli.terminal import answer, no_answer, say, warn
-from homeward.cli.terminal import table as print_rows
+from homeward.cli.options import table as print_rows
 from homeward.errors import HomewardError, InputError
 from homeward.io.reading import is_there
 

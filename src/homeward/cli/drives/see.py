@@ -9,8 +9,19 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, Force, HomeDuring, HomeSpin, Topics, progress, spin_span
-from homeward.cli.terminal import answer, no_answer, say, warn
+from homeward.cli.options import (
+    AsJson,
+    Force,
+    HomeDuring,
+    HomeSpin,
+    Topics,
+    answer,
+    no_answer,
+    progress,
+    say,
+    spin_span,
+    warn,
+)
 from homeward.errors import InputError
 
 
@@ -74,7 +85,7 @@ def see(
     if out is None:
         raise InputError("--out FOLDER is missing: the drive folder to write")
     from homeward.drives.folder import ODOMETRY, write_folder
-    from homeward.drives.home.choosing import with_home
+    from homeward.drives.home.spin import with_home
     from homeward.drives.settings import HomeWhen
     from homeward.errors import speaking_of
     from homeward.io.writing import check_output

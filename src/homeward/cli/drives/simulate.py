@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import typer
 
-from homeward.cli.options import AsJson, Changes, key_values, progress
-from homeward.cli.terminal import no_answer, say, show, warn
+from homeward.cli.options import AsJson, Changes, key_values, no_answer, progress, say, show, warn
 from homeward.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from homeward.cli.drives.run import run_settings
-from homeward.cli.options import AsJson, Topics, progress
-from homeward.cli.terminal import answer, say, table, warn
+from homeward.cli.options import AsJson, Topics, answer, progress, say, table, warn
 
 if TYPE_CHECKING:
     from homeward.runs.held_out import Check

@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from homeward.cli.options import progress, read_drive
-from homeward.cli.terminal import show
+from homeward.cli.options import progress, read_drive, show
 
 if TYPE_CHECKING:
     from homeward.lab.observability.study import ModelView
@@ -17,36 +16,30 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
     """Report what the bearings of a number of landmarks do not determine, and draw it."""
     from homeward.io.writing import check_output
     from homeward.lab.observability.study import observe
-    from homeward.lab.report.observe import (
-        PAGE,
-        SETTINGS_FILE,
-        model_summary,
-        same_to,
-        write_model_view,
-    )
+    from homeward.lab.report import observe as page
 
     asked = {**given, "unknown": tuple(given.get("unknown", ()))}
     with progress("observing") as tell:
         view = observe(asked.pop("landmarks"), **cast(Any, asked))
-        check_output(out, SETTINGS_FILE)
+        check_output(out, page.SETTINGS_FILE)
         tell(0.5)
-        write_model_view(out, view, given)
+        page.write_model_view(out, view, given)
     model = view.model
     facts = {
-        "summary": model_summary(view),
+        "summary": page.model_summary(view),
         "rank": view.drive.found.value if model is None else model.rank,
         "unknowns": view.drive.unknowns if model is None else model.n,
         "not_told": [freedom.words for freedom in view.freedoms],
-        "page": out / PAGE,
+        "page": out / page.PAGE,
     }
-    lines = [model_summary(view), _numbers(view)]
+    lines = [page.model_summary(view), _numbers(view)]
     if view.family:
         members = sum(len(t.unknowns) - 1 for t in view.family)
         lines.append(
             f"{members} other worlds drawn; in each all bearings are the same to"
-            f" {same_to(view):.0e} rad."
+            f" {page.same_to(view):.0e} rad."
         )
-    show(json, facts, *lines, f"Page: {out / PAGE}")
+    show(json, facts, *lines, f"Page: {out / page.PAGE}")
 
 
 def _numbers(view: ModelView) -> str:
@@ -69,23 +62,23 @@ def _numbers(view: ModelView) -> str:
 def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
     """Report what the bearings of stretches of a drive do not determine, and draw it."""
     from homeward.io.writing import check_output
-    from homeward.lab.report.observe import PAGE, SETTINGS_FILE, drive_summary, write_drive_view
+    from homeward.lab.report import observe as page
     from homeward.lab.studies.observing import WINDOW_S, check_window, observe_drive
 
     settings = {"window": WINDOW_S, **given}
     opened = read_drive(given["drive"], given.get("topics"))
     check_window(opened, settings["window"])
-    check_output(out, SETTINGS_FILE)
+    check_output(out, page.SETTINGS_FILE)
     with progress(f"observing {opened.name}") as tell:
         view: DriveView = observe_drive(opened, settings["window"], tell)
-        write_drive_view(out, view, settings)
+        page.write_drive_view(out, view, settings)
     facts = {
-        "summary": drive_summary(view),
+        "summary": page.drive_summary(view),
         "whole": _window(view.whole),
         "windows": [_window(window) for window in view.windows],
-        "page": out / PAGE,
+        "page": out / page.PAGE,
     }
-    show(json, facts, drive_summary(view), f"Page: {out / PAGE}")
+    show(json, facts, page.drive_summary(view), f"Page: {out / page.PAGE}")
 
 
 def _window(window: Window) -> dict[str, Any]:

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from homeward.cli.options import progress, resumable
-from homeward.cli.terminal import answer, say
-from homeward.cli.terminal import table as print_rows
+from homeward.cli.options import answer, progress, resumable, say
+from homeward.cli.options import table as print_rows
 
 if TYPE_CHECKING:
     from homeward.lab.studies.blocks.finish import Where
@@ -24,13 +23,7 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     """Run the paper's Cases 1 to 4 with its filters and printed parameters."""
     from homeward.io.settings import validated
     from homeward.io.writing import check_output
-    from homeward.lab.report.paper.page import (
-        PAGE,
-        SETTINGS_FILE,
-        fault_rows,
-        sentences,
-        write_reproduction,
-    )
+    from homeward.lab.report.paper import page
     from homeward.lab.studies.blocks.finish import StudyBlocks
     from homeward.lab.studies.paper.layouts import open_store
     from homeward.lab.studies.paper.reproduction import reproduce as run_cases
@@ -40,26 +33,29 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     if values.get("measurements") == "images":
         values = {"runs": IMAGE_RUNS} | values
     settings = validated(PaperSettings, values)
-    check_output(out, SETTINGS_FILE)
-    store = open_store(out, SETTINGS_FILE)
+    check_output(out, page.SETTINGS_FILE)
+    store = open_store(out, page.SETTINGS_FILE)
     with resumable(), progress("the paper's cases") as tell:
         result = run_cases(settings, StudyBlocks(store, where, tell))
-        write_reproduction(out, result)
+        page.write_reproduction(out, result)
 
     if json:
-        told = {"summary": " ".join(sentences(result)), "rows": [asdict(r) for r in rows(result)]}
-        answer({**told, "runs": settings.runs, "page": str(out / PAGE)})
+        told = {
+            "summary": " ".join(page.sentences(result)),
+            "rows": [asdict(r) for r in rows(result)],
+        }
+        answer({**told, "runs": settings.runs, "page": str(out / page.PAGE)})
         return
     head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
     print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
     if settings.measurements == "images":
-        for case, asked, obtained in fault_rows(result):
+        for case, asked, obtained in page.fault_rows(result):
             say(f"Case {case}: {asked} moved landmarks asked for, obtained {obtained}.")
-    for sentence in sentences(result):
+    for sentence in page.sentences(result):
         say(sentence)
     say(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
-        f"Page: {out / PAGE}"
+        f"Page: {out / page.PAGE}"
     )
 
 
@@ -72,16 +68,7 @@ def _cells(row: Row) -> list[str]:
 def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper."""
     from homeward.io.writing import check_output
-    from homeward.lab.report.paper.layout_page import (
-        DATA,
-        PAGE,
-        claim_table,
-        error_table,
-        headline,
-        order_table,
-        ratio_table,
-        write_layouts,
-    )
+    from homeward.lab.report.paper import layout_page as page
     from homeward.lab.studies.blocks.finish import StudyBlocks
     from homeward.lab.studies.blocks.store import MARKER
     from homeward.lab.studies.paper.layouts import open_store
@@ -92,14 +79,14 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     store = open_store(out)
     with resumable(), progress("layouts of the paper's cases") as tell:
         result = study_layouts(settings, StudyBlocks(store, where, tell))
-        write_layouts(out, result)
-    tables = (error_table, ratio_table, order_table, claim_table)
+        page.write_layouts(out, result)
+    tables = (page.error_table, page.ratio_table, page.order_table, page.claim_table)
     if json:
         told = {table.__name__.removesuffix("_table"): table(result) for table in tables}
-        files = {"page": str(out / PAGE), "results": str(out / DATA)}
-        answer({"summary": headline(result), "tables": told, **files})
+        files = {"page": str(out / page.PAGE), "results": str(out / page.DATA)}
+        answer({"summary": page.headline(result), "tables": told, **files})
         return
     for table in tables:
         print_rows(table(result), left=3)
         typer.echo("")
-    say(f"{headline(result)} Page: {out / PAGE}; every run: {out / DATA}")
+    say(f"{page.headline(result)} Page: {out / page.PAGE}; every run: {out / page.DATA}")

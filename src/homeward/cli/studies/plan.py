@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import AsJson, Topics, progress
+from homeward.cli.options import AsJson, Topics, progress, show
 from homeward.cli.studies.observability import observe_model, observe_recording
-from homeward.cli.terminal import show
 from homeward.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,9 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.options import AsJson, Scheduler, Workers, key_values, progress, resumable
-from homeward.cli.terminal import answer, no_answer, say, show, warn
-from homeward.cli.terminal import table as print_rows
+from homeward.cli.options import (
+    AsJson,
+    Scheduler,
+    Workers,
+    answer,
+    key_values,
+    no_answer,
+    progress,
+    resumable,
+    say,
+    show,
+    warn,
+)
+from homeward.cli.options import table as print_rows
 from homeward.errors import InputError
 
 if TYPE_CHECKING:

@@ -11,9 +11,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from homeward.drives.folder import sorted_by_time
-from homeward.drives.importers.columns import UNITS, Column, assigned, times_in
+from homeward.drives.importers.columns import (
+    UNITS,
+    Column,
+    assigned,
+    landmark_columns,
+    landmark_in,
+    long,
+    times_in,
+    unit_of,
+)
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
-from homeward.drives.importers.wide import landmark_columns, landmark_in, long, unit_of
 from homeward.errors import InputError
 from homeward.io.table import Parser, Table, read_csv
 from homeward.odometry.limits import MAX_SPEED

@@ -20,7 +20,7 @@ from homeward.drives.folder import (
     truth_of,
     without_repeats,
 )
-from homeward.drives.home.choosing import with_home
+from homeward.drives.home.spin import with_home
 from homeward.drives.importers.columns import KINDS, told_columns
 from homeward.drives.importers.parts import UNIX_S, Understood, parts_of
 from homeward.drives.importers.sheet import sheet

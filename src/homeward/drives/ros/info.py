@@ -9,22 +9,8 @@ from typing import cast
 
 import numpy as np
 
+from homeward.drives import folder as csv
 from homeward.drives.drive import Truth
-from homeward.drives.folder import (
-    BEARINGS,
-    HOME,
-    ODOMETRY,
-    REQUIRED,
-    TRUTH,
-    is_drive_folder,
-    knows_home,
-    missing_files,
-    read_folder,
-    read_home,
-    read_odometry,
-    read_sightings,
-    read_truth,
-)
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import on_one_clock, on_time
@@ -70,9 +56,9 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
     kind_of(path)  # refuses what is nothing
     if is_image_folder(path):
-        return _folder_info("folder of images", path, (IMAGES, ODOMETRY))
-    if is_drive_folder(path):
-        return _folder_info("drive folder", path, REQUIRED)
+        return _folder_info("folder of images", path, (IMAGES, csv.ODOMETRY))
+    if csv.is_drive_folder(path):
+        return _folder_info("drive folder", path, csv.REQUIRED)
     from homeward.drives.ros.reading import calibrated
 
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
@@ -99,10 +85,13 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
 
 _Remarks = dict[str, int]
 _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
-    ODOMETRY: ("t,v,omega", lambda file, told: read_odometry(file, told).t),
-    BEARINGS: ("t,landmark,bearing", lambda file, told: np.unique(read_sightings(file, told).t)),
+    csv.ODOMETRY: ("t,v,omega", lambda file, told: csv.read_odometry(file, told).t),
+    csv.BEARINGS: (
+        "t,landmark,bearing",
+        lambda file, told: np.unique(csv.read_sightings(file, told).t),
+    ),
     IMAGES: ("t,file", lambda file, told: read_images(file.parent, told).t),
-    TRUTH: ("t,x,y,heading", lambda file, told: cast(Truth, read_truth(file, told)).t),
+    csv.TRUTH: ("t,x,y,heading", lambda file, told: cast(Truth, csv.read_truth(file, told)).t),
 }
 """Files with times: their columns, and what reads the times [s]."""
 
@@ -115,12 +104,12 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
         for name, (columns, times) in _TIMED.items()
         if (path / name).exists()
     )
-    if (path / HOME).exists():
-        kind += f", {len(read_home(path / HOME, told))} landmarks seen at home"
+    if (path / csv.HOME).exists():
+        kind += f", {len(csv.read_home(path / csv.HOME, told))} landmarks seen at home"
     remarks: list[str] = []
-    is_drive = needed == REQUIRED
+    is_drive = needed == csv.REQUIRED
     if is_drive:
-        missing = missing_files(path)
+        missing = csv.missing_files(path)
     else:
         missing = [name for name in needed if not (path / name).exists()]
     if missing:
@@ -133,11 +122,11 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
 
 def _judged(path: Path) -> Iterator[str]:
     """Yield what looked wrong with a drive, and why it is refused where it would run."""
-    drive = read_folder(path)
+    drive = csv.read_folder(path)
     if not drive.sightings.t.size:
-        yield REFUSED.format(f"{BEARINGS} has no rows")
-    if not drive.home and not knows_home(path):
-        yield REFUSED.format(f"{HOME} has no rows")
+        yield REFUSED.format(f"{csv.BEARINGS} has no rows")
+    if not drive.home and not csv.knows_home(path):
+        yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
         yield from on_one_clock(on_time(drive), path).remark_lines
     except InputError as error:

@@ -12,7 +12,7 @@ from homeward.drives.cameras.calibration import CameraRows, is_calibration, read
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
-from homeward.drives.home.choosing import with_home
+from homeward.drives.home.spin import with_home
 from homeward.drives.one_clock import on_time
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
