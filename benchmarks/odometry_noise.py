@@ -41,10 +41,12 @@ def noise(times: float, size: float) -> OdometryErrors:
     return OdometryErrors(speed_sigma=times * along, turn_sigma=times * math.sqrt(turning))
 
 
-def drive_of(size: float, times: float, seed: int) -> tuple[Trial, Simulation]:
+def drive_of(
+    size: float, times: float, seed: int, seconds: float = DRIVE_S
+) -> tuple[Trial, Simulation]:
     """Return a random way among landmarks, and what it was made of."""
     scenario = wandering(
-        seed, 5, 60, (0.3, 2.0), speed=SPEED, seconds=DRIVE_S, odometry=noise(times, size)
+        seed, 5, 60, (0.3, 2.0), speed=SPEED, seconds=seconds, odometry=noise(times, size)
     )
     whole = simulate(scenario)
     return scaled(trial(Leg(whole)), size), whole

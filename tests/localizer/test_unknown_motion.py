@@ -89,7 +89,7 @@ def drive_dead(rig, seconds, twist=(0.0, 0.0), law=eight):
 def test_zeros_with_a_survey_give_poses_from_bearings_and_a_note():
     rig = Rig(ring(8), promise=None)
     surveyed(rig)
-    late = drive_dead(rig, 60)[200:]
+    late = drive_dead(rig, 30)[75:]
     assert np.mean([a.status is Status.LOCALISED for a, _ in late]) > 0.9
     assert off(rig)[0] < 0.15
     assert rig.wrong_share(len(rig.answers) - len(late)) < 0.02
@@ -127,7 +127,7 @@ def test_noise_that_is_not_given_is_estimated_from_resections():
         near = sorted(seen, key=lambda name: abs(seen[name]))[:7]
         return {name: float(wrap(seen[name] + 0.1 * noise.normal())) for name in near}
 
-    for _ in range(120):
+    for _ in range(60):
         rig.drive(1.0, eight, feel=False, see=lambda _: {})
         rig.keep(rig.localizer.bearings(rig.t, blurred(rig.look())))
     with_bearings = rig.answers[5::6][20:]
@@ -138,7 +138,7 @@ def test_noise_that_is_not_given_is_estimated_from_resections():
 def test_odometry_that_never_moved_stays_dead_where_bearings_do_not_show_it():
     rig = Rig(ring(8), promise=None)
     surveyed(rig)
-    drive_dead(rig, 30)
+    drive_dead(rig, 20)
     for _ in range(150):
         rig.localizer.odometry(rig.t, 0.0, 0.0)
         rig.drive(DT, still, feel=False)
