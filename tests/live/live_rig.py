@@ -11,12 +11,14 @@ from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
 SCENARIO = {
-    "rates.odometry": 50.0,
-    "rates.bearings": 25.0,
+    "rates.odometry": 25.0,
+    "rates.bearings": 12.5,
     "start.prior": False,
     "noise.bearing_sigma": 0.01,
     "moved.count": 0,
 }
+QUICK = {"rates.odometry": 50.0, "rates.bearings": 25.0}
+"""Rates at which a session stops in time, and that the figures of docs/do/live.md are for."""
 
 
 class Rig:

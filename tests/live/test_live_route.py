@@ -36,14 +36,14 @@ from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
 from homeward.places.files import load_place, newest
 
-SLOW = {"landmarks.count": 12, "rates.odometry": 25.0, "rates.bearings": 12.5}
-TAUGHT = SLOW | {
+LANDMARKS = {"landmarks.count": 12}
+TAUGHT = LANDMARKS | {
     "trajectory.kind": "teach",
     "trajectory.points": [(0.7, 0.0), (0.7, 0.7), (-0.6, 0.6)],
     "trajectory.speed": 0.25,
     "trajectory.dwell": 3.0,
 }
-LATER = SLOW | {
+LATER = LANDMARKS | {
     "start.R": 1.5,
     "start.theta": 2.0,
     "start.alpha": -1.0,

@@ -6,7 +6,7 @@ import threading
 
 import numpy as np
 import pytest
-from live_rig import Rig, driving
+from live_rig import QUICK, Rig, driving
 
 from homeward.control.limits import Limits
 from homeward.drives.settings import DriveSettings, OdometryNoise
@@ -37,7 +37,7 @@ HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0, "d": 2.8, "e": -0.9})
 def test_home_is_found_though_a_landmark_is_moved_on_the_way():
     arrived = 0
     for seed in (0, 1, 4):
-        rig = Rig(seed).until(driving)
+        rig = Rig(seed, **QUICK).until(driving)
         rig.until(lambda r: r.robot.distance < 0.6 * r.asked)
         rig.robot.move_landmark("L1", 0.4, 0.3)
         rig.until(lambda r: r.player.ending is not None)
@@ -102,7 +102,7 @@ def repeating(kind):
 def test_the_robot_is_told_to_stand_in_time_when_a_sensor_dies_and_goes_on_when_it_is_back(
     spoil, words
 ):
-    rig = Rig(2).until(driving)
+    rig = Rig(2, **QUICK).until(driving)
     sound, rig.spoil, died = rig.spoil, spoil, rig.robot.t
     rig.until(Rig.standing)
     assert rig.commands[-1][0] - died <= STOPS_WITHIN_S

@@ -94,6 +94,10 @@ def test_zeros_with_a_survey_give_poses_from_bearings_and_a_note():
     assert off(rig)[0] < 0.15
     assert rig.wrong_share(len(rig.answers) - len(late)) < 0.02
     assert any("stood still all the time, but bearings changed" in n for n in rig.localizer.notes)
+    drive_dead(rig, 8, law=still)
+    drive_dead(rig, 2)
+    assert rig.answers[-1][0].pose is not None
+    assert off(rig)[1] < 4.0
 
 
 def test_zeros_from_some_time_on_are_reported():
@@ -135,16 +139,16 @@ def test_noise_that_is_not_given_is_estimated_from_resections():
     assert rig.wrong_share() < 0.02
 
 
-def test_odometry_that_never_moved_stays_dead_where_bearings_do_not_show_it():
-    rig = Rig(ring(8), promise=None)
-    surveyed(rig)
-    drive_dead(rig, 20)
-    for _ in range(150):
-        rig.localizer.odometry(rig.t, 0.0, 0.0)
-        rig.drive(DT, still, feel=False)
-    drive_dead(rig, 2)
-    assert rig.answers[-1][0].pose is not None
-    assert off(rig)[1] < 4.0
+@pytest.mark.parametrize("has_moved", [False, True])
+def test_odometry_that_never_moved_stays_dead_where_bearings_do_not_show_it(has_moved):
+    dead, noise = DeadOdometry(), BearingNoise(0.01, 0.01)
+    dead.odometry(-0.1, 0.5 * has_moved, 0.0)
+    for k in range(400):
+        t = 0.1 * k
+        dead.odometry(t, 0.0, 0.0)
+        dead.bearings(t, {f"L{i}": i + 0.2 * min(t, 10.0) for i in range(6)}, {}, noise)
+        assert dead.is_dead or not 5.0 < t < 10.0
+    assert dead.is_dead is not has_moved
 
 
 @pytest.mark.parametrize("outliers", [0.0, 0.3])
