@@ -15,9 +15,8 @@ from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError, printable
 from homeward.geometry.frames import Pose
-from homeward.io import yaml_text
-from homeward.io.settings import LARGEST_SETTINGS, nested, read_settings, read_tree
-from homeward.io.yaml_text import DEEPEST
+from homeward.io import settings as yaml_text
+from homeward.io.settings import DEEPEST, LARGEST_SETTINGS, nested, read_settings, read_tree
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.simulation.render.room.presets import load_room
 from homeward.lab.simulation.simulate import load_scenario

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
 import typer
 
 from homeward.errors import InputError, printable
-from homeward.io.yaml_text import parse_yaml
+from homeward.io.settings import parse_yaml
 
 ANSWER, NO_ANSWER, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses, the same in all commands."""

@@ -313,15 +313,10 @@ def _write_files(drive: Drive, scratch: Path, folder: Path) -> None:
 
 def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
     """Return the columns of each CSV file of a drive."""
-    odometry, sightings, home, truth = drive.odometry, drive.sightings, drive.home, drive.truth
+    home = drive.home
     files = {
-        ODOMETRY: {"t": odometry.t, "v": odometry.v, "omega": odometry.omega},
-        BEARINGS: {
-            "t": sightings.t,
-            "landmark": sightings.landmark,
-            "bearing": sightings.bearing,
-            "sigma": sightings.sigma,
-        },
+        ODOMETRY: dict(vars(drive.odometry)),
+        BEARINGS: dict(vars(drive.sightings)),
         HOME: {
             "landmark": np.array(list(home), object),
             "bearing": np.array([seen.bearing for seen in home.values()], float),
@@ -331,8 +326,8 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
     for name in (BEARINGS, HOME):
         if np.isnan(files[name]["sigma"]).all():
             del files[name]["sigma"]
-    if truth is not None:
-        files[TRUTH] = {"t": truth.t, "x": truth.x, "y": truth.y, "heading": truth.heading}
+    if drive.truth is not None:
+        files[TRUTH] = dict(vars(drive.truth))
     return files
 
 

@@ -110,15 +110,7 @@ class Place:
         return BETWEEN.join(sorted(set[str]().union(*merged)))
 
     def require_new(self, name: str, told: str) -> None:
-        """Raise `InputError` where a drive or place tells what is known already.
-
-        Parameters
-        ----------
-        name : str
-            Of the drive or other place.
-        told : str
-            Its fingerprint, or `evidence`.
-        """
+        """Raise `InputError` where a drive or place, by its fingerprint, is known already."""
         if not set(told.split(BETWEEN)).isdisjoint(self.evidence.split(BETWEEN)):
             raise InputError(
                 f"{quoted(name)}, or a drive of it, is in the place {quoted(self.name)} already: "
@@ -135,19 +127,9 @@ class Place:
         return self.map.aged(NUDGED**2 * max(when - self.visits[-1].when, 0.0))
 
     def known(self, when: float, home: str | None = None) -> KnownLandmarks:
-        """Return the place as a localiser is told of it, `known=`, at `when` [days].
+        """Return the place for a localiser, as its `known`, at `when` [days since 1970].
 
-        Parameters
-        ----------
-        when : float
-            [days since 1970]
-        home : str, optional
-            In whose frame answers are to be; the first one by default.
-
-        Raises
-        ------
-        InputError
-            When it has no home of that name.
+        Answers are in the frame of a home, by default the first; `InputError` where there is none.
         """
         there, stays = self.aged(when).seen_from_home(self.required(home)), self.stays(when)
         landmarks = {
@@ -170,12 +152,9 @@ class Place:
     def without(
         self, landmarks: Collection[str], homes: Collection[str] = (), routes: Collection[str] = ()
     ) -> Place:
-        """Return it without some landmarks, homes and routes, never its first home.
+        """Return it without some landmarks, homes and routes.
 
-        Raises
-        ------
-        InputError
-            When it has none of such a name, or the first home is among them.
+        `InputError` where it has none of such a name, or the first home is among them.
         """
         for name in landmarks:
             if name not in self.standings:

@@ -123,12 +123,17 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             return FAILED
         return DONE
 
+    @property
+    def _live(self) -> Session:
+        """The session, which is there from configuring to cleaning up."""
+        assert self._session is not None
+        return self._session
+
     def on_activate(self, state: Any) -> Any:
         """Listen, and let the estimator work."""
-        assert self._session is not None
         self._listen()
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        for period, act in ((1 / self._session.settings.rate, self._tick), (1.0, self._tell)):
+        for period, act in ((1 / self._live.settings.rate, self._tick), (1.0, self._tell)):
             timer = self.create_timer(period, act, clock=steady)
             self._parts.append((self.destroy_timer, timer))
         self._running = True
@@ -138,9 +143,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def on_deactivate(self, state: Any) -> Any:
         """Tell the robot to stand, if it was driving home, and listen no more."""
-        assert self._session is not None
-        if self._session.driving:
-            self._session.receive(msg.Cancel(), time.monotonic())
+        if self._live.driving:
+            self._live.receive(msg.Cancel(), time.monotonic())
             self._tick()
         self._stop()
         return super().on_deactivate(state)
@@ -221,9 +225,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _service(self, make: Any) -> Any:
         def serve(request: Any, response: Any) -> Any:
-            assert self._session is not None
             self._take(make(request))
-            faults = [fault.reason for fault in self._session.faults(time.monotonic())]
+            faults = [fault.reason for fault in self._live.faults(time.monotonic())]
             response.success = True
             response.message = "; ".join(["asked, ~/said tells what comes of it", *faults])
             return response
@@ -235,8 +238,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         return lambda message: self._take(validated(kind, {"name": message.data}))
 
     def _take(self, message: msg.Input) -> None:
-        assert self._session is not None
-        self._session.receive(message, time.monotonic())
+        self._live.receive(message, time.monotonic())
         self._work.set()
 
     def _odometry(self, message: Any) -> None:
@@ -253,10 +255,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._take(self._read(message)())
 
     def _picture(self, message: Any) -> None:
-        assert self._session is not None
         assert self._pictures is not None
         if self._pictures.give(self._read(message)):
-            self._session.counts["pictures left out, as newer ones came"] += 1
+            self._live.counts["pictures left out, as newer ones came"] += 1
 
     def _seen(self) -> None:
         """Take what was seen in pictures."""
@@ -284,13 +285,12 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _process(self) -> None:
         """Let the estimator work, in a thread of its own."""
-        assert self._session is not None
         try:
             with one_thread():
                 while self._running:
                     self._work.wait(0.1)
                     self._work.clear()
-                    for said in self._session.process():
+                    for said in self._live.process():
                         self._output(said)
         except Exception as error:
             if self.context.ok():  # else it was shut down, and nobody hears
@@ -308,9 +308,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _tick(self) -> None:
         """Say the command, and where the odometry frame lies."""
-        assert self._session is not None
         try:
-            command = self._session.tick(time.monotonic())
+            command = self._live.tick(time.monotonic())
         except HomewardError as error:
             command = None
             self.get_logger().error(str(error))
@@ -318,15 +317,14 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         if command is not None:
             self._say.command(command)
         # Where there is no pose any more, the last transform is the best there is.
-        self._map_to_odom = self._session.localisation.fix.odom or self._map_to_odom
+        self._map_to_odom = self._live.localisation.fix.odom or self._map_to_odom
         if self._map_to_odom is not None:
             self._say.transform(self._map_to_odom)
 
     def _tell(self) -> None:
         """Say how everything is, and ask where the landmarks are."""
-        assert self._session is not None
-        self._say.diagnostics(self._session.diagnostics(time.monotonic()))
-        self._session.ask_landmarks()
+        self._say.diagnostics(self._live.diagnostics(time.monotonic()))
+        self._live.ask_landmarks()
         self._work.set()
 
     def _stop(self) -> None:

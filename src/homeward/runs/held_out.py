@@ -6,7 +6,6 @@ worse for it.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -69,7 +68,7 @@ def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
     """Return the scores of a run where another run of the drive has answers, too."""
     off = None
     if one.errors is not None and other.errors is not None:
-        off = accuracy(_rows(one.errors, np.isin(one.errors.t, other.errors.t)))
+        off = accuracy(one.errors.rows(np.isin(one.errors.t, other.errors.t)))
     theirs = set(stamps(other.innovations))
     both = [stamp in theirs for stamp in stamps(one.innovations)]
     square, likelihood = (values[both] for values in log_likelihoods(one.innovations))
@@ -85,12 +84,6 @@ def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
 def stamps(i: Innovations) -> list[tuple[float, str]]:
     """Return when each innovation was, and of which landmark."""
     return list(zip(i.t.tolist(), i.landmark.tolist(), strict=True))
-
-
-def _rows(errors: Errors, chosen: np.ndarray) -> Errors:
-    """Return those of the rows, (m,), that are chosen."""
-    names = [field.name for field in dataclasses.fields(errors)]
-    return Errors(**{name: getattr(errors, name)[chosen] for name in names})
 
 
 def log_likelihoods(i: Innovations) -> tuple[np.ndarray, np.ndarray]:

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import TRUTH_GAP_S, Truth, is_slow
+from homeward.drives.drive import TRUTH_GAP_S, Columns, Truth, is_slow
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
@@ -37,7 +37,7 @@ ELLIPSE_SHARES = (0.3934693402873666, 0.8646647167633873, 0.9888910034617577)
 
 
 @dataclass(frozen=True)
-class Errors:
+class Errors(Columns):
     """Errors of the rows of a track that ground truth covers; all arrays have shape (m,).
 
     Errors are estimated minus true; lengths in m, angles in rad and wrapped.

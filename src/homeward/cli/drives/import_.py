@@ -8,16 +8,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import (
-    AsJson,
-    HomeSpin,
-    answer,
-    say,
-    spin_span,
-    table,
-    three_numbers,
-    warn,
-)
+from homeward.cli import options as shared
 from homeward.errors import InputError
 
 MRCLAM = "mrclam"
@@ -44,7 +35,7 @@ def import_(
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
         ),
     ] = None,
-    home_spin: HomeSpin = None,
+    home_spin: shared.HomeSpin = None,
     picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
         "out/import.png"
     ),
@@ -56,7 +47,7 @@ def import_(
         float, typer.Option(help="mrclam: noise of the computed home bearings [deg].")
     ] = 0.0,
     seed: Annotated[int, typer.Option(help="mrclam: seed of that noise.")] = 0,
-    json: AsJson = False,
+    json: shared.AsJson = False,
 ) -> None:
     """Turn CSV files of any columns, separators and units into a drive folder.
 
@@ -86,23 +77,27 @@ def import_(
         for u in found
     ]
     if not json:
-        table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
-    drive = drive_of(found, "import" if out is None else out.name, spin_span(home_spin))
+        shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
+    drive = drive_of(found, "import" if out is None else out.name, shared.spin_span(home_spin))
     write_whole(picture, png(glance(drive)))
     remarks = [*drive.remark_lines, *about_home(drive)]
     if json:
         if out is not None:
             save_drive(drive, out)
         columns_read = [dict(zip(keys, row, strict=True)) for row in rows]
-        answer({"columns": columns_read, "remarks": remarks, "picture": picture, "folder": out})
+        shared.answer(
+            {"columns": columns_read, "remarks": remarks, "picture": picture, "folder": out}
+        )
         return
-    warn(*remarks)
-    say(f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?")
+    shared.warn(*remarks)
+    shared.say(
+        f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?"
+    )
     if out is None:
-        say("Nothing else was written; --out FOLDER writes the drive.")
+        shared.say("Nothing else was written; --out FOLDER writes the drive.")
         return
     save_drive(drive, out)
-    say(f"Drive folder: {out}")
+    shared.say(f"Drive folder: {out}")
 
 
 def _mrclam(
@@ -123,11 +118,11 @@ def _mrclam(
             "import mrclam needs one FOLDER, --robot N, --home X,Y,HEADING [m, m, rad] in the "
             "frame of its survey, and --out DRIVE"
         )
-    place, (noise_deg, seed) = Pose(*three_numbers(home, "--home")), noise
+    place, (noise_deg, seed) = Pose(*shared.three_numbers(home, "--home")), noise
     drive = read_mrclam(folders[0], robot, place, math.radians(noise_deg), seed)
     save_drive(drive, out)
     if json:
-        answer({"remarks": drive.remark_lines, "folder": out})
+        shared.answer({"remarks": drive.remark_lines, "folder": out})
         return
-    warn(*drive.remark_lines)
-    say(f"Drive folder: {out}")
+    shared.warn(*drive.remark_lines)
+    shared.say(f"Drive folder: {out}")

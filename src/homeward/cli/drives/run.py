@@ -11,22 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import (
-    AsJson,
-    Changes,
-    HomeSpin,
-    KnownPlace,
-    Topics,
-    answer,
-    day,
-    key_values,
-    no_answer,
-    progress,
-    say,
-    spin_span,
-    three_numbers,
-    warn,
-)
+from homeward.cli import options as shared
 from homeward.cli.options import table as print_rows
 from homeward.errors import HomewardError, InputError
 from homeward.io.reading import is_there
@@ -63,9 +48,9 @@ def run(
             help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth; default: drive.yaml's."
         ),
     ] = None,
-    topics: Topics = None,
-    home_spin: HomeSpin = None,
-    place: KnownPlace = None,
+    topics: shared.Topics = None,
+    home_spin: shared.HomeSpin = None,
+    place: shared.KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place at its end.")
     ] = False,
@@ -90,8 +75,8 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
     ] = False,
-    changes: Changes = None,
-    json: AsJson = False,
+    changes: shared.Changes = None,
+    json: shared.AsJson = False,
 ) -> None:
     """Localise a robot along a drive, and write what came out.
 
@@ -107,13 +92,13 @@ def run(
     options = {
         "estimator": estimator,
         "start": _start(start),
-        "home_spin": spin_span(home_spin),
+        "home_spin": shared.spin_span(home_spin),
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,
-        "when": None if when is None else day(when),
+        "when": None if when is None else shared.day(when),
         "smooth": smooth or None,
-        "settings": nested(key_values(changes or [])) or None,
+        "settings": nested(shared.key_values(changes or [])) or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if update and (place is None or smooth):
@@ -136,7 +121,7 @@ def run(
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
-    return text if text in (None, "truth") else three_numbers(text, "--start")
+    return text if text in (None, "truth") else shared.three_numbers(text, "--start")
 
 
 def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
@@ -212,7 +197,7 @@ def _run(
     store, lack = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
     after: Place | None = None
-    with progress(f"{settings.drive}, {settings.estimator}") as tell:
+    with shared.progress(f"{settings.drive}, {settings.estimator}") as tell:
         drive, estimator, complete = prepare(settings, tell)
         if update:
             check_update(complete, drive, store)
@@ -232,20 +217,22 @@ def _run(
     if json:
         told: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
         told["report"] = str(folder / PAGE) if lack is None else None
-        answer({**told, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))})
+        shared.answer(
+            {**told, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))}
+        )
     else:
         for paragraph in words:
-            say(paragraph)
-        warn(*drive.remark_lines, *track.notes, *unread)
+            shared.say(paragraph)
+        shared.warn(*drive.remark_lines, *track.notes, *unread)
         if lack is None:
-            say(f"Report: {folder / PAGE}")
+            shared.say(f"Report: {folder / PAGE}")
         else:
-            say(f"Files: {folder}")
-            warn(f"no page and no log: {lack}")
+            shared.say(f"Files: {folder}")
+            shared.warn(f"no page and no log: {lack}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():
-        raise no_answer()
+        raise shared.no_answer()
 
 
 def _images(drive: Path) -> tuple[Images | None, list[str]]:
@@ -275,7 +262,7 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
             raise InputError(f"--{name} is for one estimator; homeward study takes it for each")
     words = [word.strip() for word in given["estimator"].split(",")]
     runs = [run_settings(drive, {**given, "estimator": word}) for word in words]
-    with progress(f"{drive}, {', '.join(words)}") as tell:
+    with shared.progress(f"{drive}, {', '.join(words)}") as tell:
         outcomes = run_several(runs, tell)
         folder = out or Path("out") / f"{outcomes[0].drive.name}-estimators"
         check_output(folder, PAGE)
@@ -287,18 +274,18 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
             for o in outcomes
         ]
         told = {"folder": str(folder), "page": str(folder / PAGE), "runs": came}
-        answer({**told, "remarks": outcomes[0].drive.remark_lines})
+        shared.answer({**told, "remarks": outcomes[0].drive.remark_lines})
     else:
         _say_several(outcomes, table(outcomes), folder / PAGE)
     if not any(o.track is not None and o.track.has_pose.any() for o in outcomes):
-        raise no_answer()
+        raise shared.no_answer()
 
 
 def _say_several(outcomes: Sequence[Outcome], rows: list[list[str]], page: Path) -> None:
     print_rows(rows, left=1)
-    warn(*outcomes[0].drive.remark_lines)
+    shared.warn(*outcomes[0].drive.remark_lines)
     for outcome in outcomes:
         notes = () if outcome.track is None else outcome.track.notes
         for line in filter(None, (outcome.failure, *notes)):
-            warn(f"{outcome.run.estimator}: {line}" if line in notes else line)
-    say(f"Page: {page}")
+            shared.warn(f"{outcome.run.estimator}: {line}" if line in notes else line)
+    shared.say(f"Page: {page}")

@@ -9,19 +9,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import (
-    AsJson,
-    Force,
-    HomeDuring,
-    HomeSpin,
-    Topics,
-    answer,
-    no_answer,
-    progress,
-    say,
-    spin_span,
-    warn,
-)
+from homeward.cli import options as shared
 from homeward.errors import InputError
 
 
@@ -44,9 +32,9 @@ def see(
         str | None,
         typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
     ] = None,
-    topics: Topics = None,
-    home_spin: HomeSpin = None,
-    home_during: HomeDuring = None,
+    topics: shared.Topics = None,
+    home_spin: shared.HomeSpin = None,
+    home_during: shared.HomeDuring = None,
     camera: Annotated[
         Path | None,
         typer.Option(
@@ -60,8 +48,8 @@ def see(
             "anything else that turns with the camera, is seen; default: that of images.yaml."
         ),
     ] = None,
-    force: Force = False,
-    json: AsJson = False,
+    force: shared.Force = False,
+    json: shared.AsJson = False,
 ) -> None:
     """Find landmarks in panoramas, or tags in any pictures, and write a drive folder.
 
@@ -94,13 +82,13 @@ def see(
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("choose another output folder than that of the images", out)
-    spin, during = spin_span(home_spin), spin_span(home_during, "--home-during")
+    spin, during = shared.spin_span(home_spin), shared.spin_span(home_during, "--home-during")
     when = None
     if spin or during:
         if spin and during:
             raise InputError("--home-spin or --home-during, not both")
         when = HomeWhen(spin=spin, during=during)
-    with progress(f"looking at {folder}") as tell:
+    with shared.progress(f"looking at {folder}") as tell:
         drive = see_recording(
             folder, tell, lambda: check_output(out, ODOMETRY), tags=tags, topics=topics, force=force
         )
@@ -111,13 +99,13 @@ def see(
     if json:
         seen = Counter(drive.sightings.landmark.tolist())
         known = {"landmarks": seen, "home": list(drive.home), "remarks": drive.remark_lines}
-        answer({"summary": describe_sightings(drive), "folder": out, **known})
+        shared.answer({"summary": describe_sightings(drive), "folder": out, **known})
     else:
-        say(describe_sightings(drive))
-        warn(*drive.remark_lines)
-        say(f"Drive: {out}")
+        shared.say(describe_sightings(drive))
+        shared.warn(*drive.remark_lines)
+        shared.say(f"Drive: {out}")
     if not drive.sightings.t.size:
-        raise no_answer()
+        raise shared.no_answer()
 
 
 def compare(
@@ -154,10 +142,10 @@ def compare(
         notes.append(f"{found.matches} {found.words} (--mask FILE).")
     if json:
         told = {"summary": describe(seen), **as_dict(seen), "notes": notes}
-        answer({**told, "picture": str(out / PICTURE)})
+        shared.answer({**told, "picture": str(out / PICTURE)})
     else:
-        say(describe(seen))
-        warn(*notes)
-        say(f"Picture: {out / PICTURE}")
+        shared.say(describe(seen))
+        shared.warn(*notes)
+        shared.say(f"Picture: {out / PICTURE}")
     if not seen.accepted:
-        raise no_answer()
+        raise shared.no_answer()

@@ -15,6 +15,9 @@ from homeward.cli.options import AsJson, Changes, key_values, no_answer, progres
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
+    from homeward.drives.drive import Drive
+    from homeward.estimator import Estimator
+    from homeward.lab.simulation.render.room.settings import RenderScenario
     from homeward.lab.simulation.scenario import Scenario
     from homeward.lab.simulation.simulate import Simulation
 
@@ -180,12 +183,6 @@ def _summary(simulation: Simulation, out: Path) -> str:
         f" {len(world.moved)} moved; ended ({ending})"
         f" {simulation.final_distance:.3f} m from home; written to {out}"
     )
-
-
-if TYPE_CHECKING:
-    from homeward.drives.drive import Drive
-    from homeward.estimator import Estimator
-    from homeward.lab.simulation.render.room.settings import RenderScenario
 
 
 def render(room: str, out: Path, seed: int | None, points: bool, given: dict[str, Any]) -> None:

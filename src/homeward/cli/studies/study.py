@@ -1,33 +1,22 @@
-"""`homeward study`: estimators x scenarios x runs."""
+"""`homeward study`: estimators x scenarios x runs, and the cases of the paper."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from homeward.cli.options import (
-    AsJson,
-    Scheduler,
-    Workers,
-    answer,
-    key_values,
-    no_answer,
-    progress,
-    resumable,
-    say,
-    show,
-    warn,
-)
+from homeward.cli import options as shared
 from homeward.cli.options import table as print_rows
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.lab.studies.blocks.finish import Where
     from homeward.lab.studies.paper.map_settings import MapSettings
+    from homeward.lab.studies.paper.reproduction import Row
 
 PAPER = ("paper", "layouts")
 """Studies of the paper's cases."""
@@ -56,9 +45,9 @@ def study(
             "robust and grid.KEY.",
         ),
     ] = None,
-    scheduler: Scheduler = None,
-    workers: Workers = None,
-    json: AsJson = False,
+    scheduler: shared.Scheduler = None,
+    workers: shared.Workers = None,
+    json: shared.AsJson = False,
 ) -> None:
     """Run a Monte Carlo study: every estimator in every scenario, many times.
 
@@ -89,10 +78,8 @@ def study(
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
     folder = out or Path("out") / Path(study).stem
     if study in PAPER:
-        from homeward.cli.studies import paper
-
-        values = nested(key_values(options or [])) | changes
-        (paper.paper if study == "paper" else paper.layouts)(folder, where, values, json)
+        values = nested(shared.key_values(options or [])) | changes
+        (paper if study == "paper" else layouts)(folder, where, values, json)
         return
     if options:
         raise InputError(f"--set is for {' and '.join(PAPER)}; write it into the study's YAML file")
@@ -104,21 +91,21 @@ def study(
     plan = make_plan(load_study(study, changes))
     check_output(folder, MARKER)
     store = store_of(plan.study, folder)
-    with resumable(), progress(plan.study.name) as tell:
+    with shared.resumable(), shared.progress(plan.study.name) as tell:
         results = run_study(plan, StudyBlocks(store, where, tell))
         rows = write_study(folder, results)
     if json:
         told = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}
         files = {"page": str(folder / PAGE), "results": str(folder / DATA)}
-        answer({**told, "failures": failures(results), **files})
+        shared.answer({**told, "failures": failures(results), **files})
     else:
         print_rows(rows)
-        say(headline(results) + ".")
+        shared.say(headline(results) + ".")
         for reason, number in failures(results).items():
-            warn(f"{number} failed: {reason}")
-        say(f"Page: {folder / PAGE}; results: {folder / DATA}")
+            shared.warn(f"{number} failed: {reason}")
+        shared.say(f"Page: {folder / PAGE}; results: {folder / DATA}")
     if results.failed.sum() == results.number:
-        raise no_answer()
+        raise shared.no_answer()
 
 
 def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
@@ -133,9 +120,86 @@ def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> No
     store = store_of(settings, folder)
     if settings.engine == "cuda" and where == Where():
         where = Where(workers=1)  # one process feeds a GPU
-    with resumable(), progress(settings.name) as tell:
+    with shared.resumable(), shared.progress(settings.name) as tell:
         results = run_map(settings, StudyBlocks(store, where, tell))
         write_map(folder, results)
     facts = {"summary": headline(results), "figure": folder / FIGURE, "table": folder / TABLE}
     words = f"Map: {folder / FIGURE}; every cell: {folder / TABLE}"
-    show(as_json, facts, headline(results), words)
+    shared.show(as_json, facts, headline(results), words)
+
+
+IMAGE_RUNS = 10
+"""Layouts per case when every sample must be rendered."""
+
+
+def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
+    """Run the paper's Cases 1 to 4 with its filters and printed parameters."""
+    from homeward.io.settings import validated
+    from homeward.io.writing import check_output
+    from homeward.lab.report.paper import page
+    from homeward.lab.studies.blocks.finish import StudyBlocks
+    from homeward.lab.studies.paper.layouts import open_store
+    from homeward.lab.studies.paper.reproduction import reproduce as run_cases
+    from homeward.lab.studies.paper.reproduction import rows
+    from homeward.lab.studies.paper.settings import PaperSettings
+
+    if values.get("measurements") == "images":
+        values = {"runs": IMAGE_RUNS} | values
+    settings = validated(PaperSettings, values)
+    check_output(out, page.SETTINGS_FILE)
+    store = open_store(out, page.SETTINGS_FILE)
+    with shared.resumable(), shared.progress("the paper's cases") as tell:
+        result = run_cases(settings, StudyBlocks(store, where, tell))
+        page.write_reproduction(out, result)
+
+    if json:
+        told = {
+            "summary": " ".join(page.sentences(result)),
+            "rows": [asdict(r) for r in rows(result)],
+        }
+        shared.answer({**told, "runs": settings.runs, "page": str(out / page.PAGE)})
+        return
+    head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
+    print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
+    if settings.measurements == "images":
+        for case, asked, obtained in page.fault_rows(result):
+            shared.say(f"Case {case}: {asked} moved landmarks asked for, obtained {obtained}.")
+    for sentence in page.sentences(result):
+        shared.say(sentence)
+    shared.say(
+        f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
+        f"Page: {out / page.PAGE}"
+    )
+
+
+def _cells(row: Row) -> list[str]:
+    """Return errors beside the printed ones, where there are any."""
+    printed = ["", "", ""] if row.printed is None else [f"{value:.4f}" for value in row.printed]
+    return [*(f"{value:.4f}" for value in row.median), *printed]
+
+
+def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
+    """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper."""
+    from homeward.io.writing import check_output
+    from homeward.lab.report.paper import layout_page as page
+    from homeward.lab.studies.blocks.finish import StudyBlocks
+    from homeward.lab.studies.blocks.store import MARKER
+    from homeward.lab.studies.paper.layouts import open_store
+    from homeward.lab.studies.paper.reproduction import layout_settings, study_layouts
+
+    settings = layout_settings(values, values.pop("runs", None), values.pop("seed", None))
+    check_output(out, MARKER)
+    store = open_store(out)
+    with shared.resumable(), shared.progress("layouts of the paper's cases") as tell:
+        result = study_layouts(settings, StudyBlocks(store, where, tell))
+        page.write_layouts(out, result)
+    tables = (page.error_table, page.ratio_table, page.order_table, page.claim_table)
+    if json:
+        told = {table.__name__.removesuffix("_table"): table(result) for table in tables}
+        files = {"page": str(out / page.PAGE), "results": str(out / page.DATA)}
+        shared.answer({"summary": page.headline(result), "tables": told, **files})
+        return
+    for table in tables:
+        print_rows(table(result), left=3)
+        typer.echo("")
+    shared.say(f"{page.headline(result)} Page: {out / page.PAGE}; every run: {out / page.DATA}")

@@ -196,10 +196,7 @@ class TurnProblem:
     def step(
         self, x: np.ndarray, weights: np.ndarray, sigmas: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unknowns after a Gauss-Newton step, and the covariance of the bearings.
-
-        Sightings, (m,), count by `weights`, and have these `sigmas` [rad].
-        """
+        """Return the unknowns after a Gauss-Newton step, and the covariance of the bearings."""
         problem = LeastSquares(x.size)
         self._add_sightings(problem, x, np.sqrt(weights) / sigmas)
         self._add_odometry(problem, x)
@@ -219,10 +216,7 @@ class TurnProblem:
     def _expected(
         self, poses: np.ndarray, landmarks: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, ...]]:
-        """Return the bearings expected, (m,), and their derivatives.
-
-        Those by heading, x and y of the pose, direction and inverse range of the landmark, (m,).
-        """
+        """Return expected bearings (m,), and derivatives by pose, direction and inverse range."""
         heading, px, py = poses[self.pose].T
         direction, inverse = landmarks[self.landmark].T
         arm = np.exp(1j * heading) * self.mount

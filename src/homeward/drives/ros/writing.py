@@ -140,7 +140,7 @@ def _require_writable(drive: Drive, path: Path) -> None:
     arrays += [drive.sightings.t, drive.sightings.bearing]
     arrays.append(np.array([seen.bearing for seen in drive.home.values()], float))
     if drive.truth is not None:
-        arrays += [drive.truth.t, drive.truth.x, drive.truth.y, drive.truth.heading]
+        arrays += vars(drive.truth).values()
     if not all(np.isfinite(array).all() for array in arrays):
         raise InputError("the drive holds a number that is not finite", path)
     for landmark in {*map(str, drive.sightings.landmark), *drive.home}:
@@ -163,8 +163,7 @@ class _Rows:
             seen = ([v.bearing for v in values], [v.sigma for v in values])
             yield self._bearings(OUR_HOME, drive.span[0], list(drive.home), *seen)
         odometry, sightings, truth = drive.odometry, drive.sightings, drive.truth
-        columns = (odometry.t.tolist(), odometry.v.tolist(), odometry.omega.tolist())
-        for t, v, omega in zip(*columns, strict=True):
+        for t, v, omega in zip(*map(np.ndarray.tolist, vars(odometry).values()), strict=True):
             yield self._message(OUR_ODOMETRY, ODOMETRY, t, BASE, v=v, omega=omega)
         edges = np.flatnonzero(np.diff(sightings.t, prepend=np.nan, append=np.nan) != 0)
         for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
@@ -172,8 +171,7 @@ class _Rows:
             seen = (sightings.bearing[a:b].tolist(), sightings.sigma[a:b].tolist())
             yield self._bearings(OUR_BEARINGS, float(sightings.t[a]), ids, *seen)
         if truth is not None:
-            poses = (truth.t.tolist(), truth.x.tolist(), truth.y.tolist(), truth.heading.tolist())
-            for t, x, y, heading in zip(*poses, strict=True):
+            for t, x, y, heading in zip(*map(np.ndarray.tolist, vars(truth).values()), strict=True):
                 yield self._message(OUR_TRUTH, POSE, t, HOME, x=x, y=y, heading=heading)
 
     def _bearings(

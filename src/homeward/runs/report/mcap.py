@@ -244,8 +244,7 @@ class _Messages:
         truth = self._drive.truth
         if truth is None:
             return
-        columns = (truth.t.tolist(), truth.x.tolist(), truth.y.tolist(), truth.heading.tolist())
-        for t, *pose in zip(*columns, strict=True):
+        for t, *pose in zip(*map(np.ndarray.tolist, vars(truth).values()), strict=True):
             header = self._log.header(stamp := self._stamp(t), MAP)
             kind = "geometry_msgs/msg/PoseStamped"
             message = self._log.make(kind, header=header, pose=_pose(*pose))
