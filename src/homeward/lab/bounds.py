@@ -126,7 +126,7 @@ class RunningBound:
         self.add(self.told_by(pose[None], landmarks, visible[None])[0])
 
     def told_by(self, poses: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> np.ndarray:
-        """Return what the bearings seen from each pose tell, (n, 3 + 2 q, 3 + 2 q)."""
+        """Return the information in the bearings from each pose, (n, 3 + 2 q, 3 + 2 q)."""
         jacobians = _bearing_jacobians(poses, landmarks, self.mount)
         jacobians *= visible[: len(poses), :, None]
         return np.asarray(jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2)

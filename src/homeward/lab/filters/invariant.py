@@ -31,7 +31,7 @@ SMALL = 1e-4
 
 @dataclass(frozen=True)
 class CartesianPrior:
-    """All that the filter is told before the drive; q landmarks."""
+    """All that the filter is given before the drive; q landmarks."""
 
     pose: Pose
     covariance: np.ndarray

@@ -24,7 +24,7 @@ from homeward.lab.model import home_anchored_bearing
 
 @dataclass(frozen=True)
 class ParticlePrior:
-    """All that the filter is told before the drive; q landmarks."""
+    """All that the filter is given before the drive; q landmarks."""
 
     polar: Polar
     sigmas: np.ndarray

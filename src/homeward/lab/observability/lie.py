@@ -28,7 +28,7 @@ from homeward.lab.observability.ranks import Rank, rank
 
 DIGITS = 60
 ZERO_DIGITS = 30
-"""In so many digits of a pivot there is nothing."""
+"""A pivot below this number of digits counts as zero."""
 
 _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ADD: lambda a, b: a + b,
@@ -93,13 +93,13 @@ def precise_rank(matrix: list[list[Any]]) -> int:
 
 
 POINTS = 5
-"""The rank is that at the best of so many random points."""
+"""Number of random points; the rank is that at the best of them."""
 MOST_LANDMARKS = 40
 
 
 @dataclass(frozen=True)
 class ModelRank:
-    """What the model of q landmarks can tell apart."""
+    """Observability of the model of q landmarks."""
 
     landmarks: int
     compass: bool
@@ -112,13 +112,13 @@ class ModelRank:
     singular_values: np.ndarray
     """(n,), scaled, relative to the largest, at the best point."""
     precise: bool
-    """Whether floats could not tell, and the rank was found in 60 digits."""
+    """Whether floats were not precise enough, and the rank was computed in 60 digits."""
     home: np.ndarray
     """(3,), home as seen from the robot at that point: x [m], y [m], heading [rad]."""
     marks: np.ndarray
     """(q, 2), the landmarks as seen from the robot there [m]."""
     null: np.ndarray
-    """(3 + 2 q, n - rank), what cannot be told, as changes of `home` and `marks`."""
+    """(3 + 2 q, n - rank), unobservable directions, as changes of `home` and `marks`."""
 
 
 def observe_model(landmarks: int, compass: bool = False, distances: bool = False) -> ModelRank:
@@ -218,7 +218,7 @@ def _robot_chart(q: int) -> ca.Function:
 
 
 LARGEST = 6
-"""The table of ranks goes up to so many landmarks."""
+"""Number of landmarks up to which the table of ranks goes."""
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,7 @@ class Rank:
 
     @property
     def clear(self) -> bool:
-        """Whether floats are enough to tell."""
+        """Whether floats are precise enough for a decision."""
         last = self.singular_values[self.value - 1] if self.value else 1.0
         return bool(self.gap > CLEAR and last > ZERO * CLEAR)
 

@@ -1,8 +1,8 @@
-"""A drive past landmarks, everything seen on it, and the derivatives of that by all unknowns.
+"""A drive past landmarks, all measurements on it, and their derivatives by all unknowns.
 
-The robot's path stands still in the frame: home is one more place in it, from which the stored
-bearings were seen, so that what cannot be told reads as what home, landmarks and calibration can do
-together without any bearing changing.
+The robot's path is fixed in the frame: home is one more place in it, from which the stored bearings
+were seen. Unobservable directions are changes of home, landmarks and calibration that leave every
+bearing the same.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Scene:
         return self._measure(self.truth)[1]
 
     def rank(self) -> Rank:
-        """Return what can be told; its null space is in the units of the unknowns."""
+        """Return the rank; its null space is in the units of the unknowns."""
         return rank(self.jacobian(), self.worth)
 
     @cached_property

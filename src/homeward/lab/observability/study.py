@@ -20,7 +20,7 @@ STEP = 0.08
 MEMBERS = 32
 """On either side at most."""
 RAYS = 6
-"""Where home is free in more than one direction, so many of them are followed."""
+"""Number of directions followed where home is free in more than one."""
 NEWTON = 4
 NEARLY = 1e-7
 SAME = 1e-9
@@ -49,7 +49,7 @@ class Trace:
 def trace_family(scene: Scene) -> list[Trace]:
     """Follow the null space of a scene, and return curves of worlds that look the same.
 
-    There is none when everything can be told, one for one free direction, else `RAYS` of them. Each
+    There is none when all is observable, one for one free direction, else `RAYS` of them. Each
     step goes along the local null space, and Newton's method then removes the effect of curvature.
     A curve ends where a member stops looking the same: at a landmark, say.
     """
@@ -181,14 +181,14 @@ def _on_a_circle(q: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SceneView:
-    """What all the bearings of one drive past landmarks tell."""
+    """What all bearings of one drive past landmarks determine."""
 
     title: str
     scene: Scene
     found: Rank
     """Of everything measured by all unknowns: home (3), landmarks (2 q), calibration."""
     freedoms: tuple[Freedom, ...]
-    """What cannot be told, in words; none when everything can."""
+    """Unobservable directions, in words."""
 
     @property
     def unknowns(self) -> int:
@@ -203,7 +203,7 @@ class ModelView:
     model: ModelRank | None
     """Rank of the Lie derivatives, where any drive was asked for; they know no calibration."""
     freedoms: tuple[Freedom, ...]
-    """What cannot be told, in words."""
+    """Unobservable directions, in words."""
     drive: SceneView
     family: tuple[Trace, ...]
     """Other worlds in which every bearing of that drive is the same."""
@@ -217,7 +217,7 @@ def observe(
     motion: Motion | None = None,
     unknown: tuple[Calibration, ...] = (),
 ) -> ModelView:
-    """Return what bearings to q landmarks can tell, in numbers, in words and as a family of worlds.
+    """Return what bearings to q landmarks determine: numbers, words and a family of worlds.
 
     Parameters
     ----------
@@ -261,7 +261,7 @@ def observe_scene(title: str, scene: Scene) -> SceneView:
 
 
 def observe_motions() -> tuple[SceneView, ...]:
-    """Return what the usual motions and unknown calibrations tell, one after the other."""
+    """Return the views of the usual motions and unknown calibrations, one after the other."""
     asked: list[tuple[int, Motion, tuple[Calibration, ...]]] = [
         (2, "arc", ()),
         (3, "arc", ()),

@@ -101,7 +101,7 @@ SHARE = 0.05
 
 @dataclass(frozen=True)
 class Freedom:
-    """Something that no bearing tells."""
+    """A set of directions that no bearing observes."""
 
     words: str
     """One sentence."""

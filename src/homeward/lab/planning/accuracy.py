@@ -20,11 +20,11 @@ from homeward.lab.planning.settings import Plan
 
 POSE = 3
 VAGUE = 1e4
-"""Nothing is further away than this [m], which keeps what nothing tells finite ..."""
+"""Nothing is further away than this [m], which keeps unobservable directions finite ..."""
 UNTOLD = 1e2
 """... and a position less certain than this [m] counts as not told."""
 HEADINGS = 4
-"""The robot may set out in so many directions, and takes the best; with a narrow camera twice."""
+"""Number of directions, twice it with a narrow camera, of which the robot takes the best."""
 FULL = 2 * np.pi - 1e-3
 """A camera with this field of view sees all round [rad]."""
 
@@ -41,7 +41,7 @@ class Fix:
 
 @dataclass(frozen=True)
 class Information:
-    """What q landmarks tell at n places, in one direction, or in several: (H, n, ...)."""
+    """Information from q landmarks at n places, in one direction, or in several: (H, n, ...)."""
 
     each: np.ndarray
     """(n, q, d (d + 1) / 2), upper triangles of informations on the unknowns."""
@@ -52,7 +52,7 @@ class Information:
 
     @cached_property
     def every(self) -> np.ndarray:
-        """(n, d (d + 1) / 2), what all tell together."""
+        """(n, d (d + 1) / 2), of all landmarks together."""
         return np.asarray(self.each.sum(axis=-2))
 
     @cached_property
@@ -62,7 +62,7 @@ class Information:
 
 
 class Arcs:
-    """The arc of a plan in every direction, and what bearings from it tell."""
+    """The arc of a plan in every direction, and the information in bearings from it."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
@@ -91,7 +91,7 @@ class Arcs:
     def told(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
     ) -> Information:
-        """Return what each landmark tells, by heading number `h`, at each place.
+        """Return the information from each landmark, for heading number `h`, at each place.
 
         Places (n, 2) are the middles of the arc, marks (q, 2) the landmarks [m]. `visible` (n, q)
         says which have a line of sight, `stored` (q,) which of them home sees; range and field of

@@ -16,7 +16,7 @@ from homeward.lab.planning.floor import Floor, candidate_places, make_floor
 from homeward.lab.planning.settings import Plan
 
 SLICE = 4000
-"""Matrices are inverted so many at once, which stay in the cache."""
+"""Number of matrices inverted at once, which stay in the cache."""
 
 Progress = Callable[[float], None]
 
@@ -71,7 +71,7 @@ class Places:
             place, i, j = np.nonzero(told.seen[:, :, None] & told.seen[:, None, :] & upper)
             out[place, i, j] = out[place, j, i] = self._scores(told, place, [i, j])
             best = np.minimum(best, out)
-            # One that was moved still tells how the robot drove.
+            # A moved landmark still gives information on the motion.
             still = self._told(h, np.zeros_like(self.stored)).each
             moved = np.minimum(moved, self._without(told, told.common, still))
         begins = np.asarray(best <= 1)
@@ -97,7 +97,7 @@ class Places:
         without: list[np.ndarray],
         still: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return scores at places (k,) without landmarks (k,), but for what they `still` tell."""
+        """Return scores at places (k,) without landmarks (k,), but with the information `still`."""
         scores = np.empty(place.size)
         for begin in range(0, place.size, SLICE):
             part = slice(begin, begin + SLICE)
@@ -136,7 +136,7 @@ CAP = 3.0
 DECIMALS = 9
 """Costs that differ by less are the same."""
 PLACES = 120
-"""Costs are means over so many places of the floor, evenly chosen."""
+"""Number of places of the floor, evenly chosen, over which costs are means."""
 
 
 def best_places(
@@ -166,14 +166,14 @@ def best_places(
 
 
 def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Information:
-    """Return what landmarks tell at m places, in each of H directions."""
+    """Return the information from landmarks at m places, in each of H directions."""
     visible, stored = floor.sees(places, marks), home_sees(arcs.plan, floor, marks)
     told = [arcs.told(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
     return Information(*(np.array([getattr(t, f.name) for t in told]) for f in fields(Information)))
 
 
 def _with(now: Information, more: Information, c: int) -> Information:
-    """Return what is told now, and by landmark `c` of more."""
+    """Return the information now together with that of landmark `c` of more."""
     pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Information))
     return Information(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
 
@@ -205,9 +205,9 @@ def _score(arcs: Arcs, information: np.ndarray, count: np.ndarray) -> np.ndarray
 CHUNK = 500
 """Places are worked on in groups of this size."""
 SAMPLE = 1500
-"""Pairs are hidden, and landmarks moved, at so many places, evenly chosen ..."""
+"""Number of places, evenly chosen, at which pairs are hidden and landmarks moved ..."""
 PAIR_WORK = 2_000_000
-"""... or at fewer, lest there are more cases than this; but at `FEWEST` at least."""
+"""... or fewer, so that there are not more cases than this; but at least `FEWEST`."""
 FEWEST = 100
 
 

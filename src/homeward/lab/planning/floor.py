@@ -13,8 +13,8 @@ from homeward.errors import InputError
 from homeward.lab.planning.settings import Plan
 
 EDGE = 1e-3
-"""Shelves hide as if smaller by this all round [m], and walls as if further out, lest one hides
-what hangs on its own face."""
+"""Shelves hide as if smaller by this all round [m], and walls as if further out, so that none hides
+marks on its own face."""
 MOST_CELLS = 200_000
 MOST_CANDIDATES = 120
 SPACING = 0.5

@@ -107,7 +107,7 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
 
 
 def draw_drive_view(view: DriveView) -> Figure:
-    """Draw the path coloured by how well each window tells the position, and that over time."""
+    """Draw the path coloured by the position error of each window, and that error over time."""
     drawn = np.vstack([np.zeros((1, 2)), view.poses[:, :2], _near(view)])
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     extent = float((high - low).max())
@@ -217,7 +217,7 @@ def model_summary(view: ModelView) -> str:
 
 
 def drive_summary(view: DriveView) -> str:
-    """Say in a few sentences how well a drive tells home, and where not."""
+    """Say in a few sentences how well a drive determines home, and where not."""
     blind = [w for w in view.windows if not np.isfinite(w.position_sigma)]
     told = [w for w in view.windows if np.isfinite(w.position_sigma)]
     whole = view.whole

@@ -132,7 +132,7 @@ def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generato
 
 
 class Log:
-    """What a robot would log, told to the estimator in the loop as it is written.
+    """Log of a robot, passed to the estimator in the loop as it is written.
 
     `yaw` is that of the camera on the robot [rad].
     """
@@ -197,7 +197,7 @@ class Log:
 
 
 STEPS_PER_TELLING = 200
-"""Progress is told once in so many steps."""
+"""Number of steps from one report of progress to the next."""
 
 
 class Ending(enum.Enum):
@@ -278,7 +278,7 @@ def before(
 ) -> Drive:
     """Return the drive of a course before it begins: home and settings, no samples.
 
-    Of errors that were drawn it tells the sigmas alone. Sigma, where known, and field of view are
+    Of errors that were drawn it has the sigmas alone. Sigma, where known, and field of view are
     those of the camera [rad].
     """
     told = set(OdometryNoise.model_fields)

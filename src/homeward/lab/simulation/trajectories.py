@@ -88,7 +88,7 @@ Command = Twist | None
 SEARCH_RADIUS = 0.5
 """Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
 SAME_CIRCLES = 3
-"""It goes round so often before the arc widens: most places need no wider one."""
+"""Number of rounds before the arc widens: most places need no wider one."""
 NARROW = math.pi
 """A camera that sees less of the way round [rad] sees each landmark from a part of a circle alone,
 whose breadth across the line of sight is at most half of what all of it has: it looks round."""

@@ -23,7 +23,7 @@ from homeward.lab.simulation.scenario import (
 )
 
 EDGE = 1e-4
-"""Shelves hide as if smaller by this all round [m], lest one hides what hangs on its own face."""
+"""Shelves hide as if smaller by this all round [m], so that none hides marks on its own face."""
 
 
 def in_view(
@@ -78,7 +78,7 @@ def _crossing(
 
 
 TRIES = 1000
-"""A landmark that finds no free place in so many draws has none."""
+"""Number of draws after which a landmark has no free place."""
 IN_FRONT = 0.01
 """A surface can carry a landmark where the room is free this far in front of it [m]."""
 

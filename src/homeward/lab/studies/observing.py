@@ -1,4 +1,4 @@
-"""How well a real drive tells home and landmarks, window by window of its time.
+"""How well a real drive determines home and landmarks, window by window of its time.
 
 The empirical observability Gramian over the landmarks that were in sight when: the information of
 all bearings of a window, and of the home bearings, on home's pose and the landmarks, at the true
@@ -39,7 +39,7 @@ LOOSELY = 0.15
 
 @dataclass(frozen=True)
 class Window:
-    """What the bearings of a stretch of the drive tell."""
+    """What the bearings of a stretch of the drive determine."""
 
     begin: float
     """From the start of the drive [s]."""
@@ -55,7 +55,7 @@ class Window:
     """(3, 3), of the pose of the camera at the end of the window relative to home, x [m], y [m],
     heading [rad]; infinite where it is not told."""
     weakest: tuple[str, ...]
-    """In words: what is not told, or else what is told worst of home."""
+    """In words: the unobservable directions, or else the least observable one of home."""
 
     @property
     def position_sigma(self) -> float:
@@ -70,7 +70,7 @@ class Window:
 
 @dataclass(frozen=True)
 class DriveView:
-    """What the bearings of a drive tell."""
+    """What the bearings of a drive determine."""
 
     name: str
     path_from: str
@@ -109,7 +109,7 @@ def check_window(drive: Drive, window: float) -> None:
 def observe_drive(
     drive: Drive, window: float = WINDOW_S, progress: Callable[[float], None] | None = None
 ) -> DriveView:
-    """Return what the bearings of a drive tell of the pose relative to home, and what not.
+    """Return what the bearings of a drive determine of the pose relative to home.
 
     Where the drive has no truth, its path is the robust localiser's, smoothed.
 
@@ -120,7 +120,7 @@ def observe_drive(
     window : float
         [s]; a new one begins each half of it.
     progress : callable, optional
-        Told the fraction done, in [0, 1].
+        Called with the fraction done, in [0, 1].
 
     Raises
     ------
@@ -212,7 +212,7 @@ class _Seen:
         self.places, self.stored = np.array(places), np.array(stored, bool)
 
     def window(self, begin: float, end: float) -> Window:
-        """Return what the bearings of a window tell."""
+        """Return what the bearings of a window determine."""
         rows = np.flatnonzero((self.t >= begin) & (self.t <= end))
         which = np.flatnonzero(self.visible[rows].any(axis=0) & self.stored)
         rows = rows[self.visible[np.ix_(rows, which)].any(axis=1)]

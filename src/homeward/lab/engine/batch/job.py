@@ -43,7 +43,7 @@ class Job:
     program: Program
     runs: int
     steps: int
-    """At most so many advances a run; its samples are one more."""
+    """Largest number of advances of a run; its samples are one more."""
     start: tuple[Given, ...]
     series: tuple[Given, ...]
     final: tuple[str, ...]

@@ -204,7 +204,7 @@ def gpu() -> Gpu:
 
 @lru_cache(maxsize=16)
 def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> CudaKernel:
-    """Compile and load ``homeward_batch`` for blocks of `threads` that share so many bytes."""
+    """Compile and load ``homeward_batch`` for blocks of `threads` that share a number of bytes."""
     driver, _ = bindings()
     module = _checked(driver.cuModuleLoadData(compiled(text, device.architecture)))
     function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))

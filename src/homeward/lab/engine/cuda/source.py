@@ -220,7 +220,7 @@ class Variables:
 
 
 MOST_LANDMARKS = 64
-"""What is in sight is a word of so many bits."""
+"""Number of bits of the word for the landmarks in sight."""
 MOST_CONSTANTS_BYTES = 30_000
 """A kernel takes little more than this as its argument."""
 ONE_THREAD_BYTES = 960

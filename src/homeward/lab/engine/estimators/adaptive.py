@@ -30,7 +30,7 @@ for another noise."""
 
 
 class Past(NamedTuple):
-    """What was told, the last first: an interval and its twist, or a stamp and its sigmas."""
+    """Past input, the last first: an interval and its twist, or a stamp and its sigmas."""
 
     before: Past | None
     interval: float
@@ -161,7 +161,7 @@ class AdaptiveRunner:
 
 
 def _in_order(past: Past | None) -> Iterator[Past]:
-    """Yield what was told, the first first."""
+    """Yield past input, the first first."""
     told = []
     while past is not None:
         told.append(past)

@@ -29,7 +29,7 @@ from homeward.odometry.validity import TwistValidity
 from homeward.reasons import Reason, Rejection, too_few_agree
 
 RECENT = 20
-"""Whether most sightings are rejected is judged by so many of the last ones."""
+"""Number of the last sightings that decide whether most are rejected."""
 
 
 class OnlineFilter:

@@ -52,7 +52,7 @@ Settings = TypeVar("Settings", bound=NoiseSettings, covariant=True)
 
 @dataclass(frozen=True)
 class FilterConfig(Generic[Settings]):
-    """What a filter is told of home and robot."""
+    """What a filter is given about home and robot."""
 
     name: str
     """Of the filter."""

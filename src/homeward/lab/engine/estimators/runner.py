@@ -53,7 +53,7 @@ class FilterKernels(NamedTuple):
 def filter_kernels(
     kind: ExtendedKalmanFilter, engine: Engine = "auto", steps: int = 0
 ) -> FilterKernels:
-    """Return the kernels of a filter; so many `steps` are coming, as far as that is known."""
+    """Return the kernels of a filter; `steps` is the number to come, as far as it is known."""
 
     def native() -> NativeProgram:
         return NativeProgram(filter_program(kind))

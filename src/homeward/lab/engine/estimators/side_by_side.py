@@ -44,7 +44,7 @@ Step = tuple[float, float, float, bool]
 
 
 class Timetable:
-    """What a drive tells a filter whose states are the landmarks `ids`, in order, step by step."""
+    """Input of a drive for a filter whose states are the landmarks `ids`, step by step."""
 
     def __init__(self, drive: Drive, ids: Sequence[str]) -> None:
         self.steps: list[Step] = []
@@ -193,7 +193,7 @@ def run_side_by_side(
 
 @lru_cache(maxsize=64)
 def online_program(kind: ExtendedKalmanFilter) -> Program:
-    """Return a filter whose noise is told as densities: pace, predict, update."""
+    """Return a filter whose noise is given as densities: pace, predict, update."""
     asked = symbols(Prediction, kind.model, kind.integral)
     lost, density = ca.SX.sym("lost"), ca.SX.sym("input_density", 2)
     walk = ca.SX.sym("state_density", asked.state_variance.shape)

@@ -36,9 +36,9 @@ from homeward.lab.filters.settings import (
 from homeward.lab.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
 
 MARKER = "library.properties"
-"""The file that tells an earlier export."""
+"""The file that marks an earlier export."""
 MOST_LANDMARKS = 32
-"""What has been seen is a word of so many bits."""
+"""Number of bits of the word for the landmarks seen so far."""
 _FILES = {
     "examples/cortex_m4f/main.c": "main.c",
     "examples/cortex_m4f/startup.c": "startup.c",
@@ -249,7 +249,7 @@ class Cost(NamedTuple):
         return Cost(self[0] + other[0], self[1] + other[1])
 
     def __rmul__(self, times: int) -> Cost:  # type: ignore[override]
-        """Return it so many times."""
+        """Return a multiple of it."""
         return Cost(times * self[0], times * self[1])
 
 

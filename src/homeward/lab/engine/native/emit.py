@@ -268,7 +268,7 @@ class _Writer:
         self._expanded = _expanded(self.code)
 
     def value(self, number: int) -> bool:
-        """Write a node; tell whether it belongs to one landmark."""
+        """Write a node; return whether it belongs to one landmark."""
         if number in self._written:
             return self._written[number]
         node = self.code.nodes[number]

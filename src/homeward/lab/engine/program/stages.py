@@ -345,7 +345,7 @@ class Machine:
 def filter_parts(
     kind: ExtendedKalmanFilter, unrolled_up_to: int | None = None
 ) -> dict[str, tuple[Stage, ...]]:
-    """Return the parts ``predict`` and ``update`` of a filter, unrolled up to so many states.
+    """Return the parts ``predict`` and ``update`` of a filter, unrolled up to a number of states.
 
     None stands for `COMPILES_UP_TO`, and for all where there are no loops in C for the filter.
     """

@@ -54,7 +54,7 @@ TITLES = {
     "4": "Case 4: open loop, a circle, no fault",
 }
 ACROSS = ("initial_error", "meaning_of_Q", "disturbance")
-"""Of a reading, what the rows of the grid's figure tell."""
+"""Fields of a reading that the rows of the grid's figure show."""
 RIVALS = ("A-EKF (one)", "PI-EKF", PI_HT, DEAD_RECKONING)
 """Whose shares the grid's figure shows."""
 
@@ -168,7 +168,7 @@ FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
 
 
 CLAIMED = ("PI-EKF", "A-EKF", "EKF")
-"""The order that the paper tells of, least error first."""
+"""The order that the paper claims, least error first."""
 PAGE, DATA = "layouts.html", "layouts.csv"
 
 

@@ -20,10 +20,10 @@ from homeward.runs.report.palette import INK, VERMILLION
 
 FIGURE, TABLE = "map.png", "map.csv"
 SHOWN = FAR_M.index(0.5)
-"""Of `FAR_M`, the distance that figure and words tell."""
+"""Index in `FAR_M` of the distance in the figure and the words."""
 LITTLE_TO_MUCH = LinearSegmentedColormap.from_list("far", ("#ffffff", VERMILLION, INK))
 DECADES = 0.5
-"""Errors so many powers of ten above or below the EKF's have the full colour."""
+"""Powers of ten above or below the EKF's errors at which the colour is full."""
 
 
 def write_map(directory: Path, results: MapResults) -> None:

@@ -32,7 +32,7 @@ SHOWN: dict[str, dict[str, str]] = {
         "position_rmse": "what it is worth: position RMSE [m]",
     },
 }
-"""Estimator to quantities and what they tell; others show RMSE and NEES."""
+"""Estimator to quantities and their meaning; others show RMSE and NEES."""
 WORDS = {
     "parameter_sigma": "√P0: parameter_sigma [rad]",
     "parameter_walk": "√Qd: parameter_walk [rad/√s]",
@@ -75,7 +75,7 @@ def grids(results: Results) -> list[SettingsGrid]:
 def draw_maps(results: Results, grid: SettingsGrid) -> Figure:
     """Draw a row of maps for each quantity; blue is better than the plain EKF, red is worse.
 
-    Of the NEES, blue is 3. Every cell tells its number, a median over the runs.
+    Of the NEES, blue is 3. Every cell shows its number, a median over the runs.
     """
     shown = SHOWN.get(grid.estimator, OTHERS)
     members = [results.plan.contenders[j] for j in grid.contenders]

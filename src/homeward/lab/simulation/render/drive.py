@@ -119,7 +119,7 @@ class Eye:
 
 
 Keep = Callable[[float, Pose, np.ndarray], None]
-"""Told of each picture: its time [s], the robot's true pose in the home frame, the picture."""
+"""Called with each picture: its time [s], the robot's true pose in the home frame, the picture."""
 
 
 @dataclass(frozen=True)

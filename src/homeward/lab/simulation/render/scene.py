@@ -28,8 +28,8 @@ from homeward.lab.simulation.render.room.settings import Light, Lighting, Mover,
 from homeward.lab.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
 GRID, SUN_GRID = 16, 64
-"""Light is known at so many places along each side of a surface, and smooth between them; where the
-sun draws edges, at so many."""
+"""Number of places along each side of a surface at which light is computed, smooth between
+them; and the same where the sun draws edges."""
 REACH = 2.5
 """A lamp's light has fallen to half at this distance [m]."""
 FAR = 100.0

@@ -201,12 +201,12 @@ class Where:
 
 @dataclass(frozen=True)
 class StudyBlocks:
-    """A study's blocks: where they are kept and where computed, and who is told how far that is."""
+    """A study's blocks: where they are kept and computed, and the callback of its progress."""
 
     store: BlockStore
     where: Where = Where()
     progress: Callable[[float], None] = lambda fraction: None
-    """Told the fraction done, in [0, 1]."""
+    """Called with the fraction done, in [0, 1]."""
 
     def part(self, begin: float, end: float) -> StudyBlocks:
         """Return the work between two fractions of all of it."""
@@ -218,7 +218,7 @@ class StudyBlocks:
         """Compute every block that the store does not hold yet, and keep it there.
 
         The function makes of an argument what its block leaves; it is of a module, so that workers
-        can import it. Progress is told at the beginning and after each block. Raises
+        can import it. Progress is reported at the beginning and after each block. Raises
         `HomewardError` when the workers are lost, or the folder cannot be written; finished blocks
         are kept.
         """

@@ -1,6 +1,6 @@
 """Finished blocks in a folder: each written whole or not at all, none ever lost or counted twice.
 
-MARKER           the settings in words; it tells that the folder is ours
+MARKER           the settings in words; it marks the folder as ours
 blocks/          manifest.json (the settings, from which the key of the study is made)
                  and NAME.npz, one for each finished block
 """

@@ -24,7 +24,7 @@ from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world
 PI_HT, DEAD_RECKONING = "PI-EKF (HT)", "dead reckoning"
 FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF", PI_HT, DEAD_RECKONING)
 """A-EKF with the first wrong home bearing as its one parameter (beta*_1 if none is wrong), and
-with all of them; PI-EKF with M as set, and with M = H'; and the EKF told of no bearing."""
+with all of them; PI-EKF with M as set, and with M = H'; and the EKF without bearings."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
 
 
 def filter_kind(name: str, world: PaperWorld, settings: PaperSettings) -> ExtendedKalmanFilter:
-    """Return one of `FILTERS` for a world, whose faults tell which parameter is the one."""
+    """Return one of `FILTERS` for a world, whose faults determine which parameter is the one."""
     q, assumed = settings.printed.landmarks, settings.assumed
     if name.startswith("A-EKF"):
         wrong = np.flatnonzero(world.moved)

@@ -45,7 +45,7 @@ class Sight:
     moved: np.ndarray
     """(q,) bool, which of them lie on boxes that were moved since."""
     every: int
-    """An image is taken at every so many samples."""
+    """Number of samples from image to image."""
     _seen: dict[tuple[float, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def measure(self, sample: int, pose: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -203,7 +203,7 @@ class Question:
     layouts: int
 
     def blocks(self) -> dict[str, Block]:
-        """Return its blocks by names that tell everything they depend on."""
+        """Return its blocks by names that identify everything they depend on."""
         tree = self.settings.model_dump(mode="json", exclude={"runs"})
         text = json.dumps([tree, self.case, self.names], sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -218,7 +218,7 @@ class Question:
 
 
 def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
-    """Return the store of a folder; the names of its blocks tell their settings."""
+    """Return the store of a folder; the names of its blocks identify their settings."""
     return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
 
 

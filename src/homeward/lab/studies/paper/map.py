@@ -31,7 +31,7 @@ from homeward.native.compiler import NativeError, find_compiler
 FAR_M = (0.1, 0.2, 0.5, 1.0, 2.0)
 """Runs are counted that end farther from home than each of these [m]."""
 AT_ONCE = 10_000
-"""Runs of a cell in a block: so many keep a GPU busy, and their worlds fit into memory."""
+"""Runs of a cell in a block: enough to keep a GPU busy, and their worlds fit into memory."""
 REFERENCE = "EKF"
 
 

@@ -59,7 +59,7 @@ def drive_of(world: PaperWorld, settings: PaperSettings) -> Drive:
 def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
     """Run the robust localiser through a world, closing the loop in Cases 1 to 3.
 
-    It is told the noise as it is, which the paper's filters are not; homing ends as for them.
+    It is given the true noise, unlike the paper's filters; homing ends as for them.
     Errors are over the samples with a pose, NaN when there was none.
     """
     printed, assumed = settings.printed, settings.assumed

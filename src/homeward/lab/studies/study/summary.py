@@ -22,7 +22,7 @@ from homeward.lab.studies.study.statistics import (
 )
 
 FEWEST_SHARE = 0.2
-"""Over time, means are told while at least this share of the runs goes on."""
+"""Over time, means are given while at least this share of the runs goes on."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ def summary(results: Results) -> Summary:
 def table(found: Summary) -> list[list[str]]:
     """Return the table of the terminal and of the page, its head first, as text.
 
-    Failures are told first. A column in which nothing is known is left out.
+    Failures come first. A column in which nothing is known is left out.
     """
     head = ["scenario", "estimator", "failed", "no pose", "RMSE [m]", "5 to 95 % of runs"]
     head += ["RMSE / bound", f"x {found.first}", "p", "heading [deg]", "NEES"]

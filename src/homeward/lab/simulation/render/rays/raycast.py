@@ -21,12 +21,12 @@ from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.native.program import Program
 
 SLACK = 1e-6
-"""Rectangles reach so far beyond their edges, in tiles, lest a ray slips through where two meet."""
+"""Rectangles reach this far beyond their edges, in tiles, so that no ray passes where two meet."""
 
 ANGLE_SLACK = 1e-4
 """And cones, for the same reason [rad]."""
 LEAST_BLOCK, MOST_BLOCKS = 8, 64
-"""Blocks have so many columns at least, and a picture so many blocks side by side at most."""
+"""Least number of columns of a block, and largest number of blocks side by side in a picture."""
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from homeward.lab.simulation.trajectories import SEARCH_RADIUS
 from homeward.lab.simulation.world import Stream, generator
 
 TRIES = 500
-"""What finds no free place in so many draws has none."""
+"""Number of draws after which a thing has no free place."""
 CLEAR = 0.6
 """Boxes by chance keep so far from the way between start, way points and home [m]."""
 ARC_CLEAR = SEARCH_RADIUS + 0.2
@@ -97,7 +97,7 @@ class _Room:
 
 
 def _names(kind: str, number: int, taken: Collection[str]) -> Iterator[str]:
-    """Return so many names that nothing listed has."""
+    """Return a number of names that nothing listed has."""
     return islice((name for i in count(1) if (name := f"{kind} {i}") not in taken), number)
 
 

@@ -16,7 +16,7 @@ from homeward.lab.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
 
 SHEET = 1024
-"""Samples are looked up in rows of so many."""
+"""Number of samples looked up in a row."""
 _SIZES = (SIZE / 2.0 ** np.arange(LEVELS)).astype(np.float32)
 MEAN_GREY = 115.0
 """The exposure aims at this mean [grey levels of 255]."""
@@ -42,7 +42,7 @@ class PixelTruth:
 def rays_of(
     camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
 ) -> Rays:
-    """Return the rays of a camera's pixels, or of so many by so many parts of each."""
+    """Return the rays of a camera's pixels, or of n x n parts of each."""
     rows, columns = np.indices((camera.height * oversampling, camera.width * oversampling))
     middle = [(part + 0.5) / oversampling - 0.5 for part in (columns, rows)]
     return Rays.of(*camera.directions(*middle), dtype)

@@ -41,7 +41,7 @@ def paint(texture: Texture) -> np.ndarray:
     """Return a tile, shape (SIZE, SIZE, 3), blue green red in [0, 1]; not to be changed."""
     if texture.kind.startswith(TAG):
         return _tag(texture.kind.removeprefix(TAG), texture.seed)
-    # The kind's place in the table tells apart kinds that share a seed.
+    # The kind's place in the table separates kinds that share a seed.
     rng = np.random.default_rng([texture.seed, list(KINDS).index(texture.kind)])
     return np.asarray(np.clip(KINDS[texture.kind](rng), 0.0, 1.0), np.float32)
 
