@@ -35,8 +35,7 @@ from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.log import Channel
 from homeward.drives.ros.messages.decoding import DEFINITIONS, Decoder
-from homeward.drives.ros.messages.names import ODOMETRY
-from homeward.drives.ros.settings import LogSettings
+from homeward.drives.ros.settings import ODOMETRY, LogSettings
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError
 from homeward.geometry.frames import Pose

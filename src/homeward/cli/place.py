@@ -26,7 +26,7 @@ def about() -> None:
 def info(folder: Folder, json: AsJson = False) -> None:
     """Say what is known of a place and its homes."""
     from homeward.places.files import load_place
-    from homeward.runs.report.place.words import info_lines
+    from homeward.runs.report.words import info_lines
 
     found = load_place(folder)
     show(json, _facts(found), *info_lines(found))
@@ -70,7 +70,7 @@ def view(
 ) -> None:
     """Draw a place over its visits, on a page."""
     from homeward.places.files import load_place
-    from homeward.runs.report.place.page import write_page
+    from homeward.runs.report.place_page import write_page
 
     file = out or Path("out") / f"{folder.resolve().name}.html"
     write_page(file, load_place(folder))
@@ -85,7 +85,7 @@ def merge(
     """Merge another robot's place of the same room into a place."""
     from homeward.places.files import load_place, update_place
     from homeward.places.visiting import merged_places
-    from homeward.runs.report.place.words import visit_words
+    from homeward.runs.report.words import visit_words
 
     added = load_place(other)
     now, _ = update_place(folder, lambda known: merged_places(known, added))
@@ -105,7 +105,7 @@ def forget(
 ) -> None:
     """Forget landmarks, homes or routes of a place."""
     from homeward.places.files import update_place
-    from homeward.runs.report.place.words import forget_words
+    from homeward.runs.report.words import forget_words
 
     now, _ = update_place(folder, lambda p: p.without(landmarks or [], home or [], route or []))
     say(forget_words(now))

@@ -32,8 +32,7 @@ from homeward.places.route import Route, route_of, seen_along, taught_along
 from homeward.places.telling import VisitData, require_name, told_along
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
-from homeward.runs.report.place.words import visit_words
-from homeward.runs.report.words import count
+from homeward.runs.report.words import count, visit_words
 
 COLUMNS = 5
 """Of what is kept of an answer: stamp, pose, and how uncertain its place is if it is localised."""

@@ -12,8 +12,7 @@ from typing import Any, Generic, TypeVar
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS
 from homeward.drives.ros.measurements.extrinsics import Transforms, mount, not_tied
-from homeward.drives.ros.messages.names import PICTURES
-from homeward.drives.ros.settings import BearingsTopic, MountFrames
+from homeward.drives.ros.settings import PICTURES, BearingsTopic, MountFrames
 from homeward.errors import InputError
 from homeward.io.settings import validated
 from homeward.live.messages import BearingsIn, MountIs

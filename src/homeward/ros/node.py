@@ -32,8 +32,7 @@ from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
 from homeward.ros import conversions as convert
 from homeward.ros.camera import MessageCamera, Newest
-from homeward.ros.conversions import JSON, TFS
-from homeward.ros.publishers import Publishers
+from homeward.ros.conversions import JSON, TFS, Publishers
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Of what was said once, before anybody listened."""

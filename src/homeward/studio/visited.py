@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.errors import InputError
 from homeward.places.place import Event, Place
-from homeward.runs.report.place.words import date, info_lines, visit_words
+from homeward.runs.report.words import date, info_lines, visit_words
 from homeward.studio.messages import Asked
 
 MARGIN_M = 0.5

@@ -8,7 +8,7 @@ import lz4.frame
 from backports import zstd
 
 from homeward.drives.ros.messages.decoding import DEFINITIONS
-from homeward.drives.ros.messages.names import ODOMETRY
+from homeward.drives.ros.settings import ODOMETRY
 
 HEADER_TEXT = """\
 ================================================================================

@@ -13,7 +13,7 @@ from homeward.drives.ros import log
 from homeward.drives.ros.log import Channel
 from homeward.drives.ros.messages import decoding
 from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.names import ODOMETRY
+from homeward.drives.ros.settings import ODOMETRY
 from homeward.errors import InputError
 
 LINE = "=" * 80 + "\nMSG: "

@@ -189,7 +189,7 @@ def _run(
     json: bool,
 ) -> None:
     from homeward.runs.report.folder import PAGE, missing_extra, write_run
-    from homeward.runs.report.place.words import route_words, visit_words
+    from homeward.runs.report.words import route_words, visit_words
     from homeward.runs.scoring import score
     from homeward.runs.single_run import drive_path, finish, prepare
     from homeward.runs.visits import ToStore, check_update, save_visit

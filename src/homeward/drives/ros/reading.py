@@ -25,8 +25,7 @@ from homeward.drives.ros.measurements.extrinsics import (
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.names import PICTURES
-from homeward.drives.ros.settings import NAME_BEARINGS, BearingsTopic, LogSettings
+from homeward.drives.ros.settings import NAME_BEARINGS, PICTURES, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import MessageTimes, Tell, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings

@@ -11,6 +11,11 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import DriveSettings, Finite, HomeWhen, Mount, Positive
 from homeward.io.keys import Strict
 
+ODOMETRY = "homeward_msgs/msg/Odometry"
+BEARINGS = "homeward_msgs/msg/Bearings"
+POSE = "homeward_msgs/msg/Pose"
+PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+
 
 class OdometryTopic(Strict):
     """Where the odometry is."""

@@ -16,8 +16,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.drive import Drive
 from homeward.drives.ros.messages.decoding import typestore
-from homeward.drives.ros.messages.names import BEARINGS, ODOMETRY, POSE
 from homeward.drives.ros.messages.stamps import NANO, split
+from homeward.drives.ros.settings import BEARINGS, ODOMETRY, POSE
 from homeward.drives.ros.topics.choosing import (
     OUR_BEARINGS,
     OUR_HOME,

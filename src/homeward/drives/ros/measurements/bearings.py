@@ -12,8 +12,7 @@ import numpy as np
 from homeward.drives.cameras.camera import tag_bearings
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.rows import Remarks
-from homeward.drives.ros.messages.names import BEARINGS, PICTURES
-from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted

@@ -17,8 +17,7 @@ from homeward.drives.ros.measurements.contradiction import (
     contradiction,
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
-from homeward.drives.ros.messages.names import ODOMETRY, POSE
-from homeward.drives.ros.settings import OdometryTopic
+from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
 from homeward.errors import InputError
 from homeward.io.table import quoted
 

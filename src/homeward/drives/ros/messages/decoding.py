@@ -21,7 +21,7 @@ from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.log import Channel, one_line
-from homeward.drives.ros.messages.names import PICTURES
+from homeward.drives.ros.settings import PICTURES
 from homeward.errors import InputError
 from homeward.io.table import quoted
 
@@ -33,7 +33,10 @@ def _told(package: str) -> dict[str, str]:
 
 
 DEFINITIONS = _told("homeward_msgs")
-"""The types of `homeward_msgs`, with their .msg files."""
+"""The types of `homeward_msgs`, which hold a drive to the last bit, with their .msg files.
+
+`residue` is the part of a time [s] that a stamp in whole nanoseconds cannot hold.
+"""
 _WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs") | _told("apriltag_ros")
 """For logs that hold no definitions, as those of ROS 2 before Iron in sqlite3."""
 

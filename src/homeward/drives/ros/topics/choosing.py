@@ -6,8 +6,10 @@ from collections.abc import Container
 
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
 from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
-from homeward.drives.ros.messages.names import BEARINGS, PICTURES, POSE
 from homeward.drives.ros.settings import (
+    BEARINGS,
+    PICTURES,
+    POSE,
     BearingsTopic,
     HomeFrom,
     LogSettings,

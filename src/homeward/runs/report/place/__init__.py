@@ -1,1 +1,0 @@
-"""What is left behind of a place: words, and a page of its visits."""
