@@ -150,19 +150,11 @@ def make_scene(
     intervals = np.full(STEPS, DURATION / STEPS)
     home = between(START, Pose(0.0, 0.0, 0.0))
     seen = between(START, Pose(marks[:, 0], marks[:, 1], 0.0))
-    return Scene(
-        names=tuple(f"L{i + 1}" for i in range(landmarks)),
-        home=np.array(home, float),
-        landmarks=np.stack([seen.x, seen.y], axis=1),
-        poses=drive(Pose(0.0, 0.0, 0.0), twists, intervals),
-        visible=np.ones((STEPS + 1, landmarks), bool),
-        stored=np.ones(landmarks, bool),
-        twists=twists,
-        intervals=intervals,
-        unknown=unknown,
-        compass=compass,
-        distances=distances,
-    )
+    names, places = tuple(f"L{i + 1}" for i in range(landmarks)), np.stack([seen.x, seen.y], axis=1)
+    poses = drive(Pose(0.0, 0.0, 0.0), twists, intervals)
+    visible, stored = np.ones((STEPS + 1, landmarks), bool), np.ones(landmarks, bool)
+    given = visible, stored, twists, intervals, unknown, compass, distances
+    return Scene(names, np.array(home, float), places, poses, *given)
 
 
 def _around(q: int) -> np.ndarray:

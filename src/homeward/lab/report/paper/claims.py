@@ -230,13 +230,9 @@ def judged(shares: np.ndarray) -> str:
     most = shares > MOST
     if np.all(shares > 0.95):
         return "holds"
-    return (
-        "holds in most layouts"
-        if most.all()
-        else "holds in part"
-        if most.any()
-        else "does not hold"
-    )
+    if most.all():
+        return "holds in most layouts"
+    return "holds in part" if most.any() else "does not hold"
 
 
 def command(study: LayoutStudy, reading: Reading, change: Mapping[str, Any] | None = None) -> str:
