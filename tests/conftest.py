@@ -43,7 +43,7 @@ CORE = (
 )
 """Tests of the core, which `make test-core` runs where vision, lab and studio are not installed."""
 OUTSIDE_CORE = re.compile(
-    r"homeward\.(lab|vision|studio)\b|\b(benchmarks|live_rig|made_up_study)\b"
+    r"homeward\.(lab|vision|studio)\b|\b(benchmarks|casadi|cv2|live_rig|made_up_study)\b"
 )
 """A file of these folders that mentions one of these needs more than the core."""
 
@@ -57,9 +57,12 @@ def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
     """Import no other tests where only those of the interpreter or of the core are wanted."""
     wanted = {"interpreter": _is_of_interpreter, "core": _is_of_core}.get(config.option.markexpr)
-    if wanted is None or not collection_path.name.startswith("test_"):
+    if wanted is None:
         return None
-    return not wanted(collection_path) or None
+    if collection_path.parent.name == "tests" and collection_path.is_dir():
+        within = CORE if config.option.markexpr == "core" else INTERPRETER
+        return not any(name.startswith(f"{collection_path.name}/") for name in within) or None
+    return (collection_path.name.startswith("test_") and not wanted(collection_path)) or None
 
 
 def _is_of_interpreter(file: Path) -> bool:

@@ -99,6 +99,7 @@ def test_the_sample_drive(tmp_path):
     assert_same(drive, open_drive(tmp_path / "sample.mcap"))
 
 
+@pytest.mark.usefixtures("lab")
 def test_real_drive_comes_back_and_runs_alike(data_dir, tmp_path):
     folder = data_dir / "MRCLAM_Dataset6"
     if not folder.is_dir():
