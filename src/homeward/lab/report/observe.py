@@ -17,8 +17,9 @@ from homeward.lab.observability.study import ModelView, Trace, observe_motions
 from homeward.lab.studies.observing import DriveView
 from homeward.runs.report import words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
+from homeward.runs.report.files import write_settings
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
-from homeward.runs.report.template import render, write_settings
+from homeward.runs.report.template import render
 from homeward.runs.report.words import name
 
 GHOSTS = 7

@@ -16,10 +16,10 @@ from homeward.runs.report.files import (
     write_estimate,
     write_landmarks,
     write_metrics,
+    write_settings,
     write_trajectory,
 )
 from homeward.runs.report.summary import summarise
-from homeward.runs.report.template import write_settings
 from homeward.runs.scoring import score
 from homeward.track import Track
 

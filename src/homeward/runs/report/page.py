@@ -14,6 +14,7 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Status
 from homeward.io.naming import natural
 from homeward.runs.report import words
+from homeward.runs.report.files import with_versions
 from homeward.runs.report.palette import STATUS_COLOURS
 from homeward.runs.report.plots.look import embedded, script
 from homeward.runs.report.plots.map import map_aspect, map_plot, undrawn
@@ -21,7 +22,7 @@ from homeward.runs.report.plots.moments import moments
 from homeward.runs.report.plots.time import consistency_plots, error_plots, sigma_plots, time_range
 from homeward.runs.report.plots.timeline import MOST_ROWS, timeline
 from homeward.runs.report.summary import caution, sentence
-from homeward.runs.report.template import GLOSSARY, render, with_versions
+from homeward.runs.report.template import GLOSSARY, render
 from homeward.runs.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
 from homeward.track import Track
 

@@ -1,15 +1,9 @@
-"""Pages from templates, and the versions of the software that made them.
-
-All values are escaped, and none may be missing.
-"""
+"""Pages from templates: all values are escaped, and none may be missing."""
 
 from __future__ import annotations
 
-import platform
 import re
-from collections.abc import Mapping, Sequence
-from importlib.metadata import PackageNotFoundError, version
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import yaml
@@ -17,34 +11,7 @@ from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from homeward.io.reading import shipped
-
-_PACKAGES = (
-    *("homeward", "numpy", "scipy", "casadi", "opencv-python-headless", "pydantic"),
-    *("matplotlib", "bokeh", "rosbags"),
-)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of homeward, of what it computes with, and of the machine's system."""
-    found = {"python": platform.python_version(), "system": platform.platform()}
-    for package in _PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
-
-
-def with_versions(settings: Mapping[str, Any]) -> str:
-    """Return plain data as YAML, and under ``versions`` those of everything."""
-    tree = {**settings, "versions": versions()}
-    return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
-
-
-def write_settings(file: Path, settings: Mapping[str, Any]) -> None:
-    """Write `with_versions` of settings."""
-    file.write_text(with_versions(settings), encoding="utf-8")
-
+from homeward.runs.report.files import versions
 
 GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(encoding="utf-8"))
 """Each term of the reports and the documentation, and its meaning."""

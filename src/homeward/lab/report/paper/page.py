@@ -29,8 +29,9 @@ from homeward.lab.studies.paper.reproduction import (
 )
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
 from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
+from homeward.runs.report.files import write_settings
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
-from homeward.runs.report.template import render, write_settings
+from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
 
 COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=True))
