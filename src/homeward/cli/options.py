@@ -73,7 +73,7 @@ def no_answer() -> typer.Exit:
 def table(rows: Iterable[Iterable[str]], left: int = 2) -> None:
     """Print rows of text, the head first; where they are too wide for the terminal, as a list.
 
-    So many columns stand `left`, the others right.
+    The first `left` columns are aligned left, the others right.
     """
     head, *body = [[printable(cell) for cell in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(head, *body, strict=True)]

@@ -18,9 +18,9 @@ from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.map import Map, View
+from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD
+from homeward.localizer.map.state import HEAD, View
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.preintegration import Motion

@@ -173,7 +173,7 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
 
 
 def _cells(row: Row) -> list[str]:
-    """Return errors beside the printed ones, where there are any."""
+    """Return errors next to the printed ones, where there are any."""
     printed = ["", "", ""] if row.printed is None else [f"{value:.4f}" for value in row.printed]
     return [*(f"{value:.4f}" for value in row.median), *printed]
 

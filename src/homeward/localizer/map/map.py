@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -24,7 +23,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.state import Marginal, View
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -43,17 +42,6 @@ from homeward.localizer.tunables import (
     STANDSTILL,
 )
 from homeward.reasons import Rejection
-
-
-class View(NamedTuple):
-    """Where the camera is at a frame, by the newest state."""
-
-    camera: Motion
-    """Motion to the camera from the newest keyframe."""
-    pose: np.ndarray
-    """(3,): its pose [m, m, rad]."""
-    by_head: np.ndarray
-    """(3, 11): Jacobian of the pose; see `Marginal.pose_after`."""
 
 
 class Map:

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -20,6 +20,17 @@ if TYPE_CHECKING:
 
 HEAD = 3 + NC
 """Length of the state before the landmarks: newest pose and calibration."""
+
+
+class View(NamedTuple):
+    """Where the camera is at a frame, by the newest state."""
+
+    camera: Motion
+    """Motion to the camera from the newest keyframe."""
+    pose: np.ndarray
+    """(3,): its pose [m, m, rad]."""
+    by_head: np.ndarray
+    """(3, 11): Jacobian of the pose; see `Marginal.pose_after`."""
 
 
 @dataclass(frozen=True)

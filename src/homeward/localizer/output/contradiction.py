@@ -17,8 +17,8 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, composition, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.map import Map, View
-from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.map import Map
+from homeward.localizer.map.state import Marginal, View
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.tunables import (
     CONTRADICTION_S,

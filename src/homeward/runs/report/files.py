@@ -91,7 +91,7 @@ _LATEX = str.maketrans(
 
 
 def markdown(rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return a table, its head first, in Markdown; so many columns stand left, others right."""
+    """Return a table in Markdown, its head first; the first `left` columns are aligned left."""
     head, *body = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows]
     sides = ["---" if k < left else "--:" for k in range(len(head))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, sides, *body))

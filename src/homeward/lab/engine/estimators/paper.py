@@ -204,8 +204,8 @@ def ekf(
     InputError
         When something of it cannot be used, home is empty, or there is no start prior.
     """
-    told = _config("ekf", home, known_settings(FilterSettings, settings), robot, samples)
-    return told.filter(ExtendedKalmanFilter(told.model(), told.settings.integration))
+    config = _config("ekf", home, known_settings(FilterSettings, settings), robot, samples)
+    return config.filter(ExtendedKalmanFilter(config.model(), config.settings.integration))
 
 
 def a_ekf(
@@ -216,10 +216,10 @@ def a_ekf(
     **robot: Unpack[Robot],
 ) -> OnlineFilter:
     """Return the paper's A-EKF; parameters and errors as of `ekf`."""
-    told = _config("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
-    own, q = told.settings, len(told.home)
-    indices = told.places("parameters", own.parameters)
-    return told.filter(
+    config = _config("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
+    own, q = config.settings, len(config.home)
+    indices = config.places("parameters", own.parameters)
+    return config.filter(
         augmented_ekf(q, indices, own.integration, own.guard),
         parameter_variance=own.parameter_sigma**2,
         parameter_density=own.parameter_walk**2,
@@ -235,13 +235,13 @@ def pi_ekf(
 ) -> OnlineFilter:
     """Return the paper's PI-EKF; parameters and errors as of `ekf`."""
     checked = known_settings(ProportionalIntegralSettings, settings)
-    told = _config("pi-ekf", home, checked, robot, samples)
-    own, model = told.settings, told.model()
+    config = _config("pi-ekf", home, checked, robot, samples)
+    own, model = config.settings, config.model()
     n, q = model.n, model.q
     # The paper counts R in cm: one unit of an innovation moves it by cm, not by m.
     scale = np.diag([0.01, *[1.0] * (n - 1)])
     pi = _matrix("proportional", own.proportional, (n, n), scale)
-    return told.filter(
+    return config.filter(
         ProportionalIntegralFilter(model, own.integration),
         proportional=pi / own.sample_time,
         integral_gain=_matrix("integral_gain", own.integral_gain, (n, q), np.ones((n, q))),
@@ -264,51 +264,55 @@ def _matrix(
     return np.array(value)
 
 
-def adaptive(told: FilterConfig[FilterSettings]) -> OnlineFilter:
+def adaptive(config: FilterConfig[FilterSettings]) -> OnlineFilter:
     """Return the EKF that identifies its noise."""
-    kind = ExtendedKalmanFilter(told.model(), told.settings.integration)
-    return told.online(AdaptiveRunner(told.runner(kind)))
+    kind = ExtendedKalmanFilter(config.model(), config.settings.integration)
+    return config.online(AdaptiveRunner(config.runner(kind)))
 
 
-def schmidt(told: FilterConfig[SchmidtSettings]) -> OnlineFilter:
+def schmidt(config: FilterConfig[SchmidtSettings]) -> OnlineFilter:
     """Return the EKF that considers doubtful home bearings."""
-    own = told.settings
-    kind = SchmidtFilter(told.model(told.places("doubtful", own.doubtful)), own.integration)
-    return told.filter(kind, parameter_variance=own.doubt_sigma**2)
+    own = config.settings
+    kind = SchmidtFilter(config.model(config.places("doubtful", own.doubtful)), own.integration)
+    return config.filter(kind, parameter_variance=own.doubt_sigma**2)
 
 
-def ukf(told: FilterConfig[FilterSettings]) -> OnlineFilter:
+def ukf(config: FilterConfig[FilterSettings]) -> OnlineFilter:
     """Return the UKF."""
-    return told.filter(UnscentedFilter(told.model(), told.settings.integration))
+    return config.filter(UnscentedFilter(config.model(), config.settings.integration))
 
 
-def invariant(told: FilterConfig[CartesianSettings]) -> OnlineFilter:
+def invariant(config: FilterConfig[CartesianSettings]) -> OnlineFilter:
     """Return the invariant EKF."""
-    start, expected = told.start, 1 / (2 * told.settings.nearest)
-    spread = np.diag(np.square(told.start_sigmas))
+    start, expected = config.start, 1 / (2 * config.settings.nearest)
+    spread = np.diag(np.square(config.start_sigmas))
     prior = CartesianPrior(
         from_polar(start.polar),
         polar_covariance_to_pose(start.polar, spread),
-        *(told.stored, _home_sigma(told), expected, expected),
+        *(config.stored, _home_sigma(config), expected, expected),
     )
-    return told.online(InvariantFilter(prior, _sensor_noise(told), told.settings.minimum_visible))
+    return config.online(
+        InvariantFilter(prior, _sensor_noise(config), config.settings.minimum_visible)
+    )
 
 
-def particle(told: FilterConfig[ParticleSettings]) -> OnlineFilter:
+def particle(config: FilterConfig[ParticleSettings]) -> OnlineFilter:
     """Return the particle filter."""
-    own, landmarks = told.settings, (told.stored, _home_sigma(told))
-    prior = ParticlePrior(told.start.polar, told.start_sigmas, *landmarks, 1 / (2 * own.nearest))
-    noise, chance = _sensor_noise(told), (own.particles, own.outliers, own.seed)
-    return told.online(ParticleFilter(prior, noise, *chance, own.minimum_visible))
+    own, landmarks = config.settings, (config.stored, _home_sigma(config))
+    prior = ParticlePrior(
+        config.start.polar, config.start_sigmas, *landmarks, 1 / (2 * own.nearest)
+    )
+    noise, chance = _sensor_noise(config), (own.particles, own.outliers, own.seed)
+    return config.online(ParticleFilter(prior, noise, *chance, own.minimum_visible))
 
 
-def _home_sigma(told: FilterConfig[CartesianSettings]) -> np.ndarray:
-    own = np.array([b.sigma for b in told.home.values()])
-    return np.where(own > 0, own, first(told.settings.home_sigma, told.bearing_sigma))
+def _home_sigma(config: FilterConfig[CartesianSettings]) -> np.ndarray:
+    own = np.array([b.sigma for b in config.home.values()])
+    return np.where(own > 0, own, first(config.settings.home_sigma, config.bearing_sigma))
 
 
-def _sensor_noise(told: FilterConfig[CartesianSettings]) -> SensorNoise:
-    return SensorNoise(told.input_density, told.bearing_sigma, told.settings.gate_threshold)
+def _sensor_noise(config: FilterConfig[CartesianSettings]) -> SensorNoise:
+    return SensorNoise(config.input_density, config.bearing_sigma, config.settings.gate_threshold)
 
 
 PEERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
