@@ -2,6 +2,7 @@
 
 import os
 import re
+import sys
 from collections.abc import Generator
 from functools import cache
 from pathlib import Path
@@ -15,6 +16,10 @@ from homeward.native.program import Program
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
+# Bytecode is kept even where the environment disables it: tests start hundreds of processes, each of
+# which would compile the package, and each worker would rewrite the assertions of every test.
+sys.dont_write_bytecode = False
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 INTERPRETER = (
     "cli/test_first_minutes",
