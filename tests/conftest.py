@@ -16,8 +16,8 @@ from homeward.native.program import Program
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
 
-# Bytecode is kept even where the environment disables it: tests start hundreds of processes, each of
-# which would compile the package, and each worker would rewrite the assertions of every test.
+# Keep bytecode even where the environment disables it: otherwise each of the hundreds of processes
+# that tests start compiles the package, and each worker rewrites the assertions of every test.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
