@@ -1,7 +1,4 @@
-"""What the site takes from the program itself: a page's ``<!-- word -->`` becomes its part.
-
-Nothing that the program knows is written down a second time.
-"""
+"""Generated parts of the site: ``<!-- word -->`` in a page becomes the part of that name."""
 
 from __future__ import annotations
 
@@ -14,7 +11,7 @@ from typing import Any
 import griffe
 import typer
 from mkdocs.structure.files import File, Files
-from notebooks import notebook  # beside this file
+from notebooks import notebook  # next to this file
 from typer.testing import CliRunner
 
 import homeward
@@ -27,12 +24,12 @@ from homeward.registry import estimator_names, settings_model
 from homeward.runs.report.template import GLOSSARY
 
 PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
-"""Words of the glossary that stand too often to be explained wherever they stand."""
+"""Words of the glossary that are too frequent for a tooltip at each occurrence."""
 log = logging.getLogger("mkdocs.plugins.homeward")
 
 
 def on_files(files: Files, config: Any, **_: Any) -> Files:
-    """Put a notebook beside each lesson that has Python."""
+    """Add a notebook for each lesson that has Python."""
     for page in [one for one in files if _is_lesson(one)]:
         name = page.src_uri.removesuffix("md") + "ipynb"
         files.append(File.generated(config, name, content=notebook(page.content_string)))
@@ -45,7 +42,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
         there = Path(page.file.src_uri).with_suffix(".ipynb").name
         markdown += f"\n[This page as a notebook]({there}){{ download }}\n"
     filled = re.sub(r"<!-- (\w+) -->", lambda found: PARTS[found[1]](), markdown)
-    words = (f"*[{word}]: {told}" for word, told in GLOSSARY.items() if word not in PLAIN)
+    words = (f"*[{word}]: {meaning}" for word, meaning in GLOSSARY.items() if word not in PLAIN)
     return "\n".join((filled, "", *words))
 
 
@@ -63,15 +60,15 @@ def _is_lesson(page: File) -> bool:
 
 
 def commands() -> str:
-    """Return what ``--help`` says of every command."""
+    """Return the ``--help`` of every command."""
     parts = []
     names = []
     for name, command in typer.main.get_command(app).commands.items():
         names += [f"{name} {inner}" for inner in command.commands] if name == "place" else [name]
     for name in names:
-        told = CliRunner().invoke(app, [*name.split(), "--help"], terminal_width=80).stdout.rstrip()
-        told = told.partition("\n\n  Exit status")[0]
-        parts.append(f"## homeward {name}\n\n```text\n{told.strip()}\n```")
+        text = CliRunner().invoke(app, [*name.split(), "--help"], terminal_width=80).stdout.rstrip()
+        text = text.partition("\n\n  Exit status")[0]
+        parts.append(f"## homeward {name}\n\n```text\n{text.strip()}\n```")
     return "\n\n".join(parts)
 
 
@@ -107,13 +104,13 @@ def reasons() -> str:
 
 
 def rejections() -> str:
-    """Return why samples are not used."""
+    """Return the reasons for rejected samples."""
     rows = (f"| `Rejection.{one.name}` | {one.words} |" for one in Rejection)
     return "\n".join(["| | |", "|---|---|", *rows])
 
 
 def python() -> str:
-    """Return the whole of what ``import homeward`` offers; each name must say what it is."""
+    """Return the public API; each name must have a docstring."""
     package = griffe.load("homeward", search_paths=["src"])
     parts = []
     for name in sorted(homeward.__all__, key=str.lower):
@@ -127,14 +124,14 @@ def python() -> str:
 
 
 def _silent(thing: Any, name: str) -> Iterator[str]:
-    """Yield what has no docstring of a public object and of its public members."""
+    """Yield the names without a docstring among a public object and its members."""
     if thing.docstring is None:
         yield name
     if thing.is_class:
         for member, value in thing.members.items():
-            told = member.startswith("_") or value.is_alias or value.docstring
-            # What a model's own keys are needs a word; a name in an enum or a tuple has its value.
-            if not told and value.is_function:
+            documented = member.startswith("_") or value.is_alias or value.docstring
+            # A member of an enum or a tuple needs no docstring.
+            if not documented and value.is_function:
                 yield f"{name}.{member}"
 
 

@@ -12,7 +12,7 @@ from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMa
 
 FILE = Path(__file__).parents[1] / "src/homeward/runs/report/templates/rerun.rbl"
 SIZES = {"home": 1.5, "path": 1.2, "true_path": 0.5, "rays": 1.2, "landmarks": 5.0, "robot": 1.5}
-"""Radii of the points of each cloud [points of the screen]; Rerun knows these by their sign."""
+"""Radii of the points of each cloud [screen points]; their sign marks them for Rerun."""
 # Rerun takes the positions of a PointCloud2 by itself and keeps each other field as a component.
 COLOURS = VisualizerComponentMapping(
     "Points3D:colors",

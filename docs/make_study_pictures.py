@@ -1,6 +1,6 @@
 """Make the pictures of docs/reproduction.md again: `.venv/bin/python docs/make_study_pictures.py`.
 
-The studies behind them are computed for that in out/, or finished from what is there: 45
+The studies are computed in out/, or continued from there: 45
 minutes of a processor for the paper's layouts, and ten minutes for the two tuning studies.
 """
 
@@ -38,12 +38,12 @@ def tuning(name: str, out: Path) -> None:
 
 
 def keep(name: str, figure) -> None:
-    """Write a figure beside the docs."""
+    """Write a figure into the docs."""
     (IMAGES / f"{name}.png").write_bytes(png(figure, dpi=DPI))
 
 
 def main() -> None:
-    """Compute what is left of the studies, and draw them."""
+    """Complete the studies, and draw them."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out"), help="where studies are kept")
     out = parser.parse_args().out

@@ -20,15 +20,15 @@ from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, STATUS
 IMAGES = Path(__file__).resolve().parents[1] / "images"
 SIZE_IN = (5.6, 3.2)
 SEEN, EVERY = "L09", 12
-"""The landmark whose sight lines are drawn, and of so many one."""
+"""The landmark whose sight lines are drawn: one of this number of sightings."""
 BEYOND_M, RINGS = 1.0, 10
-"""Sight lines go on beyond a landmark; rings are of so many sigmas."""
+"""Length of sight lines beyond a landmark [m]; radius of the rings [sigma]."""
 WINDOW = 60
 """Innovations in a mean."""
 
 
 class Run:
-    """The sample drive, and what two estimators made of it."""
+    """The sample drive, and the tracks of two estimators."""
 
     def __init__(self):
         self.drive = open_drive("sample")
@@ -39,44 +39,44 @@ class Run:
         self.mount = self.drive.settings.sensor.pose
 
 
-def camera(told, k):
+def camera(sample, k):
     """Return the camera's pose in row k of the track."""
-    t = told.track
-    return compose(Pose(t.x[k], t.y[k], t.heading[k]), told.mount)
+    t = sample.track
+    return compose(Pose(t.x[k], t.y[k], t.heading[k]), sample.mount)
 
 
-def colour_of(told, landmark):
+def colour_of(sample, landmark):
     """Return the colour of a landmark: whether it was moved."""
-    return VERMILLION if landmark in told.moved else BLUE
+    return VERMILLION if landmark in sample.moved else BLUE
 
 
-def plan(axes, told):
+def plan(axes, sample):
     """Draw home, and metres alike on both axes."""
     axes.fill(*(np.array(HOUSE) * 0.18).T, fc="white", ec=INK, lw=1.5, zorder=4)
     axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
     axes.set_adjustable("datalim")
 
 
-def odometry(axes, told):
-    """1: odometry alone, from the true start, against the truth."""
-    truth, odometry = told.drive.truth, told.drive.odometry
+def odometry(axes, sample):
+    """1: odometry alone, from the true start, against ground truth."""
+    truth, odometry = sample.drive.truth, sample.drive.odometry
     start = Pose(truth.x[0], truth.y[0], truth.heading[0])
     alone = compose(start, dead_reckoning(odometry, odometry.t))
-    axes.plot(truth.x, truth.y, color=INK, label="where it was")
+    axes.plot(truth.x, truth.y, color=INK, label="ground truth")
     axes.plot(alone.x, alone.y, color=ORANGE, label="odometry alone")
     axes.legend()
 
 
-def sight_lines(axes, told):
-    """2: one landmark's bearings from the way."""
-    s, track = told.drive.sightings, told.track
+def sight_lines(axes, sample):
+    """2: bearings of one landmark along the path."""
+    s, track = sample.drive.sightings, sample.track
     axes.plot(track.x, track.y, color=MUTED, lw=0.8)
     (mark,) = (m for m in track.landmarks if m.landmark == SEEN)
     rows = np.flatnonzero(s.landmark == SEEN)[::EVERY]
     for t, seen in zip(s.t[rows], s.bearing[rows], strict=True):
         k = np.searchsorted(track.t, t)
         if track.has_pose[k]:
-            eye = camera(told, k)
+            eye = camera(sample, k)
             sight_line(axes, eye, seen, np.hypot(mark.x - eye.x, mark.y - eye.y) + BEYOND_M, BLUE)
     axes.plot(mark.x, mark.y, "o", color=INK)
 
@@ -88,10 +88,10 @@ def sight_line(axes, eye, seen, length, colour):
     axes.plot([eye.x, end[0]], [eye.y, end[1]], color=colour, lw=0.7)
 
 
-def mapped(axes, told):
-    """3: all landmarks, with how sure their distances are."""
-    axes.plot(told.track.x, told.track.y, color=MUTED, lw=0.8)
-    for m in told.track.landmarks:
+def mapped(axes, sample):
+    """3: all landmarks, with the uncertainty of their distances."""
+    axes.plot(sample.track.x, sample.track.y, color=MUTED, lw=0.8)
+    for m in sample.track.landmarks:
         if np.isfinite(m.x):
             axes.plot(m.x, m.y, "o", color=INK, ms=3)
             axes.add_patch(circle(m.x, m.y, RINGS * m.sigma_distance))
@@ -105,39 +105,41 @@ def circle(x, y, radius):
     return Circle((x, y), radius, fc="none", ec=BLUE)
 
 
-def resection(axes, told):
-    """4: the stored home bearings, drawn from the place that most of them agree on."""
-    for m in told.track.landmarks:
-        if m.landmark in told.drive.home and np.isfinite(m.x):
-            colour = colour_of(told, m.landmark)
+def resection(axes, sample):
+    """4: the stored home bearings, drawn from the estimated home."""
+    for m in sample.track.landmarks:
+        if m.landmark in sample.drive.home and np.isfinite(m.x):
+            colour = colour_of(sample, m.landmark)
             length = np.hypot(m.x, m.y) + BEYOND_M
-            sight_line(axes, told.mount, told.drive.home[m.landmark].bearing, length, colour)
+            sight_line(axes, sample.mount, sample.drive.home[m.landmark].bearing, length, colour)
             axes.plot(m.x, m.y, "o", color=colour, ms=4)
             axes.annotate(m.landmark, (m.x, m.y), (4, 3), textcoords="offset points", fontsize=7)
 
 
-def residuals(axes, told):
-    """5: by how much each home bearing is off."""
-    home = told.drive.home
-    judged = [m for m in told.track.landmarks if m.landmark in home and np.isfinite(m.x)]
-    seen = [home[m.landmark].bearing - bearing(told.mount, m.x, m.y) for m in judged]
+def residuals(axes, sample):
+    """5: residual of each home bearing."""
+    home = sample.drive.home
+    tested = [m for m in sample.track.landmarks if m.landmark in home and np.isfinite(m.x)]
+    seen = [home[m.landmark].bearing - bearing(sample.mount, m.x, m.y) for m in tested]
     off = np.degrees(wrap(np.array(seen)))
-    axes.bar([m.landmark for m in judged], off, color=[colour_of(told, m.landmark) for m in judged])
+    axes.bar(
+        [m.landmark for m in tested], off, color=[colour_of(sample, m.landmark) for m in tested]
+    )
     axes.set(ylabel="stored - seen from the map [deg]")
     axes.tick_params(axis="x", labelsize=7)
 
 
-def probability(axes, told):
-    """6: how probably each moved, over time."""
-    known = told.track.history
+def probability(axes, sample):
+    """6: probability of each landmark to have moved, over time."""
+    known = sample.track.history
     for k, name in enumerate(known.landmark):
-        axes.plot(known.t, known.moved_probability[:, k], color=colour_of(told, name), lw=1)
+        axes.plot(known.t, known.moved_probability[:, k], color=colour_of(sample, name), lw=1)
     axes.set(xlabel="[s]", ylabel="probability to have moved")
 
 
-def certainty(axes, told):
-    """7: how sure the position is, and the status."""
-    track = told.track
+def certainty(axes, sample):
+    """7: uncertainty of the position, and the status."""
+    track = sample.track
     sigma = np.sqrt(track.covariance[:, 0, 0] + track.covariance[:, 1, 1])
     axes.plot(track.t, sigma, color=INK)
     a = 0
@@ -149,9 +151,9 @@ def certainty(axes, told):
     axes.set(xlabel="[s]", ylabel="sigma of the position [m]")
 
 
-def innovations(axes, told):
-    """8: whether bearings come as they were predicted."""
-    seen = told.track.innovations
+def innovations(axes, sample):
+    """8: normalised innovations."""
+    seen = sample.track.innovations
     ok = seen.accepted & np.isfinite(seen.sigma)
     nis = (seen.value[ok] / seen.sigma[ok]) ** 2
     mean = np.convolve(nis, np.ones(WINDOW) / WINDOW, "valid")
@@ -161,19 +163,19 @@ def innovations(axes, told):
     axes.set(xlabel="[s]", ylabel=f"NIS, mean of {WINDOW}", ylim=(0, 2))
 
 
-def honesty(axes, told):
-    """9: its error between three sigmas."""
-    track, t = told.track, told.track.t
-    off, sigma = track.x - told.drive.truth.at(t).x, track.sigmas[:, 0]
+def consistency(axes, sample):
+    """9: error within three sigmas."""
+    track, t = sample.track, sample.track.t
+    off, sigma = track.x - sample.drive.truth.at(t).x, track.sigmas[:, 0]
     axes.fill_between(t, -3 * sigma, 3 * sigma, color=BLUE, alpha=0.2, lw=0)
     axes.plot(t, off, color=INK, lw=1)
     axes.set(xlabel="[s]", ylabel="error in x [m]", ylim=(-0.6, 0.6))
 
 
-def beside(axes, told):
-    """10: the same drive by a filter that believes its home bearings."""
-    for track, colour in ((told.track, BLUE), (told.ekf, ORANGE)):
-        true = told.drive.truth.at(track.t)
+def comparison(axes, sample):
+    """10: the same drive with a filter that uses all home bearings."""
+    for track, colour in ((sample.track, BLUE), (sample.ekf, ORANGE)):
+        true = sample.drive.truth.at(track.t)
         off = np.hypot(track.x - true.x, track.y - true.y)
         axes.plot(track.t, off, color=colour, label=track.estimator)
     axes.legend()
@@ -181,19 +183,19 @@ def beside(axes, told):
 
 
 PLANS = (odometry, sight_lines, mapped, resection)
-OVER_TIME = (residuals, probability, certainty, innovations, honesty, beside)
+OVER_TIME = (residuals, probability, certainty, innovations, consistency, comparison)
 
 
 def main():
     """Draw them all."""
-    told = Run()
+    sample = Run()
     for number, draw in enumerate((*PLANS, *OVER_TIME), 1):
         with style():
             figure = Figure(figsize=SIZE_IN, layout="constrained")
             axes = figure.add_subplot()
             if draw in PLANS:
-                plan(axes, told)
-            draw(axes, told)
+                plan(axes, sample)
+            draw(axes, sample)
             (IMAGES / f"localiser-{number}.png").write_bytes(png(figure, dpi=110))
 
 

@@ -1,7 +1,7 @@
 """A route taught and repeated, in one figure: `python docs/figures/routes.py routes.json`.
 
 Draws what `python -m benchmarks.routes --save routes.json` wrote of one hall: the way that was
-taught, and how it was driven again after 30 % of the goods were moved.
+taught, and how it was driven again after 30 % of the objects were moved.
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """The sight lines of two landmarks: `python docs/figures/sight_lines.py MRCLAM_Dataset1`.
 
-Prints, for robots 1 and 3, what had moved since home was stored, and how far the sight lines of
+Prints, for robots 1 and 3, the landmarks reported as moved, and how far the sight lines of
 what the files call 11 and 17 miss either surveyed place; and draws them. They start from poses
 that the localiser finds with the thirteen other landmarks alone.
 """
@@ -65,12 +65,12 @@ def draw(axes, lines, places):
         far = 7.0 * np.array([np.cos(direction[chosen]), np.sin(direction[chosen])])
         ends = np.stack([[x[chosen], y[chosen]], [x[chosen] + far[0], y[chosen] + far[1]]])
         axes.plot(ends[:, 0], ends[:, 1], color=PAIR[landmark], lw=0.6, alpha=0.5)
-        axes.plot([], [], color=PAIR[landmark], label=f"sight lines of what is read as {landmark}")
+        axes.plot([], [], color=PAIR[landmark], label=f"sight lines of id {landmark}")
     for name, (px, py) in places.items():
         mine = PAIR.get(name, "#656c74")
         axes.plot(px, py, "o", color=mine, ms=10 if name in PAIR else 4, mec="white", zorder=3)
-        told = {"fontsize": 13, "fontweight": "bold"} if name in PAIR else {"fontsize": 8}
-        axes.annotate(name, (px, py), (7, 6), textcoords="offset points", color=mine, **told)
+        style = {"fontsize": 13, "fontweight": "bold"} if name in PAIR else {"fontsize": 8}
+        axes.annotate(name, (px, py), (7, 6), textcoords="offset points", color=mine, **style)
     axes.plot(0, 0, "k^", ms=8)
     axes.annotate("home", (0, 0), (6, -12), textcoords="offset points")
     axes.set(xlim=(-4, 7), ylim=(-6.5, 6), aspect="equal", xlabel="x [m]", ylabel="y [m]")
@@ -97,8 +97,10 @@ def main():
             for other in PAIR:
                 to = np.arctan2(places[other][1] - y, places[other][0] - x)
                 miss[other] = np.degrees(np.median(np.abs(wrap(direction - to))))
-            told = ", ".join(f"{off:.1f} deg off the place of {name}" for name, off in miss.items())
-            print(f"  read as {landmark}, {x.size} sight lines: {told} (median)")
+            errors = ", ".join(
+                f"{off:.1f} deg from the survey of {name}" for name, off in miss.items()
+            )
+            print(f"  id {landmark}, {x.size} sight lines: {errors} (median)")
         draw(axes, lines, places)
         axes.set_title(f"robot {robot}")
     labels = panels[0].get_legend_handles_labels()

@@ -2,7 +2,7 @@
 
 DATA holds tagslam_tags. Each dot is one sighting of a tag by a calibrated fisheye: how far its
 bearing is from that of the authors' graph in space, by the tag's distance; and how these errors are
-spread, beside what the sigmas say that they are.
+spread, compared with their sigmas.
 """
 
 import argparse
@@ -39,7 +39,7 @@ def main() -> None:
     sigma = np.degrees(np.median(np.concatenate([row.sigma for row in rows])))
     shown = np.linspace(-DRAWN_DEG, DRAWN_DEG, 200)
     normal = np.exp(-0.5 * (shown / sigma) ** 2) / (sigma * np.sqrt(2 * np.pi))
-    spread.plot(shown, normal, color="0.3", linestyle="--", label=f"as told: {sigma:.3f} deg")
+    spread.plot(shown, normal, color="0.3", linestyle="--", label=f"given: {sigma:.3f} deg")
     far.set(xlabel="distance [m]", ylabel="bearing's error [deg]", ylim=(-DRAWN_DEG, DRAWN_DEG))
     spread.set(xlabel="bearing's error [deg]", ylabel="density [1/deg]")
     for axes, side in ((far, "right"), (spread, "left")):

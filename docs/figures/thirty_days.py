@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 LOOKS = {
     "place": ("#0072b2", "o", "the place"),
-    "no memory": ("#8a9097", "s", "no memory, home stored anew each morning"),
+    "no memory": ("#8a9097", "s", "no memory, home stored again each morning"),
     "first day's home": ("#e69f00", "^", "home's bearings of the first day alone"),
 }
 NEVER_S = 150.0
