@@ -43,15 +43,12 @@ NAME_PARTS = re.compile(
     r"|(^|_)(fewest|most(?!_likely)|least(?!_squares)|farthest)_|^_?(FEWEST|MOST|LEAST|FARTHEST|LARGEST|SMALLEST)(_|$)"
 )
 # Part of a path -> the words that may stay there.
-ALLOWED: dict[str, tuple[str, ...]] = {}
+ALLOWED: dict[str, tuple[str, ...]] = {"docs/look-up/json.md": ("verdict",)}
 # Not rewritten yet.
 PENDING = (
-    "CHANGELOG.md",
     "CITATION.cff",
     "CONTRIBUTING.md",
-    "README.md",
     "docs/",
-    "paper/",
     "src/homeward/__init__.py",
     "src/homeward/cli/",
     "src/homeward/control/",
