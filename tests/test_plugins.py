@@ -137,7 +137,7 @@ def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path
 
 def test_an_estimator_without_settings_refuses_any(mine, short):
     words = refused(call("run", short, "--estimator", "mine:Mine", "--set", "y=1"))
-    assert "y: there is no such key" in words
+    assert "y: unknown key" in words
 
 
 @pytest.mark.parametrize(
@@ -149,19 +149,19 @@ def test_an_estimator_without_settings_refuses_any(mine, short):
         ("odd:make", "importing odd raised AttributeError"),
         ("odd:make", "(odd.py, line 2)"),
         ("mine:other", "mine has no other"),
-        ("mine:", "no estimator 'mine:': there are robust"),
+        ("mine:", "no estimator 'mine:': use one of robust"),
         (":make", "no estimator"),
         ("mine:NUMBER", "mine:NUMBER is a int, which cannot be called"),
-        ("mine:nothing", "made a NoneType, which is no Estimator: it has no name, counts"),
-        ("mine:NoLandmarks", "it has no landmarks"),
+        ("mine:nothing", "returned a NoneType without name, counts"),
+        ("mine:NoLandmarks", "without landmarks"),
         ("mine:Unborn", "making it raised KeyError: 'nothing\\nhere' (mine.py, line"),
         ("mine:Quits", "making it raised SystemExit: 3"),
         ("mine:unreadable", "NameError: name 'Nowhere' is not defined"),
         ("mine:Late", "bearings at 0 s raised ZeroDivisionError: division by zero (mine.py, line"),
-        ("mine:Wordless", "answered a tuple, not an Estimate"),
-        ("mine:Infinite", "answered no pose of three finite numbers"),
-        ("mine:Half", "answered no pose of three finite numbers"),
-        ("mine:Strings", "counts is no Counts by Rejection"),
+        ("mine:Wordless", "returned a tuple, not an Estimate"),
+        ("mine:Infinite", "must return a finite pose"),
+        ("mine:Half", "must return a finite pose"),
+        ("mine:Strings", "counts is not a Counts"),
     ],
 )
 def test_what_is_wrong_with_an_estimator_is_one_line(mine, short, tmp_path, word, told):

@@ -1,4 +1,4 @@
-"""Where is the robot, relative to a place it has seen before? From bearings alone."""
+"""Bearing-only localisation and homing of a mobile robot."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
-    from homeward.drives.home.spin import HomeLooks
+    from homeward.drives.home.spin import HomeScan
     from homeward.drives.opening import open_drive, save_drive
     from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Robot, Sensor, Start
     from homeward.errors import HomewardError, InputError
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 _NAMES = {
     "drives.drive": ("Drive", "HomeBearing", "Odometry", "Sightings", "Truth"),
-    "drives.home.spin": ("HomeLooks",),
+    "drives.home.spin": ("HomeScan",),
     "drives.opening": ("open_drive", "save_drive"),
     "drives.settings": ("DriveSettings", "Mount", "OdometryNoise", "Robot", "Sensor", "Start"),
     "lab.engine.estimators.paper": ("a_ekf", "ekf", "pi_ekf"),
@@ -51,8 +51,8 @@ _NAMES = {
     "runs.scoring": ("score",),
     "track": ("Track", "run"),
 }
-"""What each module offers to all."""
-_HOMES = {name: module for module, names in _NAMES.items() for name in names}
+"""Public names by module."""
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
     "AugmentedSettings",
@@ -63,7 +63,7 @@ __all__ = [
     "Estimator",
     "FilterSettings",
     "HomeBearing",
-    "HomeLooks",
+    "HomeScan",
     "HomewardError",
     "Innovation",
     "InputError",
@@ -106,13 +106,12 @@ def __dir__() -> list[str]:
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when first asked for: `import homeward` alone stays quick.
+    # Imported at first use, so that `import homeward` stays quick.
     if name == "__version__":
         return import_module("importlib.metadata").version("homeward")
-    if name not in _HOMES:
+    if name not in _MODULES:
         raise AttributeError(f"module 'homeward' has no attribute {name!r}")
     try:
-        return getattr(import_module(f"homeward.{_HOMES[name]}"), name)
+        return getattr(import_module(f"homeward.{_MODULES[name]}"), name)
     except ModuleNotFoundError as error:
-        told = import_module("homeward.errors").without(error)
-        raise (told or error) from None
+        raise (import_module("homeward.errors").missing_extra_error(error) or error) from None

@@ -6,7 +6,7 @@ import sys
 
 
 def main() -> None:
-    """Run a command; Ctrl-C ends it with one line and exit status 130, whenever it comes."""
+    """Run a command; Ctrl-C ends it with one line and exit status 130, even during imports."""
     try:
         from homeward.cli.main import app
 

@@ -1,4 +1,4 @@
-"""The one tree of errors that homeward raises on purpose."""
+"""The errors that homeward raises on purpose."""
 
 from __future__ import annotations
 
@@ -8,31 +8,22 @@ from pathlib import Path
 
 
 def printable(text: str) -> str:
-    r"""Return text as one line that a terminal does nothing but print.
+    r"""Return text as one line, with control characters escaped: ``\x1b``, ``\n``, ``\u202e``.
 
-    Names in files may hold what clears a screen, moves the cursor or begins a new line; it comes
-    out as Python would write it: ``\x1b``, ``\n``, ``\u202e``.
+    Names in hostile files may contain sequences that clear a screen or move the cursor.
     """
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 class HomewardError(Exception):
-    """Anything told in one line: bad input (`InputError`), or good input that has no answer."""
+    """An error that is reported in one line: bad input (`InputError`) or no result."""
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
 
 
 class InternalError(HomewardError):
-    """An error that homeward does not expect, in one line; it is a fault of homeward.
-
-    Parameters
-    ----------
-    error : Exception
-        The error.
-    consequence : str
-        What was done because of it.
-    """
+    """A bug of homeward, reported in one line with its `consequence`."""
 
     def __init__(self, error: Exception, consequence: str) -> None:
         super().__init__(f"internal error, {consequence}: {type(error).__name__}: {error}")
@@ -44,7 +35,7 @@ class InputError(HomewardError):
     Parameters
     ----------
     what : str
-        What is wrong, in words.
+        The problem, and what to do.
     file : Path, optional
         The file at fault.
     row : int, optional
@@ -58,8 +49,8 @@ class InputError(HomewardError):
 
 
 @contextmanager
-def speaking_of(file: Path) -> Iterator[None]:
-    """Let an `InputError` of a block that names no file speak of this one."""
+def naming_file(file: Path) -> Iterator[None]:
+    """Add the name of a file to an `InputError` that names none."""
     try:
         yield
     except InputError as error:
@@ -68,7 +59,7 @@ def speaking_of(file: Path) -> Iterator[None]:
         raise InputError(error.what, file) from error
 
 
-_OF_EXTRAS = {
+_EXTRAS = {
     **dict.fromkeys(("casadi", "mpmath"), ("the paper's filters, and symbolic models,", "filters")),
     **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
@@ -76,32 +67,24 @@ _OF_EXTRAS = {
     **dict.fromkeys(("dask", "distributed", "h5netcdf", "xarray"), ("studies", "scale")),
     "websockets": ("WebSockets", "live"),
 }
-"""What a package serves for, as a plural, and the extra that brings it."""
+"""By package: its purpose, as a plural, and the extra that installs it."""
 
 
-def without(error: ModuleNotFoundError) -> InputError | None:
-    """Return what to say of a package that is not there; None where no extra brings it."""
-    known = _OF_EXTRAS.get((error.name or "").partition(".")[0])
+def missing_extra_error(error: ModuleNotFoundError) -> InputError | None:
+    """Return the error for a missing package; None where no extra installs it."""
+    known = _EXTRAS.get((error.name or "").partition(".")[0])
     return None if known is None else needs_extra(*known)
 
 
 def needs_start_prior(estimator: str) -> InputError:
-    """Return the refusal of an estimator that cannot begin without a start prior."""
-    where = "start in drive.yaml, --start R,THETA,ALPHA of a run, or a message start live"
-    return InputError(f"{estimator} needs a start prior: {where}")
+    """Return the error of an estimator that needs a start prior and has none."""
+    ways = "start in drive.yaml, --start R,THETA,ALPHA of a run, or a live message of type start"
+    return InputError(f"{estimator} needs a start prior; give one by {ways}")
 
 
 def needs_extra(what: str, extra: str) -> InputError:
-    """Return the error that says what lacks which extra, and how it is installed from a checkout.
-
-    Parameters
-    ----------
-    what : str
-        What was asked for, as a plural.
-    extra : str
-        A key of pyproject.toml's optional-dependencies.
-    """
+    """Return the error for a feature, `what` as a plural, whose `extra` is not installed."""
     return InputError(
-        f"{what} need the extra {extra}, which is not installed: in the folder that holds "
+        f"{what} need the extra {extra}, which is not installed: in the folder with "
         f"homeward's pyproject.toml, run: pip install -c constraints.txt -e '.[{extra}]'"
     )

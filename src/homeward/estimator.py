@@ -1,7 +1,7 @@
-"""What every estimator is: odometry and bearings in, an `Estimate` out.
+"""The protocol of estimators: odometry and bearings in, an `Estimate` out.
 
-The same object serves a robot that runs and a log that is replayed: nothing else is ever fed to an
-estimator, and nothing it answers is rewritten later.
+A running robot and a replayed log feed the same object in the same way. Estimates are causal: a
+later sample never changes an earlier estimate.
 """
 
 from __future__ import annotations
@@ -23,25 +23,24 @@ from homeward.reasons import Rejection
 
 
 class Status(enum.Enum):
-    """How far an answer can be trusted; a reason in words goes with it."""
+    """Quality of an estimate; `Estimate.reason` explains it."""
 
     WAITING = "waiting"
     """Nothing usable yet."""
     MAPPING = "mapping"
-    """Landmarks are being mapped, home is not found."""
+    """Landmarks are mapped; home is not found yet."""
     UNVERIFIED = "unverified"
     """A pose, but fewer than four home bearings agree, or another hypothesis fits as well."""
     LOCALISED = "localised"
-    """A pose to rely on."""
+    """A verified pose."""
     COASTING = "coasting"
-    """Localised, but no bearings now: odometry alone."""
+    """Localised, but without bearings now: the pose is dead-reckoned."""
 
 
 class ByValue:
-    """Base of a frozen dataclass (with ``eq=False``): equal where all fields are, NaN to NaN."""
+    """Base of a frozen dataclass (with ``eq=False``) that compares by value; NaN equals NaN."""
 
     def _key(self) -> Hashable:
-        """Return what it is compared and hashed by."""
         return tuple(_comparable(getattr(self, f.name)) for f in fields(self))  # type: ignore[arg-type]
 
     def __eq__(self, other: object) -> bool:
@@ -59,7 +58,7 @@ def _comparable(value: Any) -> Hashable:
 
 @dataclass(frozen=True, eq=False)
 class Innovation(ByValue):
-    """What one sighting said against what was expected, before any update of its stamp."""
+    """The innovation of one sighting, before any update at its stamp."""
 
     landmark: str
     value: float
@@ -72,22 +71,19 @@ class Innovation(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class Estimate(ByValue):
-    """What an estimator knows at one time.
-
-    `pose` and `covariance` are both there or both None. Estimates compare and hash by value.
-    """
+    """State of an estimator at one time; `pose` and `covariance` are both given or both None."""
 
     t: float
     """Time [s], on the clock of the drive."""
     status: Status
     reason: str
-    """Why the status is what it is, in words."""
+    """Explanation of the status, in words."""
     pose: Pose | None = None
-    """Robot's centre in the home frame: x [m], y [m], heading [rad]; plain floats."""
+    """Robot's centre in the home frame: x [m], y [m], heading [rad]; floats."""
     covariance: np.ndarray | None = None
     """(3, 3), of (x [m], y [m], heading [rad]); read-only."""
     innovations: tuple[Innovation, ...] = ()
-    """Those of the sightings at this stamp."""
+    """Innovations of the sightings at this stamp."""
 
     def __post_init__(self) -> None:
         if self.pose is not None:
@@ -112,7 +108,7 @@ class Estimate(ByValue):
 
 @dataclass(frozen=True, eq=False)
 class LandmarkEstimate(ByValue):
-    """What an estimator knows of one landmark at the end; NaN where it does not say."""
+    """Estimate of one landmark; NaN where the estimator does not compute a value."""
 
     landmark: str
     x: float = np.nan
@@ -124,42 +120,40 @@ class LandmarkEstimate(ByValue):
     sigma_distance: float = np.nan
     """[m]"""
     home_bearing_stored: float = np.nan
-    """beta* as home stored it [rad], in the robot's home frame."""
+    """beta* as stored at home [rad], in the robot's home frame."""
     home_bearing_estimated: float = np.nan
-    """beta* as it must be now [rad]."""
+    """beta* of its present position [rad]."""
     moved_probability: float = np.nan
-    """That it stands elsewhere than when home was stored; NaN when the estimator does not judge."""
+    """Probability that it has moved since home was stored; NaN where this is not tested."""
     moved: bool | None = None
-    """The verdict, or None when the estimator does not judge."""
+    """Whether it has moved; None where this is not tested."""
     moved_at: float = np.nan
-    """When it moved during the drive [s]; NaN when it did not."""
+    """Time during the drive at which it moved [s]; NaN when it did not."""
     sightings: int = 0
 
 
 @dataclass
 class Counts:
-    """What an estimator did with its input."""
+    """Numbers of samples that an estimator used and rejected."""
 
     used: int = 0
     """Sightings used."""
     rejected: dict[Rejection, int] = field(default_factory=dict)
-    """Samples and sightings not used; `Rejection.words` says why to a user."""
+    """Samples and sightings not used, by reason."""
 
-    def reject(self, why: Rejection, number: int = 1) -> None:
+    def reject(self, reason: Rejection, number: int = 1) -> None:
         """Count samples that were not used."""
         if number:
-            self.rejected[why] = self.rejected.get(why, 0) + number
+            self.rejected[reason] = self.rejected.get(reason, 0) + number
 
 
-NO_TIME_S = 1e75
-"""No clock says that; it counts as not finite, as what is computed of its powers would be [s]."""
-
-
+MAX_TIME_S = 1e75
+"""A larger time counts as not finite, since its powers would overflow [s]."""
 Method = TypeVar("Method", bound=Callable[..., Any])
 
 
-def in_turn(method: Method) -> Method:
-    """Let one thread at a time into a method of an estimator, which has a lock ``_turn``."""
+def synchronised(method: Method) -> Method:
+    """Decorate a method of an object with a lock ``_turn``: one thread at a time calls it."""
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:
@@ -170,20 +164,22 @@ def in_turn(method: Method) -> Method:
 
 
 def guarded(method: Method) -> Method:
-    """Let real numbers alone, and mappings to such, into a method, and one thread at a time.
+    """Decorate a method as `synchronised`, with arguments that must be real numbers or mappings.
 
-    Anything else raises `InputError` before anything is changed.
+    Any other argument raises `InputError` before the method is called.
     """
     parameters = inspect.signature(method).parameters
-    doors = {name: _DOORS[p.annotation] for name, p in parameters.items() if name != "self"}
-    if "t" in doors:
-        doors["t"] = _time
-    in_order = tuple(doors.values())
+    converters = {
+        name: _CONVERTERS[p.annotation] for name, p in parameters.items() if name != "self"
+    }
+    if "t" in converters:
+        converters["t"] = _time
+    in_order = tuple(converters.values())
 
     @functools.wraps(method)
     def inside(self: Any, *values: Any, **named: Any) -> Any:
-        checked = [door(value) for door, value in zip(in_order, values, strict=False)]
-        named = {name: doors[name](v) if name in doors else v for name, v in named.items()}
+        checked = [convert(value) for convert, value in zip(in_order, values, strict=False)]
+        named = {n: converters[n](v) if n in converters else v for n, v in named.items()}
         with self._turn:
             return method(self, *checked, *values[len(checked) :], **named)
 
@@ -191,7 +187,7 @@ def guarded(method: Method) -> Method:
 
 
 def real(value: Any) -> float:
-    """Return a real number of any kind as a float; anything else raises `InputError`."""
+    """Return a real number of any type as a float; anything else raises `InputError`."""
     if type(value) is not float:
         if isinstance(value, np.ndarray) and value.size == 1:
             value = value.reshape(())[()]
@@ -205,78 +201,78 @@ def real(value: Any) -> float:
 
 def _time(value: Any) -> float:
     t = real(value)
-    return t if abs(t) < NO_TIME_S else math.nan
+    return t if abs(t) < MAX_TIME_S else math.nan
 
 
 def _reals(values: Any) -> dict[str, float]:
     if not isinstance(values, Mapping):
-        raise InputError(f"a {type(values).__name__}, where ids to bearings or sigmas are due")
+        raise InputError(f"a {type(values).__name__} instead of bearings or sigmas by landmark id")
     if other := [name for name in values if not isinstance(name, str)]:
-        raise InputError(f"a landmark's id is text, not {str(other[0])[:40]!r}")
+        raise InputError(f"a landmark id must be text, not {str(other[0])[:40]!r}")
     return {n: value if type(value) is float else real(value) for n, value in values.items()}
 
 
-_DOORS: dict[str, Callable[[Any], Any]] = {
+_CONVERTERS: dict[str, Callable[[Any], Any]] = {
     "float": real,
     "Mapping[str, float]": _reals,
     "Mapping[str, float] | None": lambda values: None if values is None else _reals(values),
 }
-"""By annotation."""
+"""By annotation of the argument."""
 
 
 class Estimator(Protocol):
-    """What every estimator of homeward offers, online and offline.
+    """The interface of every estimator of homeward, online and offline.
 
-    Samples come in the order of their stamps; one that comes too late, or holds a number that is
-    not finite, is counted and otherwise ignored, never an error. How late is too late is up to
-    the estimator. A twist is valid from its stamp until the next one's, at most for
-    `homeward.odometry.validity.twist_validity`. A twist of which v or omega is NaN means that the
-    motion is unknown until the next twist.
+    Samples come in the order of their stamps. A sample that is too late or not finite is counted in
+    `counts` and otherwise ignored; the estimator sets the maximum delay. A twist is valid until the
+    stamp of the next one, at most for `homeward.odometry.validity.twist_validity`. A twist whose v
+    or omega is NaN means that the motion is unknown until the next twist.
 
-    What is no real number at all raises `InputError`, and changes nothing. Samples are of one
-    robot and have an order, so an estimator belongs to one thread; where several call it, each
-    waits for its turn, and what then comes out of order counts as late.
+    An argument that is no real number raises `InputError` and changes nothing. Samples have an
+    order, so one thread should call an estimator. Calls from several threads run one at a time;
+    samples that arrive out of order this way count as late.
     """
 
     name: str
-    """The word for it in commands and files."""
+    """Its name in commands and files."""
 
     @property
     def counts(self) -> Counts:
-        """What was done with the samples so far; ask anew, rather than keep it."""
+        """Numbers of samples used and rejected so far; read it again instead of keeping it."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Assumptions, and what was found out, that the user must know of; each a sentence."""
+        """Assumptions and findings that the user must read; each a sentence."""
 
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        """Add a twist that is valid from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
+        """Add all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis).
 
-        `sigmas` [rad] may give the standard deviation of some of them.
+        `sigmas` [rad] are standard deviations by id; they may be given for some sightings only.
         """
 
     def estimate(self, t: float) -> Estimate:
-        """Predict to `t` [s], not before the last sample, and change nothing."""
+        """Predict to `t` [s], not before the last sample, without changing the state."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Everything known of each landmark, in a fixed order."""
+        """Return the estimates of all landmarks, in a fixed order."""
 
 
 @runtime_checkable
-class FindsMount(Protocol):
-    """An estimator that may find out where the camera sits on the robot."""
+class EstimatesExtrinsics(Protocol):
+    """An estimator that may estimate the camera extrinsics."""
 
     @property
     def mount(self) -> Pose | None:
-        """The camera on the robot, if it was found to sit elsewhere than was expected."""
+        """Estimated extrinsics, where they differ from the given ones; else None."""
 
 
 NO_BEARINGS_S = 2.0
-"""Without an accepted bearing for so long, the robot is coasting [s]."""
-CHECKED = 4
-"""Home bearings that must agree before one of them could have been contradicted by the others."""
+"""Without an accepted bearing for this time, the robot is coasting [s]."""
+MIN_AGREEING = 4
+"""Minimum number of agreeing home bearings for a verified pose: with 3 or fewer, no bearing can
+contradict the others."""

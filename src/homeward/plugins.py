@@ -1,4 +1,4 @@
-"""Code of others by name: found, imported, held to its protocol; its faults are one line each."""
+"""Third-party estimators and control laws: found by name, imported, and checked."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from homeward.reasons import Rejection
 ESTIMATORS, LAWS = "homeward.estimators", "homeward.laws"
 """Groups of entry points."""
 FAULTS = (Exception, SystemExit)
-"""What code of others may raise; Ctrl-C is not theirs."""
-_OURS = (os.path.dirname(__file__) + os.sep, "<frozen", os.path.dirname(importlib.__file__))
+"""Exceptions of plugins that are reported in one line; Ctrl-C is not among them."""
+_OWN_CODE = (os.path.dirname(__file__) + os.sep, "<frozen", os.path.dirname(importlib.__file__))
 
 
 def installed(group: str) -> tuple[str, ...]:
@@ -29,108 +29,92 @@ def installed(group: str) -> tuple[str, ...]:
 
 
 def load(group: str, name: str, known: Iterable[str]) -> Callable[..., Any]:
-    """Return what a name stands for.
+    """Return the callable of that name; `InputError` where it cannot be imported or called.
 
     Parameters
     ----------
     group : str
-        Of entry points.
+        Group of entry points.
     name : str
-        One of its entry points, or ``package.module:attribute``; modules are looked for in the
-        current folder, too.
+        An entry point of the group, or ``package.module:attribute``; modules in the current folder
+        are found, too.
     known : iterable of str
-        Names that the caller knows itself, for the message.
-
-    Raises
-    ------
-    InputError
-        When nothing is called so, it cannot be imported, or is not callable.
+        Built-in names, for the error message.
     """
     found = entry_points(group=group, name=name)
     module, _, attribute = next(iter(found)).value.partition(":") if found else name.partition(":")
     if not module or not attribute:
-        there = ", ".join([*known, *installed(group)])
+        names = ", ".join([*known, *installed(group)])
         kind = group.partition(".")[2].removesuffix("s")
-        raise InputError(f"no {kind} {name!r}: there are {there}, and package.module:attribute")
+        raise InputError(f"no {kind} {name!r}: use one of {names}, or package.module:attribute")
     try:
-        thing: Any = _imported(module)
+        found_object: Any = _imported(module)
         for part in attribute.split("."):
-            thing = getattr(thing, part)
+            found_object = getattr(found_object, part)
     except ModuleNotFoundError as error:
         missing = error.name or ""
-        by = "" if f"{module}.".startswith(f"{missing}.") else f", which {module} imports"
-        raise InputError(f"{name}: there is no module {missing}{by}") from None
+        importer = "" if f"{module}.".startswith(f"{missing}.") else f", which {module} imports"
+        raise InputError(f"{name}: there is no module {missing}{importer}") from None
     except AttributeError as error:
         if where(error):
             raise fault(f"{name}: importing {module}", error) from error
         raise InputError(f"{name}: {module} has no {attribute}") from None
     except FAULTS as error:
         raise fault(f"{name}: importing {module}", error) from error
-    if not callable(thing):
-        raise InputError(f"{name} is a {type(thing).__name__}, which cannot be called")
-    return thing  # type: ignore[no-any-return]
+    if not callable(found_object):
+        raise InputError(f"{name} is a {type(found_object).__name__}, which cannot be called")
+    return found_object  # type: ignore[no-any-return]
 
 
 def fault(doing: str, error: BaseException) -> HomewardError:
-    """Return what code of others raised as one line; what is such a line already, as it is."""
+    """Return an exception of a plugin as an error of one line; a `HomewardError` is unchanged."""
     if isinstance(error, HomewardError):
         return error
     return InputError(f"{doing} raised {type(error).__name__}: {error}{where(error)}")
 
 
 def where(error: BaseException) -> str:
-    """Return the line of the others' code from which an error came; empty where it was ours."""
+    """Return the line of the plugin that raised an error; empty where homeward itself raised it."""
     for frame in traceback.extract_tb(error.__traceback__):
-        if not frame.filename.startswith(_OURS):
+        if not frame.filename.startswith(_OWN_CODE):
             return f" ({os.path.basename(frame.filename)}, line {frame.lineno})"
     return ""
 
 
 def _imported(module: str) -> Any:
     here = os.getcwd()
-    if here not in sys.path:  # as `python -m` has it; at the end, so that it hides nothing
+    if here not in sys.path:  # as for `python -m`, but last, so that it hides no module
         sys.path.append(here)
     return importlib.import_module(module)
 
 
 MEMBERS = ("name", "counts", "notes", "odometry", "bearings", "estimate", "landmarks")
-"""Of the protocol."""
+"""Members of the protocol `Estimator`."""
 
 
-class Guest:
-    """An `Estimator` whose calls go to one of somebody else, and whose answers are checked.
+class PluginEstimator:
+    """Wrapper of a third-party estimator that checks its results.
 
-    Parameters
-    ----------
-    word : str
-        What the user calls it.
-    make : callable
-        Makes it.
-
-    Raises
-    ------
-    InputError
-        Here when it cannot be made or is no `Estimator`; in any call when that raises, or answers
-        what the protocol does not have.
+    `make` returns the estimator that the user calls `label`. `InputError` where that fails or the
+    result is no `Estimator`, and in any call that raises or violates the protocol.
     """
 
-    def __init__(self, word: str, make: Callable[[], Any]) -> None:
-        self._word = word
+    def __init__(self, label: str, make: Callable[[], Any]) -> None:
+        self._label = label
         self._inner: Estimator = self._call("making it", make)
         kind = type(self._inner).__name__
         if missing := [name for name in MEMBERS if not hasattr(self._inner, name)]:
-            lacks = ", ".join(missing)
-            raise InputError(f"{word} made a {kind}, which is no Estimator: it has no {lacks}")
+            raise InputError(f"{label} returned a {kind} without {', '.join(missing)}")
         self.name = str(self._inner.name)
 
     @property
     def counts(self) -> Counts:
         """See `Estimator`."""
         counts = self._call("counts", lambda: self._inner.counts)
-        sound = isinstance(counts, Counts) and all(
+        is_valid = isinstance(counts, Counts) and all(
             isinstance(r, Rejection) for r in counts.rejected
         )
-        self._require(sound, "counts is no Counts by Rejection")
+        self._require(is_valid, "counts is not a Counts with keys of type Rejection")
         return counts  # type: ignore[no-any-return]
 
     @property
@@ -159,7 +143,7 @@ class Guest:
         known = self._call("landmarks", lambda: list(self._inner.landmarks()))
         self._require(
             all(isinstance(m, LandmarkEstimate) for m in known),
-            "landmarks did not answer LandmarkEstimates",
+            "landmarks did not return a list of LandmarkEstimate",
         )
         return known  # type: ignore[no-any-return]
 
@@ -167,27 +151,25 @@ class Guest:
         try:
             return function(*values)
         except FAULTS as error:
-            raise fault(f"{self._word}: {doing}", error) from error
+            raise fault(f"{self._label}: {doing}", error) from error
 
-    def _require(self, holds: bool, words: str) -> None:
-        if not holds:
-            raise InputError(f"{self._word}: {words}")
+    def _require(self, is_met: bool, problem: str) -> None:
+        if not is_met:
+            raise InputError(f"{self._label}: {problem}")
 
     def _checked(self, doing: str, answer: Any) -> Estimate:
-        """Return an answer that is one."""
-        if not isinstance(answer, Estimate):
-            raise InputError(
-                f"{self._word}: {doing} answered a {type(answer).__name__}, not an Estimate"
-            )
-        self._require(isinstance(answer.status, Status), f"{doing} answered no Status")
-        sound = all(isinstance(i, Innovation) for i in answer.innovations)
-        self._require(sound, f"{doing} answered innovations that are none")
+        """Return an answer that is a valid `Estimate`."""
+        kind = type(answer).__name__
+        self._require(isinstance(answer, Estimate), f"{doing} returned a {kind}, not an Estimate")
+        self._require(isinstance(answer.status, Status), f"{doing} returned no Status")
+        is_valid = all(isinstance(i, Innovation) for i in answer.innovations)
+        self._require(is_valid, f"{doing} returned innovations of another type than Innovation")
         if answer.pose is None and answer.covariance is None:
-            return answer
-        words = "no pose of three finite numbers with a covariance of three by three; None is none"
+            return answer  # type: ignore[no-any-return]
         finite = self._call(doing, _finite, answer.pose, answer.covariance)
-        self._require(finite, f"{doing} answered {words}")
-        return answer
+        problem = "must return a finite pose with a finite 3 x 3 covariance, or None for both"
+        self._require(finite, f"{doing} {problem}")
+        return answer  # type: ignore[no-any-return]
 
 
 def _finite(pose: Any, covariance: Any) -> bool:

@@ -1,4 +1,4 @@
-"""Estimators by name, each with its settings: how commands and studies make one for a drive."""
+"""Estimators by name, with their settings models, for commands and studies."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from homeward.io.settings import validated
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.plugins import ESTIMATORS as GROUP
-from homeward.plugins import Guest, fault, installed, load
+from homeward.plugins import PluginEstimator, fault, installed, load
 
 _Maker = Callable[[Drive, Any], Estimator]
 
 
 def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
-    """Return the robust localiser for a drive; with an eye on home's picture where there is one."""
+    """Return the robust localiser for a drive; with visual homing where the drive has images."""
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     if type(drive) is Drive:
         return localizer
-    # Imported here alone: what only reads logs needs no images.
+    # Imported here only: other drives need no image processing.
     from homeward.vision.recorded.estimator import ImageDrive, RecordedVisualHoming
 
     return RecordedVisualHoming(localizer, drive) if isinstance(drive, ImageDrive) else localizer
@@ -32,46 +32,46 @@ def _robust(drive: Drive, settings: LocalizerSettings) -> Estimator:
 
 DEFAULT = "robust"
 NEED_START = ("ekf", "a-ekf", "pi-ekf", "adaptive", "invariant", "particle", "schmidt", "ukf")
-"""Filters, which cannot begin without a start prior."""
+"""Filters, which need a start prior."""
 ESTIMATORS = (DEFAULT, *NEED_START)
-"""Names of the estimators of homeward."""
+"""Names of the built-in estimators."""
 
 
 class NoSettings(Strict):
-    """Of an estimator that takes none."""
+    """Settings model of an estimator without settings."""
 
 
 def estimator_names() -> tuple[str, ...]:
-    """Return the names of all estimators, those of installed packages last."""
+    """Return the names of all estimators; those of installed packages last."""
     return (*ESTIMATORS, *(name for name in installed(GROUP) if name not in ESTIMATORS))
 
 
 def make_estimator(
     name: str, drive: Drive, settings: Strict | dict[str, Any] | None = None
 ) -> Estimator:
-    """Return an estimator for a drive, of which only home and settings are used.
+    """Return an estimator for a drive; it uses only the home bearings and settings of the drive.
 
     Parameters
     ----------
     name : str
-        One of `estimator_names`, or ``package.module:make``: anything that makes an `Estimator`
-        when called with a drive, or with a drive and its settings.
+        One of `estimator_names`, or ``package.module:make``: a callable that returns an `Estimator`
+        for a drive, or for a drive and its settings.
     drive : Drive
-        What it will run on; of sightings only their number is looked at, and of truth nothing.
+        The drive to run on. Only the number of its sightings is used, and no ground truth.
     settings : Strict or dict, optional
-        Its settings, or their values; None: the defaults.
+        Settings of the estimator, or their values; None: the defaults.
 
     Raises
     ------
     InputError
-        For an unknown name, settings that cannot be used, no start prior where one is needed, or
-        an estimator of somebody else that does not keep the protocol.
+        For an unknown name, unusable settings, a missing start prior, or a third-party estimator
+        that violates the protocol.
     """
     return _entry(name)[1](drive, estimator_settings(name, settings))
 
 
 def estimator_settings(name: str, settings: Strict | dict[str, Any] | None = None) -> Strict:
-    """Return the settings of an estimator, spelt out; parameters and errors as `make_estimator`."""
+    """Return the complete settings of an estimator; parameters and errors as `make_estimator`."""
     model = _entry(name)[0]
     return settings if isinstance(settings, model) else validated(model, settings or {})
 
@@ -82,9 +82,9 @@ def settings_model(name: str) -> type[Strict]:
 
 
 def needs_start(name: str) -> bool:
-    """Return whether an estimator cannot begin without a start prior; errors as `make_estimator`.
+    """Return whether an estimator needs a start prior; errors as `make_estimator`.
 
-    One of somebody else says so by an attribute ``needs_start`` of what makes it.
+    The callable of a third-party estimator has an attribute ``needs_start`` for this.
     """
     if name in ESTIMATORS:
         return name in NEED_START
@@ -92,31 +92,31 @@ def needs_start(name: str) -> bool:
 
 
 def _entry(name: str) -> tuple[type[Strict], _Maker]:
-    """Return the model of an estimator's settings, and what makes it."""
+    """Return the settings model of an estimator, and the function that makes it."""
     if name == DEFAULT:
         return LocalizerSettings, _robust
     if name in NEED_START:
-        # Imported here alone: the localiser needs none of the filters.
+        # Imported here only: the localiser needs no filter.
         from homeward.lab.engine.estimators.table import FILTERS
 
         return FILTERS[name]
     make = load(GROUP, name, ESTIMATORS)
-    model = _second_model(name, make)
+    model = _second_argument_model(name, make)
 
-    def guest(drive: Drive, settings: Strict) -> Estimator:
+    def make_plugin(drive: Drive, settings: Strict) -> Estimator:
         if getattr(make, "needs_start", False) and drive.settings.start is None:
             raise needs_start_prior(name)
-        taken = (drive,) if model is NoSettings else (drive, settings)
-        return Guest(name, lambda: make(*taken))
+        arguments = (drive,) if model is NoSettings else (drive, settings)
+        return PluginEstimator(name, lambda: make(*arguments))
 
-    return model, guest
+    return model, make_plugin
 
 
-def _second_model(name: str, make: Callable[..., Any]) -> type[Strict]:
-    """Return the settings model that somebody's maker takes second, by its annotation."""
+def _second_argument_model(name: str, make: Callable[..., Any]) -> type[Strict]:
+    """Return the settings model in the annotation of a plugin's second argument."""
     try:
         parameters = list(inspect.signature(make, eval_str=True).parameters.values())
-    except ValueError:  # of some builtins nothing is known
+    except ValueError:  # some builtins have no signature
         parameters = []
     except Exception as error:
         raise fault(f"{name}: reading the types of its arguments", error) from error

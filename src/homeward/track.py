@@ -1,4 +1,4 @@
-"""The run: a drive fed to an estimator sample by sample, and the track that comes out."""
+"""Run an estimator on a drive, sample by sample, and keep its estimates as a `Track`."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
-from homeward.io.one_thread import one_thread
 
 GRID_S = 0.1
-"""Between bearing stamps an estimate is kept this often [s]."""
-CLASH_S = 1e-3
-"""A grid point this near to a bearing stamp is left out [s]."""
-LONGEST_S = 7 * 86400.0
-"""A drive that spans more than this holds a wrong stamp [s]."""
+"""Interval of the estimates between bearing stamps [s]."""
+MIN_GRID_DISTANCE_S = 1e-3
+"""A grid point closer to a bearing stamp than this is left out [s]."""
+MAX_SPAN_S = 7 * 86400.0
+"""A drive that is longer has a wrong stamp [s]."""
 PROGRESS_S = 0.05
-"""Progress is told at most this often [s of wall time]."""
-REMEMBER_S, MOST_REMEMBERED = 1.0, 2000
-"""What is known of the landmarks is kept so often [s], of a long drive at most so many times."""
+"""Minimum interval between progress reports [s of wall time]."""
+HISTORY_S, MAX_HISTORY = 1.0, 2000
+"""Interval at which landmark estimates are kept [s], and their maximum number in a long drive."""
 
 
 @dataclass(frozen=True)
@@ -51,10 +51,10 @@ class Innovations:
 
 @dataclass(frozen=True)
 class LandmarkHistory:
-    """What was known of the landmarks along the way: k times, q landmarks, NaN where unknown."""
+    """Landmark estimates during a drive: k times, q landmarks, NaN where unknown."""
 
     t: np.ndarray = field(default_factory=lambda: np.empty(0))
-    """(k,), strictly increasing [s]; each row is as causal as the track."""
+    """(k,), strictly increasing [s]; each row is causal."""
     landmark: tuple[str, ...] = ()
     """Ids of the q landmarks."""
     x: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
@@ -62,7 +62,7 @@ class LandmarkHistory:
     y: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
     """(k, q), in the home frame [m]."""
     moved_probability: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
-    """(k, q), that it stands elsewhere than when home was stored."""
+    """(k, q), probability that the landmark has moved since home was stored."""
 
     def at(self, t: np.ndarray) -> np.ndarray:
         """Return the last row not after each time `t` [s], shape (m,); -1 before the first."""
@@ -71,9 +71,9 @@ class LandmarkHistory:
 
 @dataclass(frozen=True)
 class Track:
-    """Everything that an estimator answered on one drive; arrays of n rows, NaN without a pose.
+    """The estimates of one drive; arrays of n rows, NaN without a pose.
 
-    A row per bearing stamp, and per point of a 10 Hz grid between them.
+    There is a row for each bearing stamp, and for each point of a 10 Hz grid between them.
     """
 
     estimator: str
@@ -99,11 +99,11 @@ class Track:
     counts: Counts
     notes: tuple[str, ...]
     history: LandmarkHistory = field(default_factory=LandmarkHistory)
-    """Of the landmarks, about every second."""
+    """Landmark estimates, about every second."""
 
     @property
     def has_pose(self) -> np.ndarray:
-        """Which rows hold a pose, shape (n,), bool."""
+        """Which rows have a pose, shape (n,), bool."""
         return np.asarray(np.isfinite(self.x))
 
     @property
@@ -122,23 +122,23 @@ class Track:
         return np.asarray(np.sqrt(np.diagonal(self.covariance, axis1=1, axis2=2)))
 
 
-@one_thread()
+@single_threaded_blas()
 def run(
     drive: Drive, estimator: Estimator, progress: Callable[[float], None] | None = None
 ) -> Track:
-    """Feed a drive to an estimator exactly as if it were online, and keep what it answers.
+    """Feed a drive to an estimator as if it were online, and return its estimates.
 
-    Samples go in by time, odometry before bearings of the same stamp. The answer at a grid point
-    is asked for before any later sample is fed, so that every row is causal.
+    Samples are fed in order of time, odometry before bearings of the same stamp. The estimate at a
+    grid point is computed before any later sample is fed, so every row is causal.
 
     Parameters
     ----------
     drive : Drive
-        What to feed.
+        The recorded drive.
     estimator : Estimator
-        A fresh one; it is used up.
+        A new estimator; it cannot be used for another run.
     progress : callable, optional
-        Told the fraction done, in [0, 1], at most about 20 times a second.
+        Receives the fraction done, in [0, 1], at most about 20 times a second.
 
     Raises
     ------
@@ -150,7 +150,7 @@ def run(
     grid = grid_times(drive.span, stamps)
     order = in_order(drive.odometry.t, stamps, grid)
     rows = _TrackRows(stamps.size + grid.size)
-    every = max(REMEMBER_S, (drive.span[1] - drive.span[0]) / MOST_REMEMBERED)
+    every = max(HISTORY_S, (drive.span[1] - drive.span[0]) / MAX_HISTORY)
     update_seconds: list[float] = []
 
     odometry = zip(
@@ -161,7 +161,7 @@ def run(
     )
     sightings = drive.sightings.stamps()
     grid_points = iter(grid.tolist())
-    told = began
+    reported = began
     for done, kind in enumerate(order):
         if kind == ODOMETRY:
             estimator.odometry(*next(odometry))
@@ -175,51 +175,36 @@ def run(
             t = next(grid_points)
             rows.keep(t, estimator.estimate(t))
         if kind != ODOMETRY:
-            rows.remember(t, estimator, every)
-        if progress is not None and time.perf_counter() - told > PROGRESS_S:
-            told = time.perf_counter()
+            rows.keep_landmarks(t, estimator, every)
+        if progress is not None and time.perf_counter() - reported > PROGRESS_S:
+            reported = time.perf_counter()
             progress(done / len(order))
     if progress is not None:
         progress(1.0)
     return rows.track(estimator, np.array(update_seconds), time.perf_counter() - began)
 
 
-def track_of(estimator: Estimator, answers: Sequence[Estimate]) -> Track:
-    """Return the track of answers that an estimator has given already, in order of time.
-
-    Parameters
-    ----------
-    estimator : Estimator
-        After its drive.
-    answers : sequence of Estimate
-        At increasing times.
-    """
-    rows = _TrackRows(len(answers))
-    for answer in answers:
-        rows.keep(answer.t, answer)
+def track_of(estimator: Estimator, estimates: Sequence[Estimate]) -> Track:
+    """Return the track of the estimates that an estimator gave during a drive, in order of time."""
+    rows = _TrackRows(len(estimates))
+    for estimate in estimates:
+        rows.keep(estimate.t, estimate)
     return rows.track(estimator, np.empty(0), 0.0)
 
 
 ODOMETRY, BEARINGS, GRID = 0, 1, 2
-"""What to do next, in the order in which it is done at equal times."""
+"""The steps of a run, in their order at equal times."""
 
 
 def grid_times(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
-    """Return the grid times [s] of a drive that do not clash with its bearing stamps.
-
-    Raises
-    ------
-    InputError
-        As `run`.
-    """
+    """Return the grid times [s] of a drive between its bearing stamps; errors as `run`."""
     first, last = span
     if np.isnan(first):
         return np.empty(0)
-    if last - first > LONGEST_S:
+    if last - first > MAX_SPAN_S:
         raise InputError(
             f"the stamps run from {first!r} to {last!r} s, which is "
-            f"{(last - first) / 86400:.0f} days: one of them is wrong, or their unit is not the "
-            "second"
+            f"{(last - first) / 86400:.0f} days: one of them is wrong, or they are not in seconds"
         )
     grid = first + GRID_S * np.arange(int(np.floor((last - first) / GRID_S + 1e-9)) + 1)
     if not stamps.size:
@@ -227,18 +212,18 @@ def grid_times(span: tuple[float, float], stamps: np.ndarray) -> np.ndarray:
     after = np.searchsorted(stamps, grid)
     gap_after = stamps[np.minimum(after, stamps.size - 1)] - grid
     gap_before = grid - stamps[np.maximum(after - 1, 0)]
-    return np.asarray(grid[np.minimum(np.abs(gap_after), np.abs(gap_before)) > CLASH_S])
+    return np.asarray(grid[np.minimum(np.abs(gap_after), np.abs(gap_before)) > MIN_GRID_DISTANCE_S])
 
 
 def in_order(odometry: np.ndarray, stamps: np.ndarray, grid: np.ndarray) -> list[int]:
-    """Return what to do, `ODOMETRY`, `BEARINGS` or `GRID`, in order of time."""
+    """Return the steps `ODOMETRY`, `BEARINGS` and `GRID` in order of time."""
     times = np.concatenate([odometry, stamps, grid])
     kinds = np.repeat([ODOMETRY, BEARINGS, GRID], [odometry.size, stamps.size, grid.size])
     return [int(k) for k in kinds[np.lexsort((kinds, times))]]
 
 
 class _TrackRows:
-    """A track that is being filled, row by row."""
+    """A track that is filled row by row."""
 
     def __init__(self, number: int) -> None:
         self.filled = 0
@@ -264,13 +249,13 @@ class _TrackRows:
         )
         self.filled += 1
 
-    def remember(self, t: float, estimator: Estimator, every: float) -> None:
-        """Keep what is known of the landmarks at `t` [s], unless that was done lately."""
+    def keep_landmarks(self, t: float, estimator: Estimator, every: float) -> None:
+        """Keep the landmark estimates at `t` [s], at most once in `every` [s]."""
         if not self.known or t - self.known[-1][0] >= every:
             self.known.append((t, estimator.landmarks()))
 
     def history(self) -> LandmarkHistory:
-        """Return what was known of the landmarks along the way."""
+        """Return the landmark estimates during the drive."""
         names = sorted({m.landmark for _, landmarks in self.known for m in landmarks}, key=natural)
         column = {name: i for i, name in enumerate(names)}
         values = np.full((3, len(self.known), len(names)), np.nan)

@@ -56,7 +56,7 @@ def test_a_drive_over_somebody_elses_log_is_refused(tmp_path):
     log.parent.mkdir()
     log.write_text("t,v,omega\n0,0,0\n")
     result = simulate("paper-homing", "--out", tmp_path / "d")
-    assert "not ours to replace" in refused(result)
+    assert "contains other files" in refused(result)
     assert log.read_text() == "t,v,omega\n0,0,0\n"
     assert [path.name for path in log.parent.iterdir()] == ["odometry.csv"]
 

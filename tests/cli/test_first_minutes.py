@@ -24,7 +24,7 @@ from homeward.cli import options as terminal
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings
-from homeward.errors import InputError, needs_extra, without
+from homeward.errors import InputError, missing_extra_error, needs_extra
 from homeward.io.keys import ANY, keys
 from homeward.io.settings import nested, validated
 from homeward.registry import ESTIMATORS, settings_model
@@ -183,7 +183,7 @@ BAD_INPUTS = [
     (["run", "bad"], "bearings.csv, row 3"),
     (["run", "sample", "--set", "windwo=3"], "did you mean window?"),
     (["run", "sample", "--estimator", "ekf", "--smooth"], "cannot smooth"),
-    (["run", "sample", "--set", "engine=native"], "no such key"),
+    (["run", "sample", "--set", "engine=native"], "unknown key"),
     (["simulate", "nowhere"], "presets"),
     (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
     (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),
@@ -224,7 +224,7 @@ def test_where_nothing_can_be_written_a_run_does_not_begin(short, tmp_path, monk
     assert "is not a folder" in refused(call("run", short, "--out", tmp_path / "notes" / "out"))
     assert "is not a folder" in refused(call("run", short, "--out", tmp_path / "notes"))
     monkeypatch.setattr(os, "access", lambda path, how: path != tmp_path)  # root may write anywhere
-    assert "may not be written into" in refused(call("run", short, "--out", tmp_path / "a" / "b"))
+    assert "is not writable" in refused(call("run", short, "--out", tmp_path / "a" / "b"))
     assert sorted(p.name for p in tmp_path.iterdir()) == ["notes", "short"]
 
 
@@ -283,9 +283,9 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
     for package in ("bokeh.plotting", "casadi", "dask", "rosbags.typesys", "websockets"):
-        told = without(ModuleNotFoundError(name=package))
+        told = missing_extra_error(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(told)))
-    assert without(ModuleNotFoundError(name="nobody")) is None
+    assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
     told = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
     # Without a compiler the interpreter stands in.
     assert named == told == set(extras) - {"bench", "compiler", "dev", "docs"}

@@ -102,7 +102,7 @@ def test_a_law_of_another_package_drives_home(tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("law", "words"),
     [
-        ("nonsense", "no law 'nonsense': there are paper, lyapunov, alv, tron"),
+        ("nonsense", "no law 'nonsense': use one of paper, lyapunov, alv, tron"),
         ("no_such:law", "there is no module no_such"),
         ("math:pi", "cannot be called"),
         ("numpy:add.reduce", "raised|no x and y"),

@@ -402,7 +402,7 @@ def test_units_in_names(name, quantity, unit):
         ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
         ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
-        ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields where 3 are due"),
+        ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields, but the header has 3"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
         ("t,v,w\n0,300,0\n", (), "too fast for m/s; say its unit"),
         ("t,left_vel,right_vel,w\n0,1,1,0\n", (), "may both be v"),

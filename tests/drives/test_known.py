@@ -70,7 +70,7 @@ def test_all_have_the_same_words(make):
     ("told", "words"),
     [
         ({"home": [0.31]}, "home is a list"),
-        ({"home": {7: 0.31}}, "id is text, not 7"),
+        ({"home": {7: 0.31}}, "id must be text, not 7"),
         ({"home": {"door": "left"}}, "'door': 'left' is a str"),
         ({"home": {"door": None}}, "'door'"),
         ({"home": {"door": HomeBearing(0.1, "small")}}, "'door': 'small' is a str"),
@@ -80,8 +80,8 @@ def test_all_have_the_same_words(make):
         ({"sensor": {"bearing_sigma": 5}}, "sensor.bearing_sigma: must be at most 3.14159, not 5"),
         ({"sensor": {"bearing_sigma": -1.0}}, "sensor.bearing_sigma: must be greater than 0"),
         ({"odometry": {"speed_sigma": "much"}}, "odometry.speed_sigma: must be a number"),
-        ({"start": {"R": 1.0}}, "start.theta: is needed"),
-        ({"settings": DriveSettings()}, "settings: .*, not a DriveSettings"),
+        ({"start": {"R": 1.0}}, "start.theta: is required"),
+        ({"settings": DriveSettings()}, "settings must be .*, not a DriveSettings"),
         ({"settings": {"gaet": 3.0}}, "did you mean gate"),
     ],
 )
@@ -93,7 +93,7 @@ def test_what_cannot_be_used_is_one_clear_error(make, told, words):
 
 @ALL
 def test_sightings_of_what_is_no_id_are_refused(make):
-    with pytest.raises(InputError, match="id is text"):
+    with pytest.raises(InputError, match="id must be text"):
         make(HOME, start=START).bearings(0.0, {7: 0.1})
 
 

@@ -43,8 +43,8 @@ def test_a_name_that_no_sighting_has_is_told(tmp_path):
 
 
 def test_nothing_is_known_without_the_file_or_with_an_empty_one(tmp_path):
-    assert not read_folder(put(tmp_path / "a")).known.tells
-    assert not read_folder(put(tmp_path / "b", landmarks_yaml=b"")).known.tells
+    assert not read_folder(put(tmp_path / "a")).known.is_given
+    assert not read_folder(put(tmp_path / "b", landmarks_yaml=b"")).known.is_given
     write_folder(read_folder(tmp_path / "a"), tmp_path / "c")
     assert not (tmp_path / "c" / "landmarks.yaml").exists()
 
@@ -66,7 +66,7 @@ def test_a_log_has_no_place_for_it_and_says_so(tmp_path):
 @pytest.mark.parametrize(
     ("content", "words"),
     [
-        (b"landmarks: {7: {x: 1}}", "landmarks.7.y: is needed"),
+        (b"landmarks: {7: {x: 1}}", "landmarks.7.y: is required"),
         (b"landmarks: {7: {x: 1, y: here}}", "landmarks.7.y: must be a number, not here"),
         (b"landmarks: {7: {x: 1, y: 1e300}, 8: {x: 1, y: 1}}", "landmarks.7.y: must be at most"),
         (b"landmarks: [7]", "landmarks: must be keys and values"),
@@ -74,7 +74,7 @@ def test_a_log_has_no_place_for_it_and_says_so(tmp_path):
         (b"distances: [{between: [7, 7], distance: 2}]", "between two landmarks"),
         (b"distances: [{between: [7, 8], distance: far}]", "distance: must be a number"),
         (b"frame: map", "frame: must be own or home"),
-        (b"surveyed: {}", "surveyed: there is no such key"),
+        (b"surveyed: {}", "surveyed: unknown key"),
         (b"landmarks: {7: {x: 1, y: 2}", "landmarks.yaml"),
         (b"\xff\xfe\x00", "landmarks.yaml"),
         (b"a", "not a mapping"),

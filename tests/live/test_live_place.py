@@ -14,7 +14,7 @@ from homeward import make_estimator, open_drive, run
 from homeward.cli.main import app
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -155,7 +155,7 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
     visited, robot = open_place(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
     folder = tmp_path / "drive"
     recorder = Recorder(folder, LiveSettings(), robot, {}, visited)
-    with one_thread():  # as hosts of sessions do
+    with single_threaded_blas():  # as hosts of sessions do
         rig = commuted(place, recorder.keep, visited)
         rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
     recorder.close()
@@ -180,7 +180,7 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
 def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_path):
     visited, robot = open_place(tmp_path / "hall", update=True), Rig(0).robot.drive.settings
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, visited)
-    with one_thread():
+    with single_threaded_blas():
         rig = Rig(0, recorder.keep, place=visited, **LANDMARKS).until(localised)
         rig.until(driving)
         assert "home 'dock' is here" in asked(rig, StoreHome(name="dock"))

@@ -14,7 +14,7 @@ from live_rig import Rig, asked, texts
 from typer.testing import CliRunner
 
 from homeward.cli.main import app
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -208,7 +208,7 @@ def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
     robot = Rig(0, **TAUGHT).robot.drive.settings
     place = open_place(tmp_path / "hall", update=True)
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, place)
-    with one_thread():  # as hosts of sessions do
+    with single_threaded_blas():  # as hosts of sessions do
         rig, _ = taught(tmp_path / "hall", recorder.keep, place)
         asked(rig, SavePlace(), FollowRoute(name="round"))
         rig.until(lambda r: r.state == "arrived")  # it stands where the route ends

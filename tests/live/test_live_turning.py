@@ -5,7 +5,7 @@ import math
 import pytest
 from live_rig import Rig, driving
 
-from homeward import HomeLooks, InputError, Localizer
+from homeward import HomeScan, InputError, Localizer
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.live.messages import (
@@ -153,7 +153,7 @@ def test_several_short_looks_are_a_home_too():
 
 
 def test_from_python():
-    looks = HomeLooks(sensor={"bearing_sigma": 0.01})
+    looks = HomeScan(sensor={"bearing_sigma": 0.01})
 
     def take(message):
         if isinstance(message, OdometryIn):
@@ -168,7 +168,7 @@ def test_from_python():
 
 
 def test_looks_at_no_time_are_left_out():
-    looks = HomeLooks()
+    looks = HomeScan()
     looks.odometry(math.nan, 0.0, 0.0)
     for k in range(200):
         turned = 0.03 * k
@@ -180,7 +180,7 @@ def test_looks_at_no_time_are_left_out():
 
 
 def test_looks_that_never_end_are_refused_and_so_are_none():
-    looks = HomeLooks()
+    looks = HomeScan()
     with pytest.raises(InputError, match="nothing was seen"):
         looks.home()
     for k in range(80):

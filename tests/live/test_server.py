@@ -14,7 +14,7 @@ from live_rig import SCENARIO
 
 from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
-from homeward.estimator import in_turn
+from homeward.estimator import synchronised
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
@@ -118,7 +118,7 @@ def test_a_robot_is_commanded_while_the_estimator_is_stuck():
     stuck, free = threading.Event(), threading.Event()
 
     class Stuck(Localizer):
-        @in_turn
+        @synchronised
         def bearings(self, *seen):
             stuck.set()
             free.wait(30.0)

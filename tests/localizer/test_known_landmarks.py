@@ -348,7 +348,7 @@ def test_a_drive_brings_what_is_known_to_the_estimator_and_to_the_final_pass():
 @pytest.mark.parametrize(
     ("known", "words"),
     [
-        ({"landmarks": {"a": {"x": 1.0}}}, "landmarks.a.y: is needed"),
+        ({"landmarks": {"a": {"x": 1.0}}}, "landmarks.a.y: is required"),
         ({"landmarks": {"a": {"x": 1.0, "y": "north"}}}, "landmarks.a.y: must be a number"),
         ({"landmarks": {"a": {"x": math.nan, "y": 0.0}}}, "landmarks.a.x: must be"),
         ({"landmarks": {"a": {"x": 1.0, "y": 0.0, "sigma": 0.0}}}, "sigma: must be at least"),

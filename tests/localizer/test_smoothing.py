@@ -109,7 +109,7 @@ def test_home_on_the_circle_through_its_landmarks_is_not_fixed():
     track = smooth(drive)
     assert Status.LOCALISED not in track.status
     assert not track.has_pose.any()
-    assert set(track.reason) == {"home is not fixed well enough; drive on, best in an arc"}
+    assert set(track.reason) == {"home is not located well enough yet; drive on, best in an arc"}
 
 
 def heading_deviations(track, truth):

@@ -9,7 +9,7 @@ from homeward.localizer import tunables
 FOLDER = Path(homeward.localizer.__file__).parent
 LAYOUT = {
     "BAND", "BY_CALIBRATION", "CAMERA_JACOBIAN", "COLUMNS", "FREE", "HEAD", "HOME", "IDENTITY",
-    "INFORMATION", "LEAST_SQUARE", "MIN_COVARIANCE", "MOUNT", "NO_TAIL", "PARTS", "POSE",
+    "INFORMATION", "MIN_SQUARED_DISTANCE", "MIN_COVARIANCE", "MOUNT", "NO_TAIL", "PARTS", "POSE",
     "POSE_AND_YAW", "RESIDUAL", "REST", "STEP", "YAW",
 }  # fmt: skip
 """Rows, columns and sizes of tables, and floors against a division by zero."""

@@ -23,7 +23,7 @@ from homeward.cli.settings import settings
 from homeward.cli.studies.plan import plan
 from homeward.cli.studies.study import study
 from homeward.cli.studio import studio
-from homeward.errors import HomewardError, InputError, without
+from homeward.errors import HomewardError, InputError, missing_extra_error
 
 FORMER = {
     "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
@@ -55,7 +55,7 @@ class OneLineErrors(TyperGroup):
         try:
             return super().invoke(ctx)
         except ModuleNotFoundError as error:
-            if (told := without(error)) is None:
+            if (told := missing_extra_error(error)) is None:
                 raise
             refuse(str(told))
             raise typer.Exit(BAD_INPUT) from None

@@ -207,7 +207,7 @@ def read_drive(
     from homeward.drives.opening import open_drive
 
     with progress(f"reading {source}") as tell:
-        return open_drive(source, topics=topics, home_spin=home_spin, tell=tell)
+        return open_drive(source, topics=topics, home_spin=home_spin, on_progress=tell)
 
 
 def day(text: str) -> float:

@@ -154,7 +154,7 @@ class Drive:
         yaw = self.settings.home_mount.yaw
         return {i: float(wrap(b.bearing + yaw)) for i, b in self.home.items()}
 
-    def seen_earlier(self, by: float) -> Self:
+    def with_earlier_sightings(self, by: float) -> Self:
         """Return it with all that the camera saw stamped earlier by so long [s]."""
         return replace(self, sightings=replace(self.sightings, t=self.sightings.t - by))
 

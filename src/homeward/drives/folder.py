@@ -23,7 +23,7 @@ from homeward.io.table import (
     identifiers,
     is_identifier,
     numbers,
-    numbers_or_nothing,
+    numbers_or_nan,
     quoted,
     read_csv,
     write_csv,
@@ -56,7 +56,7 @@ def is_drive_folder(path: Path) -> bool:
     return any(is_there(path / name) for name in REQUIRED) and not is_log(path)
 
 
-def knows_home(folder: Path) -> bool:
+def has_home(folder: Path) -> bool:
     """Return whether a folder tells of home without a home.csv: by a survey from there, or when."""
     return _is_surveyed(folder) or read_drive_settings(folder / SETTINGS).home is not None
 
@@ -74,7 +74,7 @@ def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
     replace home.csv.
     """
     absent = [name for name in REQUIRED if not is_there(folder / name)]
-    if HOME in absent and (not home_needed or knows_home(folder)):
+    if HOME in absent and (not home_needed or has_home(folder)):
         absent.remove(HOME)
     if ODOMETRY in absent and _is_surveyed(folder):
         absent.remove(ODOMETRY)
@@ -216,7 +216,7 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
 
     A row in which both v and omega are empty starts an interval of unknown motion.
     """
-    columns = {"t": numbers, "v": numbers_or_nothing, "omega": numbers_or_nothing}
+    columns = {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan}
     table = read_csv(path, columns)
     for name in ("v", "omega"):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
@@ -237,7 +237,7 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     """Read a bearings.csv (t, landmark, bearing[, sigma]); errors and remarks as `read_folder`."""
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
-    return sightings_of(read_csv(path, columns, {"sigma": numbers_or_nothing}), remarks)
+    return sightings_of(read_csv(path, columns, {"sigma": numbers_or_nan}), remarks)
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
@@ -252,7 +252,7 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma]; rad); errors and remarks as `read_folder`."""
     columns = {"landmark": identifiers, "bearing": numbers}
-    return home_of(read_csv(path, columns, {"sigma": numbers_or_nothing}), remarks)
+    return home_of(read_csv(path, columns, {"sigma": numbers_or_nan}), remarks)
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:

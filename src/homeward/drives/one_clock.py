@@ -69,14 +69,16 @@ def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
     remarks[TOO_RARE.format(step, twist_validity(np.diff(t).tolist()), unit)] = t.size
 
 
-def on_time(drive: Drive) -> Drive:
+def without_bearing_delay(drive: Drive) -> Drive:
     """Return a drive whose bearings have the times at which they were taken, by its settings."""
     late = drive.settings.bearings_late
     if late is None:
         return drive
     settings = drive.settings.model_copy(update={"bearings_late": None})
     remarks = {**drive.remarks, ON_TIME.format(late): drive.sightings.t.size}
-    return dataclasses.replace(drive.seen_earlier(late), settings=settings, remarks=remarks)
+    return dataclasses.replace(
+        drive.with_earlier_sightings(late), settings=settings, remarks=remarks
+    )
 
 
 def _remark_slow(drive: Drive) -> dict[str, int]:

@@ -19,10 +19,10 @@ from homeward.drives.folder import (
 from homeward.drives.home.spin import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
-from homeward.drives.one_clock import on_one_clock, on_time
+from homeward.drives.one_clock import on_one_clock, without_bearing_delay
 from homeward.drives.ros.log import is_log
 from homeward.drives.settings import HomeWhen
-from homeward.errors import InputError, speaking_of
+from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.reading import is_there, shipped
 from homeward.io.settings import validated
@@ -42,7 +42,7 @@ def open_drive(
     *,
     topics: str | os.PathLike[str] | None = None,
     home_spin: tuple[float, float] | None = None,
-    tell: Callable[[float], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive of any known kind.
 
@@ -55,7 +55,7 @@ def open_drive(
     home_spin : (float, float), optional
         From when until when the robot turned on the spot at home, since the drive's first sample
         [s]; instead of the home bearings that it brings.
-    tell : callable, optional
+    on_progress : callable, optional
         Told the fraction done of a log or of images, in [0, 1].
 
     Raises
@@ -71,20 +71,20 @@ def open_drive(
     if kind == IMAGE_FOLDER:
         from homeward.vision.recorded.recording import see_recording
 
-        drive = see_recording(place, tell)
+        drive = see_recording(place, on_progress)
     elif kind == DRIVE_FOLDER:
         drive = read_folder(place, home_needed=home_spin is None)
     else:
         from homeward.drives.ros.reading import read_log
 
-        drive = read_log(place, None if topics is None else Path(topics), tell)
-    drive = _truth_from_home(on_one_clock(on_time(drive), place), place)
+        drive = read_log(place, None if topics is None else Path(topics), on_progress)
+    drive = _truth_from_home(on_one_clock(without_bearing_delay(drive), place), place)
     when = drive.settings.home
     if home_spin is not None:
         when = validated(HomeWhen, {"spin": home_spin})
     elif when is not None and drive.home:
         raise InputError(f"home is told twice: in {HOME} and under home in {SETTINGS}", place)
-    with speaking_of(place):
+    with naming_file(place):
         return drive if when is None else with_home(drive, when)
 
 
@@ -144,7 +144,7 @@ LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def save_drive(
-    drive: Drive, path: str | os.PathLike[str], tell: Callable[[float], None] | None = None
+    drive: Drive, path: str | os.PathLike[str], on_progress: Callable[[float], None] | None = None
 ) -> str:
     """Write a drive that `open_drive` reads back to the last bit.
 
@@ -155,7 +155,7 @@ def save_drive(
     path : path-like
         A file with one of `LOG_SUFFIXES`, or else a drive folder; must not exist, or be an empty
         folder.
-    tell : callable, optional
+    on_progress : callable, optional
         Told the fraction done of a log.
 
     Returns
@@ -174,10 +174,10 @@ def save_drive(
     if place.suffix not in LOG_SUFFIXES:
         write_folder(drive, place)
         return "drive folder"
-    if drive.known.tells:
+    if drive.known.is_given:
         raise InputError("a log has no place for landmarks.yaml; write a drive folder", place)
     # Imported here alone: rosbags takes a while.
     from homeward.drives.ros.writing import write_log
 
-    write_log(drive, place, tell)
+    write_log(drive, place, on_progress)
     return {".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag (sqlite3)"}[place.suffix]

@@ -153,7 +153,7 @@ class DriveSettings(Strict):
     odometry: OdometryNoise = OdometryNoise()
     bearings_late: Late | None = None
     """Bearings are stamped so long after they were taken [s], by odometry's clock; None: 0. Readers
-    take it out of the stamps (`on_time`), and a drive that was read has None."""
+    take it out of the stamps (`without_bearing_delay`), and a drive that was read has None."""
     start: Start | None = None
     truth: TruthFrame | None = None
     """None: the home frame. `open_drive` transforms the truth; then a drive has None."""
@@ -238,7 +238,7 @@ class KnownLandmarks(Strict):
         return np.diag(np.repeat(np.square(sigmas), 2))
 
     @model_validator(mode="after")
-    def _tells(self) -> Self:
+    def _check(self) -> Self:
         if any(a == b for a, b in (d.between for d in self.distances)):
             raise ValueError("a distance is between two landmarks, not one")
         if len(self.landmarks) == 1 and self.frame == "own":
@@ -251,7 +251,7 @@ class KnownLandmarks(Strict):
         return self.frame == "home" and bool(self.landmarks)
 
     @property
-    def tells(self) -> bool:
+    def is_given(self) -> bool:
         """Whether anything is known."""
         return bool(self.landmarks or self.distances)
 

@@ -1,4 +1,4 @@
-"""Angles in radians, the same functions on floats, arrays and CasADi symbols."""
+"""Functions of angles [rad], on floats, arrays and CasADi symbols."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ TWO_PI = 2.0 * math.pi
 
 
 def apply(name: str, *values: Any) -> Any:
-    """Apply an elementary function to floats, arrays or CasADi symbols alike.
+    """Apply an elementary function to floats, arrays or CasADi symbols.
 
     Parameters
     ----------
     name : str
         NumPy's name of the function: ``"sin"``, ``"hypot"``, ``"arctan2"`` and so on.
     *values : float, ndarray or casadi.SX
-        Its arguments; symbols if any of them is one.
+        Its arguments.
     """
     if any(hasattr(value, "is_symbolic") for value in values):
-        # Imported here alone: whoever has symbols has paid for CasADi already.
+        # Imported here only: symbols exist only where CasADi is loaded already.
         import casadi
 
         return getattr(casadi, name)(*values)
@@ -29,16 +29,8 @@ def apply(name: str, *values: Any) -> Any:
 
 
 def wrap(angle: Any) -> Any:
-    """Wrap an angle to (-pi, pi].
-
-    Angles already inside come back unchanged to the last bit.
-
-    Parameters
-    ----------
-    angle : float, ndarray or casadi.SX
-        Angle [rad].
-    """
-    if isinstance(angle, float) and math.isfinite(angle):  # the same, much quicker
+    """Wrap an angle [rad] to (-pi, pi]; an angle within stays bit-identical."""
+    if isinstance(angle, float) and math.isfinite(angle):  # same result, much faster
         return angle - TWO_PI * math.ceil((angle - math.pi) / TWO_PI)
     if isinstance(angle, np.ndarray):
         return angle - TWO_PI * np.ceil((angle - math.pi) / TWO_PI)
@@ -46,17 +38,10 @@ def wrap(angle: Any) -> Any:
 
 
 def guarded_inverse(x: Any, guard: float) -> Any:
-    """Return ``x / (x^2 + guard^2)``: ``1/x``, but finite and smooth through zero.
+    """Return ``x / (x^2 + guard^2)``: an approximation of ``1/x`` that is finite and smooth at 0.
 
     Its relative error is ``-guard^2 / (x^2 + guard^2)``: the result is always too small, by half
-    at ``x = guard`` and by 1 % at ``x = 10 guard``.
-
-    Parameters
-    ----------
-    x : float, ndarray or casadi.SX
-        The divisor.
-    guard : float
-        In the unit of `x`; zero gives the plain inverse.
+    at ``x = guard`` and by 1 % at ``x = 10 guard``. The `guard` is in the unit of `x`; 0 gives 1/x.
     """
     return x / (x * x + guard * guard)
 
@@ -67,7 +52,7 @@ def interpolate(t: Any, stamps: np.ndarray, angles: np.ndarray) -> np.ndarray:
     Parameters
     ----------
     t : array_like, shape (m,)
-        Times asked for [s], within `stamps`.
+        Query times [s], within `stamps`.
     stamps : ndarray, shape (n,)
         Increasing times [s].
     angles : ndarray, shape (n,)

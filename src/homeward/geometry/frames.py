@@ -1,4 +1,4 @@
-"""Poses and twists in the plane (SE(2)), polar coordinates; on floats, arrays and CasADi symbols.
+"""Poses, twists and polar coordinates in SE(2), on floats, arrays and CasADi symbols.
 
 A pose is (x, y, heading) of the robot's centre; (R, theta, alpha) are its polar coordinates in the
 home frame: distance from home, direction seen from home, heading.
@@ -14,7 +14,7 @@ import numpy as np
 from homeward.geometry.angles import apply, wrap
 
 Integration = Literal["rk4", "euler"]
-"""How a motion is integrated where symbols are."""
+"""Integration method of symbolic motion models."""
 
 
 class Pose(NamedTuple):
@@ -26,7 +26,7 @@ class Pose(NamedTuple):
 
 
 class Polar(NamedTuple):
-    """A pose in the paper's coordinates: R [m], theta [rad], alpha [rad]."""
+    """A pose in the paper's polar coordinates: R [m], theta [rad], alpha [rad]."""
 
     R: Any
     theta: Any
@@ -34,40 +34,40 @@ class Polar(NamedTuple):
 
 
 class Twist(NamedTuple):
-    """Twist of a unicycle, commanded or measured: v [m/s] forward, omega [rad/s] anti-clockwise."""
+    """Twist of a unicycle: v [m/s] forward, omega [rad/s] anti-clockwise."""
 
     v: Any
     omega: Any
 
 
 def compose(a: Pose, b: Pose) -> Pose:
-    """Return pose `b`, given in the frame of `a`, in the frame in which `a` is given."""
+    """Return pose `b`, which is in the frame of `a`, in the parent frame of `a`."""
     c, s = apply("cos", a.heading), apply("sin", a.heading)
     return Pose(a.x + c * b.x - s * b.y, a.y + s * b.x + c * b.y, wrap(a.heading + b.heading))
 
 
 def inverse(a: Pose) -> Pose:
-    """Return the pose whose composition with `a` is the origin."""
+    """Return the inverse: its composition with `a` is the origin."""
     c, s = apply("cos", a.heading), apply("sin", a.heading)
     return Pose(-c * a.x - s * a.y, s * a.x - c * a.y, wrap(-a.heading))
 
 
 def between(a: Pose, b: Pose) -> Pose:
-    """Return pose `b` as seen from pose `a` (both in one frame)."""
+    """Return pose `b` in the frame of `a`; both are in one frame."""
     return compose(inverse(a), b)
 
 
 def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
-    """Return where a unicycle with a constant twist gets to in `dt` [s]: exactly, on an arc.
+    """Return the pose of a unicycle after `dt` [s] of a constant twist, exactly, on an arc.
 
-    Floats, or arrays of one shape. Headings [rad] are not wrapped here.
+    Arguments are floats, or arrays of one shape. The heading [rad] is not wrapped.
     """
     half: Any = 0.5 * twist.omega * dt
     trig: Any = np
     shrink: Any
     if isinstance(half, np.ndarray):
         shrink = np.sinc(half / math.pi)
-    else:  # the same, much quicker
+    else:  # same result, much faster
         trig = math
         # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
         shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
@@ -80,14 +80,14 @@ def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
 
 
 def to_polar(pose: Pose) -> Polar:
-    """Return (R, theta, alpha) of a pose in the home frame; theta is 0 at home itself."""
+    """Return (R, theta, alpha) of a pose in the home frame; theta is 0 at home."""
     return Polar(
         apply("hypot", pose.x, pose.y), apply("arctan2", pose.y, pose.x), wrap(pose.heading)
     )
 
 
 def from_polar(polar: Polar) -> Pose:
-    """Return the pose in the home frame; a negative R lies on the other side of home."""
+    """Return the pose in the home frame; a negative R is opposite to theta."""
     return Pose(
         polar.R * apply("cos", polar.theta),
         polar.R * apply("sin", polar.theta),
@@ -106,12 +106,12 @@ def position_sigma(covariance: np.ndarray) -> Any:
     Parameters
     ----------
     covariance : ndarray, shape (..., k, k)
-        Of x, y [m], and whatever comes after them; NaN gives NaN.
+        Covariance of x, y [m] and any further components; NaN gives NaN.
 
     Returns
     -------
     ndarray, shape (...)
-        The semi-major axis of its 1-sigma ellipse; a float of a single one.
+        Semi-major axis of the 1-sigma ellipse; a float for a single covariance.
     """
     xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
@@ -119,19 +119,19 @@ def position_sigma(covariance: np.ndarray) -> Any:
 
 
 def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray:
-    """Carry a covariance of (R, theta, alpha) to (x, y, heading), to first order.
+    """Transform a covariance of (R, theta, alpha) to (x, y, heading), to first order.
 
     Parameters
     ----------
     polar : Polar
-        Where to linearise: numbers, or arrays of one shape.
+        Point of linearisation: numbers, or arrays of one shape.
     covariance : ndarray, shape (..., 3, 3)
-        Of (R [m], theta [rad], alpha [rad]).
+        Covariance of (R [m], theta [rad], alpha [rad]).
 
     Returns
     -------
     ndarray, shape (..., 3, 3)
-        Of (x [m], y [m], heading [rad]).
+        Covariance of (x [m], y [m], heading [rad]).
     """
     c, s = np.cos(polar.theta), np.sin(polar.theta)
     jacobian = np.zeros((*np.shape(c), 3, 3))

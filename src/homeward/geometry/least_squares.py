@@ -1,4 +1,4 @@
-"""Sparse least squares: whitened residuals, and their derivatives by many unknowns."""
+"""Sparse linear least squares."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from scipy.sparse.linalg import splu
 
 
 class LeastSquares:
-    """Linearised problem of a number of unknowns, to which rows are added."""
+    """A linearised problem with a number of `unknowns`, to which rows are added."""
 
     def __init__(self, unknowns: int) -> None:
         self._unknowns, self._count = unknowns, 0
@@ -28,9 +28,9 @@ class LeastSquares:
         residuals : ndarray, shape (m,)
             Measured minus expected.
         weights : ndarray, shape (m,)
-            One over their standard deviations.
+            Inverse of their standard deviations.
         *terms : (columns, slopes), each (m,) or one for all
-            Unknowns, and the derivative of what is expected by each.
+            Unknowns, and the derivatives of the expected values with respect to them.
         """
         rows = self._count + np.arange(residuals.size)
         self._residuals.append(residuals * weights)
@@ -39,7 +39,7 @@ class LeastSquares:
         self._count += residuals.size
 
     def solve(self, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the step (n,) of all unknowns, and the covariance (k, k) of those `wanted`."""
+        """Return the step (n,) of all unknowns, and the covariance (k, k) of those in `wanted`."""
         rows, columns, slopes = (np.concatenate(e) for e in zip(*self._entries, strict=True))
         jacobian = csc_array((slopes, (rows, columns)), shape=(self._count, self._unknowns))
         information = splu(csc_array(jacobian.T @ jacobian))

@@ -1,8 +1,8 @@
-"""SE(2) and the bearing model with their Jacobians, on arrays; values are those of `frames`.
+"""SE(2) and the bearing model with their Jacobians, on arrays; same values as `frames`.
 
-Everything that the localiser linearises is composed of these by the chain rule; tests compare them
-with the derivatives of `homeward.geometry.frames` by CasADi. Poses are (..., 3): x [m], y [m],
-heading [rad], the heading not wrapped.
+The localiser linearises with these functions and the chain rule; tests compare them with CasADi's
+derivatives of `homeward.geometry.frames`. Poses are (..., 3): x [m], y [m], heading [rad], not
+wrapped.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-LEAST_SQUARE = 1e-6
-"""Smallest squared distance in derivatives, for a camera on top of what it sees [m^2]."""
+MIN_SQUARED_DISTANCE = 1e-6
+"""Minimum squared distance in derivatives, where camera and landmark coincide [m^2]."""
 
 
 class Sight(NamedTuple):
@@ -22,8 +22,7 @@ class Sight(NamedTuple):
     bearing: np.ndarray
     """(...): bearings from the camera's axis [rad], not wrapped."""
     by_place: np.ndarray
-    """(..., 2): Jacobian by the place; by the camera's position it is the negative, by heading -1.
-    """
+    """(..., 2): Jacobian by the place; by the camera position it is the negative, by heading -1."""
     offset: np.ndarray
     """(..., 2): offset of the place from the camera [m]."""
 
@@ -32,7 +31,7 @@ def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
     """Return the bearings of places (..., 2) [m] from camera poses (..., 3)."""
     offset = places - eyes[..., :2]
     dx, dy = offset[..., 0], offset[..., 1]
-    square = np.maximum(dx * dx + dy * dy, LEAST_SQUARE)
+    square = np.maximum(dx * dx + dy * dy, MIN_SQUARED_DISTANCE)
     by_place = np.empty_like(offset)
     np.divide(dy, square, out=by_place[..., 0])
     np.negative(by_place[..., 0], out=by_place[..., 0])
@@ -41,7 +40,7 @@ def sight(eyes: np.ndarray, places: np.ndarray) -> Sight:
 
 
 def rotation(heading: float | np.ndarray) -> np.ndarray:
-    """Return the matrix that rotates (x, y, heading) out of a pose's frame, (..., 3, 3)."""
+    """Return the matrix (..., 3, 3) from a pose's frame to its parent, for (x, y, heading)."""
     c, s = np.cos(heading), np.sin(heading)
     if isinstance(c, float):
         return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -55,7 +54,7 @@ def rotation(heading: float | np.ndarray) -> np.ndarray:
 def lever(shift: np.ndarray) -> np.ndarray:
     """Return the Jacobian of ``compose(a, b)`` by a, (..., 3, 3).
 
-    `shift` (..., 2 or 3) is the result less a, in the frame of both [m].
+    `shift` (..., 2 or 3) is the result minus a, in their common frame [m].
     """
     matrix = np.zeros((*np.shape(shift)[:-1], 3, 3))
     matrix[..., 0, 0] = matrix[..., 1, 1] = matrix[..., 2, 2] = 1.0
@@ -64,7 +63,7 @@ def lever(shift: np.ndarray) -> np.ndarray:
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the composition: poses b, given in the frames of a."""
+    """Return poses b, which are in the frames of a, in the parent frame of a."""
     if a.ndim == b.ndim == 1:  # for a single pose, floats are faster
         (x, y, heading), (ahead, aside, turn) = a.tolist(), b.tolist()
         c, s = math.cos(heading), math.sin(heading)
@@ -79,8 +78,8 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return ``compose(a, b)`` and its Jacobians by a and by b, (..., 3, 3) each."""
     if not a.ndim == b.ndim == 1:
-        there = compose(a, b)
-        return there, lever(there - a), rotation(a[..., 2])
+        result = compose(a, b)
+        return result, lever(result - a), rotation(a[..., 2])
     (x, y, heading), (ahead, aside, turn) = a.tolist(), b.tolist()
     c, s = math.cos(heading), math.sin(heading)
     to_x, to_y = x + c * ahead - s * aside, y + s * ahead + c * aside
@@ -92,8 +91,7 @@ def composition(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
 def between(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Return poses b in the frames of poses a.
 
-    Its Jacobian by b is ``rotation(a.heading)`` transposed; by a it is minus that, times ``lever(b
-    - a)``.
+    The Jacobian by b is ``R = rotation(a.heading)`` transposed; by a it is ``-R.T @ lever(b - a)``.
     """
     c, s = np.cos(a[..., 2]), np.sin(a[..., 2])
     result = np.asarray(b - a)

@@ -1,1 +1,1 @@
-"""Text files, tables, YAML and names: read with care, written whole or not at all."""
+"""Safe reading and atomic writing of text files, tables and YAML."""

@@ -1,4 +1,4 @@
-"""The base of all settings models, and their keys: names, defaults and meanings."""
+"""The base of all settings models, and the keys of a model: names, defaults and meanings."""
 
 from __future__ import annotations
 
@@ -23,33 +23,33 @@ class Strict(BaseModel):
 
 
 ANY = "*"
-"""Stands in a key for the name or the number of one of several."""
-LIKE = 0.7
-"""Names are taken for each other from this similarity on (`difflib`) [1]."""
+"""Wildcard in a key, for a name or an index."""
+MIN_SIMILARITY = 0.7
+"""Minimum similarity (`difflib`) of a key to the one that is suggested instead [1]."""
 
 
 @dataclass(frozen=True)
 class Key:
-    """One thing that can be set."""
+    """A key of a settings model."""
 
     name: str
-    """With dots between the levels."""
+    """Name with dots between the levels."""
     default: str
-    """As YAML; "needed" where there is none."""
+    """Default as YAML; "needed" for a required key."""
     meaning: str
-    """With its unit; empty where its name says all."""
+    """Description with its unit; empty where the name is sufficient."""
 
 
 def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key]:
-    """Yield the keys of a model, of models within it too, each name once, with `head` before it.
+    """Yield the keys of a model and of nested models, each name once, with the prefix `head`.
 
-    Defaults are the values of `given` where that is such a model, else those of the fields.
+    Defaults are the values of `given` where that is an instance of the model.
     """
     meanings, seen = _meanings(model), set[str]()
     for name, field in model.model_fields.items():
         own = getattr(given, name) if isinstance(given, model) else _default(field)
         full = head + (field.alias or name)
-        inner = [k for way, m in _models(field.annotation) for k in keys(m, full + way, own)]
+        inner = [k for path, m in _models(field.annotation) for k in keys(m, full + path, own)]
         for key in inner or [Key(full, _as_yaml(own), meanings.get(name, ""))]:
             if key.name not in seen:
                 seen.add(key.name)
@@ -57,18 +57,18 @@ def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key
 
 
 def closest(name: str, model: type[Strict]) -> str | None:
-    """Return the key, or head of keys, that a wrong one was meant to be; None: none is like it."""
+    """Return the key, or prefix of keys, that is most similar to a wrong one; None if none is."""
 
-    def likeness(known: str) -> tuple[float, float]:
+    def similarity(known: str) -> tuple[float, float]:
         last, known_last = (text.rpartition(".")[2] for text in (name, known))
         pairs = (last, known_last), (name, known)
-        near, near_in_all = (SequenceMatcher(None, a, b).ratio() for a, b in pairs)
-        return near, near_in_all
+        of_last, of_all = (SequenceMatcher(None, a, b).ratio() for a, b in pairs)
+        return of_last, of_all
 
     known = (key.name.split(".") for key in keys(model))
     heads = (".".join(k[: n + 1]) for k in known for n in range(len(k)))
-    best = max(heads, key=likeness, default="")
-    if likeness(best)[0] < LIKE:
+    best = max(heads, key=similarity, default="")
+    if similarity(best)[0] < MIN_SIMILARITY:
         return None
     given, parts = name.split("."), best.split(".")
     if len(given) == len(parts):
@@ -76,13 +76,13 @@ def closest(name: str, model: type[Strict]) -> str | None:
     return ".".join(parts)
 
 
-def _models(annotation: Any, way: str = ".") -> Iterator[tuple[str, type[Strict]]]:
-    """Yield the models among which the value of a field is one, or holds some, and how to it."""
+def _models(annotation: Any, path: str = ".") -> Iterator[tuple[str, type[Strict]]]:
+    """Yield the models in the annotation of a field, and the path to each."""
     if isinstance(annotation, type) and issubclass(annotation, Strict):
-        yield way, annotation
+        yield path, annotation
     several = get_origin(annotation) in (tuple, dict, list)
     for part in get_args(annotation):
-        yield from _models(part, f".{ANY}." if several else way)
+        yield from _models(part, f".{ANY}." if several else path)
 
 
 def _default(field: FieldInfo) -> Any:
@@ -99,7 +99,7 @@ def _as_yaml(value: Any) -> str:
 
 @cache
 def _meanings(model: type[Strict]) -> dict[str, str]:
-    """Return the docstrings below the fields of a model and of those that it extends."""
+    """Return the docstrings below the fields of a model and of its base models."""
     found: dict[str, str] = {}
     for kind in reversed([k for k in model.__mro__ if issubclass(k, Strict)]):
         (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body

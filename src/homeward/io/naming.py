@@ -1,4 +1,4 @@
-"""Names as people expect them: in order, numbers in them by their size, and in lists."""
+"""Natural order of names, lists in words, and short numbers."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 
 def natural(name: object) -> tuple[list[str | tuple[int, str]], str]:
-    """Return a key that sorts any names as people do, L2 before L10; equal keys are equal names."""
+    """Return a sort key in natural order, L2 before L10; only equal names have equal keys."""
     text = str(name)
-    # Every other part is a number: more digits are more.
+    # Every second part is a number: the one with more digits is larger.
     parts: list[str | tuple[int, str]] = list(re.split(r"([0-9]+)", text))
     for at in range(1, len(parts), 2):
         digits = str(parts[at]).lstrip("0")
@@ -27,12 +27,12 @@ def listing(items: Sequence[str], longest: int = 8) -> str:
 
 
 def number(value: float) -> str:
-    """Return a number with three digits; empty where it is not known."""
+    """Return a number with three digits; empty for NaN."""
     if math.isnan(value):
         return ""
     return f"{value:.3g}" if value < 1e4 else f"{value:.0e}".replace("e+0", "e")
 
 
 def share(value: float) -> str:
-    """Return a share in per cent; empty where it is not known."""
+    """Return a share in per cent; empty for NaN."""
     return "" if math.isnan(value) else f"{100 * value:.0f} %"

@@ -1,4 +1,4 @@
-"""Files that others wrote, opened with care: regular ones alone, whatever the name stands for."""
+"""Safe reading of untrusted files: only regular files, of limited size."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from homeward.errors import InputError
 
 
 def opened(path: Path, mode: str = "rb", **options: Any) -> IO[Any]:
-    """Open a regular file to read, as the built-in `open` does; refuse what is none (InputError).
+    """Open a regular file for reading, as the built-in `open` does; `InputError` for any other.
 
-    The open file is tested, so that nothing can be put in its place meanwhile; and opening never
-    waits, as it would for somebody to write into a FIFO.
+    The test is on the open descriptor, so that the file cannot be replaced in between. Opening a
+    FIFO does not block.
     """
     return open(path, mode, opener=_regular, **options)
 
 
-def read_small(path: Path, largest: int, what: str) -> bytes:
-    """Return the content of a regular file of at most `largest` bytes, as `what`, in words, has."""
+def read_small(path: Path, max_size: int, what: str) -> bytes:
+    """Return the content of a regular file of at most `max_size` bytes; `what` is its content."""
     with naming(path, "cannot be read"), opened(path) as stream:
-        data: bytes = stream.read(largest + 1)
-    if len(data) > largest:
-        raise InputError(f"larger than {what} may be, {largest / 2**20:g} MiB", path)
+        data: bytes = stream.read(max_size + 1)
+    if len(data) > max_size:
+        raise InputError(f"too large for {what}: more than {max_size / 2**20:g} MiB", path)
     return data
 
 
 def is_there(path: Path) -> bool:
-    """Whether anything has that name, also a link that leads nowhere: reading it says why."""
+    """Whether a path exists; also True for a broken link, which then gives an error when read."""
     return os.path.lexists(path)
 
 
 @contextmanager
 def naming(path: Path, trouble: str) -> Iterator[None]:
-    """Make an InputError of whatever the system says about `path`."""
+    """Convert an OSError about `path` to an InputError."""
     try:
         yield
     except OSError as error:
@@ -46,17 +46,17 @@ def naming(path: Path, trouble: str) -> Iterator[None]:
 
 
 def shipped(*names: str) -> Path:
-    """Return a file or folder of the data that come with homeward."""
+    """Return a file or folder of the package data."""
     return Path(str(files("homeward").joinpath("data", *names)))
 
 
 def shipped_yaml(folder: str) -> dict[str, Path]:
-    """Return the YAML files of a folder of those data, by name."""
+    """Return the YAML files of a folder of the package data, by name."""
     return {file.stem: file for file in sorted(shipped(folder).glob("*.yaml"))}
 
 
 def require_folder(path: Path) -> None:
-    """Raise InputError when `path` is not a folder that can be looked into."""
+    """Raise InputError when `path` is not a readable folder."""
     with naming(path, "cannot be read"):
         if not path.is_dir():
             raise InputError("not a folder" if is_there(path) else "no such folder", path)
@@ -64,7 +64,7 @@ def require_folder(path: Path) -> None:
 
 
 def _regular(path: str, flags: int) -> int:
-    """Open for `open`; Windows has neither FIFOs nor these flags."""
+    """Open a regular file for `open`; Windows has neither FIFOs nor these flags."""
     flags |= getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_NOCTTY", 0)
     descriptor = os.open(path, flags)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):

@@ -1,4 +1,4 @@
-"""Settings models from and to YAML."""
+"""Reading and writing of settings models as YAML."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from homeward.errors import InputError
 from homeward.io.keys import Strict
 from homeward.io.reading import read_small
 from homeward.io.table import quoted
-from homeward.io.validation_messages import complaint
+from homeward.io.validation_messages import validation_message
 
-MOST_VALUES = 50_000
-"""Keys count, and an alias as all that it stands for. So many take seconds."""
-DEEPEST = 50
-"""Values within each other."""
-TOO_DEEP = f"more than {DEEPEST} values within each other"
-LONGEST_NUMBER = 100
-"""Characters."""
-LARGEST_WHOLE = 2**63
-"""Whole numbers are smaller than that, as everywhere in arrays and in files."""
+MAX_VALUES = 50_000
+"""Maximum number of keys and values, aliases expanded; this number takes seconds to parse."""
+MAX_DEPTH = 50
+"""Maximum nesting depth."""
+TOO_DEEP = f"nested more than {MAX_DEPTH} levels deep"
+MAX_DIGITS = 100
+"""Maximum length of a number [characters]."""
+MAX_INTEGER = 2**63
+"""Limit of whole numbers, as in arrays and files."""
 _PLAIN = ("null", "bool", "int", "float", "str", "seq", "map")
 
 
 def parse_yaml(text: bytes | str, path: Path | None, typed: bool) -> Any:
-    """Return the mappings, lists and texts of YAML or, if `typed`, also numbers, truths and null.
+    """Return the mappings, lists and texts of YAML; if `typed`, also numbers, booleans and null.
 
-    Bytes are UTF-8; errors speak of `path`. Beware: typed YAML reads 1:30 as 90. `InputError` where
-    it is not YAML, or more than settings ever are.
+    Bytes are UTF-8; errors name `path`. Typed YAML reads 1:30 as 90. `InputError` where it is not
+    YAML, or exceeds the limits of settings.
     """
     try:
-        # The loaders make plain values alone.
+        # Both loaders construct plain values only.
         return yaml.load(text, Loader=_Plain if typed else _Text)
     except yaml.MarkedYAMLError as error:
         row = None if error.problem_mark is None else error.problem_mark.line + 1
@@ -42,28 +42,28 @@ def parse_yaml(text: bytes | str, path: Path | None, typed: bool) -> Any:
     except (yaml.YAMLError, UnicodeError) as error:
         raise InputError(f"not YAML: {' '.join(str(error).split())}", path) from error
     except (ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        # What a tag announces and its value is not, as in ``!!int x``.
-        raise InputError("not YAML: a value that is not what its tag says", path) from error
+        # A value that does not fit its tag, as in ``!!int x``.
+        raise InputError("not YAML: a value does not fit its tag", path) from error
 
 
 class _Refused(yaml.MarkedYAMLError):
-    """YAML, but none that settings need."""
+    """Valid YAML that settings do not allow."""
 
-    def __init__(self, why: str, node: Any = None) -> None:
-        super().__init__(problem=why, problem_mark=None if node is None else node.start_mark)
+    def __init__(self, problem: str, node: Any = None) -> None:
+        super().__init__(problem=problem, problem_mark=None if node is None else node.start_mark)
 
 
 class _Bounded:
-    """Counts what comes before anything is made of it."""
+    """Limits the number and depth of nodes while they are parsed."""
 
     values = depth = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return the next node of the text."""
         self.values += 1
-        if self.values > MOST_VALUES:
-            raise _Refused(f"more than {MOST_VALUES:,} values")
-        if self.depth > DEEPEST:
+        if self.values > MAX_VALUES:
+            raise _Refused(f"more than {MAX_VALUES:,} values")
+        if self.depth > MAX_DEPTH:
             raise _Refused(TOO_DEEP)
         self.depth += 1
         node = super().compose_node(parent, index)  # type: ignore[misc]
@@ -79,11 +79,11 @@ class _Bounded:
 
 
 class _Text(_Bounded, yaml.BaseLoader):
-    """Leaves every value as text."""
+    """Loads every value as text."""
 
 
 class _Plain(_Bounded, yaml.SafeLoader):
-    """Makes no dates, no sets, no bytes."""
+    """Loads plain types only: no dates, sets or bytes."""
 
     yaml_constructors = {
         tag: make
@@ -98,8 +98,8 @@ class _Plain(_Bounded, yaml.SafeLoader):
 
 def _whole(loader: Any, node: yaml.Node) -> int:
     value: int = loader.construct_yaml_int(node)
-    if abs(value) >= LARGEST_WHOLE:
-        raise _Refused("too large a number", node)
+    if abs(value) >= MAX_INTEGER:
+        raise _Refused("the number is too large", node)
     return value
 
 
@@ -107,8 +107,8 @@ _Plain.add_constructor("tag:yaml.org,2002:int", _whole)
 
 
 def _measure(node: Any, known: dict[Any, tuple[int, int]], depth: int) -> tuple[int, int]:
-    """Return how many values a node stands for, all aliases followed, and how deep they lie."""
-    if depth > DEEPEST:  # as in a ring of aliases
+    """Return the number of values of a node, aliases expanded, and their depth."""
+    if depth > MAX_DEPTH:  # as in a ring of aliases
         raise _Refused(TOO_DEEP, node)
     if isinstance(node, yaml.ScalarNode):
         _check_scalar(node)
@@ -121,15 +121,15 @@ def _measure(node: Any, known: dict[Any, tuple[int, int]], depth: int) -> tuple[
         found = [_measure(part, known, depth + 1) for part in parts]
         known[node] = 1 + sum(n for n, _ in found), 1 + max((d for _, d in found), default=0)
     size, height = known[node]
-    if size > MOST_VALUES:
-        raise _Refused(f"more than {MOST_VALUES:,} values, aliases followed", node)
-    if depth + height > DEEPEST:
+    if size > MAX_VALUES:
+        raise _Refused(f"more than {MAX_VALUES:,} values, aliases expanded", node)
+    if depth + height > MAX_DEPTH:
         raise _Refused(TOO_DEEP, node)
     return size, height
 
 
 def _refuse_duplicate_keys(mapping: yaml.MappingNode) -> None:
-    """Refuse a key that stands twice in a mapping: YAML libraries keep the last value silently."""
+    """Refuse a duplicate key in a mapping: YAML libraries silently keep the last value."""
     first: dict[str, yaml.ScalarNode] = {}
     for key, _ in mapping.value:
         if isinstance(key, yaml.ScalarNode) and first.setdefault(key.value, key) is not key:
@@ -138,30 +138,29 @@ def _refuse_duplicate_keys(mapping: yaml.MappingNode) -> None:
 
 
 def _check_scalar(node: yaml.ScalarNode) -> None:
-    number = node.tag.endswith((":int", ":float"))
-    if number and len(node.value) > LONGEST_NUMBER:
+    is_number = node.tag.endswith((":int", ":float"))
+    if is_number and len(node.value) > MAX_DIGITS:
         raise _Refused(f"a number of {len(node.value):,} characters", node)
     if any("\ud800" <= c <= "\udfff" for c in node.value):
-        raise _Refused("half a character, which no file can hold", node)
+        raise _Refused("an unpaired surrogate, which is not valid text", node)
 
 
 Model = TypeVar("Model", bound=Strict)
-LARGEST_SETTINGS = 2**20
-"""Of a file [byte]: what a person writes has thousands."""
+MAX_SETTINGS_BYTES = 2**20
+"""Maximum size of a settings file [byte]; hand-written ones have thousands."""
 
 
 def read_settings(path: Path, model: type[Model]) -> Model:
-    """Read a settings model from a YAML file, UTF-8; a key without a value counts as absent.
+    """Read a settings model from a YAML file in UTF-8; a key without a value counts as absent.
 
-    Its keys are at most two levels deep. `InputError` where the file is not YAML, has a key that
-    the model does not know, or a value out of range.
+    `InputError` where the file is not YAML, or has an unknown key or a value out of range.
     """
     return parse_settings(_read(path), model, path)
 
 
 def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
-    """Parse the text of a settings model; as `read_settings`, errors speak of `path`."""
-    # As text alone: the model knows the types.
+    """Parse the text of a settings model as `read_settings` does; errors name `path`."""
+    # Values stay text: the model converts them.
     tree = _without_absent(parse_yaml(text, path, typed=False))
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
@@ -170,7 +169,7 @@ def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
 
 
 def read_tree(path: Path) -> dict[str, Any]:
-    """Read a YAML file of keys to values of any kind, for settings that are checked later."""
+    """Read a YAML file of keys and values, for settings that are checked later."""
     tree = parse_yaml(_read(path), path, typed=True)
     if not isinstance(tree, dict):
         raise InputError("not a mapping of keys to values", path)
@@ -178,17 +177,17 @@ def read_tree(path: Path) -> dict[str, Any]:
 
 
 def validated(model: type[Model], values: Any, file: Path | None = None) -> Model:
-    """Return a settings model of `values`, or raise an `InputError` that names the key."""
+    """Return the settings model of `values`, or raise an `InputError` that names the key."""
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise InputError(complaint(error, model, values), file) from error
+        raise InputError(validation_message(error, model, values), file) from error
 
 
 def nested(values: dict[str, Any]) -> dict[str, Any]:
-    """Return values whose keys have dots as a tree: ``{"a.b": 1}`` as ``{"a": {"b": 1}}``.
+    """Return the tree of dotted keys: ``{"a": {"b": 1}}`` for ``{"a.b": 1}``.
 
-    `InputError` where a key is used both as a value and as the head of others.
+    `InputError` where a key is both a value and the prefix of other keys.
     """
     tree: dict[str, Any] = {}
     for key, value in values.items():
@@ -197,31 +196,31 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
         for head in heads:
             branch = branch.setdefault(head, {})
             if not isinstance(branch, dict):
-                raise InputError(f"{key}: {head} is a value already")
+                raise InputError(f"{key}: {head} already has a value")
         branch[last] = value
     return tree
 
 
 def key_parts(key: str) -> list[str]:
-    """Return the keys that one in dots names, from the outermost on; `InputError` if too many."""
+    """Return the parts of a dotted key, outermost first; `InputError` if there are too many."""
     parts = key.split(".")
-    if len(parts) > DEEPEST:
-        raise InputError(f"{quoted(key)}: no key lies so deep")
+    if len(parts) > MAX_DEPTH:
+        raise InputError(f"{quoted(key)}: no key has more than {MAX_DEPTH} levels")
     return parts
 
 
 def settings_yaml(settings: Strict) -> str:
-    """Return a settings model as YAML text, with only the keys that were set; empty if none."""
+    """Return the keys of a settings model that were set, as YAML; empty if there are none."""
     tree = settings.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return yaml.safe_dump(tree, sort_keys=False) if tree else ""
 
 
 def _read(path: Path) -> bytes:
-    return read_small(path, LARGEST_SETTINGS, "settings")
+    return read_small(path, MAX_SETTINGS_BYTES, "settings")
 
 
 def _without_absent(value: Any) -> Any:
-    """Drop the keys that have no value; no value at all is an empty mapping."""
+    """Drop the keys without a value; an absent mapping is empty."""
     if value in (None, "", "null", "~"):
         return {}
     if isinstance(value, dict):

@@ -1,4 +1,4 @@
-"""Tables in text files, read in bounded memory; whatever is wrong is named by file and row.
+"""Tables in text files, read in bounded memory; errors name file and row.
 
 Rows are line numbers counted from 1, the header included.
 """
@@ -22,21 +22,20 @@ from homeward.errors import InputError
 from homeward.io.reading import naming, opened
 
 CHUNK = 1024
-"""How many rows are held as text at once; few, so that collecting their garbage stays cheap."""
-LARGEST_ANGLE = 1e6
-"""Beyond this [rad] an angle can no longer be wrapped with any meaning."""
-
-LONGEST_LINE = 2**20
-"""Characters; a row that is as long holds no table."""
+"""Number of rows kept as text at once; more would slow down garbage collection."""
+MAX_ANGLE = 1e6
+"""Maximum angle [rad]; wrapping a larger one would lose all precision."""
+MAX_LINE = 2**20
+"""Maximum length of a line [characters]."""
 _UNDECODABLE = re.compile("[\udc80-\udcff]")
 
 Parser = Callable[[str, Sequence[str], Sequence[int], Path], np.ndarray]
-"""Turns (column name, cells, their rows, file) into an array, or raises InputError."""
+"""Converts (column name, cells, their rows, file) to an array, or raises InputError."""
 
 
 @dataclass(frozen=True)
 class Table:
-    """The wanted columns of a file, each an array of shape (n,)."""
+    """Columns of a file, each an array of shape (n,)."""
 
     file: Path
     row: np.ndarray
@@ -49,19 +48,19 @@ class Table:
     def __len__(self) -> int:
         return self.row.size
 
-    def require(self, name: str, good: np.ndarray, complaint: str) -> None:
-        """Raise InputError for the first entry of column `name` where `good`, (n,), is False."""
-        if not good.all():
-            i = int(np.argmin(good))
+    def require(self, name: str, is_good: np.ndarray, problem: str) -> None:
+        """Raise InputError for the first entry of column `name` where `is_good`, (n,), is False."""
+        if not is_good.all():
+            i = int(np.argmin(is_good))
             value = quoted(str(self[name][i]))
-            raise InputError(f"{name} is {value}, {complaint}", self.file, int(self.row[i]))
+            raise InputError(f"{name} is {value}, {problem}", self.file, int(self.row[i]))
 
     def require_angle(self, name: str) -> None:
-        """Raise InputError where column `name` cannot be an angle [rad]."""
-        self.require(name, np.abs(self[name]) <= LARGEST_ANGLE, "too large for an angle in rad")
+        """Raise InputError where column `name` exceeds `MAX_ANGLE`."""
+        self.require(name, np.abs(self[name]) <= MAX_ANGLE, "too large for an angle in rad")
 
     def require_rows(self) -> None:
-        """Raise InputError when there are none."""
+        """Raise InputError for an empty table."""
         if not len(self):
             raise InputError("no rows", self.file)
 
@@ -70,7 +69,7 @@ class Table:
         values = self[name].tolist()
         first = dict(zip(reversed(values), reversed(range(len(values))), strict=True))
         fresh = np.array([first[value] == i for i, value in enumerate(values)], bool)
-        self.require(name, fresh, "which has a row already")
+        self.require(name, fresh, "which already has a row; keep one of them")
 
     def require_order(self) -> None:
         """Raise InputError where `t` decreases."""
@@ -85,7 +84,7 @@ class Table:
             )
 
     def last_of_equal_stamps(self) -> Table:
-        """Keep only the last of the entries that share a `t`."""
+        """Return the table with only the last of the entries that share a `t`."""
         t = self["t"]
         return self.rows(np.append(t[1:] != t[:-1], True)[: t.size])
 
@@ -96,13 +95,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Form:
-    """How a text file holds a table, where that is not as `read_csv` has it."""
+    """Layout of a table in a text file; the default is plain CSV."""
 
     delimiter: str = ","
     names: tuple[str, ...] | None = None
-    """Of its columns, where its first line does not tell."""
+    """Names of the columns; None: the first line has them."""
     skip: int = 0
-    """Lines before the first that counts."""
+    """Number of lines before the table."""
     encoding: str = "utf-8-sig"
 
 
@@ -115,10 +114,10 @@ def read_csv(
     optional: Mapping[str, Parser] | None = None,
     form: Form = PLAIN,
 ) -> Table:
-    """Read the named columns of a CSV file with a header, in whatever order they stand.
+    """Read the named columns of a CSV file with a header, in any order.
 
-    Other columns, blank lines, a byte order mark and any line ending are accepted; an optional
-    column that the file lacks is not in the table. `form` specifies other layouts.
+    Other columns, blank lines, a byte order mark and any line ending are accepted. A missing
+    optional column is not in the table. `form` specifies other layouts.
     """
     with text_lines(path, form.encoding) as lines:
         list(itertools.islice(lines, form.skip))
@@ -127,14 +126,14 @@ def read_csv(
         if header is None:
             raise InputError("empty file", path)
         wanted = {**required, **(optional or {})}
-        places = _places([name.strip() for name in header], required, wanted, path, row)
-        return _collect(records, len(header), {n: (i, wanted[n]) for n, i in places.items()}, path)
+        indices = _column_indices([name.strip() for name in header], required, wanted, path, row)
+        return _collect(records, len(header), {n: (i, wanted[n]) for n, i in indices.items()}, path)
 
 
 def read_columns(path: Path, names: Sequence[str]) -> Table:
-    """Read a headerless file of numbers parted by white space; ``#`` begins a comment line.
+    """Read a file of numbers separated by white space; ``#`` begins a comment line.
 
-    Its columns are called `names`, in their order.
+    It has no header; its columns are called `names`, in order.
     """
     with text_lines(path) as lines:
         records = (
@@ -148,7 +147,7 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
 
 
 def write_csv(path: Path, header: Iterable[object], rows: Iterable[Iterable[object]]) -> None:
-    """Write a CSV file as RFC 4180 has it, but with plain line ends."""
+    """Write a CSV file according to RFC 4180, but with LF as line ending."""
     with path.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(_PlainEnds(out))
         writer.writerow(header)
@@ -156,13 +155,13 @@ def write_csv(path: Path, header: Iterable[object], rows: Iterable[Iterable[obje
 
 
 class _PlainEnds:
-    """Turns the line end of each row; with its own, csv quotes a carriage return in a name."""
+    """Replaces the line ending of each row; with LF set in csv itself, it would not quote CR."""
 
     def __init__(self, out: TextIO) -> None:
         self.out = out
 
     def write(self, row: str) -> int:
-        """Take one whole row."""
+        """Write one row."""
         return self.out.write(row.removesuffix("\r\n") + "\n")
 
 
@@ -175,25 +174,24 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
     except ValueError:
         pass
     i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
-    told = _shown(cells[i], path)
-    trouble = f"is{told}, not a finite number" if told else "is not a finite number"
-    trouble = trouble if cells[i].strip() else "is empty"
-    raise InputError(f"{name} {trouble}", path, rows[i])
+    shown = _shown(cells[i], path)
+    problem = f"is{shown}, not a finite number" if shown else "is not a finite number"
+    raise InputError(f"{name} {problem if cells[i].strip() else 'is empty'}", path, rows[i])
 
 
-def or_nothing(parse: Parser, nothing: float | str) -> Parser:
-    """Return a parser that gives `nothing` for an empty cell."""
+def with_default(parse: Parser, default: float | str) -> Parser:
+    """Return a parser that gives `default` for an empty cell."""
 
     def parse_given(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
         given = [i for i, cell in enumerate(cells) if cell.strip()]
-        values = np.full(len(cells), nothing, object if nothing == "" else float)
+        values = np.full(len(cells), default, object if default == "" else float)
         values[given] = parse(name, [cells[i] for i in given], [rows[i] for i in given], path)
         return values
 
     return parse_given
 
 
-numbers_or_nothing = or_nothing(numbers, math.nan)
+numbers_or_nan = with_default(numbers, math.nan)
 
 
 def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
@@ -201,24 +199,24 @@ def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path
     clean = {cell: sys.intern(cell.strip()) for cell in set(cells)}
     for cell, text in clean.items():
         if not is_identifier(text):
-            trouble = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
-            raise InputError(f"{name} {trouble}", path, rows[cells.index(cell)])
-    # Objects, not fixed-width text: one long id must not widen every row.
+            problem = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
+            raise InputError(f"{name} {problem}", path, rows[cells.index(cell)])
+    # Objects, not fixed-width text: one long id would widen every row.
     return np.array([clean[cell] for cell in cells], object)
 
 
 def is_identifier(text: str) -> bool:
-    """Whether `text` can stand as an id in a file: printable, no white space around it."""
+    """Whether `text` is a valid id in a file: printable, without white space around it."""
     return bool(text) and text.isprintable() and text == text.strip()
 
 
 def _shown(text: str, path: Path) -> str:
-    """Return text of a file, quoted; nothing of a link: its target may be private here."""
+    """Return text of a file, quoted; empty for a link, whose target may be private."""
     return "" if path.is_symlink() else f" {quoted(text)}"
 
 
 def quoted(text: str) -> str:
-    """Quote hostile text for a message of one line."""
+    """Quote and shorten untrusted text for a message."""
     return repr(text if len(text) <= 40 else text[:40] + "...")
 
 
@@ -231,8 +229,8 @@ def _is_finite_number(cell: str) -> bool:
 
 @contextmanager
 def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[Iterator[str]]:
-    """Open a text file to walk its lines; whatever the system says becomes an InputError."""
-    # What is no UTF-8 becomes surrogates, so that the line at fault is known.
+    """Open a text file and iterate over its lines; an OSError becomes an InputError."""
+    # Invalid UTF-8 becomes surrogates, so that the error can name the line.
     damaged = "replace" if encoding == "utf-16" else "surrogateescape"
     options = {"encoding": encoding, "errors": damaged, "newline": ""}
     with naming(path, "cannot be read"), opened(path, "r", **options) as stream:
@@ -240,11 +238,11 @@ def text_lines(path: Path, encoding: str = "utf-8-sig") -> Iterator[Iterator[str
 
 
 def _checked(stream: IO[str], path: Path) -> Iterator[str]:
-    """Yield the lines of a file, none of which may be endless or other than UTF-8."""
+    """Yield the lines of a file; `InputError` for one that is too long or not UTF-8."""
     for row in itertools.count(1):
-        line = stream.readline(LONGEST_LINE)
-        if len(line) == LONGEST_LINE:
-            raise InputError(f"a line of {LONGEST_LINE:,} characters or more", path, row)
+        line = stream.readline(MAX_LINE)
+        if len(line) == MAX_LINE:
+            raise InputError(f"a line of {MAX_LINE:,} characters or more", path, row)
         if not line.isascii() and _UNDECODABLE.search(line):
             raise InputError("not UTF-8 text", path, row)
         if not line:
@@ -253,7 +251,7 @@ def _checked(stream: IO[str], path: Path) -> Iterator[str]:
 
 
 def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple[int, list[str]]]:
-    """Yield (row, fields) of every line that is not blank."""
+    """Yield (row, fields) of each line that is not blank."""
     reader = csv.reader(lines, delimiter=form.delimiter, skipinitialspace=True, strict=True)
     row = form.skip + 1
     try:
@@ -265,25 +263,25 @@ def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple
         raise InputError(f"not CSV: {error}", path, row) from error
 
 
-def _places(
+def _column_indices(
     header: list[str],
     required: Mapping[str, Parser],
     wanted: Mapping[str, Parser],
     path: Path,
     row: int,
 ) -> dict[str, int]:
-    """Find the wanted columns in the header."""
-    places: dict[str, list[int]] = {}
-    for place, name in enumerate(header):
-        places.setdefault(name, []).append(place)
-    missing = [name for name in required if name not in places]
+    """Return the indices of the wanted columns in the header."""
+    indices: dict[str, list[int]] = {}
+    for index, name in enumerate(header):
+        indices.setdefault(name, []).append(index)
+    missing = [name for name in required if name not in indices]
     if missing:
         found = _shown(",".join(header), path)
         raise InputError(f"no column {', '.join(missing)} in the header{found}", path, row)
     for name in wanted:
-        if len(places.get(name, ())) > 1:
-            raise InputError(f"column {name} stands twice in the header", path, row)
-    return {name: places[name][0] for name in wanted if name in places}
+        if len(indices.get(name, ())) > 1:
+            raise InputError(f"the header has column {name} twice; rename one", path, row)
+    return {name: indices[name][0] for name in wanted if name in indices}
 
 
 def _collect(
@@ -292,7 +290,7 @@ def _collect(
     parsers: Mapping[str, tuple[int, Parser]],
     path: Path,
 ) -> Table:
-    """Parse the records chunk by chunk, so that only numbers of a long file stay in memory."""
+    """Parse the records in chunks, so that only the numbers of a long file stay in memory."""
     parts: dict[str, list[np.ndarray]] = {
         name: [parse(name, (), (), path)] for name, (_, parse) in parsers.items()
     }
@@ -301,9 +299,9 @@ def _collect(
         rows = [row for row, _ in chunk]
         for row, fields in chunk:
             if len(fields) != width:
-                raise InputError(f"{len(fields)} fields where {width} are due", path, row)
+                raise InputError(f"{len(fields)} fields, but the header has {width}", path, row)
         cells = list(zip(*(fields for _, fields in chunk), strict=True))
-        for name, (place, parse) in parsers.items():
-            parts[name].append(parse(name, cells[place], rows, path))
+        for name, (index, parse) in parsers.items():
+            parts[name].append(parse(name, cells[index], rows, path))
         all_rows.append(np.array(rows))
     return Table(path, np.concatenate(all_rows), {n: np.concatenate(p) for n, p in parts.items()})

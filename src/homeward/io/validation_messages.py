@@ -1,4 +1,4 @@
-"""What is wrong with settings, in plain words: pydantic's errors are for programmers."""
+"""Plain messages for users from the validation errors of pydantic."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from homeward.io.keys import Strict, closest
 from homeward.io.table import quoted
 
 Message = TypeVar("Message")
-LONGEST = 60
-"""Longer keys and values are cut [characters]."""
+MAX_LENGTH = 60
+"""Keys and values are cut to this length [characters]."""
 _PLAIN = {
     **dict.fromkeys(("float_type", "float_parsing"), "must be a number"),
     **dict.fromkeys(("int_type", "int_parsing", "int_from_float"), "must be a whole number"),
@@ -32,25 +32,25 @@ _PLAIN = {
     **dict.fromkeys(
         ("dict_type", "model_type", "model_attributes_type"), "must be keys and values"
     ),
-    "too_short": "too few values: at least {min_length} needed",
-    "too_long": "takes {max_length} values or fewer",
-    "missing": "is needed",
+    "too_short": "needs at least {min_length} values",
+    "too_long": "takes at most {max_length} values",
+    "missing": "is required",
     "json_invalid": "not JSON: {error}",
     "union_tag_not_found": "needs the key {discriminator}",
     "value_error": "{error}",
 }
-"""By pydantic's type of an error; `str.format` fills in its context."""
+"""Messages by pydantic's error type; `str.format` fills in the context."""
 _WITHOUT_VALUE = (
     *("missing", "too_short", "too_long", "value_error"),
     *("union_tag_not_found", "union_tag_invalid", "json_invalid"),
 )
-"""The value itself would explain nothing."""
+"""Error types whose messages do not show the value."""
 
 
 def message(adapter: TypeAdapter[Message], text: str | bytes) -> Message:
-    """Return a message from its JSON; `InputError` says in one line what is wrong with it.
+    """Return a message parsed from JSON; `InputError` reports the first problem in one line.
 
-    A text or a truth value is no number, as the schema has it: what sends one is broken.
+    Parsing is strict, as the schema is: a text or a boolean is no number.
     """
     try:
         return adapter.validate_json(text, strict=True)
@@ -59,32 +59,32 @@ def message(adapter: TypeAdapter[Message], text: str | bytes) -> Message:
             values = from_json(text)
         except ValueError:
             values = {}
-        raise InputError(complaint(error, None, values)) from None
+        raise InputError(validation_message(error, None, values)) from None
 
 
-def complaint(error: ValidationError, model: type[Strict] | None, values: Any) -> str:
-    """Return in one line what is wrong first of all, with the key in front.
+def validation_message(error: ValidationError, model: type[Strict] | None, values: Any) -> str:
+    """Return the first problem in one line, after its key.
 
-    Keys of `model` are suggested for one that is not known.
+    For an unknown key, the most similar key of `model` is suggested.
     """
     details = error.errors(include_url=False)
-    # A key that is not known explains another that is missing.
+    # An unknown key comes first, since it explains a missing one.
     first = next((e for e in details if e["type"] == "extra_forbidden"), details[0])
     key = _key(first, values)
     if first["type"] == "extra_forbidden":
-        refused = f"{_shown(key)}: there is no such key"
+        problem = f"{_shown(key)}: unknown key"
         if model is None:
-            return refused
-        meant = closest(key, model)
-        way = f"did you mean {meant}?" if meant else "homeward settings lists those that there are"
-        if meant == key:  # of another of several models
-            way = "it is for something else"
-        return f"{refused}; {way}"
-    # A value that may be one thing or another is refused once for each: the nearest miss counts.
+            return problem
+        similar = closest(key, model)
+        advice = f"did you mean {similar}?" if similar else "homeward settings lists all keys"
+        if similar == key:  # a key of another member of a union
+            advice = "it does not apply to this type"
+        return f"{problem}; {advice}"
+    # A union reports one error for each member: the most specific one counts.
     first = next((e for e in details if _key(e, values).startswith(f"{key}.")), first)
     key = _key(first, values)
     head, *others = dict.fromkeys(_words(e) for e in details if _key(e, values) == key)
-    words = " or ".join([head, *(way.removeprefix("must be ") for way in others)])
+    words = " or ".join([head, *(other.removeprefix("must be ") for other in others)])
     if first["type"] not in _WITHOUT_VALUE and isinstance(first["input"], (str, int, float)):
         words += f", not {_shown(str(first['input']))}"
     return f"{_shown(key)}: {words}" if key else words
@@ -102,12 +102,12 @@ def _words(error: ErrorDetails) -> str:
 
 
 def _shown(text: str) -> str:
-    plain = 0 < len(text) <= LONGEST and text.isprintable() and " " not in text
+    plain = 0 < len(text) <= MAX_LENGTH and text.isprintable() and " " not in text
     return text if plain else quoted(text)
 
 
 def _key(error: ErrorDetails, values: Any) -> str:
-    """Return a key in dots, without the tags of unions, which pydantic puts between the keys."""
+    """Return a dotted key, without the tags of unions that pydantic inserts."""
     parts: list[str] = []
     location: Iterable[int | str] = error["loc"]
     *_, last = error["loc"] or [None]
@@ -116,7 +116,7 @@ def _key(error: ErrorDetails, values: Any) -> str:
         if isinstance(values, dict):
             if part == values.get("type") and part != last and tagged is not values:
                 tagged = values
-                continue  # a tag, which may be called as a key is
+                continue  # a tag, which may have the same name as a key
             absent = part not in values
             if absent and not (part == last and error["type"] == "missing"):
                 continue

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.home.spin import HomeLooks, spin_words
+from homeward.drives.home.spin import HomeScan, spin_summary
 from homeward.drives.settings import DriveSettings
 from homeward.drives.settings import Start as StartPrior
 from homeward.errors import InputError
@@ -45,7 +45,7 @@ class Looking:
         self._clock = Clock()
         self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
         self._twists = TwistHistory()
-        self._looks: HomeLooks | None = None
+        self._looks: HomeScan | None = None
 
     @property
     def newest(self) -> BearingsIn | None:
@@ -69,7 +69,7 @@ class Looking:
 
     def begin(self, robot: DriveSettings) -> None:
         """Let home be where the robot is: it may turn, but stays."""
-        self._looks = HomeLooks(**robot.robot)
+        self._looks = HomeScan(**robot.robot)
 
     def end(self) -> None:
         """Look at home no more."""
@@ -100,7 +100,7 @@ class Looking:
         return Here({i: HomeBearing(b) for i, b in means.items()}, start, "")
 
 
-def _turned(looks: HomeLooks) -> Here:
+def _turned(looks: HomeScan) -> Here:
     """Return what looks all round tell."""
     found = looks.spin()
     end, (*sigmas, turned) = to_polar(found.end), AFTER_TURN
@@ -109,4 +109,4 @@ def _turned(looks: HomeLooks) -> Here:
         *sigmas,
         math.hypot(turned, found.heading_sigma),
     )
-    return Here(found.home, start, spin_words(found))
+    return Here(found.home, start, spin_summary(found))

@@ -16,8 +16,8 @@ from homeward.drives.drive import Drive, HomeBearing, Samples
 from homeward.drives.folder import write_folder
 from homeward.drives.settings import DriveSettings, Finite, Positive
 from homeward.errors import HomewardError, InputError
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.keys import Strict
-from homeward.io.one_thread import one_thread
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import validated
 from homeward.live import messages as msg
@@ -125,7 +125,7 @@ def replay(file: Path) -> tuple[int, str | None]:
     localisation, lines = _opened(file, whole=True)
     expected: str | None = None
     same = 0
-    with one_thread():
+    with single_threaded_blas():
         for line in lines:
             is_answer = line.startswith(_ANSWER)
             if expected != (line if is_answer else None):

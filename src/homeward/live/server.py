@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
 from homeward.live.messages import LONGEST_LINE, EventOut, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
@@ -150,7 +150,7 @@ class Server:
     def _process(self, loop: asyncio.AbstractEventLoop) -> None:
         """Let the estimator work, in a thread of its own."""
         try:
-            with one_thread():
+            with single_threaded_blas():
                 while not self._done or self.session.waiting:
                     self._work.wait()
                     self._work.clear()

@@ -71,7 +71,7 @@ class Chart:
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known
         self._is_surveyed_from_home = known.surveyed_from_home
-        self._integrity = IntegrityMonitor(settings, drive.odometry, known.tells)
+        self._integrity = IntegrityMonitor(settings, drive.odometry, known.is_given)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
         self._driven_at_fit = Driven()
@@ -235,7 +235,7 @@ class Chart:
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:
         """Try a first fix in a survey: the pose from a few frames along a short path."""
         known = self.map.registration
-        if not known.survey.places or known.knows_home or self.map.landmarks.expected:
+        if not known.survey.places or known.has_home or self.map.landmarks.expected:
             return
         variances = self.map.smoother.state.propagate(motion).covariance.diagonal()[:3]
         found = self._first_fix.add_frame(seen, view.pose, variances)

@@ -19,7 +19,7 @@ from homeward.drives.known import Home, known_home, known_landmarks, known_robot
 from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
 from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status, guarded
 from homeward.geometry.frames import Pose
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
@@ -99,7 +99,9 @@ class Localizer:
         noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.notes
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.smoother.state.calibration
         survey = self.chart.map.registration.survey
-        scale = survey.notes(self.chart.map.smoother.state) if survey.known.tells else self._notes
+        scale = (
+            survey.notes(self.chart.map.smoother.state) if survey.known.is_given else self._notes
+        )
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
         wheels = *self._plausibility.notes, *self._dead.notes
         return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
@@ -179,7 +181,7 @@ class Localizer:
         return self._estimate(now, (), t)
 
     @guarded
-    @one_thread()
+    @single_threaded_blas()
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
         return self.chart.landmarks(judge=not self.is_convention_wrong)
@@ -239,7 +241,7 @@ class Localizer:
             sigma = self.settings.odometry.speed_scale if given is None else given
             covariance = covariance + sigma**2 * np.outer(mean, mean)
         found, observed = chart.home.hypotheses, chart.home.observation
-        known = found is not None and chart.has_pose and not chart.map.registration.knows_home
+        known = found is not None and chart.has_pose and not chart.map.registration.has_home
         return MapSnapshot(
             tuple(mapped),
             mean,
@@ -277,7 +279,7 @@ class Localizer:
         """Process the frames that need not wait; return the innovations of the newest."""
         innovations: list[Innovation] = []
         for frame in self._reorder.due(self._twists.newest, self._t):
-            with one_thread():
+            with single_threaded_blas():
                 innovations = self._process(frame)
         return () if self._reorder.waiting else tuple(innovations)
 

@@ -13,7 +13,7 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
@@ -32,7 +32,7 @@ from homeward.reasons import Reason
 from homeward.track import Track, run, track_of
 
 
-@one_thread()
+@single_threaded_blas()
 def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     """Return the smoothed track of a whole drive; not causal.
 
@@ -199,7 +199,9 @@ def _rows(
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        integrity = IntegrityMonitor(localizer.settings, drive.settings.odometry, drive.known.tells)
+        integrity = IntegrityMonitor(
+            localizer.settings, drive.settings.odometry, drive.known.is_given
+        )
         localizer.chart.share_extrinsics(integrity)
         integrity.update(hypotheses[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()

@@ -1,1 +1,1 @@
-"""Odometry: the clock of a drive, the history of its twists, and dead reckoning."""
+"""Odometry: clock, history of twists, dead reckoning, and limits of motion."""

@@ -1,17 +1,17 @@
-"""A clock that never runs backwards, although stamps may be set back for good."""
+"""A clock that never runs backwards, even where stamps are set back permanently."""
 
 from __future__ import annotations
 
 import math
 
 MAX_DELAY_S = 1.0
-"""Largest delay of a sample; a stamp farther back is not just late [s]."""
+"""Maximum delay of a late sample [s]; a larger one indicates that the clock was set back."""
 NUM_SET_BACK, SET_BACK_S = 10, 1.0
-"""After this number of them in a row, over this time, the clock was set back [s]."""
+"""The clock was set back after this number of such stamps in a row, over this time [s]."""
 
 
 class Clock:
-    """Time of a drive from its stamps; it goes on where the stamps are set back."""
+    """Converts stamps to the time of a drive, which continues where stamps are set back."""
 
     def __init__(self) -> None:
         self._offset = 0.0
@@ -19,7 +19,7 @@ class Clock:
         self._back: list[float] = []
 
     def read(self, stamp: float) -> float:
-        """Return the time [s] of a sample's stamp [s]; before the latest one when it is late."""
+        """Return the time [s] of a sample's stamp [s]; of a late one, before the latest time."""
         t = stamp + self._offset
         if not math.isfinite(t):
             return t
@@ -34,7 +34,7 @@ class Clock:
         return stamp + self._offset
 
     def _set_back(self, stamp: float, t: float) -> float:
-        """Count a stamp that is far back; go on from it when there are enough of them."""
+        """Count a stamp that is too far back; after enough of them, continue from there."""
         if self._back and stamp < self._back[-1]:
             self._back.clear()
         self._back.append(stamp)

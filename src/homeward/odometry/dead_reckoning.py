@@ -1,4 +1,4 @@
-"""Dead reckoning of recorded odometry: the poses to which its twists lead."""
+"""Dead reckoning of recorded odometry."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from homeward.odometry.validity import validities
 
 
 class RecordedTwists(Protocol):
-    """Twists in order of time, as `homeward.drives.drive.Odometry` has them."""
+    """Twists in order of time, as in `homeward.drives.drive.Odometry`."""
 
     @property
     def t(self) -> np.ndarray:
@@ -32,7 +32,7 @@ class RecordedTwists(Protocol):
 
 
 def dead_reckoning(odometry: RecordedTwists, t: np.ndarray) -> Pose:
-    """Return the poses to which twists lead along arcs, from the origin at the first of them.
+    """Integrate twists along arcs, from the origin at the first twist.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def dead_reckoning(odometry: RecordedTwists, t: np.ndarray) -> Pose:
 
 
 def dead_reckoning_unwrapped(odometry: RecordedTwists, t: np.ndarray) -> Pose:
-    """Return what `dead_reckoning` does, headings counted beyond a turn."""
+    """Integrate as `dead_reckoning`, with unwrapped headings."""
     odometry, valid = odometry.bridged, validities(odometry.t)
     twists, held = Twist(odometry.v, odometry.omega), valid[:-1]
     heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
@@ -60,5 +60,5 @@ def dead_reckoning_unwrapped(odometry: RecordedTwists, t: np.ndarray) -> Pose:
     x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
     last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
     since = np.clip(t - odometry.t[last], 0.0, valid[-1])
-    begun = Pose(x[last], y[last], heading[last])
-    return advance(begun, Twist(*(a[last] for a in twists)), since)
+    start = Pose(x[last], y[last], heading[last])
+    return advance(start, Twist(*(a[last] for a in twists)), since)

@@ -15,27 +15,25 @@ from homeward.geometry.frames import Pose, Twist, advance
 from homeward.odometry.validity import TwistValidity
 
 STEADY_S = 0.5
-"""Averaging time of the speed: longer than the noise of samples, shorter than changes of speed [s].
-"""
-
+"""Averaging time of the speed: long enough against noise, shorter than changes of speed [s]."""
 MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
-"""Mean speed [m/s] and turn rate [rad/s] over `STEADY_S` from which odometry indicates a motion:
-several standard deviations of jitter and bias at standstill, and a slower robot moves less in a
-second than a pose is uncertain."""
+"""Minimum mean speed [m/s] and turn rate [rad/s] over `STEADY_S` of a moving robot: several times
+the jitter and bias at standstill; in a second, a slower robot moves less than the uncertainty of a
+pose."""
 MEAN_S = 0.07
-"""Averaging time of the twist that the derivative by the lag uses: noise of single samples would
-count as information on the lag, and a longer mean trails behind where the robot accelerates [s]."""
+"""Averaging time of the twist in the derivative by the lag [s]: the noise of single samples would
+count as information on the lag, and a longer mean lags when the robot accelerates."""
 
 
 class Driven(NamedTuple):
-    """Wheel motion up to some time, whatever its direction."""
+    """Accumulated wheel motion up to some time, independent of its direction."""
 
     moving: float = 0.0
     """Time in motion [s]."""
     path: float = 0.0
-    """[m]"""
+    """Path length [m]."""
     turned: float = 0.0
-    """[rad]"""
+    """Accumulated rotation [rad]."""
 
     def since(self, then: Driven) -> Driven:
         """Return the wheel motion since an earlier time."""
@@ -46,20 +44,20 @@ class Reckoned(NamedTuple):
     """Dead reckoning at some time."""
 
     pose: Pose
-    """By odometry alone; its heading is not wrapped."""
+    """Dead-reckoned pose, heading not wrapped."""
     driven: Driven
-    """Wheel motion up to then."""
+    """Wheel motion up to this time."""
     moves: bool
-    """Whether odometry indicates a motion, beyond jitter at standstill."""
+    """Whether the robot moves, beyond jitter at standstill."""
     age: float
     """Time since the newest twist [s]; infinite without one."""
 
 
 class Stretch(NamedTuple):
-    """Twists of an interval, and means that are free of the noise of single samples."""
+    """Twists of an interval, and mean rates without the noise of single samples."""
 
     twists: list[OdometrySample]
-    """Those that are valid in it, at least in part."""
+    """Twists that are valid in the interval, at least in part."""
     steady_speed: float
     """Mean speed just before its end [m/s]."""
     ends: tuple[tuple[float, float], tuple[float, float]]
@@ -79,34 +77,34 @@ class OdometrySample(NamedTuple):
     omega: float
     """[rad/s]"""
     until: float
-    """Time up to which the motion is known: by this twist, or, where that is before `t`, by an
-    earlier one [s]."""
+    """Time up to which the motion is known [s]: from this twist, or, where that is before `t`, from
+    an earlier one."""
     heading: float
-    """By odometry alone, counted beyond a turn [rad]."""
+    """Dead-reckoned heading, not wrapped [rad]."""
     path: float
-    """Signed path by odometry alone, backward negative [m]."""
+    """Signed path length, backward negative [m]."""
     steady: float
-    """Mean speed just before, free of sample noise [m/s]."""
+    """Mean speed just before, without sample noise [m/s]."""
     x: float
-    """By odometry alone [m]."""
+    """Dead-reckoned position [m]."""
     y: float
-    """By odometry alone [m]."""
+    """[m]"""
     driven: Driven
     """Wheel motion since the first twist."""
     is_pose_given: bool
     """Whether the robot reported the pose at this stamp."""
 
     def valid_for(self, t: float) -> float:
-        """Return for how long the twist is valid before `t` [s]."""
+        """Return the time for which the twist is valid before `t` [s]."""
         return max(min(t, self.until) - self.t, 0.0)
 
     def pose(self, t: float) -> Pose:
         """Return the dead-reckoned pose at `t` [s]."""
-        begun, dt = Pose(self.x, self.y, self.heading), self.valid_for(t)
-        return advance(begun, Twist(self.v, self.omega), dt) if dt else begun
+        start, dt = Pose(self.x, self.y, self.heading), self.valid_for(t)
+        return advance(start, Twist(self.v, self.omega), dt) if dt else start
 
     def reckoned(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and signed path [m] at `t` [s]."""
+        """Return heading [rad] and signed path length [m] at `t` [s]."""
         dt = max(min(t, self.until) - self.t, 0.0)
         return self.heading + self.omega * dt, self.path + self.v * dt
 
@@ -123,7 +121,7 @@ ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
 class TwistHistory:
-    """The single history of twists, shared by all that need any of it."""
+    """The history of twists; all users of odometry share one."""
 
     def __init__(self) -> None:
         self._samples: deque[OdometrySample] = deque()
@@ -132,14 +130,14 @@ class TwistHistory:
         """Stamp of the newest twist [s]; minus infinity if there was none."""
 
     def __bool__(self) -> bool:
-        """Whether there was a twist at all."""
+        """Whether there was any twist."""
         return bool(self._samples)
 
     def add(self, t: float, v: float, omega: float, pose: Pose | None = None) -> None:
         """Insert a twist, which may be late; one with the stamp of another replaces it.
 
-        NaN for `v` or `omega`: the motion is unknown until the next twist. A robot that integrates
-        its odometry itself reports the `pose` at the stamp, which replaces the dead-reckoned one.
+        NaN for `v` or `omega`: the motion is unknown until the next twist. A `pose` that the robot
+        reports at the stamp replaces the dead-reckoned one.
         """
         validity, self.newest = self._validity.add(t), max(self.newest, t)
         if math.isnan(v) or math.isnan(omega):
@@ -164,7 +162,7 @@ class TwistHistory:
     ) -> None:
         """Append a twist that is valid for a time [s]; 0: the motion is unknown.
 
-        It is reckoned from the last one, or from one of the `same` stamp that it replaces.
+        Dead reckoning continues from the last twist, or from one of the `same` stamp.
         """
         last = self._samples[-1] if self._samples else same
         x, y, heading = ORIGIN
@@ -180,36 +178,36 @@ class TwistHistory:
         self._samples.append(OdometrySample(t, v, omega, until, *reckoned, pose is not None))
 
     def before(self, t: float) -> OdometrySample | None:
-        """Return the twist that is valid at `t` [s], or was last; None before the first."""
+        """Return the latest twist at `t` [s]; None before the first."""
         after = bisect_right(self._samples, t, key=_stamp)
         return self._samples[after - 1] if after else None
 
     def _at(self, t: float) -> OdometrySample | None:
-        """Return the twist from which to reckon `t` [s]; before the first that one, if any."""
+        """Return the twist for dead reckoning at `t` [s]: the latest, or else the first, if any."""
         return self.before(t) or (self._samples[0] if self._samples else None)
 
     def unknown_time(self, t: float) -> float:
-        """Return for how long the motion has been unknown at `t` [s]; infinite without twists."""
+        """Return the time since the motion became unknown, at `t` [s]; infinite without twists."""
         twist = self.before(t)
         return math.inf if twist is None else max(t - twist.until, 0.0)
 
     def heading(self, t: float) -> float:
-        """Return the heading at `t` [s], by odometry alone [rad]."""
+        """Return the dead-reckoned heading at `t` [s], not wrapped [rad]."""
         return self.reckoned(t)[0]
 
     def path(self, t: float) -> float:
-        """Return the signed path up to `t` [s], by odometry alone [m]."""
+        """Return the signed path length up to `t` [s] [m]."""
         return self.reckoned(t)[1]
 
     def at(self, t: float) -> Reckoned:
-        """Return everything by dead reckoning at `t` [s]."""
+        """Return the dead-reckoned state at `t` [s]."""
         twist = self._at(t)
         if twist is None:
             return Reckoned(ORIGIN, Driven(), False, math.inf)
         return Reckoned(twist.pose(t), twist.driven_until(t), self._moves(t), t - self.newest)
 
     def pose(self, t: float) -> Pose:
-        """Return the pose at `t` [s], by odometry alone; its heading is not wrapped."""
+        """Return the dead-reckoned pose at `t` [s]; its heading is not wrapped."""
         twist = self._at(t)
         return ORIGIN if twist is None else twist.pose(t)
 
@@ -219,9 +217,9 @@ class TwistHistory:
         return Driven() if twist is None else twist.driven_until(t)
 
     def _moves(self, t: float) -> bool:
-        """Return whether odometry indicates a motion at `t` [s], beyond jitter at standstill.
+        """Return whether the robot moves at `t` [s], beyond jitter at standstill.
 
-        A twist that has been valid for long without a successor is no evidence.
+        An old twist without a successor is no evidence of motion.
         """
         if t - self.newest > 0.5 * STEADY_S:
             return False
@@ -244,7 +242,7 @@ class TwistHistory:
         return (path - start) / (t - since), (heading - before) / (t - since)
 
     def reckoned(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and signed path [m] at `t` [s] from odometry alone."""
+        """Return heading [rad] and signed path length [m] at `t` [s]."""
         twist = self._at(t)
         return (0.0, 0.0) if twist is None else twist.reckoned(t)
 
@@ -255,7 +253,7 @@ class TwistHistory:
         return np.array([self.reckoned(t) for t in times]).T
 
     def stretch(self, begin: float, end: float) -> Stretch:
-        """Return the twists from `begin` until `end` [s], with mean speeds."""
+        """Return the twists from `begin` until `end` [s], with mean rates."""
         first = len(self._samples)
         while first > 0 and self._samples[first - 1].t >= begin:
             first -= 1

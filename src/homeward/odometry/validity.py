@@ -1,4 +1,4 @@
-"""Validity of twists: each is valid from its stamp to the next, for a limited time."""
+"""Validity of twists: from their stamp to the next one, for a limited time."""
 
 from __future__ import annotations
 
@@ -9,24 +9,19 @@ from collections.abc import Collection
 import numpy as np
 
 TWIST_VALIDITY_S, MAX_TWIST_VALIDITY_S = 1.0, 5.0
-"""Time for which a twist is valid without a successor; and the limit for a twist of slow odometry,
-since within more than 5 s a robot in a room starts, turns and stops [s]."""
+"""Time for which a twist is valid without a successor, and its limit for slow odometry [s]: in more
+than 5 s a robot in a room starts, turns and stops."""
 VALIDITY_SHARE = 1.5
-"""A twist of slow odometry is valid for this many typical intervals: a longer gap is a dropout [1].
-"""
+"""Validity of a twist of slow odometry, in typical intervals; a longer gap is a dropout [1]."""
 NUM_INTERVALS = 5
-"""Latest intervals for the typical one: a median that two dropouts do not change."""
+"""Number of latest intervals in the typical one: two dropouts do not change their median."""
 
 
 def twist_validity(intervals: Collection[float]) -> float:
-    """Return the time for which a twist is valid without a successor [s].
+    """Return the time for which a twist is valid without a successor [s], from `intervals` [s].
 
     That is `TWIST_VALIDITY_S`, or longer where odometry is slow, to bridge its usual interval.
-
-    Parameters
-    ----------
-    intervals : collection of float
-        Times between the stamps of twists [s]; fewer than `NUM_INTERVALS` do not count.
+    Fewer than `NUM_INTERVALS` intervals do not count.
     """
     if len(intervals) < NUM_INTERVALS:
         return TWIST_VALIDITY_S
@@ -35,7 +30,7 @@ def twist_validity(intervals: Collection[float]) -> float:
 
 
 def validities(t: np.ndarray) -> np.ndarray:
-    """Return the times for which recorded twists of stamps `t` [s] are valid, (n,) [s]."""
+    """Return the times for which recorded twists with stamps `t` [s] are valid, (n,) [s]."""
     intervals = np.diff(t)
     valid = twist_validity(intervals.tolist())
     return np.asarray(np.minimum(np.append(intervals, valid), valid))
@@ -48,7 +43,7 @@ class TwistValidity:
         self._newest = -math.inf
         self._intervals: deque[float] = deque(maxlen=NUM_INTERVALS)
         self.seconds = TWIST_VALIDITY_S
-        """For the newest twist [s]."""
+        """Validity of the newest twist [s]."""
 
     def add(self, t: float) -> float:
         """Add the stamp of a twist [s], which may be late; return `seconds`."""

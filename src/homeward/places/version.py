@@ -22,9 +22,9 @@ from homeward.io.table import (
     Table,
     identifiers,
     numbers,
-    numbers_or_nothing,
-    or_nothing,
+    numbers_or_nan,
     read_csv,
+    with_default,
     write_csv,
 )
 from homeward.places.joint_map import JointMap
@@ -173,7 +173,7 @@ def _parser(of: Field[Any]) -> Parser:
     if of.name in DAYS:
         return _days
     if of.default == "":
-        return or_nothing(identifiers, "")
+        return with_default(identifiers, "")
     return identifiers if of.type == "str" else numbers
 
 
@@ -219,7 +219,7 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
             "home": identifiers,
             "landmark": identifiers,
             "bearing": numbers,
-            "sigma": numbers_or_nothing,
+            "sigma": numbers_or_nan,
         },
     )
     table.require_angle("bearing")

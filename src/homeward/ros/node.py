@@ -23,7 +23,7 @@ from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
 from homeward.live.recording import Recorder
@@ -141,7 +141,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> Any:
-        """Tell the robot to stand, if it was driving home, and listen no more."""
+        """OnProgress the robot to stand, if it was driving home, and listen no more."""
         if self._live.driving:
             self._live.receive(msg.Cancel(), time.monotonic())
             self._tick()
@@ -285,7 +285,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _process(self) -> None:
         """Let the estimator work, in a thread of its own."""
         try:
-            with one_thread():
+            with single_threaded_blas():
                 while self._running:
                     self._work.wait(0.1)
                     self._work.clear()

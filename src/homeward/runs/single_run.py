@@ -116,7 +116,9 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         raise InputError(f"a place is for the estimator {DEFAULT}, not {run.estimator}")
     if run.smooth and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
-    drive = open_drive(drive_path(run), topics=run.topics, home_spin=run.home_spin, tell=progress)
+    drive = open_drive(
+        drive_path(run), topics=run.topics, home_spin=run.home_spin, on_progress=progress
+    )
     if not drive.sightings.t.size:
         raise _saw_nothing(drive_path(run), drive.remark_lines)
     visits = run.place is not None and run.place_version != 0 and is_place(Path(run.place))

@@ -74,7 +74,7 @@ class Replay:
         )
         settings = drive.settings.model_copy(update={"sensor": sensor})
         return replace(
-            drive.seen_earlier(asked.bearings_late - self._late),
+            drive.with_earlier_sightings(asked.bearings_late - self._late),
             settings=settings,
             home={i: b for i, b in drive.home.items() if i not in asked.moved},
         )

@@ -22,7 +22,7 @@ from importlib import resources
 from typing import Any, NamedTuple, Protocol
 
 from homeward.errors import InputError
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.studio.messages import LONGEST, Asked, Hello, Pace, parse
 
 TICK_S = 1 / 40
@@ -189,7 +189,7 @@ class Studio:
         """Do what was asked for, and step; return what to say to whom, None being all."""
         said: list[tuple[Line, Page | None]] = []
         session, version = self._session, self._session.version
-        with one_thread():
+        with single_threaded_blas():
             while self._asked:
                 asked, page = self._asked.popleft()
                 try:

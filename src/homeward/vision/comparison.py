@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
@@ -127,7 +127,7 @@ class Comparison:
         return float(np.sqrt(away @ self.covariance @ away)) if self.accepted else math.inf
 
 
-@one_thread()
+@single_threaded_blas()
 def compare(home: Features, now: Features, camera: Panorama) -> Comparison:
     """Compare two views; in a second pass, where the first leaves the answer open.
 

@@ -106,7 +106,7 @@ def test_idl_as_it_is_generated_is_still_understood():
 
 
 def test_many_definitions_of_one_topic_are_too_many(monkeypatch):
-    monkeypatch.setattr(decoding, "LARGEST_DEFINITIONS", len(crafted.DEFINITION) + 100)
+    monkeypatch.setattr(decoding, "MAX_DEFINITIONS", len(crafted.DEFINITION) + 100)
     decoder = Decoder()
     texts = [crafted.DEFINITION + f"# {i}\n" for i in range(2)]
     first, second = (Channel("/t", ODOMETRY, "cdr", text) for text in texts)
@@ -117,7 +117,7 @@ def test_many_definitions_of_one_topic_are_too_many(monkeypatch):
 
 
 def test_very_many_messages_in_a_small_log(tmp_path, monkeypatch):
-    monkeypatch.setattr(log, "LEAST_MESSAGES", 1000)
+    monkeypatch.setattr(log, "MIN_MESSAGES", 1000)
     path = tmp_path / "many.mcap"
     again = crafted.record(5, struct.pack("<HIQQ", 1, 0, 1, 1) + FIVE_CDR[0])
     path.write_bytes(mcap(chunk(mcap_messages([]) + again * 20_000, "zstd")))
@@ -158,7 +158,7 @@ DATABASES = {
 
 @pytest.mark.parametrize("name", DATABASES)
 def test_databases_that_compute(tmp_path, name, monkeypatch):
-    monkeypatch.setattr(log, "LEAST_SECONDS", 1.0)
+    monkeypatch.setattr(log, "MIN_SECONDS", 1.0)
     path = tmp_path / "log.db3"
     crafted.database(path, *DATABASES[name])
     refusal(open_drive, path)
@@ -166,7 +166,7 @@ def test_databases_that_compute(tmp_path, name, monkeypatch):
 
 def test_a_database_whose_pages_point_at_each_other(tmp_path, monkeypatch):
     """Every page above the rows names one page many times, which sqlite reads each time anew."""
-    monkeypatch.setattr(log, "LEAST_SECONDS", 2.0)
+    monkeypatch.setattr(log, "MIN_SECONDS", 2.0)
     monkeypatch.setattr(log, "BYTES_PER_SECOND", 10**9)
     path = tmp_path / "log.db3"
     rows = [("INSERT INTO messages VALUES (?, 1, ?, ?)", (i, i, bytes(2000))) for i in range(9000)]

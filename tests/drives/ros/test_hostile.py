@@ -149,8 +149,8 @@ BOMBS_MIB = {"lz4": 256, "zstd": 256, "bz2": 32}
 
 
 def test_bombs_and_lengths_in_bounded_memory_and_time(tmp_path, monkeypatch):
-    monkeypatch.setattr(log, "LEAST_MEMORY", GIB // 5)
-    monkeypatch.setattr(log, "LEAST_SECONDS", 1.0)
+    monkeypatch.setattr(log, "MIN_MEMORY", GIB // 5)
+    monkeypatch.setattr(log, "MIN_SECONDS", 1.0)
     huge = {how: crafted.packed_zeros(how, mib) for how, mib in BOMBS_MIB.items()}
     declared = 2**31
     files = {}

@@ -214,7 +214,7 @@ def test_exporting_again_keeps_the_files_of_the_user(tmp_path):
 def test_a_folder_of_others_is_left_alone(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
     answer = call("export", "ekf", "--landmarks", 7, "--out", tmp_path)
-    assert "not ours to replace" in refused(answer)
+    assert "contains other files" in refused(answer)
     assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
 
 

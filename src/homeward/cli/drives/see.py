@@ -75,7 +75,7 @@ def see(
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.spin import with_home
     from homeward.drives.settings import HomeWhen
-    from homeward.errors import speaking_of
+    from homeward.errors import naming_file
     from homeward.io.writing import check_output
     from homeward.runs.report.words import describe_sightings
     from homeward.vision.recorded.recording import see_recording
@@ -93,7 +93,7 @@ def see(
             folder, tell, lambda: check_output(out, ODOMETRY), tags=tags, topics=topics, force=force
         )
         if when is not None:
-            with speaking_of(folder):
+            with naming_file(folder):
                 drive = with_home(drive, when)
         write_folder(drive, out)
     if json:

@@ -126,12 +126,12 @@ LONGEST_S = 600.0
 """Looks that nobody ended would fill the memory [s]."""
 
 
-class HomeLooks:
+class HomeScan:
     """Looks from one place: while the robot turns on the spot, or several short ones.
 
     Home is where the robot was at the first twist.
 
-    >>> looks = HomeLooks(sensor={"x": 0.2})
+    >>> looks = HomeScan(sensor={"x": 0.2})
     >>> looks.odometry(0.0, 0.0, 0.5)  # and so on, as for a Localizer
     >>> looks.bearings(0.1, {"door": 0.31})
     >>> localizer = Localizer(looks.home(), sensor={"x": 0.2})
@@ -266,7 +266,7 @@ def _seen_from(drive: Drive, t: float) -> Drive:
     return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)
 
 
-def spin_words(found: Spin) -> str:
+def spin_summary(found: Spin) -> str:
     """Say what a spin told."""
     return "; ".join(f"{number} {why}" for why, number in _remarks(found).items())
 

@@ -106,7 +106,7 @@ class Column:
         return next(iter(UNITS[self.quantity]))
 
 
-def told_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:
+def specified_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:
     """Return the columns of ``[FILE:]ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
 
     `there` has the names and numbers of columns by the name of their file. `InputError` where a

@@ -21,7 +21,7 @@ from homeward.drives.folder import (
     without_repeats,
 )
 from homeward.drives.home.spin import with_home
-from homeward.drives.importers.columns import KINDS, told_columns
+from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.parts import UNIX_S, Understood, parts_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import on_one_clock, remark_other_units
@@ -53,7 +53,7 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Under
     for path in files:
         _refuse_drives(path)
     sheets = [sheet(path) for path in files]
-    told = told_columns(columns, {one.path.name: (*one.names, *one.numbers) for one in sheets})
+    told = specified_columns(columns, {one.path.name: (*one.names, *one.numbers) for one in sheets})
     parts = parts_of(sheets, told)
     found: list[Understood] = []
     clock: str | None = None

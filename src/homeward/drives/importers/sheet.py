@@ -19,7 +19,7 @@ import numpy as np
 from homeward.drives.importers.columns import Column, is_unit
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
-from homeward.io.table import Form, Parser, identifiers, numbers_or_nothing, quoted, text_lines
+from homeward.io.table import Form, Parser, identifiers, numbers_or_nan, quoted, text_lines
 
 STAMP = ("stamp.sec", "stamp.nanosec", "frame")
 XYZ, XYZW = "xyz", "xyzw"
@@ -116,7 +116,7 @@ def is_number(cell: str, comma: bool) -> bool:
 
 def _number(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
     plain = ["" if cell.strip().lower() in NOTHING else cell for cell in cells]
-    return numbers_or_nothing(name, plain, rows, path)
+    return numbers_or_nan(name, plain, rows, path)
 
 
 def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:

@@ -13,7 +13,7 @@ from homeward.drives import folder as csv
 from homeward.drives.drive import Truth
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
-from homeward.drives.one_clock import on_one_clock, on_time
+from homeward.drives.one_clock import on_one_clock, without_bearing_delay
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
@@ -21,7 +21,7 @@ from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY,
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_HOME, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import Tell, Topic, TopicSurvey, survey
+from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, survey
 from homeward.errors import InputError
 from homeward.io.settings import read_settings, settings_yaml
 
@@ -48,7 +48,9 @@ class LogInfo:
         return "" if self.plan is None else settings_yaml(self.plan)
 
 
-def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -> LogInfo:
+def log_info(
+    path: Path, topics: Path | None = None, on_progress: OnProgress | None = None
+) -> LogInfo:
     """Look into a log, or a folder that holds a drive, complete or not, and try a topics file."""
     path = located(path)
     if is_mrclam(path):
@@ -63,9 +65,11 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
 
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = Log(path)
-    half = None if tell is None else lambda done: tell(done / 2)
+    half = None if on_progress is None else lambda done: on_progress(done / 2)
     known = survey(
-        log, keep=(OUR_SETTINGS, *(kind for kinds, _ in _SERVES for kind in kinds)), tell=half
+        log,
+        keep=(OUR_SETTINGS, *(kind for kinds, _ in _SERVES for kind in kinds)),
+        on_progress=half,
     )
     cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
     try:
@@ -78,7 +82,7 @@ def log_info(path: Path, topics: Path | None = None, tell: Tell | None = None) -
         *cut_short,
         *missing,
         *(_candidates(known) if missing else ()),
-        *_tried(known, plan, topics, tell),
+        *_tried(known, plan, topics, on_progress),
     )
     return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)))
 
@@ -125,17 +129,17 @@ def _judged(path: Path) -> Iterator[str]:
     drive = csv.read_folder(path)
     if not drive.sightings.t.size:
         yield REFUSED.format(f"{csv.BEARINGS} has no rows")
-    if not drive.home and not csv.knows_home(path):
+    if not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
-        yield from on_one_clock(on_time(drive), path).remark_lines
+        yield from on_one_clock(without_bearing_delay(drive), path).remark_lines
     except InputError as error:
         yield from drive.remark_lines
         yield REFUSED.format(error.what)
 
 
 def _tried(
-    known: TopicSurvey, plan: LogSettings, topics: Path | None, tell: Tell | None
+    known: TopicSurvey, plan: LogSettings, topics: Path | None, on_progress: OnProgress | None
 ) -> Iterator[str]:
     """Yield the remarks of reading a log as `homeward run` does, and why it is refused."""
     from homeward.drives.ros.reading import read_planned  # the extra bags
@@ -143,7 +147,7 @@ def _tried(
     if plan.odometry is None:
         return
     try:
-        drive = on_one_clock(read_planned(known, plan, topics, tell), known.log.path)
+        drive = on_one_clock(read_planned(known, plan, topics, on_progress), known.log.path)
     except InputError as error:
         yield REFUSED.format(error.what)
         return

@@ -32,15 +32,15 @@ METADATA = "metadata.yaml"
 _ROOT = "rosbag2_bagfile_information"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _OLDER_ROSBAG = b"#ROSBAG"
-LARGEST_UNPACKED = 2**34
+MAX_UNPACKED = 2**34
 """Of a file that is compressed as a whole, which is unpacked to a temporary one [byte]."""
 MIN_UNPACKED, MAX_GROWTH = 256 * 2**20, 100
 """Limits of an unpacked file: the larger of this size [bytes] and this multiple of its own size."""
-LEAST_MEMORY, MOST_MEMORY, MEMORY_PER_BYTE = 2**31, 2**33, 2
+MIN_MEMORY, MAX_MEMORY, MEMORY_PER_BYTE = 2**31, 2**33, 2
 """Of the process that reads a file [byte]: rosbags keeps the index of all messages in memory."""
-LEAST_SECONDS, BYTES_PER_SECOND = 10.0, 100_000
+MIN_SECONDS, BYTES_PER_SECOND = 10.0, 100_000
 """Processor time for a file: this much, and a second more for so many bytes."""
-LEAST_MESSAGES = 1_000_000
+MIN_MESSAGES = 1_000_000
 """A log may always have so many messages, and one for each byte of its file."""
 
 
@@ -141,7 +141,7 @@ class Log:
                 case "messages":
                     batch, self._done_of_file = told
                     count += len(batch)
-                    if count > LEAST_MESSAGES + size:
+                    if count > MIN_MESSAGES + size:
                         raise InputError("has more messages than a log of its size can", file)
                     for number, receive, data in batch:
                         yield Message(channels[number], receive, data)
@@ -167,7 +167,7 @@ class Log:
         with tempfile.TemporaryDirectory(prefix="homeward-") as folder, _about(file):
             whole = Path(folder) / file.stem
             growth = max(MIN_UNPACKED, MAX_GROWTH * file.stat().st_size)
-            room = min(LARGEST_UNPACKED, growth, shutil.disk_usage(folder).free // 2)
+            room = min(MAX_UNPACKED, growth, shutil.disk_usage(folder).free // 2)
             for _ in self._ask(file, "", "unpack", os.path.abspath(file), str(whole), room):
                 pass
             yield whole
@@ -178,8 +178,8 @@ class Log:
         """Yield the answers of the reading process; a failure is an InputError."""
         process = _lent()
         size = file.stat().st_size
-        seconds = LEAST_SECONDS + size / BYTES_PER_SECOND
-        memory = min(LEAST_MEMORY + MEMORY_PER_BYTE * size, MOST_MEMORY)
+        seconds = MIN_SECONDS + size / BYTES_PER_SECOND
+        memory = min(MIN_MEMORY + MEMORY_PER_BYTE * size, MAX_MEMORY)
         request = {"command": command, "arguments": arguments, "seconds": seconds, "memory": memory}
         assert process.stdin is not None
         is_answered = False

@@ -40,7 +40,7 @@ BATCH = 2**20
 """Messages are written together until they have this size [byte]."""
 MESSAGE_OVERHEAD = 100
 """What each of them counts beyond its data [byte]."""
-LARGEST_MESSAGE = 256 * 2**20
+MAX_MESSAGE = 256 * 2**20
 """[byte]"""
 _FORMATS = {"ros1msg": "ros2msg", "ros2msg": "ros2msg", "ros2idl": "ros2idl", "omgidl": "omgidl"}
 _MCAP_END = 37
@@ -172,7 +172,7 @@ def _whole(receive: object, data: object, is_packed: bool) -> bytes:
         kinds = f"{type(receive).__name__} and {type(data).__name__}"
         raise ValueError(f"a message whose time and data are {kinds}, not int and bytes")
     whole: bytes = zstd.decompress(data) if is_packed else data
-    if len(whole) > LARGEST_MESSAGE:
+    if len(whole) > MAX_MESSAGE:
         raise ValueError(f"a message of {len(whole):,} bytes")
     return whole
 

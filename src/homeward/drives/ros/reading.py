@@ -13,7 +13,7 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.spin import with_home
-from homeward.drives.one_clock import on_time
+from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
 from homeward.drives.ros.measurements.extrinsics import (
@@ -27,9 +27,9 @@ from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.settings import NAME_BEARINGS, PICTURES, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import MessageTimes, Tell, TopicSurvey, survey
+from homeward.drives.ros.topics.survey import MessageTimes, OnProgress, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings
-from homeward.errors import InputError, speaking_of
+from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
 from homeward.io.table import Table, quoted
@@ -39,33 +39,38 @@ Taker: TypeAlias = Callable[[float, Any], None]
 
 
 def read_log(
-    path: Path, topics: Path | None = None, tell: Tell | None = None, eye: Eye | None = None
+    path: Path,
+    topics: Path | None = None,
+    on_progress: OnProgress | None = None,
+    eye: Eye | None = None,
 ) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 
-    `topics` is a YAML file of `LogSettings`; what it does not specify is guessed. `tell` receives
-    the fraction done, in [0, 1]. `eye` finds tags in pictures; without it topics of pictures
-    contribute nothing. Times are header stamps unless asked otherwise, counted from
-    `DriveSettings.epoch` where they are Unix time. Remarks count what was left out. `InputError`
-    where the log is damaged, or its topics do not make a drive.
+    `topics` is a YAML file of `LogSettings`; missing keys are guessed. `on_progress` receives the
+    fraction done, in [0, 1]. `eye` detects tags in images; without it, image topics are not used.
+    Times are header stamps by default, counted from `DriveSettings.epoch` where they are Unix time.
+    Remarks count the messages that were left out. `InputError` where the log is damaged, or its
+    topics do not make a drive.
     """
     told = LogSettings() if topics is None else read_settings(topics, LogSettings)
-    first_half = None if tell is None else lambda done: tell(done / 2)
+    first_half = None if on_progress is None else lambda done: on_progress(done / 2)
     told = calibrated(told, path if topics is None else topics)
-    known = survey(Log(path), keep=(OUR_SETTINGS,), tell=first_half)
-    return read_planned(known, choose(known, told, pictures=eye is not None), topics, tell, eye)
+    known = survey(Log(path), keep=(OUR_SETTINGS,), on_progress=first_half)
+    return read_planned(
+        known, choose(known, told, pictures=eye is not None), topics, on_progress, eye
+    )
 
 
 def read_planned(
     known: TopicSurvey,
     plan: LogSettings,
     topics: Path | None = None,
-    tell: Tell | None = None,
+    on_progress: OnProgress | None = None,
     eye: Eye | None = None,
 ) -> Drive:
     """Read a drive from the topics of a `plan`; the others as `read_log`, which see."""
-    with speaking_of(known.log.path):
-        return _Reading(known, plan, topics, eye).drive(tell)
+    with naming_file(known.log.path):
+        return _Reading(known, plan, topics, eye).drive(on_progress)
 
 
 def calibrated(told: LogSettings, beside: Path) -> LogSettings:
@@ -117,9 +122,9 @@ class _Reading:
                 plan.truth.topic, lambda t, m: self._poses.append((t, *map(float, pose_of(m))))
             )
 
-    def drive(self, tell: Tell | None) -> Drive:
+    def drive(self, on_progress: OnProgress | None) -> Drive:
         """Walk, and put together what was met."""
-        self._walk(tell)
+        self._walk(on_progress)
         self._mount()
         odometry = self._odometry.odometry(self._remarks)
         sightings = self._sightings()
@@ -132,7 +137,7 @@ class _Reading:
             truth=self._truth(),
             remarks=self._known.log.cut_short | dict(self._remarks),
         )
-        drive, told = on_time(found), self._plan.home
+        drive, told = without_bearing_delay(found), self._plan.home
         return drive if told is None else with_home(drive, told)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:
@@ -197,7 +202,7 @@ class _Reading:
         self._take(told.camera, rows.add)
         return rows.model
 
-    def _walk(self, tell: Tell | None) -> None:
+    def _walk(self, on_progress: OnProgress | None) -> None:
         log, clock = self._known.log, self._clock
         for number, message in enumerate(log.messages(topics=self._takers)):
             topic = message.channel.topic
@@ -211,8 +216,8 @@ class _Reading:
                     # The definition in the log lacks a field, or has another kind of it.
                     kind = quoted(message.channel.type)
                     raise InputError(f"{topic}: its {kind} is none that is known here") from error
-            if tell is not None and number % 500 == 0:
-                tell((1 + log.done) / 2)
+            if on_progress is not None and number % 500 == 0:
+                on_progress((1 + log.done) / 2)
 
     def _sightings(self) -> Sightings:
         parts = [camera.rows.columns() for camera in self._cameras]

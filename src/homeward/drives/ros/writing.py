@@ -25,7 +25,7 @@ from homeward.drives.ros.topics.choosing import (
     OUR_SETTINGS,
     OUR_TRUTH,
 )
-from homeward.drives.ros.topics.survey import Tell
+from homeward.drives.ros.topics.survey import OnProgress
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import settings_yaml
@@ -115,7 +115,7 @@ BASE, CAMERA, HOME = "base_link", "camera", "home"
 """Frames: the robot's centre, its camera with x along the axis, and the home frame."""
 
 
-def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
+def write_log(drive: Drive, path: Path, on_progress: OnProgress | None = None) -> None:
     """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file: .bag, .mcap or .db3.
 
     Name and remarks are not part of the format. `InputError` where the file cannot be written, or
@@ -129,8 +129,8 @@ def write_log(drive: Drive, path: Path, tell: Tell | None = None) -> None:
         rows = sorted(_Rows(log, drive.settings.epoch or 0).of(drive), key=lambda row: row[0])
         for number, (stamp, topic, message) in enumerate(rows):
             log.write(topic, stamp, message)
-            if tell is not None and number % 500 == 0:
-                tell(number / len(rows))
+            if on_progress is not None and number % 500 == 0:
+                on_progress(number / len(rows))
 
 
 def _require_writable(drive: Drive, path: Path) -> None:

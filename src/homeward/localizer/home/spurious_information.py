@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from homeward.geometry.se2 import LEAST_SQUARE
+from homeward.geometry.se2 import MIN_SQUARED_DISTANCE
 from homeward.localizer.home.linearisation import Linear, inverted
 from homeward.localizer.home.problem import POSE_AND_YAW
 from homeward.localizer.tunables import MIN_INFORMATION_SHARE
@@ -80,7 +80,7 @@ def _by_curvature(
     away = landmarks.view(complex)[members, 0] - complex(*linear.at[:2].tolist())
     spread, pseudo = _own_errors(away, linear.problem.covariance, POSE_AND_YAW // 2 + members)
     square = away * away
-    size = np.maximum(np.abs(square), LEAST_SQUARE)
+    size = np.maximum(np.abs(square), MIN_SQUARED_DISTANCE)
     weight = 1.0 / (linear.residual_covariance[members, members] * size * size)
     turned = -weight * (square / size) ** 2
     return float(weight @ spread), complex(turned @ pseudo.conj())

@@ -86,7 +86,7 @@ class HomeTracker:
         if known.solved or known.smoother.p_static is not self._p_static:
             self.names = known.landmarks.shared_with_home(self.observation.bearings)
             self._p_static = None
-        self._surveyed = known.registration.knows_home
+        self._surveyed = known.registration.has_home
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
         problem = self.problem(known, known.smoother.state)
@@ -109,7 +109,7 @@ class HomeTracker:
             self._places = known.places_for_home(self.names)
             self._p_static = known.smoother.p_static
         problem = self.observation.problem(self.names, *self._places, state, self._noise)
-        if not known.registration.knows_home:
+        if not known.registration.has_home:
             return problem
         return problem.at_origin(known.registration.static_places(state))
 

@@ -81,7 +81,7 @@ class Map:
         self._settings, self._counts = settings, counts
         self._process_noise = process_noise
         self._mount = np.array(drive.sensor.pose)
-        sigmas = calibration_sigmas(drive, settings, known.tells)
+        sigmas = calibration_sigmas(drive, settings, known.is_given)
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
         learnt = noise, process_noise, extrinsics

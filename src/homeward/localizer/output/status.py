@@ -8,7 +8,7 @@ from collections.abc import Collection
 import numpy as np
 
 from homeward.drives.settings import OdometryNoise
-from homeward.estimator import CHECKED, Estimate, Innovation, Status
+from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
 from homeward.geometry.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -171,9 +171,9 @@ class IntegrityMonitor:
         surveyed = len(best.problem.surveyed)
         agreeing = int(np.count_nonzero(best.inliers)) + surveyed
         checked = int(np.count_nonzero(self._checked)) + surveyed
-        if agreeing < CHECKED:
+        if agreeing < MIN_AGREEING:
             return Status.UNVERIFIED, too_few_agree(agreeing)
-        if checked < CHECKED:
+        if checked < MIN_AGREEING:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
         if stayed < MINIMAL:

@@ -15,7 +15,7 @@ from enum import Enum, auto
 
 import numpy as np
 
-from homeward.estimator import CHECKED, Innovation
+from homeward.estimator import MIN_AGREEING, Innovation
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose
 from homeward.localizer.map.gating import Gated
@@ -133,12 +133,12 @@ class SceneChangeDetector:
             ... and the motion since then, by odometry.
         """
         fitting = sum(fits.values())
-        if fitting >= CHECKED:
+        if fitting >= MIN_AGREEING:
             self._seen, self._from = frozenset(names), (state.mean[:3], motion.delta)
         if fitting or not self._seen:
             return False
         new = len(frozenset(names) - self._seen)
-        if new < CHECKED or 2 * new <= len(names):
+        if new < MIN_AGREEING or 2 * new <= len(names):
             return False
         before = compose(*self._from)
         off = compose(state.mean[:3], motion.delta) - before

@@ -10,7 +10,7 @@ from typing import Any
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import Images
-from homeward.errors import InputError, without
+from homeward.errors import InputError, missing_extra_error
 from homeward.io.writing import whole_folder
 from homeward.runs.report.files import (
     write_estimate,
@@ -39,7 +39,7 @@ def missing_extra() -> InputError | None:
         import_module("homeward.runs.report.page")
         import_module("homeward.runs.report.mcap")
     except ModuleNotFoundError as error:
-        if (told := without(error)) is None:
+        if (told := missing_extra_error(error)) is None:
             raise
         return told
     return None

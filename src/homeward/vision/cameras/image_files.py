@@ -13,7 +13,7 @@ from typing import IO
 import numpy as np
 from PIL import Image, ImageOps, UnidentifiedImageError
 
-from homeward.errors import InputError, speaking_of
+from homeward.errors import InputError, naming_file
 from homeward.io.reading import naming, opened
 from homeward.vision.cameras.grey import MAX_PIXELS, eight_bits, require_size
 from homeward.vision.cameras.mask import Mask
@@ -92,7 +92,7 @@ def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
             f"{wanted_width}x{wanted_height}",
             path,
         )
-    with speaking_of(path):
+    with naming_file(path):
         return Mask.of(camera.panorama(grey))
 
 

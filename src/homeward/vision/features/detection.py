@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.errors import InputError, speaking_of
+from homeward.errors import InputError, naming_file
 from homeward.vision.cameras.grey import as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
 from homeward.vision.cameras.mask import Mask
@@ -178,7 +178,7 @@ def read_features(
         When a file cannot be read, or its size does not suit the camera, home or the picture.
     """
     grey = read_grey(path)
-    with speaking_of(path):
+    with naming_file(path):
         panorama = camera.panorama(grey)
         if like is not None:
             require_like_home((panorama.shape[0], panorama.shape[1]), like.shape)

@@ -20,12 +20,12 @@ from homeward.drives.settings import OdometryDefaults, Robot, noise_rates
 from homeward.estimator import (
     Counts,
     Estimate,
+    EstimatesExtrinsics,
     Estimator,
-    FindsMount,
     LandmarkEstimate,
     Status,
     guarded,
-    in_turn,
+    synchronised,
 )
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import (
@@ -37,7 +37,7 @@ from homeward.geometry.frames import (
     inverse,
     polar_covariance_to_pose,
 )
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
 from homeward.odometry.limits import MAX_RATE
@@ -118,8 +118,8 @@ class VisualHoming:
         innovations = self._inner.bearings(t, sightings, sigmas).innovations
         return dataclasses.replace(self.estimate(t), innovations=innovations)
 
-    @in_turn
-    @one_thread()
+    @synchronised
+    @single_threaded_blas()
     def home(self, t: float, seen: Comparison | None) -> None:
         """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
 
@@ -227,7 +227,7 @@ class VisualHoming:
     def _mounts(self) -> tuple[Pose, Pose]:
         """Return the camera on the robot, at home and now: as told, or as was found out."""
         told, now = self._told, self._told.sensor.pose
-        if isinstance(self._inner, FindsMount):
+        if isinstance(self._inner, EstimatesExtrinsics):
             now = self._inner.mount or now
         return (now if told.home_sensor is None else told.home_mount.pose), now
 

@@ -40,10 +40,10 @@ class ImageDrive(Drive):
     """Stamp [s] of each picture, in order, and how it compares with home's; None where that was not
     tried. A comparison holds some 200 bytes a match, and nothing of the pictures themselves."""
 
-    def seen_earlier(self, by: float) -> Self:
+    def with_earlier_sightings(self, by: float) -> Self:
         """Return it with bearings and pictures stamped earlier by so long [s]."""
         pictures = tuple((t - by, compared) for t, compared in self.pictures)
-        return dataclasses.replace(super().seen_earlier(by), pictures=pictures)
+        return dataclasses.replace(super().with_earlier_sightings(by), pictures=pictures)
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,8 @@ from homeward.drives.folder import (
 )
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
-from homeward.errors import InputError, speaking_of
-from homeward.io.one_thread import one_thread
+from homeward.errors import InputError, naming_file
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import is_there, require_folder
 from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.vision.cameras.image_files import read_grey
@@ -44,7 +44,7 @@ UNLIKE = "images that match none before them"
 RARE = f"sightings of landmarks seen fewer than {LASTING} times"
 
 
-@one_thread()
+@single_threaded_blas()
 def see_folder(
     path: str | os.PathLike[str],
     progress: Callable[[float], None] | None = None,
@@ -92,7 +92,7 @@ def see_folder(
     camera = settings.panorama
     picture, home = read_features(place, camera, mask=settings.mask)
     if camera.seen is None and not (force or settings.force):
-        with speaking_of(folder):
+        with naming_file(folder):
             some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
             require_panoramas([picture, *(camera.panorama(read_grey(f)) for f in some)], camera)
     if ready is not None:

@@ -16,7 +16,7 @@ from homeward.drives.images import Images, read_images
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.measurements.bearings import TWICE
 from homeward.drives.ros.reading import read_log
-from homeward.errors import InputError, speaking_of
+from homeward.errors import InputError, naming_file
 from homeward.io.reading import is_there, naming, opened
 from homeward.io.table import numbers, read_csv
 from homeward.vision.cameras.grey import MAX_PIXELS
@@ -199,7 +199,7 @@ def _home(
     if not home_images(folder, settings):
         return read_home(folder / HOME, remarks) if is_there(folder / HOME) else {}
     place = home_image(folder, settings)
-    with speaking_of(place):
+    with naming_file(place):
         home = eye.see(read_grey(place)).home
     if not home:
         raise InputError("no tag in the home image", place)
@@ -216,7 +216,7 @@ def _sightings(
     rows: list[tuple[float, str, float, float]] = []
     counts: Counter[str] = Counter()
     for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
-        with speaking_of(Path(f"picture at {t:g} s")):
+        with naming_file(Path(f"picture at {t:g} s")):
             seen = eye.see(frame)
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
         counts[TWICE] += len(seen.tags.twice)

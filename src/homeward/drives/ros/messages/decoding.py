@@ -50,19 +50,19 @@ def typestore(ros1: bool) -> Any:
     return store
 
 
-LARGEST_DEFINITION = 2**16
+MAX_DEFINITION = 2**16
 """Characters of a definition with everything it refers to."""
-LARGEST_MESSAGE = 2**26
+MAX_MESSAGE = 2**26
 """Of a message that is decoded [byte]."""
-MOST_NUMBERS = 10_000
+MAX_NUMBERS = 10_000
 """In the parts of a message that have a fixed size."""
-MOST_ELEMENTS = 1_000_000
+MAX_ELEMENTS = 1_000_000
 """In a sequence, but for those of `PICTURES`."""
 DEEPEST = 20
 """Types within types."""
-LARGEST_DEFINITIONS = 2**20
+MAX_DEFINITIONS = 2**20
 """Characters of all definitions that are made into code, which are those of the topics used."""
-MOST_CONSTANTS, MOST_MODULES = 500, 50
+MAX_CONSTANTS, MAX_MODULES = 500, 50
 """In a definition as IDL, where each name is looked for among all that were told before it."""
 _NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD = re.compile(r"[A-Za-z]\w*", re.ASCII)
@@ -85,11 +85,11 @@ class Decoder:
         """
         if channel not in self._stores:
             self._characters += len(channel.definition)
-            if self._characters > LARGEST_DEFINITIONS:
+            if self._characters > MAX_DEFINITIONS:
                 raise InputError(f"{channel.topic}: more message definitions than any log has")
             self._stores[channel] = _store(channel)
         try:
-            if len(data) > LARGEST_MESSAGE:
+            if len(data) > MAX_MESSAGE:
                 raise ValueError(f"{len(data)} bytes are too many")
             if channel.encoding == "ros1":
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
@@ -116,7 +116,7 @@ def _store(channel: Channel) -> Any:
     known = typestore(channel.encoding == "ros1")
     if channel.type in PICTURES:
         # More elements than other messages have, so these types are as they are known here.
-        pictures = Typestore(max_sequence_length=LARGEST_MESSAGE)
+        pictures = Typestore(max_sequence_length=MAX_MESSAGE)
         pictures.register(known.fielddefs)
         return pictures
     if not channel.definition:
@@ -127,7 +127,7 @@ def _store(channel: Channel) -> Any:
     types = {**known.fielddefs, **_parsed(channel)}
     shapes = _Shapes(channel, types)
     shapes.of(channel.type, ())
-    store = Typestore(max_sequence_length=MOST_ELEMENTS)
+    store = Typestore(max_sequence_length=MAX_ELEMENTS)
     try:
         store.register({name: ([], types[name][1]) for name in shapes.known})
         store.get_msgdef(channel.type)
@@ -142,7 +142,7 @@ def _store(channel: Channel) -> Any:
 def _parsed(channel: Channel) -> dict[str, Any]:
     """Return the types that a channel's definition holds."""
     text = channel.definition
-    if len(text) > LARGEST_DEFINITION:
+    if len(text) > MAX_DEFINITION:
         raise InputError(
             f"{channel.topic}: a definition of {len(text):,} characters is larger than any"
         )
@@ -154,7 +154,7 @@ def _parsed(channel: Channel) -> dict[str, Any]:
         parts = [part.partition("\n")[2] for part in text.split(_IDL_MARK)[1:]] or [text]
         known: dict[str, Any] = {}
         for part in parts:
-            if part.count("const") > MOST_CONSTANTS or part.count("module") > MOST_MODULES:
+            if part.count("const") > MAX_CONSTANTS or part.count("module") > MAX_MODULES:
                 raise ValueError("more constants or modules than any message has")
             known |= make_typesdict(_Idl(part).specification())
         return known
@@ -213,7 +213,7 @@ class _Shapes:
                 raise self._refused(f"has a field {quoted(field)}")
             many, below = self._field(kind, (*above, name))
             total, height = total + many, max(height, below + 1)
-            if total > MOST_NUMBERS:
+            if total > MAX_NUMBERS:
                 raise self._refused("is larger than any message read")
             if len(above) + height > DEEPEST:
                 raise self._refused("is deeper than any message read")

@@ -26,9 +26,9 @@ from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
 
-TELL_EVERY = 2000
+PROGRESS_EVERY = 2000
 """Messages between two words on progress."""
-Tell = Callable[[float], None]
+OnProgress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,9 @@ class TopicSurvey:
         raise InputError(f"no topic {name} in it; there are: {names}", self.log.path)
 
 
-def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> TopicSurvey:
+def survey(
+    log: Log, keep: tuple[str, ...] = (), on_progress: OnProgress | None = None
+) -> TopicSurvey:
     """Walk a log and keep of each message when it came and what its header stamps.
 
     The first message of each topic is kept whose name or type is in `keep`. `InputError` where the
@@ -129,8 +131,8 @@ def survey(log: Log, keep: tuple[str, ...] = (), tell: Tell | None = None) -> To
             raise InputError(reason, log.path) from None
         except OverflowError:
             raise InputError(f"{channel.topic}: a time beyond the year 2262", log.path) from None
-        if tell is not None and number % TELL_EVERY == 0:
-            tell(log.done)
+        if on_progress is not None and number % PROGRESS_EVERY == 0:
+            on_progress(log.done)
     topics = (
         Topic(name, kind, np.array(receive), None if header is None else np.array(header))
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from homeward.estimator import (
-    CHECKED,
+    MIN_AGREEING,
     NO_BEARINGS_S,
     Counts,
     Estimate,
@@ -219,7 +219,7 @@ class OnlineFilter:
             return Status.UNVERIFIED, "no odometry: only its uncertainty grows"
         if 2 * sum(self._recent) < len(self._recent):
             return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"
-        if agreeing < CHECKED:
+        if agreeing < MIN_AGREEING:
             return Status.UNVERIFIED, too_few_agree(agreeing)
         if age > NO_BEARINGS_S:
             return Status.COASTING, Reason.NO_BEARINGS.words

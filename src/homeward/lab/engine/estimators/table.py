@@ -6,7 +6,7 @@ from collections.abc import Callable
 from typing import Any
 
 from homeward.drives.drive import Drive
-from homeward.errors import without
+from homeward.errors import missing_extra_error
 from homeward.estimator import Estimator
 from homeward.io.keys import Strict
 from homeward.lab.filters.settings import (
@@ -28,7 +28,7 @@ def _filter(name: str) -> Maker:
         try:
             from homeward.lab.engine.estimators.paper import filter_for
         except ModuleNotFoundError as error:
-            raise without(error) or error from None
+            raise missing_extra_error(error) or error from None
         return filter_for(name, drive, settings)
 
     return for_drive

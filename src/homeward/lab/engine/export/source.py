@@ -21,7 +21,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from homeward.errors import InputError
-from homeward.estimator import CHECKED
+from homeward.estimator import MIN_AGREEING
 from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
 from homeward.lab.engine.batch.job import LARGEST
 from homeward.lab.engine.native.emit import Split, emit_split, split_step
@@ -100,7 +100,7 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "own": _indented(step.own, 4),
         "defaults": _indented(_defaults(settings), 2),
         "stretches": STRETCHES,
-        "agreeing": CHECKED,
+        "agreeing": MIN_AGREEING,
         "resection_gate": gate**2,
         "chance": CHANCE,
         "largest_misfit": math.pi * CHANCE / gate,

@@ -72,7 +72,7 @@ class Code:
         self._read(function)
 
     def is_zero(self, node: int) -> bool:
-        """Tell whether a node is the constant zero."""
+        """OnProgress whether a node is the constant zero."""
         return self.nodes[node] == Node(ca.OP_CONST, (0.0,))
 
     def _read(self, function: ca.Function) -> None:

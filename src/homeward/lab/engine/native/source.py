@@ -184,7 +184,7 @@ def choose(
 
 
 def _pays(saved: float, source: Callable[[], Source]) -> bool:
-    """Tell whether compiling pays, or has been paid for before."""
+    """OnProgress whether compiling pays, or has been paid for before."""
     if not (_worth_a_word(saved) or any(default_folder().glob("*.so"))):
         return False
     text = source().text

@@ -20,7 +20,7 @@ from homeward.drives.folder import ODOMETRY, SETTINGS, TRUTH, write_folder
 from homeward.errors import InputError
 from homeward.estimator import Estimator, LandmarkEstimate
 from homeward.geometry.frames import Pose, compose
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import naming
 from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Driven, Log, before, drive_course
@@ -160,7 +160,7 @@ class ImageLoop:
         """The drive before it begins: home and settings, for making an estimator."""
         return before(self.eye.scenario, self._home, None, self.eye.scenario.view)
 
-    @one_thread()
+    @single_threaded_blas()
     def run(
         self,
         estimator: Estimator | None = None,

@@ -17,7 +17,7 @@ from typing import Any, TypeVar
 from uuid import uuid4
 
 from homeward.errors import HomewardError, InputError
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.lab.engine.batch.execution import available_threads
 from homeward.lab.studies.blocks.store import Arrays, BlockStore, our_version
 
@@ -178,7 +178,7 @@ def _end_with(lifeline: Connection) -> None:
     os._exit(1)
 
 
-@one_thread()
+@single_threaded_blas()
 def _compute(function: Callable[[Argument], Arrays], argument: Argument) -> Arrays:
     """Compute a block in a worker, which is one of as many as there are processors."""
     return function(argument)

@@ -22,7 +22,7 @@ from homeward.registry import estimator_settings
 
 MOST_CELLS = 10_000
 """Scenarios times estimators."""
-MOST_NUMBERS = 100_000_000
+MAX_NUMBERS = 100_000_000
 """Of each error over time; more would not fit into memory."""
 
 
@@ -112,7 +112,7 @@ def make_plan(study: StudySettings) -> StudyPlan:
     plan = StudyPlan(study, cases, tuple(_contenders(study)))
     longest = max(case.duration for case in cases)
     numbers = points * entries * study.runs * (longest / study.interval + 1)
-    if numbers > MOST_NUMBERS:
+    if numbers > MAX_NUMBERS:
         raise InputError(
             f"{numbers:,.0f} errors over time would not fit into memory: fewer runs, or a longer "
             "interval than " + f"{study.interval:g} s"

@@ -35,7 +35,7 @@ class Registration:
         return self._landmarks.smoother
 
     @property
-    def knows_home(self) -> bool:
+    def has_home(self) -> bool:
         """Whether a survey in home's frame agrees with the map, so that this frame is known."""
         evaluated = self._smoother.survey.ids.size and self.survey.used
         return self.survey.known.surveyed_from_home and bool(evaluated)
@@ -48,13 +48,13 @@ class Registration:
         numpy.linalg.LinAlgError
             When there is too little of it.
         """
-        if not self.survey.known.tells:
+        if not self.survey.known.is_given:
             return self._smoother.state
         return self._smoother.without_survey(self.survey.size)
 
     def in_home_frame(self, state: Marginal) -> Marginal:
         """Return a state in home's frame if that is known, else unchanged."""
-        if not self.knows_home:
+        if not self.has_home:
             return state
         return in_survey_frame(state, self._smoother.survey, self._smoother.ids)
 
@@ -84,7 +84,7 @@ class Registration:
 
     def evaluate(self) -> None:
         """Update the inliers of the survey by the solved map without it."""
-        if not self.survey.known.tells:
+        if not self.survey.known.is_given:
             return
         smoother, before = self._smoother, self._smoother.survey
         landmarks = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions

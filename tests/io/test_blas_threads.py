@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator
@@ -61,7 +61,7 @@ def test_a_loop_of_a_user_s_own_is_held_to_one_thread_where_it_computes(monkeypa
 def test_blocks_that_overlap_leave_the_user_s_setting_too():
     """As two threads that follow a drive each: the first to enter is the first to leave."""
     with threadpool_limits(limits=2, user_api="blas"):
-        first, second = one_thread(), one_thread()
+        first, second = single_threaded_blas(), single_threaded_blas()
         first.__enter__()
         second.__enter__()
         first.__exit__(None, None, None)
@@ -71,13 +71,13 @@ def test_blocks_that_overlap_leave_the_user_s_setting_too():
 
 
 LATE = """
-from homeward.io.one_thread import one_thread
+from homeward.io.blas_threads import single_threaded_blas
 from threadpoolctl import threadpool_info, threadpool_limits
 import numpy
-with one_thread():
+with single_threaded_blas():
     pass
 import cv2
-with threadpool_limits(limits=2, user_api="blas"), one_thread():
+with threadpool_limits(limits=2, user_api="blas"), single_threaded_blas():
     print({p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"})
 """
 
