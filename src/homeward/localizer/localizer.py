@@ -236,7 +236,7 @@ class Localizer:
         index = chart.map.landmarks.index(mapped.values())
         at = state.columns(index).ravel()
         mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]
-        if not self._known.tells:  # then the scale of the map is that of the speed
+        if not self._known.is_given:  # then the scale of the map is that of the speed
             given = self._robot.odometry.speed_scale_sigma
             sigma = self.settings.odometry.speed_scale if given is None else given
             covariance = covariance + sigma**2 * np.outer(mean, mean)
