@@ -1,4 +1,4 @@
-"""Dead reckoning from the start prior: the least that an estimator of homeward can be."""
+"""Dead reckoning from the start prior: a minimal estimator."""
 
 import math
 
@@ -11,7 +11,7 @@ from homeward.odometry.validity import TWIST_VALIDITY_S
 
 class DeadReckoning:
     name = "dead-reckoning"
-    notes = ("It does not look at bearings.",)
+    notes = ("Bearings are ignored.",)
 
     def __init__(self, drive):
         start = drive.settings.start
@@ -22,7 +22,7 @@ class DeadReckoning:
         self.twist = math.nan, 0.0, 0.0
         self.counts = Counts()
 
-    def odometry(self, t, v, omega):  # the twist before this one held until now
+    def odometry(self, t, v, omega):  # the previous twist applied until now
         self.pose, self.covariance = self.predicted(t)
         self.twist = t, v, omega
 
@@ -38,7 +38,7 @@ class DeadReckoning:
         grown = move @ self.covariance @ move.T + np.eye(3) * self.noise**2 * dt
         return Pose(x + dx, y + dy, math.remainder(heading + omega * dt, math.tau)), grown
 
-    def bearings(self, t, sightings, sigmas=None):  # {id: rad}: a better one would use them
+    def bearings(self, t, sightings, sigmas=None):  # {id: rad}: a real estimator would use them
         return self.estimate(t)
 
     def estimate(self, t):
@@ -48,5 +48,5 @@ class DeadReckoning:
         return []
 
 
-DeadReckoning.needs_start = True  # from drive.yaml, --start, or the truth
+DeadReckoning.needs_start = True  # from drive.yaml, --start, or ground truth
 make = DeadReckoning
