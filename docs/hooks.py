@@ -116,7 +116,7 @@ def python() -> str:
     for name in sorted(homeward.__all__, key=str.lower):
         if name.startswith("__"):
             continue
-        path = f"homeward.{homeward._HOMES[name]}.{name}"
+        path = f"homeward.{homeward._MODULES[name]}.{name}"
         parts.append(f"::: {path}")
         for silent in _silent(package.modules_collection[path], name):
             log.warning("%s has no docstring", silent)
