@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control.following import STAND
+from homeward.control.following import LOOKAHEAD, STAND
 from homeward.control.goals import Belief, PointGoal
 from homeward.control.limits import Limits
 from homeward.estimator import Status
@@ -15,7 +15,6 @@ from homeward.lab.simulation.scenario import Room
 from homeward.lab.simulation.simulate import WAREHOUSE, load_scenario, simulate
 from homeward.lab.simulation.trajectories import (
     LOOK_RATE,
-    LOOKAHEAD,
     LOOKS_PER_ROUND,
     SEARCH_RADIUS,
     STANDS_S,

@@ -14,7 +14,7 @@ from typing import Protocol, assert_never
 import numpy as np
 
 from homeward.control.driver import Driver
-from homeward.control.following import Path
+from homeward.control.following import LOOKAHEAD, Path
 from homeward.control.goals import (
     UNSEEN,
     BearingGoal,
@@ -98,14 +98,12 @@ LOOKS_PER_ROUND = 3
 """From three places of a circle each landmark is seen from a base that is broad enough."""
 STANDS_S = 2.0
 """A robot that loses its pose on the way stands for so long before it searches [s]."""
-LOOKAHEAD = 0.4
-"""The point on the line that a scripted drive steers at is so far ahead [m]."""
 TURN_ACCELERATION = 1.0
 """Between way points the turn rate changes at most so fast [rad/s^2]."""
 LINE_STEP = 0.01
-"""The line through the way points is taken as points this far apart [m]."""
-LONGEST_LINE = 1e5
-"""[m]; its points are all held in memory."""
+"""The aim of a scripted drive moves along its path in steps of this length [m]."""
+MAX_PATH_M = 1e5
+"""Length of a scripted path."""
 
 
 def exact(pose: Pose, seen: Mapping[str, float] = UNSEEN) -> Belief:
@@ -142,7 +140,10 @@ def _make_control(scenario: Course, start: Pose, home: Mapping[str, float]) -> C
         case Circle() as drive:
             return CircleControl(drive)
         case Waypoints() as drive if truly:
-            return LineControl(drive, _line(drive, scenario.home.pose, start))
+            path = Path(_corners(drive, scenario.home.pose, start))
+            if not path.length <= MAX_PATH_M:
+                raise InputError(f"trajectory.points: {path.length:.3g} m long; max {MAX_PATH_M:g}")
+            return LineControl(drive, path)
         case Waypoints() | Teach() as drive:
             corners = _corners(drive, scenario.home.pose, start)
             dwell = drive.dwell if isinstance(drive, Teach) else None
@@ -282,39 +283,34 @@ class CircleControl(Control):
 
 
 class LineControl(Control):
-    """Script of a drive along a line, at constant speed, by the true pose; no robot runs it."""
+    """Scripted drive along a path: constant speed, steered by the true pose. No robot runs it."""
 
-    def __init__(self, trajectory: Waypoints, line: np.ndarray) -> None:
-        self._trajectory, self._line, self._aim = trajectory, line, 0
+    def __init__(self, trajectory: Waypoints, path: Path) -> None:
+        self._trajectory, self._path, self._aim = trajectory, path, 0
         self._last_t, self._last_omega = 0.0, 0.0
 
     def twist(self, t: float, belief: Belief) -> Command:
         """Return the command; see `Control`."""
         assert belief.pose is not None
-        distance = self._aim_ahead_of(belief.pose)
-        error = float(bearing(belief.pose, *self._line[self._aim]))
-        if self._is_done(error, distance):
-            return None
+        x, y, distance = self._aim_ahead_of(belief.pose)
+        error = float(bearing(belief.pose, x, y))
+        if self._aim * LINE_STEP >= self._path.length:
+            is_past = distance < LOOKAHEAD and abs(error) > math.pi / 2
+            if is_past or distance < self._trajectory.stop_radius:
+                return None
         wanted = self._turn_rate(error, distance)
         change = TURN_ACCELERATION * (t - self._last_t)
         omega = max(self._last_omega - change, min(self._last_omega + change, wanted))
         self._last_t, self._last_omega = t, omega
         return Twist(self._trajectory.speed, omega)
 
-    def _is_done(self, error: float, distance: float) -> bool:
-        """Say whether the last point is reached, or passed by."""
-        if self._aim < len(self._line) - 1:
-            return False
-        passed = distance < LOOKAHEAD and abs(error) > math.pi / 2
-        return passed or distance < self._trajectory.stop_radius
-
-    def _aim_ahead_of(self, pose: Pose) -> float:
-        """Let the aim run along the line until it is far enough ahead; return its distance."""
+    def _aim_ahead_of(self, pose: Pose) -> tuple[float, float, float]:
+        """Move the aim along the path to the look-ahead distance; return x, y and distance [m]."""
         while True:
-            x, y = self._line[self._aim]
+            x, y = self._path.at(self._aim * LINE_STEP)
             distance = math.hypot(x - pose.x, y - pose.y)
-            if distance >= LOOKAHEAD or self._aim == len(self._line) - 1:
-                return distance
+            if distance >= LOOKAHEAD or self._aim * LINE_STEP >= self._path.length:
+                return x, y, distance
             self._aim += 1
 
     def _turn_rate(self, error: float, distance: float) -> float:
@@ -323,20 +319,6 @@ class LineControl(Control):
         if abs(error) > math.pi / 2:
             return math.copysign(most, error)
         return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
-
-
-def _line(trajectory: Waypoints, home: Pose, start: Pose) -> np.ndarray:
-    """Return the line from `start` through the way points, shape (n, 2), in the home frame [m].
-
-    Raises `InputError` when it is too long to be held.
-    """
-    knots = _corners(trajectory, home, start)
-    lengths = np.hypot(*np.diff(knots, axis=0).T)
-    along = np.concatenate([[0.0], np.cumsum(lengths)])
-    if not along[-1] <= LONGEST_LINE:
-        raise InputError(f"trajectory.points: {along[-1]:.3g} m to drive, {LONGEST_LINE:g} at most")
-    fine = np.append(np.arange(0.0, along[-1], LINE_STEP), along[-1])
-    return np.stack([np.interp(fine, along, knots[:, i]) for i in (0, 1)], axis=-1)
 
 
 def _corners(trajectory: ByPoints, home: Pose, start: Pose) -> np.ndarray:
