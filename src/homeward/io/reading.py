@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.resources import files
 from pathlib import Path
@@ -53,6 +53,19 @@ def shipped(*names: str) -> Path:
 def shipped_yaml(folder: str) -> dict[str, Path]:
     """Return the YAML files of a folder of the package data, by name."""
     return {file.stem: file for file in sorted(shipped(folder).glob("*.yaml"))}
+
+
+def shipped_or_file(source: str, kind: str, names: Iterable[str] | None = None) -> Path:
+    """Return the path of a YAML file: one of `shipped_yaml(kind)` by name, or the user's.
+
+    Callers that resolve names themselves pass them as `names`, for the message of the `InputError`.
+    """
+    files = shipped_yaml(kind) if names is None else {}
+    path = files.get(source, Path(source))
+    if not source or not is_there(path):
+        known = ", ".join(names or files)
+        raise InputError(f"neither a file nor one of the {kind}: {known}", path)
+    return path
 
 
 def require_folder(path: Path) -> None:

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Annotated, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from homeward.drives.settings import Finite, NonNegative, Positive
-from homeward.errors import InputError
 from homeward.io.keys import Strict
-from homeward.io.reading import is_there, shipped_yaml
+from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
 from homeward.lab.simulation.scenario import Interval, Point, RoomPose
 
@@ -122,8 +120,4 @@ def load_plan(source: str) -> Plan:
     Raises `InputError` for a file that cannot be read, a key that there is not, or a value out of
     range.
     """
-    plans, path = shipped_yaml("plans"), Path(source)
-    path = path if is_there(path) and source else plans.get(source, path)
-    if not is_there(path) or not source:
-        raise InputError(f"neither a file nor one of the plans {', '.join(plans)}", path)
-    return read_settings(path, Plan)
+    return read_settings(shipped_or_file(source, "plans"), Plan)

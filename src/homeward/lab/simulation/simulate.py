@@ -20,7 +20,7 @@ from homeward.drives.folder import write_folder
 from homeward.errors import InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose
-from homeward.io.reading import is_there, naming, shipped
+from homeward.io.reading import naming, shipped, shipped_or_file
 from homeward.io.settings import key_parts, read_settings, validated
 from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Camera, Driven, Log, before, drive_course
@@ -103,7 +103,8 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
     the speed and duration of the old one, and to teach its points, too. Raises `InputError` for a
     file that cannot be read, a key that does not exist, or a value out of range.
     """
-    scenario = PRESETS.get(source) or read_settings(_existing(source), Scenario)
+    if (scenario := PRESETS.get(source)) is None:
+        scenario = read_settings(shipped_or_file(source, "presets", PRESETS), Scenario)
     return changed_scenario(scenario, changes)
 
 
@@ -139,13 +140,6 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
             for landmark, (x, y), fault in columns
         )
         write_csv(folder / WORLD, head, rows)
-
-
-def _existing(source: str) -> Path:
-    path = Path(source)
-    if not is_there(path):
-        raise InputError(f"neither a file nor one of the presets {', '.join(PRESETS)}", path)
-    return path
 
 
 def _change(tree: dict[str, Any], key: str, value: Any) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from shapely import distance as distance_between
 
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
-from homeward.io.reading import is_there
+from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
@@ -113,12 +112,10 @@ def load_room(
     given = dict(changes or {})
     if source in PLANS:
         return changed_scenario(room(source, seed or 0), given)
-    path = Path(source)
-    if not is_there(path):
-        raise InputError(f"neither a file nor one of the rooms {', '.join(PLANS)}", path)
     if seed is not None:
         given["seed"] = seed
-    return changed_scenario(read_settings(path, RenderScenario), given)
+    file = shipped_or_file(source, "rooms", PLANS)
+    return changed_scenario(read_settings(file, RenderScenario), given)
 
 
 def _poses(
