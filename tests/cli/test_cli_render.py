@@ -3,7 +3,6 @@
 import csv
 import math
 
-import numpy as np
 import pytest
 import yaml
 from commands import call, done
@@ -57,24 +56,6 @@ def test_a_shorter_drive_replaces_a_longer_one_with_all_its_images(tmp_path):
     render("kitchen", "--out", out)
     render("kitchen", "--out", out, changes=(*SMALL, "trajectory.duration=1"))
     assert sorted(p.name for p in (out / "images").iterdir()) == [f"{i:06d}.png" for i in (1, 2)]
-
-
-def test_points_are_those_of_the_pixels(tmp_path):
-    out = tmp_path / "a"
-    assert render("kitchen", "--out", out, "--points").exit_code == 0
-    names = {int(row["index"]): row["thing"] for row in rows(out / "things.csv")}
-    with np.load(out / "points" / "home.npz") as file:
-        point, thing = file["point"], file["thing"]
-    assert point.shape == (32, 128, 3)
-    seen = {names[int(i)] for i in np.unique(thing)}
-    assert {"floor", "wall 0", "wall 1", "wall 2", "wall 3"} <= seen
-    floor = thing == next(i for i, name in names.items() if name == "floor")
-    assert np.abs(point[floor][:, 2]).max() < 1e-6
-    # Home's own columns: azimuth by azimuth, whatever is seen there.
-    azimuth = np.arctan2(point[..., 1], point[..., 0])
-    expected = math.pi - 2 * math.pi * (np.arange(128) + 0.5) / 128
-    np.testing.assert_allclose(azimuth, np.broadcast_to(expected, azimuth.shape), atol=1e-5)
-    assert len(list((out / "points").iterdir())) == 5
 
 
 def test_the_camera_is_told_in_images_yaml(tmp_path):

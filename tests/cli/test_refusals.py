@@ -71,7 +71,6 @@ REFUSED = {
     "plan cellar": "warehouse",
     "plan warehouse --motion arc": "--motion needs --landmarks",
     "simulate office --images --trajectory homing": "--trajectory is not for",
-    "simulate circle --points": "needs --images",
     "study peers --set runs=3": "--set is for paper and layouts",
     "import mrclam nowhere --robot 2": "--home X,Y,HEADING",
     "import odometry.csv --robot 2": "homeward import mrclam FOLDER",

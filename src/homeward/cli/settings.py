@@ -22,10 +22,6 @@ OTHERS = {
     ),
     "paper": ("homeward study paper --set ...", "lab.studies.paper.settings:PaperSettings"),
     "study": ("the YAML file of homeward study", "lab.studies.study.settings:StudySettings"),
-    "map": (
-        "the YAML file of homeward study, for a map",
-        "lab.studies.paper.map_settings:MapSettings",
-    ),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),
     "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),

@@ -71,9 +71,6 @@ def simulate(
     images: Annotated[
         bool, typer.Option("--images", help="Render what a camera sees on a drive through a room.")
     ] = False,
-    points: Annotated[
-        bool, typer.Option("--points", help="With --images: the point that each pixel shows, too.")
-    ] = False,
     changes: Changes = None,
     json: AsJson = False,
 ) -> None:
@@ -97,10 +94,8 @@ def simulate(
         if wrong := [name for name, value in ({"live": live} | drive).items() if value is not None]:
             raise InputError(f"--{wrong[0]} is not for --images; --set takes its trajectory")
         estimators = {"estimator": estimator} if estimator else {}
-        render(scenario, cast(Path, out), seed, points, key_values(changes or []) | estimators)
+        render(scenario, cast(Path, out), seed, key_values(changes or []) | estimators)
         return
-    if points:
-        raise InputError("--points needs --images")
     if live is not None:  # the place and its routes are the server's
         if place is not None:
             raise InputError("--live knows no place: that is homeward live's")
@@ -185,7 +180,7 @@ def _summary(simulation: Simulation, out: Path) -> str:
     )
 
 
-def render(room: str, out: Path, seed: int | None, points: bool, given: dict[str, Any]) -> None:
+def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> None:
     """Render what a camera sees on a drive through a room, and write an image data set."""
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
@@ -197,7 +192,7 @@ def render(room: str, out: Path, seed: int | None, points: bool, given: dict[str
     eye = Eye(scenario)
     check_output(out, SCENARIO)
     with progress(f"rendering {scenario.name}") as tell, whole_folder(out, SCENARIO) as scratch:
-        made = write_rendered(eye, scratch, points, _maker(scenario), tell)
+        made = write_rendered(eye, scratch, _maker(scenario), tell)
     camera = made.eye.scenario.camera
     moved = moved_boxes(made.eye)
     say(

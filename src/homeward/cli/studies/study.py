@@ -15,7 +15,6 @@ from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.lab.studies.blocks.finish import Where
-    from homeward.lab.studies.paper.map_settings import MapSettings
     from homeward.lab.studies.paper.reproduction import Row
 
 PAPER = ("paper", "layouts")
@@ -27,7 +26,7 @@ def study(
         str,
         typer.Argument(
             help="A YAML file, or one that ships: paper, layouts (the paper's cases), peers, "
-            "a-ekf-tuning, pi-ekf-tuning, a-ekf-map, pi-ekf-map."
+            "a-ekf-tuning, pi-ekf-tuning."
         ),
     ],
     out: Annotated[
@@ -59,16 +58,12 @@ def study(
     `paper` runs the paper's Cases 1 to 4 with its printed parameters and writes paper.html with
     both RMSE tables next to the printed ones. `layouts` runs Cases 1, 2 and 4 over thousands of
     layouts, under many readings of the paper, and writes layouts.html with the verdict.
-
-    A map (a YAML file with the key map) runs a paper's filter over two of its numbers, in a GPU
-    where there is one, and leaves map.png and map.csv; --runs is that of all cells together.
     """
     from homeward.io.settings import nested
     from homeward.io.writing import check_output
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
     from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
-    from homeward.lab.studies.paper.map_settings import load_map
     from homeward.lab.studies.study.plan import make_plan
     from homeward.lab.studies.study.results import run_study
     from homeward.lab.studies.study.settings import load_study
@@ -83,9 +78,6 @@ def study(
         return
     if options:
         raise InputError(f"--set is for {' and '.join(PAPER)}; write it into the study's YAML file")
-    if settings := load_map(study, changes):
-        _map(settings, folder, where, json)
-        return
     for package in ("xarray", "h5netcdf"):  # not to be missed at the end
         import_module(package)
     plan = make_plan(load_study(study, changes))
@@ -106,26 +98,6 @@ def study(
         shared.say(f"Page: {folder / PAGE}; results: {folder / DATA}")
     if results.failed.sum() == results.number:
         raise shared.no_answer()
-
-
-def _map(settings: MapSettings, folder: Path, where: Where, as_json: bool) -> None:
-    from homeward.io.writing import check_output
-    from homeward.lab.report.paper.map import FIGURE, TABLE, headline, write_map
-    from homeward.lab.studies.blocks.finish import StudyBlocks, Where
-    from homeward.lab.studies.blocks.store import MARKER, store_of
-    from homeward.lab.studies.paper.map import run_map, with_engine
-
-    settings = with_engine(settings)
-    check_output(folder, MARKER)
-    store = store_of(settings, folder)
-    if settings.engine == "cuda" and where == Where():
-        where = Where(workers=1)  # one process feeds a GPU
-    with shared.resumable(), shared.progress(settings.name) as tell:
-        results = run_map(settings, StudyBlocks(store, where, tell))
-        write_map(folder, results)
-    facts = {"summary": headline(results), "figure": folder / FIGURE, "table": folder / TABLE}
-    words = f"Map: {folder / FIGURE}; every cell: {folder / TABLE}"
-    shared.show(as_json, facts, headline(results), words)
 
 
 IMAGE_RUNS = 10

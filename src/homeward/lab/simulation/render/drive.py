@@ -5,7 +5,6 @@ The loop takes a picture, finds bearings in it, estimates the pose, and commands
 
 from __future__ import annotations
 
-import math
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -222,14 +221,13 @@ def things_seen(eye: Eye, home: Features) -> list[str]:
 
 IMAGES, HOME_IMAGE, THINGS = "images.csv", "home.png", "things.csv"
 IMAGE_SETTINGS = "images.yaml"
-PICTURES, POINTS, DRIVE = "images", "points", "drive"
-"""Folders of pictures, of what their pixels show, and of what the front-end saw in them."""
+PICTURES, DRIVE = "images", "drive"
+"""Folders of the images, and of the front-end's bearings in them."""
 
 
 def write_rendered(
     eye: Eye,
     folder: Path,
-    points: bool = False,
     make_estimator: Callable[[Drive], Estimator] | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> ImageDrive:
@@ -245,9 +243,6 @@ def write_rendered(
         The camera in its room.
     folder : Path
         An empty folder.
-    points : bool
-        Whether to write what each pixel shows, too: an .npz an image, of `point` (height, width,
-        3) [m, home frame; z from the floor] and `thing` (height, width), a row of things.csv.
     make_estimator : callable, optional
         Makes the estimator whose pose steers, fed by the images, for a drive that has home and
         settings; what the front-end saw is written to the drive folder `DRIVE`. None: the truth
@@ -266,16 +261,10 @@ def write_rendered(
         name = f"{len(rows) + 1:06d}"
         rows.append((t, f"{PICTURES}/{name}.png"))
         (folder / PICTURES / f"{name}.png").write_bytes(png(image))
-        if points:
-            truth = eye.truth(t, robot, len(rows))
-            _write_points(folder / POINTS / f"{name}.npz", eye, truth)
 
     with naming(folder, "cannot be written"):
         (folder / PICTURES).mkdir()
         (folder / HOME_IMAGE).write_bytes(png(eye.home_picture()))
-        if points:
-            (folder / POINTS).mkdir()
-            _write_points(folder / POINTS / "home.npz", eye, eye.home_truth())
         loop = ImageLoop(eye, blind=make_estimator is None)
         estimator = make_estimator(loop.drive) if make_estimator else None
         made = loop.run(estimator, keep, progress)
@@ -303,15 +292,6 @@ def _write_logs(drive: Drive, folder: Path) -> None:
         write_folder(drive, Path(logs))
         for name in (ODOMETRY, TRUTH, SETTINGS):
             (Path(logs) / name).replace(folder / name)
-
-
-def _write_points(path: Path, eye: Eye, truth: PixelTruth) -> None:
-    """Write what each pixel shows, in the home frame."""
-    home = eye.scenario.home
-    c, s = math.cos(home.heading), math.sin(home.heading)
-    turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    local = (truth.point - [home.x, home.y, 0.0]) @ turn
-    np.savez_compressed(path, point=local.astype(np.float32), thing=truth.thing.astype(np.uint16))
 
 
 def _things(scene: RoomScene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:

@@ -181,7 +181,7 @@ def _circle_law(turn_rate: float) -> Law:
 OF_WORLD = ("pose", "landmarks", "stored", "state")
 """Inputs of the loop that differ from world to world."""
 DRAWN = {"mask": "visible", "noise": "noise", "disturbance": "disturbance"}
-"""Those that differ from sample to sample, by what of a world they are."""
+"""Inputs that differ from sample to sample, and the attribute of a world that has them."""
 FAR = 0.2
 """Nearer to home than this [m] its direction, theta, says little."""
 
@@ -228,12 +228,19 @@ def run_many(
     settings: PaperSettings,
     engine: Engine = "auto",
 ) -> Errors:
-    """Run a filter of `homeward.lab.studies.paper.cases` through worlds, each as `run_filter` does.
-
-    They have as many samples each.
-    """
+    """Run a filter through worlds of the same number of samples, each as `run_filter` does."""
     worlds = [rolled(world) for world in worlds]
-    kind, law, given = given_of(name, case, worlds, settings)
+    settings = filter_settings(name, settings)
+    kind, law = filter_kind(name, worlds[0], settings), control_law(case, settings)
+    _, given = allocate(homing_program(kind, law).shapes)
+    of_world: dict[str, list[np.ndarray]] = {key: [] for key in OF_WORLD}
+    for world in worlds:
+        fill(given, kind, world, settings)
+        for key in OF_WORLD:
+            of_world[key].append(given[key].copy())
+    constant = {k: v for k, v in given.items() if k not in (*OF_WORLD, *DRAWN)}
+    # Open loop, nothing ends a run.
+    radius = 0.0 if case == "4" else settings.assumed.stop_radius
     last = len(worlds[0].visible) - 1
 
     def over_time(name: str) -> np.ndarray:
@@ -242,7 +249,7 @@ def run_many(
 
     result = run_homing(
         kind,
-        given,
+        {**constant, **{k: np.array(v) for k, v in of_world.items()}, "stop_radius": radius},
         runs=len(worlds),
         steps=last,
         law=law,
@@ -264,29 +271,6 @@ def run_many(
         np.where(lost[:, None], np.inf, final),
         result.final_distance,
     )
-
-
-def given_of(
-    name: str, case: CaseName, worlds: Sequence[PaperWorld], settings: PaperSettings
-) -> tuple[ExtendedKalmanFilter, Law, dict[str, np.ndarray | float]]:
-    """Return a filter, its law, and what `run_homing` is given of each world but the noise.
-
-    Worlds are `rolled`.
-    """
-    settings = filter_settings(name, settings)
-    kind = filter_kind(name, worlds[0], settings)
-    law = control_law(case, settings)
-    _, given = allocate(homing_program(kind, law).shapes)
-    of_world: dict[str, list[np.ndarray]] = {key: [] for key in OF_WORLD}
-    for world in worlds:
-        fill(given, kind, world, settings)
-        for key in OF_WORLD:
-            of_world[key].append(given[key].copy())
-    constant = {k: v for k, v in given.items() if k not in (*OF_WORLD, *DRAWN)}
-    # Open loop, nothing ends a run.
-    radius = 0.0 if case == "4" else settings.assumed.stop_radius
-    own = {k: np.array(v) for k, v in of_world.items()}
-    return kind, law, {**constant, **own, "stop_radius": radius}
 
 
 def rolled(world: PaperWorld) -> PaperWorld:

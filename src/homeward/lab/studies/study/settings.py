@@ -12,7 +12,7 @@ from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Positive
 from homeward.errors import InputError
 from homeward.io.keys import Strict
-from homeward.io.reading import is_there, shipped_yaml
+from homeward.io.reading import is_there, shipped_or_file
 from homeward.io.settings import read_tree, validated
 from homeward.lab.simulation.simulate import PRESETS, load_scenario
 from homeward.lab.studies.study.trial import Recording
@@ -108,10 +108,7 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     `changes` are top-level keys to their new values. Raises `InputError` for a file that cannot be
     read, a key that does not exist, or a value out of range.
     """
-    file = shipped_yaml("studies").get(source, Path(source))
-    if not is_there(file):
-        there = ", ".join((*shipped_yaml("studies"), *shipped_yaml("maps")))
-        raise InputError(f"neither a file nor one of the studies {there}", file)
+    file = shipped_or_file(source, "studies")
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
     study = validated(StudySettings, {**tree, **(changes or {})}, file)
