@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -221,6 +221,11 @@ def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
     )
 
 
+def joined(parts: Sequence[Errors]) -> Errors:
+    """Return the errors of several parts, one after the other."""
+    return Errors(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Errors)))
+
+
 def run_many(
     name: str,
     case: CaseName,
@@ -259,18 +264,9 @@ def run_many(
         threads=1,
     )
     error, pose = result.history["error"], result.history["pose"]
-    far = np.hypot(pose[..., 0], pose[..., 1]) > FAR
-    square = np.square(error[..., 1], where=far, out=np.zeros(far.shape))
-    with np.errstate(invalid="ignore"):
-        theta = np.sqrt(square.sum(axis=1) / far.sum(axis=1))
-    final = np.abs(error[np.arange(len(worlds)), result.samples - 1])
-    lost = result.diverged
-    return Errors(
-        result.rmse,
-        np.where(lost, np.inf, theta),
-        np.where(lost[:, None], np.inf, final),
-        result.final_distance,
-    )
+    error = np.where(result.diverged[:, None, None], np.nan, error)
+    kept = [errors_over(error[k, :n], pose[k, :n]) for k, n in enumerate(result.samples)]
+    return replace(joined(kept), final_distance=result.final_distance)
 
 
 def rolled(world: PaperWorld) -> PaperWorld:

@@ -29,6 +29,7 @@ from homeward.lab.studies.paper.cases import (
     Errors,
     draw,
     errors_over,
+    joined,
     run_filter,
     run_many,
 )
@@ -175,9 +176,7 @@ def _errors(
     if name in FILTERS and settings.measurements == "model":
         return run_many(name, case, worlds, settings)
     one = {ROBUST: run_robust, BOUND: bound_errors}.get(name, partial(_run_one, name))
-    parts = [one(case, world, settings) for world in worlds]
-    columns = (np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Errors))
-    return Errors(*columns)
+    return joined([one(case, world, settings) for world in worlds])
 
 
 def _run_one(name: str, case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
