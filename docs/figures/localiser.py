@@ -125,7 +125,7 @@ def residuals(axes, sample):
     axes.bar(
         [m.landmark for m in tested], off, color=[colour_of(sample, m.landmark) for m in tested]
     )
-    axes.set(ylabel="stored - seen from the map [deg]")
+    axes.set(ylabel="residual of the home bearing [deg]")
     axes.tick_params(axis="x", labelsize=7)
 
 
@@ -134,7 +134,7 @@ def probability(axes, sample):
     known = sample.track.history
     for k, name in enumerate(known.landmark):
         axes.plot(known.t, known.moved_probability[:, k], color=colour_of(sample, name), lw=1)
-    axes.set(xlabel="[s]", ylabel="probability to have moved")
+    axes.set(xlabel="time [s]", ylabel="probability to have moved")
 
 
 def certainty(axes, sample):
@@ -148,7 +148,7 @@ def certainty(axes, sample):
         left, right = track.t[a], track.t[min(b, len(track.t) - 1)]
         axes.axvspan(left, right, color=STATUS_COLOURS[status], alpha=0.35, lw=0)
         a = b
-    axes.set(xlabel="[s]", ylabel="sigma of the position [m]")
+    axes.set(xlabel="time [s]", ylabel="sigma of the position [m]")
 
 
 def innovations(axes, sample):
@@ -160,7 +160,7 @@ def innovations(axes, sample):
     axes.plot(seen.t[ok][WINDOW - 1 :], mean, color=BLUE)
     low, high = chi2.ppf([0.025, 0.975], WINDOW) / WINDOW
     axes.axhspan(low, high, color=MUTED, alpha=0.25, lw=0)
-    axes.set(xlabel="[s]", ylabel=f"NIS, mean of {WINDOW}", ylim=(0, 2))
+    axes.set(xlabel="time [s]", ylabel=f"NIS, mean of {WINDOW}", ylim=(0, 2))
 
 
 def consistency(axes, sample):
@@ -169,7 +169,7 @@ def consistency(axes, sample):
     off, sigma = track.x - sample.drive.truth.at(t).x, track.sigmas[:, 0]
     axes.fill_between(t, -3 * sigma, 3 * sigma, color=BLUE, alpha=0.2, lw=0)
     axes.plot(t, off, color=INK, lw=1)
-    axes.set(xlabel="[s]", ylabel="error in x [m]", ylim=(-0.6, 0.6))
+    axes.set(xlabel="time [s]", ylabel="error in x [m]", ylim=(-0.6, 0.6))
 
 
 def comparison(axes, sample):
@@ -179,7 +179,7 @@ def comparison(axes, sample):
         off = np.hypot(track.x - true.x, track.y - true.y)
         axes.plot(track.t, off, color=colour, label=track.estimator)
     axes.legend()
-    axes.set(xlabel="[s]", ylabel="error [m]")
+    axes.set(xlabel="time [s]", ylabel="error [m]")
 
 
 PLANS = (odometry, sight_lines, mapped, resection)

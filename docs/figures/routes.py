@@ -33,7 +33,7 @@ def main():
     both = figure.subplots(1, 2, sharey=True)
     for axes in both:
         line, stops = np.array(taught["line"]), np.array(taught["stops"])
-        axes.plot(*line[:, 1:3].T, color="#c4c9ce", lw=5, label="taught, with way points", zorder=1)
+        axes.plot(*line[:, 1:3].T, color="#c4c9ce", lw=5, label="taught route with way points", zorder=1)
         axes.plot(*stops.T, "D", color="#8a9097", ms=5, zorder=2)
         for x, y, moved in taught["marks"].values():
             axes.plot(x, y, "^" if moved else "o", color=MOVED if moved else "#8a9097", ms=3)
@@ -45,7 +45,7 @@ def main():
         (row,) = (r for r in rows if r["case"] == CASE and r["how"] == how)
         both[0].plot(*np.array(row["way"])[:, 1:3].T, color=colour, lw=1.1, label=label, zorder=3)
     both[1].plot(*np.array(pushed["way"])[:, 1:3].T, color=LOOKS["place"][0], lw=1.1, zorder=3)
-    both[0].set(ylabel="y [m]", title="driven again")
+    both[0].set(ylabel="y [m]", title="repeated")
     both[1].set(title="pushed off by 1.5 m on the way")
     marks = both[0].get_legend_handles_labels()
     figure.legend(*marks, loc="outside lower center", ncols=2, frameon=False, fontsize=8)
