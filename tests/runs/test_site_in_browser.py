@@ -155,7 +155,7 @@ def test_on_a_circle_two_landmarks_are_equally_far_apart(lesson):
 
 
 @needs_chromium
-def test_on_the_circle_through_three_nothing_is_told(lesson):
+def test_on_the_circle_through_three_the_position_is_undetermined(lesson):
     script = """
     drag("landmark A", -2, 0); drag("landmark B", 0, 2); drag("landmark C", 2, 0);
     drag("robot", 0, 0.5); found.inside = say();
@@ -163,7 +163,7 @@ def test_on_the_circle_through_three_nothing_is_told(lesson):
     """
     found = lesson("three-landmarks", script, width=500, dark=True)
     assert "meet in one point" in found["inside"]
-    assert "nothing tells where on it" in found["on"]
+    assert "position along them is undetermined" in found["on"]
     assert "more than 10 m" in found["on"]
 
 
@@ -192,7 +192,7 @@ def test_parallax_and_scale(lesson):
         drag("landmark", -2, 3); found.aside = say();""",
     )
     assert "drive sideways" in found["ahead"]
-    assert "Its distance is 3.0 m, to 0.1 m" in found["aside"]
+    assert "Its distance is 3.0 m ± 0.1 m" in found["aside"]
     found = lesson("free-scale", 'drag("size of the world", 0, -2.4); found.small = say();')
     assert found["before"].split("directions")[1] == found["small"].split("directions")[1]
     assert "0.92 times as large" in found["small"]
@@ -209,7 +209,7 @@ def test_near_home_and_in_line_the_polar_filter_is_singular(lesson):
     assert "R is 2.0" in found["far"]
     assert "turns θ by 6° a second" in found["far"]
     assert re.search("turns θ by 5[67]° a second", found["near"])
-    assert "nothing tells how far" in found["line"]
+    assert "distance is undetermined" in found["line"]
 
 
 @needs_chromium
@@ -221,7 +221,7 @@ def test_a_wrong_home_bearing_spoils_home_and_not_the_map(lesson):
     drag("the robot before", 2, -2.2); found.narrow = say();
     """
     found = lesson("map-first", script, width=500, dark=True)
-    worst = [found[key].split(" m off")[0] for key in ("right", "elsewhere", "narrow")]
+    worst = [found[key].split(" m (green)")[0] for key in ("right", "elsewhere", "narrow")]
     assert worst[0] == worst[1] != worst[2]
     assert "the map is not" in found["elsewhere"]
     assert "the map is not" not in found["right"]
@@ -242,12 +242,12 @@ def test_evidence_names_the_moved_one_unless_noise_hides_it(lesson):
 
 
 @needs_chromium
-def test_who_believes_in_half_the_noise_is_too_sure(lesson):
+def test_half_the_noise_is_overconfident(lesson):
     script = """
     const radios = [...document.querySelectorAll(".lesson input")];
     radios[0].click(); found.half = say(); radios[2].click(); found.double = say();
     """
     found = lesson("how-sure", script)
-    assert found["before"].endswith("Honest.")
-    assert "Too sure" in found["half"]
-    assert "Too careful" in found["double"]
+    assert found["before"].endswith("Consistent.")
+    assert "Overconfident" in found["half"]
+    assert "Conservative" in found["double"]

@@ -1,4 +1,4 @@
-// What the lessons share: a scene in metres, things to drag by pointer or arrow keys, and a sentence.
+// Shared by the lessons: a scene in metres, items to drag by pointer or arrow keys, and a sentence.
 "use strict";
 
 const DEG = 180 / Math.PI;
@@ -7,7 +7,7 @@ const towards = (from, to) => Math.atan2(to.y - from.y, to.x - from.x);
 const apart = (a, b) => Math.hypot(a.x - b.x, a.y - b.y);
 const degrees = (a, digits = 0) => `${(a * DEG).toFixed(digits)}°`;
 
-/** A drawing in the element `id`; `draw(scene)` is called whenever something was moved. */
+/** A drawing in the element `id`; `draw(scene)` is called after each change. */
 function makeScene(id, draw) {
   const PX = 60, WIDE = 640, HIGH = 460;
   const host = document.getElementById(id);
@@ -61,18 +61,18 @@ function makeScene(id, draw) {
       const nose = (angle, r) => ({x: a.x + r * Math.cos(heading + angle), y: a.y + r * Math.sin(heading + angle)});
       scene.path([nose(0, 0.3), nose(2.5, 0.25), nose(Math.PI, 0.12), nose(-2.5, 0.25)], kind);
     },
-    say(words) { output.textContent = words; },
-    /** A thing to drag; `shape` is how it looks: landmark, landmark odd, robot or knob. */
+    show(words) { output.textContent = words; },
+    /** An item to drag; `shape`: landmark, landmark odd, robot or knob. */
     handle(name, x, y, shape = "landmark") {
-      const thing = {name, x, y};
+      const item = {name, x, y};
       const g = make("g", {class: "handle", tabindex: 0, role: "button", "aria-label": `${name}, to drag`}, over);
       if (shape !== "knob") make("circle", {r: shape === "robot" ? 5 : 8, class: shape}, g);
       else make("circle", {r: 5, class: "arc"}, g);
       make("circle", {r: 18, class: "touch"}, g);
-      thing.place = () => g.setAttribute("transform", `translate(${thing.x * PX} ${-thing.y * PX})`);
+      item.place = () => g.setAttribute("transform", `translate(${item.x * PX} ${-item.y * PX})`);
       const move = (px, py) => {
-        thing.x = Math.max(-5.1, Math.min(5.1, px));
-        thing.y = Math.max(-3.6, Math.min(3.6, py));
+        item.x = Math.max(-5.1, Math.min(5.1, px));
+        item.y = Math.max(-3.6, Math.min(3.6, py));
         redraw();
       };
       g.addEventListener("pointerdown", (e) => g.setPointerCapture(e.pointerId));
@@ -85,11 +85,11 @@ function makeScene(id, draw) {
         const step = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1]}[e.key];
         if (!step) return;
         e.preventDefault();
-        move(thing.x + 0.1 * step[0], thing.y + 0.1 * step[1]);
+        move(item.x + 0.1 * step[0], item.y + 0.1 * step[1]);
       });
-      thing.show = (there) => g.setAttribute("display", there ? "inline" : "none");
-      things.push(thing);
-      return thing;
+      item.show = (there) => g.setAttribute("display", there ? "inline" : "none");
+      items.push(item);
+      return item;
     },
     /** Radio buttons below the figure; calls back with the value that is chosen. */
     choose(label, values, chosen) {
@@ -106,11 +106,11 @@ function makeScene(id, draw) {
       return choice;
     },
   };
-  const things = [];
+  const items = [];
   function redraw() {
     under.replaceChildren();
     draw(scene);
-    for (const thing of things) thing.place();
+    for (const item of items) item.place();
   }
   scene.start = redraw;
   return scene;
@@ -137,7 +137,7 @@ function solve3(A, b) {
   return {x: inverse.map((row) => row.reduce((s, v, k) => s + v * b[k], 0)), inverse};
 }
 
-/** Rows of the bearings' Jacobian by (x, y, heading) and what they miss by, at a pose. */
+/** Rows of the Jacobian of the bearings by (x, y, heading), and the residuals, at a pose. */
 function linearised(pose, landmarks, bearings) {
   return landmarks.map((mark, k) => {
     const dx = mark.x - pose.x, dy = mark.y - pose.y, r2 = dx * dx + dy * dy + 1e-9;
@@ -156,7 +156,7 @@ function normalEquations(parts) {
   return {A, b};
 }
 
-/** Resection: the pose from which landmarks are seen under bearings, by Gauss-Newton from a guess. */
+/** Resection: the pose that fits bearings to landmarks, by Gauss-Newton from a guess. */
 function resect(landmarks, bearings, guess) {
   const cost = (pose) => linearised(pose, landmarks, bearings).reduce((s, p) => s + p.miss ** 2, 0);
   let pose = {...guess}, damp = 1e-3, now = cost(pose);
@@ -171,7 +171,7 @@ function resect(landmarks, bearings, guess) {
   return {...pose, rms: Math.sqrt(now / landmarks.length)};
 }
 
-/** Points of the ellipse that holds the position with `k` sigma, bearings having `sigma` [rad]. */
+/** Points of the k-sigma ellipse of the position, for bearing noise `sigma` [rad]. */
 function ellipse(pose, landmarks, sigma, k = 2) {
   const bearings = landmarks.map(() => 0);
   const {A, b} = normalEquations(linearised(pose, landmarks, bearings));

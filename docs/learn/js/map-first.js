@@ -1,6 +1,6 @@
 {
   const NOISE = 0.5 / DEG;
-  // Of the bearings from the two places, the same each time, in units of their noise.
+  // Bearing errors at the two poses, the same each time, in units of their noise.
   const DRAWN = [[0.7, -0.6], [-0.8, 0.5], [0.4, 0.9], [-0.5, -0.8]];
   const home = {x: -3.4, y: 1.2, heading: 0};
   const meet = (a, p, b, q) => {
@@ -9,7 +9,7 @@
   };
   const scene = makeScene("map-first", (s) => {
     const bearings = marks.map((mark) => towards(home, mark) - home.heading);
-    if (wrong.value === "C elsewhere") bearings[2] += 25 / DEG;
+    if (wrong.value === "C wrong") bearings[2] += 25 / DEG;
     const map = marks.map((mark, k) => {
       const [p, q] = [before, now].map((from, j) => towards(from, mark) + NOISE * DRAWN[k][j]);
       const there = meet(before, p, now, q);
@@ -17,7 +17,7 @@
       s.line(now, there);
       return there;
     });
-    // How far the map itself may be off, as seen from home: what is beyond that, home's view must explain.
+    // Expected residuals at home from the errors of the map; larger ones are due to the home bearings.
     const spread = marks.map((mark) => {
       const parallax = Math.sin(towards(now, mark) - towards(before, mark));
       return (NOISE * Math.hypot(apart(before, mark), apart(now, mark))) / Math.abs(parallax) / apart(home, mark);
@@ -32,15 +32,15 @@
     s.line(before, now, "arc");
     s.text(before, "before");
     s.text(now, "now");
-    s.say(
-      `First the map, in the frame of the odometry: the worst landmark is ${worst < 20 ? worst.toFixed(2) : "over 20"} m off (green), ` +
-      `whatever home saw. Then home, a place from which that map looks as stored: ${apart(found, home) < 20 ? apart(found, home).toFixed(2) : "over 20"} m off (orange)` +
-      (found.rms > 2 * expected ? `, and its bearings miss by ${degrees(found.rms, 1)}: home's view is wrong somewhere, the map is not.` : "."),
+    s.show(
+      `First the map, in the odometry frame: largest error ${worst < 20 ? worst.toFixed(2) : "over 20"} m (green), ` +
+      `independent of home. Then home, by resection in that map: error ${apart(found, home) < 20 ? apart(found, home).toFixed(2) : "over 20"} m (orange)` +
+      (found.rms > 2 * expected ? `, residuals ${degrees(found.rms, 1)}: a home bearing is wrong, the map is not.` : "."),
     );
   });
   const marks = [[-2, 2.8], [0.6, 3], [2.8, 0.8], [-1.6, -0.6]].map(([x, y], k) => scene.handle(`landmark ${"ABCD"[k]}`, x, y));
   const before = scene.handle("the robot before", -2.4, -2.6, "robot");
   const now = scene.handle("the robot now", 2.2, -2.2, "robot");
-  const wrong = scene.choose("Home saw:", ["all right", "C elsewhere"], "all right");
+  const wrong = scene.choose("Home bearings:", ["all correct", "C wrong"], "all correct");
   scene.start();
 }

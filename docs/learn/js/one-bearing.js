@@ -10,9 +10,9 @@
     }
     s.text(mark, "landmark");
     s.text(robot, "robot");
-    s.say(
-      `The camera sees the landmark under a bearing of ${degrees(wrap(direction - heading))}. It stands ` +
-      `${apart(robot, mark).toFixed(1)} m away, but any place on the line, as the green ones, looks the same.`,
+    s.show(
+      `The camera measures a bearing of ${degrees(wrap(direction - heading))}. The landmark is ` +
+      `${apart(robot, mark).toFixed(1)} m away, but any point on the line, such as the green ones, has the same bearing.`,
     );
   });
   const robot = scene.handle("robot", -3, -1.5, "robot");

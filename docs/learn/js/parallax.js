@@ -13,10 +13,10 @@
     s.text(mark, "landmark");
     const parallax = Math.abs(wrap(towards(now, mark) - towards(before, mark)));
     const distance = apart(now, mark), sigma = (NOISE * Math.hypot(apart(before, mark), distance)) / Math.sin(parallax);
-    s.say(
-      `Odometry says that the robot moved ${apart(before, now).toFixed(1)} m. The landmark's bearing changed by ` +
-      `${degrees(parallax, 1)}: that is the parallax. Its distance is ${distance.toFixed(1)} m, ` +
-      (parallax > 0.02 ? `to ${sigma.toFixed(1)} m or so, where a bearing is good to 1°.` : "but nothing tells it: drive sideways."),
+    s.show(
+      `Odometry measures a motion of ${apart(before, now).toFixed(1)} m. The direction of the landmark changed by ` +
+      `${degrees(parallax, 1)}, the parallax. Its distance is ${distance.toFixed(1)} m ` +
+      (parallax > 0.02 ? `± ${sigma.toFixed(1)} m for a bearing noise of 1°.` : "but it is undetermined: drive sideways."),
     );
   });
   const before = scene.handle("the robot before", -3.5, -2, "robot");

@@ -16,11 +16,11 @@
     }
     s.text(robot, "robot");
     const off = Math.abs(apart(robot, danger) - danger.radius);
-    s.say(
-      (off < 0.12 ? "The robot is on the circle through A, B and C: the three circles are one, and nothing tells where on it. "
+    s.show(
+      (off < 0.12 ? "The robot is on the circle through A, B and C: the three circles coincide, and the position along them is undetermined. "
         : "Three circles meet in one point: the robot. ") +
-      `With a noise of 1° in each bearing, one sigma of its place is ${longest < 10 ? longest.toFixed(2) + " m" : "more than 10 m"} ` +
-      "at the worst (shaded: two sigma).",
+      `With a noise of 1° in each bearing, the largest standard deviation of the position is ` +
+      `${longest < 10 ? longest.toFixed(2) + " m" : "more than 10 m"} (shaded: two sigma).`,
     );
   });
   const a = scene.handle("landmark A", -3, 1);

@@ -18,9 +18,9 @@
     s.text(a, "A");
     s.text(b, "B");
     s.text(robot, "robot");
-    s.say(
-      `A and B are seen ${degrees(Math.abs(between))} apart. From each green place on the circle they are ` +
-      "seen so far apart as well, and a robot without a compass can turn so that both bearings are the same.",
+    s.show(
+      `A and B are seen ${degrees(Math.abs(between))} apart. From each green point on the circle they are ` +
+      "seen the same angle apart, and a robot without a compass can turn so that both bearings are the same.",
     );
   });
   const a = scene.handle("landmark A", -2, 1.5);
