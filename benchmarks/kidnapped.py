@@ -236,21 +236,23 @@ CARRIED = {
 }
 
 
-def hall(seed: int, how: Carried) -> tuple[Callable[[], Localizer], list[Sample]]:
-    """Return what makes a localiser, and a drive in a hall in which the robot is carried."""
+def hall(
+    seed: int, how: Carried, times: float = 1.0
+) -> tuple[Callable[[], Localizer], list[Sample]]:
+    """Return what makes a localiser, and a drive, 300 s x `times`, in which it is carried."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-20.0, 60.0, 60), rng.uniform(-20.0, 20.0, 60)
     marks = {f"L{i}": p for i, p in enumerate(zip(x.tolist(), y.tolist(), strict=True))}
     world = World(marks, rng, 8.0, 0.8, sight=15.0, half_view=how.half_view)
     home = world.home()
-    samples = list(world.drive(90.0))
+    samples = list(world.drive(times * 90.0))
     samples += _carry(world, how.metres, how.turn, how.blind)
-    samples += world.drive(60.0)
+    samples += world.drive(times * 60.0)
     if how.back:
         samples += _carry(world, -how.metres, -how.turn, how.blind)
     else:
         world.middle = (0.0, 0.0)
-    samples += world.drive(150.0)
+    samples += world.drive(times * 150.0)
     return lambda: Localizer(home, sensor=Sensor(bearing_sigma=SIGMA)), samples
 
 

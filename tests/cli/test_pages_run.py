@@ -15,10 +15,11 @@ from commands import call, done, first_seconds
 from homeward.drives.opening import sample_drive
 
 ROOT = Path(__file__).resolve().parents[2]
-SECONDS = 40.0
+SECONDS = 20.0
 ELSEWHERE = ("live", "studio", "see", "--live", "merge", "P17")
 """Words of commands that talk, or need what is not here: they have tests of their own."""
-DRIVES = ("monday", "tuesday", "wednesday", "thursday", "friday")
+DRIVES = {"monday": 20.0, "tuesday": 22.0, "wednesday": 18.0, "thursday": 43.0, "friday": 10.0}
+"""Lengths [s]; a home is stored where the robot was on Thursday at 42 s."""
 DEGREES = 57.29577951308232
 
 
@@ -36,8 +37,8 @@ def here(tmp_path, monkeypatch):
     short = first_seconds(tmp_path / "sample", SECONDS)
     for name in ("odometry.csv", "bearings.csv", "home.csv"):
         shutil.copy(short / name, tmp_path)
-    for k, day in enumerate(DRIVES):
-        first_seconds(tmp_path / "out" / day, SECONDS + 2.0 * k)
+    for day, seconds in DRIVES.items():
+        first_seconds(tmp_path / "out" / day, seconds)
     return tmp_path
 
 
@@ -57,7 +58,7 @@ def test_commands_run_as_they_stand(page, here):
 
 def test_csv_of_ones_own_as_its_page_says(here):
     def table(name):
-        return [row.split(",") for row in (sample_drive() / name).read_text().splitlines()[1:2000]]
+        return [row.split(",") for row in (sample_drive() / name).read_text().splitlines()[1:1000]]
 
     twists = (
         f"{float(t) * 1e3};{float(v) * 1e3}".replace(".", ",") for t, v, _ in table("odometry.csv")

@@ -18,7 +18,7 @@ SHORT = ["run", "{short}"]
 AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home-at"]
 
 
-def another_day(folder, seconds=60.0):
+def another_day(folder, seconds=40.0):
     """The first seconds of the sample drive, with other noise of the camera."""
     drive = open_drive(first_seconds(folder, seconds))
     drive.sightings.bearing[:] += np.random.default_rng(0).normal(0.0, 2e-3, drive.sightings.t.size)
@@ -32,7 +32,7 @@ def visited(tmp_path_factory):
     """A folder with a place after two drives; the second stored a home at its end, and its way."""
     folder = tmp_path_factory.mktemp("places")
     hall, out = folder / "hall", folder / "out"
-    day = first_seconds(folder / "day", 60.0)
+    day = first_seconds(folder / "day", 40.0)
     first = call("run", day, "--place", hall, "--update", "--when", "2026-11-01", "--out", out)
     assert first.exit_code == 0, first.output
     assert "hall: a new place, with 11 landmarks." in first.output
@@ -57,7 +57,7 @@ def test_info_says_what_is_known(hall):
     assert "two visits from 2026-11-01 to 2026-11-02" in said
     assert "Home home, stored 2026-11-01, at (0.00, 0.00) m" in said
     assert "Home dock 3, stored 2026-11-02" in said
-    assert "Route round, taught 2026-11-02: 12" in said
+    assert "Route round, taught 2026-11-02: 8" in said
 
 
 def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
@@ -67,14 +67,14 @@ def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
     t, x, y, heading = map(float, last.split(",")[:4])
     truth = open_drive("sample").truth
     # That home was stored where the drive of another day ended.
-    dock, there = (Pose(*(float(v[0]) for v in truth.at(np.array([s])))) for s in (60.0, t))
+    dock, there = (Pose(*(float(v[0]) for v in truth.at(np.array([s])))) for s in (40.0, t))
     expected = between(dock, there)
     assert math.dist((x, y), expected[:2]) < 0.15
     assert abs(math.remainder(heading - expected.heading, math.tau)) < 0.05
 
 
 def test_a_home_is_stored_where_the_drive_was_at_any_time(hall, tmp_path):
-    drive, out = another_day(tmp_path / "short", 30.0), tmp_path / "out"
+    drive, out = another_day(tmp_path / "short", 20.0), tmp_path / "out"
     stored = "--update", "--store-home", "dock 4", "--home-at", 12.0
     done(call("run", drive, "--place", hall, *stored, "--out", out))
     there = load_place(hall).home_pose("dock 4")
@@ -119,7 +119,7 @@ def test_a_route_is_where_the_robot_drove(hall):
     way = load_place(hall).routes["round"].poses
     near = [np.hypot(truth.x - x, truth.y - y).min() for x, y, _ in way.tolist()]
     assert max(near) < 0.12
-    assert 0.9 < load_place(hall).routes["round"].length / 12.6 < 1.1
+    assert 0.9 < load_place(hall).routes["round"].length / 8.4 < 1.1
 
 
 def test_a_route_is_repeated_to_the_last_bit(hall, tmp_path):
@@ -245,12 +245,12 @@ def test_a_place_is_told_to_programs(visited):
     assert [visit["stayed"] for visit in told["visits"]] == [0, 11]
     assert len(told["landmarks"]) == 11
     assert [route["route"] for route in told["routes"]] == ["round"]
-    assert told["routes"][0]["length_m"] > 11
+    assert told["routes"][0]["length_m"] > 7
     assert all(0.9 < mark["stays"] <= 1.0 for mark in told["landmarks"])
 
 
 def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
-    drive = open_drive(first_seconds(tmp_path / "short", 60.0))
+    drive = open_drive(first_seconds(tmp_path / "short", 20.0))
     settings = drive.settings.model_copy(update={"start": None})
     save_drive(replace(drive, settings=settings), tmp_path / "d")
     more = "--update", "--store-home", "early", "--home-at", "0.0", "--when", "2026-11-01"
