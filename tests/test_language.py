@@ -45,6 +45,7 @@ NAME_PARTS = re.compile(
 # Part of a path -> the words that may stay there.
 ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/do/live.md": ("said",),  # a ROS topic
+    "docs/do/rooms.md": ("stood",),  # a key of rooms
     "docs/look-up/json.md": ("verdict",),
 }
 # Not rewritten yet.
