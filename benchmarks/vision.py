@@ -49,7 +49,7 @@ def route() -> None:
         told = [
             abs(seen.home_direction) > math.pi / 2
             for k in range(gap, len(views))
-            if (seen := compare(views[k - gap], views[k], ROUTE)).knows_direction
+            if (seen := compare(views[k - gap], views[k], ROUTE)).has_direction
         ]
         total = len(views) - gap
         print(
@@ -93,7 +93,7 @@ def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)
                 home, now, truth = rendered(name, seed, width, light)
                 total += 1
                 seen = _compared(home, now, TILTS.get(light, LEAST_TILT))
-                if not seen.knows_direction:
+                if not seen.has_direction:
                     refused += 1
                     continue
                 errors.append(wrap(np.array([seen.direction, seen.heading]) - truth))

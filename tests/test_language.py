@@ -47,6 +47,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "docs/do/live.md": ("said",),  # a ROS topic
     "docs/do/rooms.md": ("stood",),  # a key of rooms
     "docs/look-up/json.md": ("verdict",),
+    "src/homeward/vision/report.py": ("verdict",),  # a column of matches.csv
 }
 # Not rewritten yet.
 PENDING = (
@@ -75,7 +76,6 @@ PENDING = (
     "src/homeward/runs/",
     "src/homeward/studio/",
     "src/homeward/track.py",
-    "src/homeward/vision/",
 )
 
 

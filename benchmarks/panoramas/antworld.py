@@ -75,7 +75,7 @@ def antworld(count: int) -> None:
                 compare(grid.view(home), grid.view(now), CAMERA),
                 grid.home_direction(home, now),
             )
-            if seen.knows_direction:
+            if seen.has_direction:
                 off.append(degrees_off(seen.home_direction, truth))
                 heading.append(degrees_off(seen.heading, 0.0))
             else:
@@ -127,7 +127,7 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
         if reached and reached[0] == 0:
             break
         goal = min([goal, *(g - 1 for g in reached)])
-        known = [g for g in window if seen[g].knows_direction and g <= goal + 1]
+        known = [g for g in window if seen[g].has_direction and g <= goal + 1]
         if known:
             way, unseen = seen[known[0]].home_direction + NORTH, 0
         else:

@@ -13,9 +13,9 @@ PARTS = 3
 
 
 @cache
-def rays_of(told, shape):
-    """Rays (n, 3) of parts of pixels of a lens, told as JSON."""
-    lens = Lens.model_validate_json(told)
+def rays_of(json_lens, shape):
+    """Rays (n, 3) of parts of pixels of a lens, given as JSON."""
+    lens = Lens.model_validate_json(json_lens)
     rows, columns = ((np.arange(n * PARTS) + 0.5) / PARTS - 0.5 for n in shape)
     u, v = np.meshgrid(columns, rows)
     return unit_vectors(*lens.directions(u.ravel(), v.ravel(), shape))
@@ -32,7 +32,7 @@ def picture(lens, shape, sheet, corner, right, up, noise=2.0, seed=0, paper=150,
     sides = [corner + share * right, corner + share * up]
     edge = np.concatenate([*sides, sides[0] + up, sides[1] + right])
     outline = np.stack(lens.pixels(*angles(edge), shape), axis=1)
-    # What lies around the sheet is paper.
+    # Around the sheet is paper.
     first = np.clip(np.floor(outline.min(axis=0)) - 1, 0, [width, height]).astype(int) * PARTS
     last = np.clip(np.ceil(outline.max(axis=0)) + 2, 0, [width, height]).astype(int) * PARTS
     there = slice(first[1], last[1]), slice(first[0], last[0])

@@ -1,4 +1,4 @@
-"""Matches that agree by chance are not believed, wherever they were looked for."""
+"""Matches that agree by chance are not accepted, wherever they were looked for."""
 
 from dataclasses import replace
 
@@ -29,9 +29,9 @@ def test_what_was_looked_for_near_a_heading_agrees_more_easily():
     for seed in range(60):
         pairs = wrong(seed)
         fit = estimate_motion(pairs, np.ones(len(pairs)), 0.005)
-        verdicts = assess(fit, pairs), assess(fit, pairs, HEADING)
-        assert not verdicts[1].accepted
-        alarms.append([verdict.log_false_alarms for verdict in verdicts])
+        acceptances = assess(fit, pairs), assess(fit, pairs, HEADING)
+        assert not acceptances[1].accepted
+        alarms.append([acceptance.log_false_alarms for acceptance in acceptances])
     anywhere, near = np.mean(alarms, axis=0)
     assert near > anywhere + 1.0  # five guesses alone are 0.7
 
@@ -72,25 +72,25 @@ def on_floor(pairs, floor):
     return Pairs.of(home, now, spread(len(home)), np.zeros(len(home)))
 
 
-@pytest.mark.parametrize(("floor", "believed"), [(8, True), (16, False)])
-def test_the_tiles_of_a_floor_alone_are_not_believed(floor, believed):
-    """They agree from the other side, too: what stands up must have its say."""
+@pytest.mark.parametrize(("floor", "accepted"), [(8, True), (16, False)])
+def test_the_tiles_of_a_floor_alone_are_not_believed(floor, accepted):
+    """They agree from the other side, too: other matches must decide."""
     pairs = on_floor(made_up(Motion(1.0, HEADING), n=20, seed=0, noise=SIGMA), floor)
     fit = estimate_motion(pairs, np.ones(len(pairs)), 0.005)
     fit = replace(fit, inlier=np.ones(len(pairs), bool))
-    verdict = assess(fit, pairs)
-    assert verdict.accepted == believed
-    assert ("floor" in verdict.reason) != believed
+    acceptance = assess(fit, pairs)
+    assert acceptance.accepted == accepted
+    assert ("floor" in acceptance.reason) != accepted
 
 
 def test_matches_left_after_a_refit_must_still_stand_all_round():
-    """What lies beside matches may lead to another motion than the one that was judged."""
+    """Propagated matches may lead to another motion than the accepted one."""
     pairs = made_up(Motion(1.0, HEADING), n=40, seed=0, noise=SIGMA)
-    verdict = assess(estimate_motion(pairs, np.ones(len(pairs)), 0.005), pairs)
-    assert verdict.accepted
-    assert verdict.reassessed(np.ones(40, bool), pairs).accepted
+    acceptance = assess(estimate_motion(pairs, np.ones(len(pairs)), 0.005), pairs)
+    assert acceptance.accepted
+    assert acceptance.reassessed(np.ones(40, bool), pairs).accepted
     one_side = np.abs(wrap(pairs.home[:, 0])) < 0.4
     for left in (one_side, np.zeros(40, bool)):
-        again = verdict.reassessed(left, pairs)
+        again = acceptance.reassessed(left, pairs)
         assert not again.accepted
         assert f"{left.sum()} of 40 matches agree" in again.reason

@@ -54,19 +54,19 @@ def test_pictures_that_are_no_panoramas_are_refused(pinholes, tmp_path, command)
     assert not (tmp_path / "out").exists()
 
 
-def test_they_are_taken_when_told(pinholes, tmp_path):
+def test_they_are_taken_with_force(pinholes, tmp_path):
     words = [answer("see", pinholes, "--out", tmp_path / "forced", "--force")[1]]
     assert (tmp_path / "forced" / "bearings.csv").exists()
     (pinholes / "images.yaml").write_text("force: true\n")
     words += [answer(each, pinholes, "--out", tmp_path / each)[1] for each in ("see", "run")]
     assert (tmp_path / "see" / "bearings.csv").exists()
     # They show landmarks or not, but each of them was looked at.
-    assert all("match none before them" in said for said in words)
+    assert all("match no earlier image" in said for said in words)
     assert not any("do not continue each other" in said for said in words)
 
 
 @pytest.mark.parametrize("command", ["see", "run"])
-def test_mirrored_pictures_are_told(panoramas, tmp_path, command):
+def test_mirrored_pictures_are_reported(panoramas, tmp_path, command):
     home, rest = panoramas
     images = folder_of(tmp_path / "mirrored", home, [p[:, ::-1] for p in rest])
     words = answer(command, images, "--out", tmp_path / "out")[1]
@@ -74,7 +74,7 @@ def test_mirrored_pictures_are_told(panoramas, tmp_path, command):
 
 
 @pytest.mark.parametrize("command", ["see", "run"])
-def test_a_wrong_horizon_is_told(panoramas, tmp_path, command):
+def test_a_wrong_horizon_is_reported(panoramas, tmp_path, command):
     home, rest = panoramas
     rows = int(0.62 * len(home))
     images = folder_of(tmp_path / "cut", home[:rows], [p[:rows] for p in rest])

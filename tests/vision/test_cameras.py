@@ -7,7 +7,7 @@ from pydantic import ValidationError
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.vision.cameras.panoramic import SECTORS, Cylindrical, Equirectangular, sector_of
-from homeward.vision.cameras.ring import HELD_BACK, Ring, find_ring
+from homeward.vision.cameras.ring import BLURRED_EDGE, Ring, find_ring
 
 cv2 = pytest.importorskip("cv2")
 SHAPE = (100, 360)
@@ -47,14 +47,14 @@ def test_known_tilt_is_taken_out():
     camera = Equirectangular(pitch=np.radians(10))
     assert looks(camera, 179.5, 49.5 - 10) == pytest.approx([0, 0], abs=1e-9)
     leaning = Equirectangular(roll=np.radians(10))
-    # Its left side is raised: what it sees straight left is 10 deg up.
+    # Its left side is raised: the direction straight left is 10 deg up.
     assert looks(leaning, 179.5 - 90, 49.5) == pytest.approx([90, 10], abs=1e-9)
 
 
 def test_a_rotated_or_square_image_is_no_panorama():
     with pytest.raises(InputError, match="rotated"):
         Equirectangular().panorama(np.zeros((300, 100), np.uint8))
-    with pytest.raises(InputError, match="name its camera"):
+    with pytest.raises(InputError, match="specify its camera"):
         Equirectangular().panorama(np.zeros((300, 300), np.uint8))
 
 
@@ -109,15 +109,15 @@ def test_a_ring_that_makes_no_sense_is_refused(wrong):
 
 def test_a_ring_must_lie_in_the_image():
     ring = Ring(centre=(250, 240), inner=50, outer=220, elevations=(-0.9, 0.3))
-    with pytest.raises(InputError, match="do not hold a ring"):
+    with pytest.raises(InputError, match="do not contain a ring"):
         ring.panorama(np.zeros((300, 400), np.uint8))
 
 
 def test_centre_and_radii_are_found():
     found = find_ring(ring_picture(0, 100, centre=(260, 235)))
     assert found.centre == pytest.approx((260, 235), abs=0.5)
-    assert found.inner - HELD_BACK == pytest.approx(50, abs=0.7)
-    assert found.outer + HELD_BACK == pytest.approx(220, abs=0.7)
+    assert found.inner - BLURRED_EDGE == pytest.approx(50, abs=0.7)
+    assert found.outer + BLURRED_EDGE == pytest.approx(220, abs=0.7)
 
 
 def test_no_rim_is_left_in_the_panorama_of_a_ring_that_was_found():

@@ -1,4 +1,4 @@
-"""Two panoramas of a ray-cast room: heading, direction, what moved, and what is unknown."""
+"""Two panoramas of a ray-cast room: heading, direction, moved objects, unknowns."""
 
 from dataclasses import replace
 from importlib import import_module
@@ -49,20 +49,20 @@ def test_turned_on_the_spot_the_heading_is_known_and_the_direction_is_not(room, 
     seen = compare(home, extract(draw(room, 3.0, 3.0, 1.4, seed=seed), CAMERA), CAMERA)
     assert seen.accepted
     assert abs(wrap(seen.heading - 1.0)) < 0.005
-    assert not seen.knows_direction
+    assert not seen.has_direction
     assert not seen.shows_parallax
 
 
 def test_an_uncertain_direction_is_not_taken_for_being_there(room, home):
     seen = compare(home, extract(draw(room, 4.0, 3.5, 0.4, seed=2), CAMERA), CAMERA)
-    assert seen.knows_direction
+    assert seen.has_direction
     uncertain = replace(seen, covariance=np.diag([1.0, 0.01]))
-    assert not uncertain.knows_direction
+    assert not uncertain.has_direction
     assert uncertain.shows_parallax
     # What counts is the direction home: heading and direction from home may err together.
     for together, known in ((0.19, True), (-0.19, False)):
         spread = np.array([[0.2, together], [together, 0.2]])
-        assert replace(seen, covariance=spread).knows_direction == known
+        assert replace(seen, covariance=spread).has_direction == known
     refused = replace(seen, acceptance=replace(seen.acceptance, accepted=False))
     assert not refused.shows_parallax
 
@@ -71,7 +71,7 @@ def test_the_home_image_itself_is_home(home):
     seen = compare(home, home, CAMERA)
     assert seen.accepted
     assert abs(seen.heading) < 1e-3
-    assert not seen.knows_direction
+    assert not seen.has_direction
 
 
 @pytest.mark.parametrize("columns", [1, 100, 255, 400])
@@ -103,7 +103,7 @@ def without_neighbours(patch):
     )
 
 
-def test_what_lies_beside_the_matches_makes_the_direction_better():
+def test_propagated_matches_make_the_direction_better():
     truth, off = np.arctan2(0.5, 1.2) - 0.4, []
     for seed in range(1, 9):
         views = views_of(seed, 4.2, 3.5)
@@ -123,7 +123,7 @@ def test_what_lies_beside_the_matches_makes_the_direction_better():
 
 
 @pytest.mark.parametrize(("largest", "sure"), [(0.5, True), (1e-4, False)])
-def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
+def test_propagated_matches_give_no_direction_where_matches_give_none(
     room, home, monkeypatch, largest, sure
 ):
     now = extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
@@ -136,7 +136,7 @@ def test_where_matches_alone_know_no_direction_what_lies_beside_does_not(
 
 
 @pytest.mark.parametrize("seed", [42, 82])
-def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatch):
+def test_a_second_pass_decides_where_the_first_does_not(seed, monkeypatch):
     views, headings, once = views_of(seed, 5.6, 4.8), [], COMPARE.compare_once
 
     def compared(home, now, camera, heading=None):
@@ -146,8 +146,8 @@ def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatc
     monkeypatch.setattr(COMPARE, "compare_once", compared)
     seen = compare(*views, CAMERA)
     assert len(headings) == 2
-    assert not once(*views, CAMERA).knows_direction
-    assert seen.knows_direction
+    assert not once(*views, CAMERA).has_direction
+    assert seen.has_direction
     assert abs(wrap(seen.heading - 1.6)) < max(3 * seen.heading_sigma, 0.01)
     assert abs(wrap(seen.direction - np.arctan2(1.8, 2.6) + 0.4)) < 3 * seen.direction_sigma
     # Matches are within the angle in which they were looked for.
@@ -155,9 +155,9 @@ def test_where_the_first_look_leaves_it_open_a_second_one_tells(seed, monkeypatc
     assert np.abs(turned).max() < COMPARE.WITHIN + 0.05
 
 
-@pytest.mark.parametrize(("off", "believed"), [(0.05, True), (-0.3, False)])
+@pytest.mark.parametrize(("off", "accepted"), [(0.05, True), (-0.3, False)])
 def test_a_second_look_must_confirm_the_heading_that_it_began_with(
-    home, monkeypatch, off, believed
+    home, monkeypatch, off, accepted
 ):
     once = COMPARE.compare_once
     found = once(home, home, CAMERA)
@@ -171,13 +171,13 @@ def test_a_second_look_must_confirm_the_heading_that_it_began_with(
         return replace(found, motion=found.motion._replace(alpha=heading + off))
 
     monkeypatch.setattr(COMPARE, "compare_once", compared)
-    assert compare(home, home, CAMERA).accepted is believed
+    assert compare(home, home, CAMERA).accepted is accepted
 
 
-def test_where_the_first_look_tells_there_is_no_second(room, home, monkeypatch):
+def test_there_is_no_second_pass_where_the_first_decides(room, home, monkeypatch):
     once = COMPARE.compare_once
     monkeypatch.setattr(COMPARE, "compare_once", lambda a, b, camera: once(a, b, camera))
-    assert compare(home, extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).knows_direction
+    assert compare(home, extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA), CAMERA).has_direction
     assert not compare(home, home, CAMERA).shows_parallax
 
 
@@ -222,7 +222,7 @@ def test_a_known_tilt_taken_out_and_an_unknown_one_taken_up(room, home):
         assert abs(wrap(seen.direction - (np.arctan2(0.5, 1.2) - 0.4))) < 0.03
 
 
-def test_a_box_that_moved_is_told(room, home):
+def test_a_moved_box_is_reported(room, home):
     low, high, print_ = room.boxes[1]
     away = np.array([0.0, 0.9 if low[1] < 3 else -0.9, 0.0])
     changed = make_room(1)
@@ -235,19 +235,19 @@ def test_a_box_that_moved_is_told(room, home):
     assert still.moved.sum() <= 4
 
 
-@pytest.mark.parametrize("believed", [True, False])
-def test_the_picture_and_the_sentence_count_the_same(room, home, believed):
+@pytest.mark.parametrize("accepted", [True, False])
+def test_the_picture_and_the_sentence_count_the_same(room, home, accepted):
     now = extract(draw(room, 4.2, 3.5, 2.0, seed=2), CAMERA)
     seen = compare(home, now, CAMERA)
-    if not believed:
-        words = f"not enough in common: {seen.acceptance.reason}, which may be chance"
+    if not accepted:
+        words = f"not enough in common: {seen.acceptance.reason}, possibly by chance"
         seen = replace(seen, acceptance=replace(seen.acceptance, accepted=False, reason=words))
     blank = np.zeros(home.shape, np.uint8)
     (axes,) = picture(seen, (blank, blank), (home, now)).axes
-    told = " ".join(text.get_text() for text in axes.get_legend().get_texts())
+    legend = " ".join(text.get_text() for text in axes.get_legend().get_texts())
     agree = f"{seen.agrees.sum()} of {len(seen.pairs)}"
-    assert f"{agree} agree" in told
+    assert f"{agree} agree" in legend
     assert f"{agree} matches agree" in describe(seen)
-    assert ("not enough" in told) == ("not enough" in describe(seen)) != believed
+    assert ("not enough" in legend) == ("not enough" in describe(seen)) != accepted
     drawn = sum(int(t.split()[0]) for t in (x.get_text() for x in axes.get_legend().get_texts()))
     assert drawn == len(seen.pairs), "each match is of one kind"

@@ -1,4 +1,4 @@
-"""Pictures that are not recognised, one by one, may tell the way home together."""
+"""Pictures that are not recognised one by one may give the direction home together."""
 
 import math
 from dataclasses import replace
@@ -55,25 +55,25 @@ def lost():
     return VisualHoming(Map(POINTS[:0], status=Status.MAPPING))
 
 
-def is_right(told, pose):
-    """Say whether direction and heading are: the direction is that from where guesses were made."""
-    off = np.abs(wrap(np.array(to_polar(told)[1:]) - to_polar(pose)[1:]))
+def is_right(estimated, pose):
+    """Return whether heading and direction, from where guesses were made, are right."""
+    off = np.abs(wrap(np.array(to_polar(estimated)[1:]) - to_polar(pose)[1:]))
     return off[0] < 0.25 and off[1] < 0.05
 
 
 @pytest.mark.parametrize("n", [MIN_ALIKE - 1, MIN_ALIKE, 12])
-def test_guesses_that_are_alike_tell_the_way(n):
+def test_votes_that_agree_give_the_direction(n):
     sight = lost()
     t, pose = circle(sight, right, n)
-    told = sight.estimate(t)
+    estimate = sight.estimate(t)
     if n < MIN_ALIKE:
-        assert told.pose is None
+        assert estimate.pose is None
         return
-    assert told.status is Status.UNVERIFIED
-    assert "pictures that do not match home's agree" in told.reason
-    assert is_right(told.pose, pose)
-    assert 0.04 < math.sqrt(told.covariance[2, 2]) < 0.1
-    assert sight.estimate(t + 0.4).pose.heading == pytest.approx(told.pose.heading + 0.4 * TURN)
+    assert estimate.status is Status.UNVERIFIED
+    assert "pictures that do not match home's agree" in estimate.reason
+    assert is_right(estimate.pose, pose)
+    assert 0.04 < math.sqrt(estimate.covariance[2, 2]) < 0.1
+    assert sight.estimate(t + 0.4).pose.heading == pytest.approx(estimate.pose.heading + 0.4 * TURN)
 
 
 def test_one_in_three_is_enough():
@@ -82,18 +82,18 @@ def test_one_in_three_is_enough():
     assert is_right(sight.estimate(t).pose, pose)
 
 
-def test_chance_tells_nothing_however_long_it_goes_on():
-    told = 0
+def test_chance_gives_no_direction_over_a_long_drive():
+    with_pose = 0
     for first in range(0, 8000, 400):
         sight = lost()
 
         def guess(k, pose, sight=sight, first=first):
-            nonlocal told
-            told += sight.estimate(EVERY * k).pose is not None
+            nonlocal with_pose
+            with_pose += sight.estimate(EVERY * k).pose is not None
             return anything(first + k, pose)
 
         circle(sight, guess, 300)
-    assert told == 0
+    assert with_pose == 0
 
 
 def test_what_is_guessed_now_counts_and_not_what_was_guessed_long_ago():
@@ -142,7 +142,7 @@ def test_a_hint_lapses_and_gives_way_to_a_picture_that_is_recognised():
     assert sight.estimate(t + DIRECTION_HOLD_S).pose is not None
     assert sight.estimate(t + DIRECTION_HOLD_S + 0.1).pose is None
     sight.home(t, compared(POINTS, pose))
-    assert "home's picture tells the direction" in sight.estimate(t).reason
+    assert "home's picture gives the direction" in sight.estimate(t).reason
     one_more = Pose(pose.x, pose.y, pose.heading + TURN * EVERY)
     sight.odometry(t + EVERY, SPEED, TURN)
     sight.home(t + EVERY, refused(right(0, one_more)))
@@ -158,7 +158,7 @@ def test_at_home_nothing_is_guessed():
     assert sight.estimate(EVERY * 12).pose is None
 
 
-def test_the_map_knows_better():
+def test_the_map_takes_precedence():
     sight = VisualHoming(Map(POINTS, pose=Pose(1.0, 1.0, 0.0)))
     t, _ = circle(sight, right, 12)
     assert sight.estimate(t).pose == Pose(1.0, 1.0, 0.0)

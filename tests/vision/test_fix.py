@@ -1,4 +1,4 @@
-"""Fixes of one picture and the next, joined: never surer than what both have in common allows."""
+"""Fused fixes of successive pictures are consistent for any correlation."""
 
 import numpy as np
 import pytest
@@ -11,14 +11,14 @@ def fix(pose, sigmas, sure=True, t=0.0):
     return Fix(t, Pose(*pose), np.diag(sigmas) ** 2, sure, sure, False, "")
 
 
-def test_the_same_told_twice_is_no_surer_than_once():
+def test_the_same_fix_twice_has_the_same_covariance():
     once = fix((0.3, 0.1, 3.0), (0.02, 0.03, 0.01))
     again = fused(once, once)
     np.testing.assert_allclose(again.covariance, once.covariance)
     np.testing.assert_allclose(again.pose, once.pose)
 
 
-def test_the_surer_counts_and_the_newer_says_when():
+def test_the_more_accurate_counts_with_the_newer_stamp():
     sure, unsure = fix((0.3, 0.1, 1.0), (0.01, 0.01, 0.01)), fix((0.34, 0.1, 1.0), 3 * [0.1], t=0.4)
     for one, other in ((sure, unsure), (unsure, sure)):
         both = fused(one, other)
@@ -26,7 +26,7 @@ def test_the_surer_counts_and_the_newer_says_when():
         assert both.t == other.t
 
 
-def test_what_one_knows_along_and_the_other_across_is_known():
+def test_accuracy_along_and_across_is_combined():
     along, across = fix((0.0, 0.0, 0.0), (0.01, 0.2, 0.01)), fix((0.1, 0.1, 0.0), (0.2, 0.01, 0.01))
     x, y, _ = np.sqrt(np.diag(fused(along, across).covariance))
     assert max(x, y) < 0.02
@@ -39,7 +39,7 @@ def test_headings_are_joined_across_the_seam():
 
 
 @pytest.mark.parametrize("consistent", [0.0, 0.5, 0.95])
-def test_joined_fixes_are_honest_whatever_their_errors_have_in_common(consistent):
+def test_fused_fixes_are_consistent_for_any_correlation(consistent):
     """Of each, the error is partly that of the one before."""
     rng, squared = np.random.default_rng(8), []
     for _ in range(400):

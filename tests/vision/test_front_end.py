@@ -1,4 +1,4 @@
-"""An image folder becomes a drive; identities last; what is wrong with a folder is said."""
+"""An image folder becomes a drive; identities last; faults of a folder are reported."""
 
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import shutil
@@ -18,7 +18,7 @@ from homeward.drives.images import REPEATED_IMAGES, read_images
 from homeward.drives.opening import open_drive
 from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, extract
-from homeward.vision.front_end import PROVEN, FrontEnd
+from homeward.vision.front_end import MIN_SIGHTINGS, FrontEnd
 from homeward.vision.recorded.folder import home_image, see_folder
 from homeward.vision.recorded.settings import ImageSettings
 
@@ -61,7 +61,7 @@ def drive(folder):
     return open_drive(folder)
 
 
-def test_most_landmarks_are_where_their_bearings_say(drive):
+def test_landmarks_are_mostly_where_their_bearings_point(drive):
     """Every landmark's bearings, with the true poses, meet in one point."""
     s, off = drive.sightings, []
     assert s.t.size > 40
@@ -127,13 +127,13 @@ def test_what_is_followed_by_keyframes_is_no_surer_than_home_saw_it():
 def test_a_blind_frame_gives_nothing_and_harms_nothing(room):
     camera = Equirectangular()
     front_end = FrontEnd(extract(draw(room, *HOME), camera), camera)
-    for k in range(PROVEN + 1):
+    for k in range(MIN_SIGHTINGS + 1):
         seen = front_end.see(frame(1, k))
     blind = front_end.see(np.full((128, 512), 50, np.uint8))
     assert seen.bearings
     assert not blind.bearings
     assert "matches nothing" in blind.reason
-    assert front_end.see(frame(1, PROVEN + 1)).bearings
+    assert front_end.see(frame(1, MIN_SIGHTINGS + 1)).bearings
 
 
 def broken(folder, tmp_path, change):
@@ -165,8 +165,8 @@ def test_home_and_mask_outside_the_folder_are_refused(folder, tmp_path, key, nam
 
     def change(copy):
         (copy / "link.png").symlink_to(elsewhere)
-        told = str(elsewhere) if name.startswith("/") else name
-        (copy / "images.yaml").write_text(f"{key}: {told}\n")
+        value = str(elsewhere) if name.startswith("/") else name
+        (copy / "images.yaml").write_text(f"{key}: {value}\n")
 
     words = broken(folder, tmp_path, change)
     assert f"images.yaml: {key} " in words
@@ -207,7 +207,7 @@ def test_images_of_another_clock_are_refused_before_they_are_looked_at(folder, t
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     (copy / "odometry.csv").write_text("t,v,omega\n5000,0.2,0\n5007,0,0\n")
-    (copy / "pictures" / "3.png").write_text("no image: this would be said first")
+    (copy / "pictures" / "3.png").write_text("no image: this would be reported first")
     words = refused(call(command, copy, "--out", tmp_path / "out"))
     assert "copy: the first of the odometry is 4,993.0 s after the last of the images" in words
 
@@ -243,7 +243,7 @@ def test_an_image_of_another_size(folder, tmp_path):
 
 def test_no_list_of_images(folder, tmp_path):
     words = broken(folder, tmp_path, lambda f: (f / "images.csv").unlink())
-    assert "not a folder of images: no images.csv in it" in words
+    assert "not a folder of images: it has no images.csv" in words
 
 
 def test_no_odometry(folder, tmp_path):
@@ -264,7 +264,7 @@ def test_compare_writes_picture_matches_and_words(folder, tmp_path):
     }
 
 
-def test_compare_says_when_there_is_not_enough_in_common(folder, tmp_path):
+def test_compare_reports_when_there_is_not_enough_in_common(folder, tmp_path):
     cv2.imwrite(str(tmp_path / "other.png"), draw(make_room(7), 3, 3, 0))
     result = call("see", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
     assert result.exit_code == 1
@@ -276,7 +276,7 @@ def test_a_bearing_is_that_of_the_patch_that_home_saw(room):
     """Not of the feature that the frame finds by itself, which noise and size move about."""
     camera = Equirectangular()
     front_end = FrontEnd(extract(draw(room, *HOME, seed=99), camera), camera)
-    for k in range(PROVEN):
+    for k in range(MIN_SIGHTINGS):
         glance = front_end.see(frame(1, k))
     seen = glance.home
     patch = {

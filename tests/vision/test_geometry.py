@@ -13,7 +13,7 @@ from homeward.vision.geometry.ransac import (
     msac_costs,
     two_point_motions,
 )
-from homeward.vision.geometry.refinement import MOST_OTHERS, SAME, refine
+from homeward.vision.geometry.refinement import MAX_OTHERS, SAME, refine
 
 SIGMA = 0.002
 
@@ -71,7 +71,7 @@ def test_nothing_is_recognised_from_quite_another_side():
 
 
 @pytest.mark.parametrize("seed", range(4))
-def test_near_home_the_way_round_is_told(seed):
+def test_near_home_the_direction_of_travel_is_found(seed):
     """Cameras may tilt by ten times what places are off: that must not turn the answer round."""
     rng = np.random.default_rng(seed)
     motion = Motion(*rng.uniform(-np.pi, np.pi, 2))
@@ -81,7 +81,7 @@ def test_near_home_the_way_round_is_told(seed):
     assert fit.inlier.mean() > 0.9
 
 
-def test_travelled_the_other_way_round_most_rays_meet_behind_a_camera():
+def test_travelled_the_other_way_round_rays_mostly_meet_behind_a_camera():
     motion = Motion(0.3, 1.2)
     back = motion._replace(theta=motion.theta + np.pi)
     found = residuals(np.array([back]), made_up(motion))
@@ -143,7 +143,7 @@ def test_what_else_the_matches_may_say_is_kept_the_likeliest_first():
     motions = np.vstack([fit.motion, fit.others])
     off = [np.abs(wrap(motions[k, :2] - each[:2])).max() for k, each in enumerate((truth, other))]
     assert max(off) < 0.02
-    assert 2 <= len(fit.others) <= MOST_OTHERS
+    assert 2 <= len(fit.others) <= MAX_OTHERS
     apart = np.abs(wrap(motions[:, None, :2] - motions[:, :2])).max(axis=2)
     assert apart[~np.eye(len(motions), dtype=bool)].min() >= SAME
 
@@ -208,8 +208,8 @@ def test_an_error_counts_by_how_well_its_way_is_known(angle):
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_where_one_thing_carries_another_motion_the_covariance_says_so(seed):
-    """Half of the matches lie on one thing, some 40 deg wide, that tells of another motion."""
+def test_an_object_with_another_motion_enlarges_the_covariance(seed):
+    """Half of the matches lie on one thing, some 40 deg wide, that has another motion."""
     rng = np.random.default_rng(seed)
     truth = Motion(*rng.uniform(-np.pi, np.pi, 2))
     other = truth._replace(theta=truth.theta + 0.3, alpha=truth.alpha + 0.4)

@@ -1,4 +1,4 @@
-"""Pictures as arrays: honest kinds are all the same picture; of others one clear word is said."""
+"""Pictures as arrays: valid formats give the same picture; others are refused with one line."""
 
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import numpy as np
@@ -63,15 +63,15 @@ def hole(image):
 
 
 NO_PICTURES = [
-    (None, "was its file there"),
+    (None, "check that its file exists"),
     ("home.png", "shape"),
     (PICTURE / 255.0, "floating-point"),
     (hole(PICTURE), "floating-point"),
     (PICTURE > 100, "type bool"),
     (PICTURE.astype(complex), "type complex"),
     (PICTURE.astype(object), "type object"),
-    (PICTURE.astype(np.int32) - 300, "beyond 16 bits"),
-    (PICTURE.astype(np.uint32) << 10, "beyond 16 bits"),
+    (PICTURE.astype(np.int32) - 300, "exceed 16 bits"),
+    (PICTURE.astype(np.uint32) << 10, "exceed 16 bits"),
     (np.zeros((128, 512, 2), np.uint8), "shape"),
     (np.zeros((2, 128, 512, 3), np.uint8), "shape"),
     (np.zeros(512, np.uint8), "shape"),
@@ -79,7 +79,7 @@ NO_PICTURES = [
     (np.zeros((128, 0, 3), np.uint8), "0x128 pixels"),
     (np.zeros((1, 1), np.uint8), "1x1 pixels"),
     (np.lib.stride_tricks.as_strided(PICTURE, (9000, 9000), (0, 0)), "64 million"),
-    ([[1, 2], [3]], "different lengths"),
+    ([[1, 2], [3]], "rows differ in length"),
     ([], "shape"),
 ]
 

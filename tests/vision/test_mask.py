@@ -104,7 +104,7 @@ def features(view):
 
 
 def nearest(patches, column, row, width):
-    """Return by how much the patch that comes nearest to a pixel stands off it [px]."""
+    """Return the distance of the patch nearest to a pixel [px]."""
     across = np.abs(patches[:, :1] - column)
     off = np.hypot(np.minimum(across, width - across), patches[:, 1:2] - row)
     return (off.min(axis=1) - patches[:, 2] / 2).min()
@@ -145,11 +145,11 @@ def test_compare_takes_a_mask(files, tmp_path):
     assert "Heading change: 68." in result.output, result.output
 
 
-def test_compare_takes_the_mask_beside_images_yaml(files, tmp_path):
+def test_compare_takes_the_mask_next_to_images_yaml(files, tmp_path):
     (files / "images.yaml").write_text("mask: mask.png\n")
     assert read_image_settings(files / "images.yaml").mask == files / "mask.png"
-    told = "--camera", files / "images.yaml", "--out", tmp_path
-    result = call("see", files / "home.png", files / "now.png", *told)
+    options = "--camera", files / "images.yaml", "--out", tmp_path
+    result = call("see", files / "home.png", files / "now.png", *options)
     assert "Heading change: 68." in result.output, result.output
 
 
@@ -178,8 +178,8 @@ def test_nothing_that_turns_with_the_robot_is_a_landmark_of_a_drive(tmp_path):
     [
         (lambda f: None, "cannot be read"),
         (lambda f: f.write_text("no image"), "not an image"),
-        (lambda f: cv2.imwrite(str(f), PAINTED[:, :256]), "256x128 pixels: a mask is as large"),
-        (lambda f: cv2.imwrite(str(f), 0 * PAINTED), "black all over"),
+        (lambda f: cv2.imwrite(str(f), PAINTED[:, :256]), "256x128 pixels: a mask must"),
+        (lambda f: cv2.imwrite(str(f), 0 * PAINTED), "the mask is black everywhere"),
     ],
 )
 def test_a_mask_that_cannot_be_used_is_named_in_one_line(files, tmp_path, make, words):

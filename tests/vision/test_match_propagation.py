@@ -1,4 +1,4 @@
-"""What lies beside a feature that was found is found where its map takes it, and nothing else."""
+"""Patches next to a match are found where its map predicts them, and nothing else."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def seen(image):
 
 
 def turned(image, columns):
-    """The panorama turned about the vertical: its features lie so many columns to the right."""
+    """The panorama turned about the vertical: its features are shifted by columns to the right."""
     return np.roll(image, columns, axis=1)
 
 
@@ -39,12 +39,12 @@ def place(view, rows):
 def laid(home, now, rows, at_now, growth=1.0):
     """Lay some of home's features, at places that are known."""
     many = np.ones(len(rows))
-    told = place(home, rows), at_now, home.size[rows], growth * many, 0 * many
-    return align_features(home.pyramid, now.pyramid, *told)
+    given = place(home, rows), at_now, home.size[rows], growth * many, 0 * many
+    return align_features(home.pyramid, now.pyramid, *given)
 
 
 @pytest.mark.parametrize("columns", [0, 37, 300])
-def test_features_beside_a_few_are_found_where_they_lie_across_the_seam(columns):
+def test_features_next_to_a_few_are_found_across_the_seam(columns):
     home = seen(blots(0))
     now = seen(turned(blots(0), columns))
     known = np.flatnonzero((home.column < 20) | (home.column > WIDTH - 20))[::6]
@@ -99,11 +99,11 @@ def test_one_of_each_place_and_none_where_something_is_known():
 
 
 def test_nothing_known_and_nothing_else_there(monkeypatch):
-    monkeypatch.setattr("homeward.vision.features.detection.CORNER_LEAST", 1.0)
+    monkeypatch.setattr("homeward.vision.features.detection.MIN_CORNER", 1.0)
     home = seen(blots(5))
     for known in (np.zeros(0, int), np.arange(len(home))):
-        told = laid(home, home, known, place(home, known))
-        places, found = propagate_matches(home, home, known, told)
+        given = laid(home, home, known, place(home, known))
+        places, found = propagate_matches(home, home, known, given)
         assert places.shape[1] == len(found) < 3  # the strongest corner of all
         assert found.shape.shape == (len(found), 2, 2)
 
@@ -112,31 +112,31 @@ def test_nothing_known_and_nothing_else_there(monkeypatch):
 def test_maps_that_carry_nothing_are_left_alone(times):
     home = seen(blots(6))
     known = np.arange(0, len(home), 4)
-    told = laid(home, home, known, place(home, known))
-    told.shape[:] *= times
-    _, found = propagate_matches(home, home, known, told)
+    given = laid(home, home, known, place(home, known))
+    given.shape[:] *= times
+    _, found = propagate_matches(home, home, known, given)
     assert len(found) == 0
 
 
 def test_of_too_many_only_some_are_tried(monkeypatch):
     home = seen(blots(7))
     known = np.arange(0, len(home), 10)
-    told = laid(home, home, known, place(home, known))
-    _, every = propagate_matches(home, home, known, told)
+    given = laid(home, home, known, place(home, known))
+    _, every = propagate_matches(home, home, known, given)
     monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_PATCHES", 12)
     monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_GUIDES", 5)
-    places, some = propagate_matches(home, home, known, told)
+    places, some = propagate_matches(home, home, known, given)
     assert len(every) > 36
     assert 0 < len(some) <= 36  # twelve in each of three rounds
     assert np.abs(some.place - places.T).max() < 0.1
 
 
-def test_what_was_found_beside_is_less_sure_than_what_was_matched():
+def test_propagated_matches_have_larger_sigmas_than_matches():
     home = seen(blots(8))
     known = np.arange(0, len(home), 4)
     begun = laid(home, home, known, place(home, known))
     _, found = propagate_matches(home, home, known, begun)
-    assert found.spread[:, 0, 0].min() > 2 * begun.spread[:, 0, 0].min()
+    assert found.covariance[:, 0, 0].min() > 2 * begun.covariance[:, 0, 0].min()
 
 
 def squares(times, columns=(100, 400)):

@@ -19,7 +19,7 @@ STILL = LandmarkEstimate("h9", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
 
 
 def gone(name, by, at=0.0, distance=2.0):
-    """Return a landmark that home saw in direction `at`, where it is wrong by `by` [rad]."""
+    """Return a landmark that home saw in direction `at`, with an error of `by` [rad]."""
     return replace(
         STILL,
         landmark=name,
@@ -36,18 +36,18 @@ def verdicts(moved_filter, *landmarks):
 
 
 @pytest.mark.parametrize(
-    ("sightings", "frames", "off", "verdict"),
+    ("sightings", "frames", "off", "moved"),
     [(40, 50, 0.3, True), (5, 50, 0.3, None), (15, 60, 0.3, None), (40, 50, 0.02, None)],
 )
-def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, verdict):
+def test_what_may_be_a_wrong_match_is_not_called_moved(sightings, frames, off, moved):
     inner = Map(scene(n=1))
     inner.found = [gone("h0", off), STILL]
     sight = VisualHoming(inner)
     for k in range(frames):
         sight.bearings(0.2 * k, {"h0": 0.1} if k < sightings else {"h9": 0.2})
     first, second = sight.landmarks()
-    assert first.moved is verdict
-    assert math.isnan(first.moved_probability) == (verdict is None)
+    assert first.moved is moved
+    assert math.isnan(first.moved_probability) == (moved is None)
     assert second == STILL
 
 

@@ -28,7 +28,7 @@ def room(lens, **changes):
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])
 @pytest.mark.parametrize("tilt", [0.0, 0.15])
-def test_a_spot_is_where_the_lens_says(model, tilt):
+def test_a_spot_is_where_the_lens_maps_it(model, tilt):
     """A blurred spot in the picture has the same direction in the panorama, tilt and all."""
     size = {"width": 320, "height": 240, "cx": 161.0, "cy": 118.0}
     lens = Lens(model=model, fx=150, fy=151, distortion=(-0.05, 0.01, 0, 0), pitch=tilt, **size)
@@ -39,8 +39,8 @@ def test_a_spot_is_where_the_lens_says(model, tilt):
         laid = wide.panorama(picture.astype(np.uint8)).astype(float)
         at = [np.sum(part * laid) / laid.sum() for part in np.indices(laid.shape)[::-1]]
         found = wide.directions(*(np.array([v]) for v in at), laid.shape)
-        told = lens.directions(np.array([column]), np.array([row]))
-        np.testing.assert_allclose(found, told, atol=0.1 / 150)
+        expected = lens.directions(np.array([column]), np.array([row]))
+        np.testing.assert_allclose(found, expected, atol=0.1 / 150)
 
 
 def test_what_the_lens_does_not_see_is_masked():
@@ -62,7 +62,7 @@ def test_a_lens_without_a_size_needs_tags():
 
 
 @pytest.mark.parametrize("lens", LENSES)
-def test_two_pictures_tell_how_the_camera_turned_and_went(lens):
+def test_two_pictures_give_rotation_and_direction(lens):
     eye = Eye(room(lens))
     camera, robot = panorama_of(eye), Pose(0.1, 0.2, 0.15)
     home, now = (

@@ -25,7 +25,7 @@ def scene(column, row, seed=0):
 
 
 def drawn(carry=lambda column, row: (column, row), noise=0.0):
-    """Return the picture whose pixels show the scene where `carry` says."""
+    """Return the picture whose pixels show the scene at the position from `carry`."""
     column, row = np.meshgrid(np.arange(WIDTH, dtype=float), np.arange(HEIGHT, dtype=float))
     grey = scene(*carry(column, row))
     grey = grey + np.random.default_rng(1).normal(0, noise, grey.shape)
@@ -40,7 +40,7 @@ def laid(home, now, at_home, at_now, size=4.0, growth=1.0, turn=0.0):
 
 def sigmas(found):
     """Return standard deviations of columns and rows, (n, 2)."""
-    return np.sqrt(np.diagonal(found.spread, axis1=1, axis2=2))
+    return np.sqrt(np.diagonal(found.covariance, axis1=1, axis2=2))
 
 
 PLACES = np.array([[40.3, 30.2], [90.0, 50.7], [150.8, 40.1], [200.5, 60.0], [120.2, 25.6]])
@@ -55,7 +55,7 @@ def test_a_shift_comes_back(shift):
     assert np.abs(found.row - PLACES[:, 1] - shift[1]).max() < 0.05
 
 
-def test_light_does_not_matter_and_noise_is_told():
+def test_light_does_not_matter_and_noise_is_measured():
     dim = drawn(lambda c, r: (c - 0.7, r))
     noisy = drawn(lambda c, r: (c - 0.7, r), noise=8.0)
     darker = Pyramid(tuple(0.5 * a + 30 for a in dim.levels), dim.times, dim.width, dim.margin)

@@ -1,10 +1,10 @@
-"""Home's picture on a recorded drive: when pictures count, what is a pose, what is in doubt."""
+"""Home's picture on a recorded drive: when pictures count, poses, contradictions."""
 
 import math
 
 import numpy as np
 import pytest
-from told_map import Map, compared, scene
+from scripted_map import Map, compared, scene
 
 from homeward.drives.drive import Odometry, Sightings
 from homeward.estimator import Status
@@ -20,11 +20,13 @@ WITHOUT_MAP = POINTS[:0]
 CAMERA = Pose(0.8, -0.3, 0.5)
 
 
-def sight(pictures, told):
-    """Return an estimator around a map that says what it is told to."""
+def sight(pictures, mapped):
+    """Return an estimator around a scripted map."""
     sightings = Sightings(NONE, np.empty(0, object), NONE, NONE)
-    drive = ImageDrive("told", Odometry(NONE, NONE, NONE), sightings, {}, pictures=tuple(pictures))
-    return RecordedVisualHoming(told, drive)
+    drive = ImageDrive(
+        "scripted", Odometry(NONE, NONE, NONE), sightings, {}, pictures=tuple(pictures)
+    )
+    return RecordedVisualHoming(mapped, drive)
 
 
 def apart(said, pose):
@@ -43,7 +45,7 @@ def test_a_picture_counts_from_its_own_stamp_on_and_before_bearings_of_it():
 
 
 def test_a_picture_counts_without_any_bearing_and_at_its_own_stamp():
-    """Odometry of its stamp comes first; what odometry says after it leads on from it."""
+    """Odometry of its stamp comes first; later odometry continues from it."""
     seen = sight([(1.0, compared(POINTS, Pose(0.8, -0.3, 0.0)))], Map(POINTS))
     for t in (0.0, 1.0):
         seen.odometry(t, 0.3, 0.0)
@@ -85,16 +87,16 @@ def test_what_no_picture_showed_leaves_the_map_s_word():
     pictures += [(1.0, None)]
     seen = sight(pictures, Map(POINTS, pose=CAMERA))
     said = seen.bearings(1.0, {})
-    assert (said.status, said.reason, said.pose) == (Status.LOCALISED, "as told", CAMERA)
+    assert (said.status, said.reason, said.pose) == (Status.LOCALISED, "as scripted", CAMERA)
     assert "0 of 10 pictures" in seen.notes[-1]
 
 
-def test_a_direction_without_a_distance_is_no_pose_but_is_told_in_words():
+def test_a_direction_without_a_distance_is_no_pose_but_in_the_reason():
     behind = compared(WITHOUT_MAP, Pose(1.5, 0.0, 0.0))
     seen = sight([(0.0, behind)], Map(WITHOUT_MAP, status=Status.MAPPING))
     said = seen.bearings(0.0, {})
     assert (said.status, said.pose, said.covariance) == (Status.MAPPING, None, None)
-    assert said.reason.startswith("as told; home's picture tells the direction home")
+    assert said.reason.startswith("as scripted; home's picture gives the direction home")
     assert "home lies behind)" in said.reason
     # The robot turns to the right on the spot.
     seen.odometry(0.0, 0.0, -0.5)
@@ -111,7 +113,7 @@ def test_all_ways_home(k):
         assert way_home(pose, surely) == WAYS[k]
 
 
-def test_a_way_home_that_is_hardly_known_is_not_told():
+def test_an_uncertain_direction_home_is_not_reported():
     assert way_home(Pose(1.0, 0.0, 0.0), np.diag([9.0, 0.01, 0.01])) == "behind"
     assert way_home(Pose(1.0, 0.0, 0.0), np.diag([0.01, 0.4, 0.01])) is None
     assert way_home(Pose(1.0, 0.0, 0.0), np.diag([0.01, 0.01, 0.4])) is None
@@ -120,27 +122,27 @@ def test_a_way_home_that_is_hardly_known_is_not_told():
 
 def test_a_map_that_the_direction_contradicts_is_unsure_and_covers_both():
     mapped = Pose(0.0, 1.0, 0.5)
-    # None of its landmarks is in the map, so that the picture tells no distance.
+    # None of its landmarks is in the map, so that the picture gives no distance.
     seen = sight([(0.0, compared(POINTS, CAMERA))], Map(WITHOUT_MAP, pose=mapped))
     said = seen.bearings(0.0, {})
     assert said.status is Status.UNVERIFIED
-    assert "not how far" in said.reason
-    assert said.reason.endswith("the map contradicts that")
+    assert "not the distance" in said.reason
+    assert said.reason.endswith("the map disagrees")
     assert said.pose == mapped
     assert apart(said, CAMERA) < 9.0
 
 
-def test_a_map_that_is_surer_than_a_picture_that_contradicts_it_is_in_doubt():
+def test_a_more_accurate_map_that_a_picture_contradicts_is_unverified():
     """Far from home the map may know more; at home nothing does."""
     mapped = Pose(0.8, 0.1, 0.5)
-    surer, less = (Map(POINTS, pose=mapped, sigma=s) for s in (0.001, 0.05))
-    doubted, told = (
-        sight([(0.0, compared(POINTS, CAMERA))], m).bearings(0.0, {}) for m in (surer, less)
+    accurate, less = (Map(POINTS, pose=mapped, sigma=s) for s in (0.001, 0.05))
+    doubted, verified = (
+        sight([(0.0, compared(POINTS, CAMERA))], m).bearings(0.0, {}) for m in (accurate, less)
     )
     assert (doubted.status, doubted.pose) == (Status.UNVERIFIED, mapped)
     assert apart(doubted, CAMERA) < 9.0
-    assert told.status is Status.LOCALISED
-    np.testing.assert_allclose(told.pose, CAMERA, atol=1e-3)
+    assert verified.status is Status.LOCALISED
+    np.testing.assert_allclose(verified.pose, CAMERA, atol=1e-3)
 
 
 def test_a_map_whose_distances_the_picture_contradicts_is_unsure_and_covers_both():
@@ -154,11 +156,11 @@ def test_a_map_whose_distances_the_picture_contradicts_is_unsure_and_covers_both
 
 
 def doubting():
-    """Return an estimator whose map lies beside what a picture at 0 s told, that map, and when."""
-    told = Map(POINTS, pose=Pose(0.8, 0.1, 0.5), sigma=0.001)
-    seen = sight([(0.0, compared(POINTS, CAMERA))], told)
+    """Return an estimator whose map contradicts a picture at 0 s, that map, and a later time."""
+    mapped = Map(POINTS, pose=Pose(0.8, 0.1, 0.5), sigma=0.001)
+    seen = sight([(0.0, compared(POINTS, CAMERA))], mapped)
     seen.bearings(0.0, {})
-    return seen, told, POSE_HOLD_S + 1.0
+    return seen, mapped, POSE_HOLD_S + 1.0
 
 
 def test_a_doubt_outlasts_the_picture_but_not_for_ever():
@@ -170,7 +172,7 @@ def test_a_doubt_outlasts_the_picture_but_not_for_ever():
     assert seen.estimate(DIRECTION_HOLD_S + 0.1).status is Status.LOCALISED
 
 
-def test_a_doubt_ends_with_a_picture_that_tells_as_much_and_agrees():
+def test_a_contradiction_ends_with_an_agreeing_picture_of_the_same_kind():
     seen, _, later = doubting()
     seen.home(later, compared(POINTS, Pose(0.8, 0.1, 0.5)))
     assert seen.estimate(later).status is Status.LOCALISED
@@ -178,8 +180,8 @@ def test_a_doubt_ends_with_a_picture_that_tells_as_much_and_agrees():
 
 
 def test_a_direction_does_not_answer_for_a_distance_that_is_in_doubt():
-    seen, told, later = doubting()
-    told.found = []
+    seen, mapped, later = doubting()
+    mapped.found = []
     seen.home(later, compared(POINTS, Pose(0.8, 0.1, 0.5)))
     assert seen.estimate(later).status is Status.UNVERIFIED
 
@@ -194,7 +196,7 @@ def test_a_direction_ends_the_doubt_of_a_direction():
 @pytest.mark.parametrize("seed", range(6))
 def test_whatever_is_seen_pose_covariance_and_status_go_together(seed):
     rng = np.random.default_rng(seed)
-    told = Map(POINTS, status=Status.WAITING)
+    mapped = Map(POINTS, status=Status.WAITING)
     pictures = [
         (
             0.25 * k,
@@ -209,15 +211,15 @@ def test_whatever_is_seen_pose_covariance_and_status_go_together(seed):
         )
         for k in range(80)
     ]
-    seen = sight(pictures, told)
+    seen = sight(pictures, mapped)
     for t in (0.1 * k for k in range(200)):
         if rng.random() < 0.1:
             status = rng.choice(
                 [Status.WAITING, Status.MAPPING, Status.UNVERIFIED, Status.COASTING]
             )
             has = status not in (Status.WAITING, Status.MAPPING)
-            told.pose = Pose(*rng.uniform(-2.0, 2.0, 3).tolist()) if has else None
-            told.status, told.found = status, told.found if rng.random() < 0.8 else []
+            mapped.pose = Pose(*rng.uniform(-2.0, 2.0, 3).tolist()) if has else None
+            mapped.status, mapped.found = status, mapped.found if rng.random() < 0.8 else []
         seen.odometry(t, 0.2, 0.3)
         for said in (seen.bearings(t, {}), seen.estimate(t + 0.05)):
             assert (said.pose is None) == (said.covariance is None)

@@ -29,7 +29,7 @@ from homeward.runs.scoring import errors
 from homeward.track import run
 from homeward.vision.recorded.estimator import WAYS, RecordedVisualHoming
 
-MOST_A_MATCH, MOST_BESIDE = 300, 4096
+MAX_PER_MATCH, MAX_ELSE = 300, 4096
 """What a picture's comparison may hold [bytes]."""
 
 
@@ -59,7 +59,7 @@ def estimates(path):
 
 
 def until(drive, end):
-    """Return what was recorded of a drive up to a time [s]."""
+    """Return the part of a drive up to a time [s]."""
     o, s = drive.odometry, drive.sightings
     early, seen = o.t <= end, s.t <= end
     return replace(
@@ -88,13 +88,13 @@ def test_every_picture_is_in_the_drive_and_few_bytes_of_it(folder, drive):
             *(getattr(seen, n) for n in ("home_row", "now_row", "place", "agrees", "moved")),
         ]
         held = {id(b): b.nbytes for a in arrays for b in (a if a.base is None else a.base,)}
-        assert sum(held.values()) < MOST_A_MATCH * len(seen.pairs) + MOST_BESIDE
+        assert sum(held.values()) < MAX_PER_MATCH * len(seen.pairs) + MAX_ELSE
 
 
 def test_at_home_its_picture_makes_the_pose_better(drive, track):
     mapped = run(drive, Localizer(drive.home, **drive.settings.robot))
-    told, else_told = (np.trace(t.covariance[-1][:2, :2]) for t in (track, mapped))
-    assert math.sqrt(told) < 0.8 * math.sqrt(else_told)
+    trace, trace_mapped = (np.trace(t.covariance[-1][:2, :2]) for t in (track, mapped))
+    assert math.sqrt(trace) < 0.8 * math.sqrt(trace_mapped)
     off = errors(track, drive.truth)
     assert off.position[-1] < 0.01  # half of what homing asks for
     assert off.nees_position[-1] < 13.8  # 1 in 1,000 by chance
@@ -102,15 +102,15 @@ def test_at_home_its_picture_makes_the_pose_better(drive, track):
     assert track.reason[-1].endswith("agree with home's picture")
 
 
-def test_before_home_is_found_the_way_there_is_told_in_words(drive, track):
-    told = {
+def test_before_home_is_found_its_direction_is_in_the_reason(drive, track):
+    reasons = {
         k: WAYS.index(reason.split("(home lies ")[1].split(")")[0])
         for k, reason in enumerate(track.reason)
         if "(home lies " in reason and "contradicts" not in reason  # then it goes with a pose
     }
-    assert len(told) > 20
-    assert not track.has_pose[list(told)].any()
-    for k, way in told.items():
+    assert len(reasons) > 20
+    assert not track.has_pose[list(reasons)].any()
+    for k, way in reasons.items():
         pose = Pose(*(float(a[0]) for a in drive.truth.at(track.t[k : k + 1])))
         eighths = 8 * float(bearing(pose, 0.0, 0.0)) / math.tau
         assert abs((way - eighths + 4) % 8 - 4) < 0.8
@@ -155,7 +155,7 @@ def test_without_pictures_it_is_the_localiser(drive):
 
 
 def test_pictures_of_another_place_are_no_reason_to_be_sure(drive):
-    """None of them is accepted: what the map says near home is in doubt."""
+    """None of them is accepted: the map's pose near home is unverified."""
 
     def refused(seen):
         return seen and replace(seen, acceptance=replace(seen.acceptance, accepted=False))
@@ -164,7 +164,7 @@ def test_pictures_of_another_place_are_no_reason_to_be_sure(drive):
     other = replace(drive, pictures=unlike)
     track = run(other, make_estimator("robust", other))
     assert track.status[-1] is Status.UNVERIFIED
-    assert track.reason[-1] == "the map says that this is home, but the pictures do not match"
+    assert track.reason[-1] == "home according to the map, but the pictures do not match"
 
 
 def test_pictures_out_of_order_are_counted_and_do_no_harm(drive, track):
@@ -184,7 +184,7 @@ def test_a_home_that_no_picture_is_like_is_said_to_be_unseen(folder, tmp_path):
     assert "nothing in it tells what the camera saw at home" in line
 
 
-def test_run_writes_poses_that_have_a_distance_says_so_and_repeats(folder, track, tmp_path):
+def test_run_writes_poses_that_have_a_distance_with_a_note_and_repeats(folder, track, tmp_path):
     answer = done(call("run", folder, "--out", tmp_path / "a"))
     assert track.notes[-1] in answer.output.replace("\n", " ")
     rows = estimates(tmp_path / "a")

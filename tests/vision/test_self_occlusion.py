@@ -1,4 +1,4 @@
-"""What turns with the camera is told where a mask is missing, and nowhere else."""
+"""What turns with the camera is detected where a mask is missing, and nowhere else."""
 
 # ruff: noqa: E402 (nothing is imported where OpenCV is missing)
 import numpy as np
@@ -24,7 +24,7 @@ def frame(k, seed=7, steps=1.0):
     return draw(make_room(seed), 3.0 + 0.05 * k, 3.0, 0.4 + STEP * steps * k, seed=k)
 
 
-def told(frames, headings, mask=None):
+def detected(frames, headings, mask=None):
     along = SelfOcclusionDetector()
     for image, heading in zip(frames, headings, strict=True):
         along.see(extract(image, CAMERA, mask), heading)
@@ -34,8 +34,8 @@ def told(frames, headings, mask=None):
 HEADINGS = [STEP * k for k in range(12)]
 
 
-def test_a_deck_is_told_and_where_it_lies():
-    found = told([on_robot(frame(k)) for k in range(12)], HEADINGS)
+def test_a_deck_is_detected_with_its_elevation():
+    found = detected([on_robot(frame(k)) for k in range(12)], HEADINGS)
     assert found.matches > 50
     top = np.degrees((HEIGHT / 2 - HORIZON) * 2 * np.pi / WIDTH)  # the mast is higher
     assert np.degrees(found.lowest) < top - 10
@@ -43,24 +43,24 @@ def test_a_deck_is_told_and_where_it_lies():
     assert "mask" in found.words
 
 
-def test_with_its_mask_nothing_is_told():
-    assert told([on_robot(frame(k)) for k in range(12)], HEADINGS, MASK) is None
+def test_with_its_mask_nothing_is_detected():
+    assert detected([on_robot(frame(k)) for k in range(12)], HEADINGS, MASK) is None
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_clean_room_is_not_suspected(seed):
-    assert told([frame(k, seed) for k in range(12)], HEADINGS) is None
+    assert detected([frame(k, seed) for k in range(12)], HEADINGS) is None
 
 
 def test_a_robot_that_does_not_turn_is_not_suspected():
     """Its wheels slip, or its gyroscope drifts: then it is odometry that is wrong."""
-    assert told([frame(0)] * 12, HEADINGS) is None
-    assert told([frame(k, steps=0.0) for k in range(12)], HEADINGS) is None
+    assert detected([frame(0)] * 12, HEADINGS) is None
+    assert detected([frame(k, steps=0.0) for k in range(12)], HEADINGS) is None
 
 
 def test_without_a_turn_nothing_is_known():
     frames = [on_robot(frame(k, steps=0.0)) for k in range(12)]
-    assert told(frames, [0.01 * k for k in range(12)]) is None
+    assert detected(frames, [0.01 * k for k in range(12)]) is None
 
 
 def between(*images, mask=None):
@@ -68,7 +68,7 @@ def between(*images, mask=None):
     return find_self_occlusion(compare(home, now, CAMERA), CAMERA)
 
 
-def test_of_two_panoramas_it_is_told_where_the_rest_tells_a_turn():
+def test_it_is_detected_in_two_panoramas_if_the_rest_shows_a_rotation():
     room = make_room(7)
     clean = draw(room, 3.0, 3.0, 0.4, seed=0), draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)
     painted = [on_robot(image) for image in clean]
@@ -117,7 +117,7 @@ def test_a_missing_mask_is_said_on_the_terminal(folder, tmp_path, command):
     assert "turn with the camera" not in words(command, folder, "--out", tmp_path / "masked")
 
 
-def test_compare_says_it_too(folder, tmp_path):
+def test_compare_reports_it_too(folder, tmp_path):
     room = make_room(7)
     cv2.imwrite(str(folder / "now.png"), on_robot(draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)))
     pair = folder / "home.png", folder / "now.png"

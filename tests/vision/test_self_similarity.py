@@ -51,11 +51,11 @@ def test_a_tiled_room_is_known_by_what_else_is_in_it(tiled):
     for heading, home, now in tiled:
         seen = compare(home, now, CAMERA)
         assert seen.accepted, seen.acceptance.reason
-        assert seen.knows_direction
+        assert seen.has_direction
         assert abs(wrap(seen.heading - heading)) < 0.01
 
 
-def test_tiles_recur_and_what_stands_on_them_does_not(tiled):
+def test_tiles_recur_and_furniture_does_not(tiled):
     for _, home, _ in tiled:
         tiles = thinned(np.flatnonzero(home.elevation < np.radians(-20)), 50)
         others = thinned(np.flatnonzero(home.elevation > 0), 50)
@@ -64,7 +64,7 @@ def test_tiles_recur_and_what_stands_on_them_does_not(tiled):
 
 
 def painted(at, times):
-    """Return a bare room whose floor or ceiling is a painting, repeated so many times each way."""
+    """Return a bare room whose floor or ceiling is a painting, repeated several times each way."""
     bare = make_room(5, boxes=0)
     cells = np.random.default_rng(0).uniform(20, 240, (60 // times, 80 // times))
     painting = cv2.resize(np.tile(cells, (times, times)), (480, 360), interpolation=cv2.INTER_CUBIC)
@@ -96,15 +96,15 @@ def test_nothing_to_ask_and_nothing_to_compare_with():
     assert self_similar(plain, np.zeros(0, int), CAMERA).shape == (0,)
 
 
-@pytest.mark.parametrize(("repeated", "believed"), [(0, True), (14, True), (24, True), (36, False)])
-def test_where_most_repeats_itself_the_others_must_be_enough(repeated, believed):
+@pytest.mark.parametrize(("repeated", "accepted"), [(0, True), (14, True), (24, True), (36, False)])
+def test_where_much_repeats_itself_the_others_must_be_enough(repeated, accepted):
     pairs = made_up(Motion(1.0, 0.8), n=40, seed=0, noise=SIGMA)
     fit = estimate_motion(pairs, np.ones(40), 0.005)
     fit = replace(fit, inlier=np.ones(40, bool))
-    verdict = assess(fit, pairs)
-    assert verdict.accepted
+    acceptance = assess(fit, pairs)
+    assert acceptance.accepted
     rows = np.random.default_rng(1).permutation(40)
-    found = assess_unrepeated(verdict, fit, pairs, rows, np.arange(40) < repeated)
-    assert found.accepted == believed
-    assert ("repeating patterns" in found.reason) != believed
+    found = assess_unrepeated(acceptance, fit, pairs, rows, np.arange(40) < repeated)
+    assert found.accepted == accepted
+    assert ("repeating patterns" in found.reason) != accepted
     assert "40 of 40 matches agree" in found.reason

@@ -1,4 +1,4 @@
-"""One thing that carries the whole answer is told, and costs confidence."""
+"""An object that the result depends on is reported, and enlarges the covariance."""
 
 import math
 
@@ -33,36 +33,36 @@ def answer(directions):
     rng = np.random.default_rng(2)
     pairs = seen(directions, rng.uniform(2.0, 5.0, len(directions)))
     fit = estimate_motion(pairs, np.arange(len(pairs)) / len(pairs), 0.002)
-    verdict = assess(fit, pairs)
-    return fit, pairs, verdict, dominant_object(fit, pairs)
+    acceptance = assess(fit, pairs)
+    return fit, pairs, acceptance, dominant_object(fit, pairs)
 
 
 @pytest.mark.parametrize("elevation", [0.2, 1.3])
-def test_one_thing_with_most_of_the_matches_is_told_and_costs(elevation):
+def test_an_object_with_many_of_the_matches_is_reported_and_costs(elevation):
     """A chandelier overhead lies in many directions, and is one thing all the same."""
     rng = np.random.default_rng(3)
     middle = np.array([[0.8, elevation]])
     around = unit_vectors(*middle.T) + rng.uniform(-0.15, 0.15, (30, 3))
     x, y, z = around.T
     thing = np.column_stack([np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))])
-    fit, pairs, verdict, on_it = answer(np.vstack([thing, scattered(5)]))
+    fit, pairs, acceptance, on_it = answer(np.vstack([thing, scattered(5)]))
     assert on_it[:30].sum() > 25
     assert not on_it[30:].any()
     assert covariance_factor(on_it, fit) > 3.0
-    said = explain(verdict, on_it, pairs)
+    said = explain(acceptance, on_it, pairs)
     assert "on one object" in said
     assert ("overhead" in said) == (elevation > math.radians(45.0))
 
 
-def test_what_stands_all_round_costs_nothing():
-    fit, pairs, verdict, on_it = answer(scattered(35))
-    assert verdict.accepted
+def test_matches_all_round_cost_nothing():
+    fit, pairs, acceptance, on_it = answer(scattered(35))
+    assert acceptance.accepted
     assert not on_it.any()
     assert covariance_factor(on_it, fit) == 1.0
-    assert explain(verdict, on_it, pairs) == verdict.reason
+    assert explain(acceptance, on_it, pairs) == acceptance.reason
 
 
-def test_a_thing_with_most_matches_does_not_carry_what_the_others_tell_by_themselves():
+def test_an_object_with_many_matches_costs_nothing_if_the_others_suffice():
     near = np.column_stack([np.linspace(0.5, 0.9, 60), np.tile([0.0, 0.2, -0.2], 20)])
     fit, _, _, on_it = answer(np.vstack([near, scattered(40)]))
     assert fit.inlier.sum() > 80

@@ -11,7 +11,7 @@ from homeward.vision import Equirectangular, extract
 
 
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library's memory")
-def test_memory_is_not_taken_anew_for_every_image():
+def test_memory_is_not_requested_again_for_every_image():
     from resource import RUSAGE_SELF, getrusage
 
     image = np.random.default_rng(0).integers(0, 256, (384, 1536), dtype=np.uint8)

@@ -1,4 +1,4 @@
-"""Tags from pixels to bearings: exact pictures, all kinds of records, and what is left out."""
+"""Tags from pixels to bearings: exact pictures, all kinds of recordings, and left-out tags."""
 
 import json
 import re
@@ -40,7 +40,7 @@ def drawn(lens, number=7, middle=(1.0, 0.2, 0.1), size=0.3, yaw=0.4, seed=0, **m
 
 
 @pytest.mark.parametrize("lens", [PINHOLE, FISHEYE], ids=["pinhole", "fisheye"])
-def test_bearings_and_their_deviations_are_honest(lens):
+def test_bearings_and_their_sigmas_are_consistent(lens):
     eye, rng, errors, sigmas = TagFrontEnd(lens), np.random.default_rng(1), [], []
     for k in range(30):
         middle = rng.uniform([0.8, -0.35, -0.25], [1.4, 0.35, 0.25])
@@ -54,7 +54,7 @@ def test_bearings_and_their_deviations_are_honest(lens):
     assert len(errors) > 20
     # Three hundredths of a pixel.
     assert np.sqrt(np.mean(np.square(errors))) < 0.03 / lens.fx
-    # Bounds of chi-square at 1e-4 for 20 and more; above what is told is worse than below.
+    # Bounds of chi-square at 1e-4 for 20 and more; too large is worse than too small.
     assert 0.15 < np.mean(np.square(np.divide(errors, sigmas))) < 2.2
 
 
@@ -72,7 +72,7 @@ def test_a_code_with_a_wrong_cell_is_left_out():
     assert not TagFrontEnd(PINHOLE).see(wrong).bearings
 
 
-def test_a_number_that_is_there_twice_is_told_and_left_out():
+def test_a_number_that_occurs_twice_is_reported_and_left_out():
     left, _ = drawn(PINHOLE, 3, (1.0, 0.35, 0.0), yaw=0.0)
     right, _ = drawn(PINHOLE, 3, (1.0, -0.35, 0.0), yaw=0.0)
     both = np.hstack([left[:, :160], right[:, 160:]])
@@ -90,7 +90,7 @@ def test_families(family):
 
 
 def test_no_such_family():
-    with pytest.raises(InputError, match=r"no family of tags '37h11'; there are .*36h11"):
+    with pytest.raises(InputError, match=r"unknown tag family '37h11'; use one of .*36h11"):
         TagFrontEnd(PINHOLE, "37h11")
 
 
@@ -118,11 +118,11 @@ def record(tmp_path_factory):
 
 def test_a_folder_by_command(record, tmp_path):
     asked = ["see", str(record), "--tags", "36h11", "--out", str(tmp_path / "drive")]
-    told = json.loads(done(call(*asked, "--json")).stdout)
+    summary = json.loads(done(call(*asked, "--json")).stdout)
     drive = read_folder(tmp_path / "drive")
     assert drive.sightings.landmark.tolist() == ["0", "1", "2", "3"]
-    assert told["landmarks"] == {"0": 1, "1": 1, "2": 1, "3": 1}
-    assert told["home"] == [*drive.home]
+    assert summary["landmarks"] == {"0": 1, "1": 1, "2": 1, "3": 1}
+    assert summary["home"] == [*drive.home]
     true = np.arctan2(0.2, 1.0 + 0.1 * np.arange(4))
     assert drive.sightings.bearing == pytest.approx(true, abs=2e-4)
     assert drive.home["2"].bearing == pytest.approx(np.arctan2(0.2, 1.0), abs=2e-4)
@@ -184,7 +184,7 @@ def test_a_video(record):
     with pytest.raises(InputError, match="but 2 stamps"):
         see_recording(path, tags="36h11")
     (record / "broken.mp4").write_bytes(b"no video")
-    with pytest.raises(InputError, match="not a video that can be read"):
+    with pytest.raises(InputError, match="not a readable video"):
         see_recording(record / "broken.mp4", tags="36h11")
 
 
@@ -228,8 +228,8 @@ def test_pictures_in_a_log(record, tmp_path, large):
             colour = cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
             if large:  # beyond what other messages may hold
                 colour = cv2.resize(colour, None, fx=3, fy=3, interpolation=cv2.INTER_CUBIC)
-            told = image_message(colour, "bgr8", 1.0 + k)
-            write("/camera/image_raw", "sensor_msgs/msg/Image", k, told)
+            picture = image_message(colour, "bgr8", 1.0 + k)
+            write("/camera/image_raw", "sensor_msgs/msg/Image", k, picture)
             vector = TYPES.types["geometry_msgs/msg/Vector3"]
             still, way = vector(x=0.0, y=0.0, z=0.0), vector(x=0.1, y=0.0, z=0.0)
             twist = message("geometry_msgs/msg/Twist", linear=way, angular=still)
@@ -307,10 +307,10 @@ def test_the_manuals_python_runs(tmp_path):
     (tmp_path / "camera.yaml").write_text(camera)
     localizer = Localizer({"7": 0.1})
     localizer.odometry(0.0, 0.1, 0.0)
-    told = {"folder": tmp_path, "picture": drawn(PINHOLE)[0], "localizer": localizer, "t": 0.1}
-    exec(code, told)
-    assert list(told["seen"].bearings) == ["7"]
-    assert told["answer"].status is Status.MAPPING
+    names = {"folder": tmp_path, "picture": drawn(PINHOLE)[0], "localizer": localizer, "t": 0.1}
+    exec(code, names)
+    assert list(names["seen"].bearings) == ["7"]
+    assert names["answer"].status is Status.MAPPING
 
 
 def test_a_log_without_pictures_is_refused_and_nothing_is_written(tmp_path):

@@ -11,7 +11,7 @@ from homeward.geometry.frames import Pose
 from homeward.lab.simulation.render.drive import Eye, panorama_of
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
-from homeward.vision.front_end import PROVEN, FrontEnd
+from homeward.vision.front_end import MIN_SIGHTINGS, FrontEnd
 from homeward.vision.geometry.epipolar import Motion
 from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
@@ -64,14 +64,14 @@ def test_lean_is_the_derivative_by_roll_and_pitch():
 
 @pytest.mark.parametrize("jitter", [0.0, JITTER])
 def test_bearings_of_shaken_pictures_are_those_of_level_ones(jitter):
-    """From one place, turning: what home saw lies where it lay, whatever the camera's tilt."""
+    """From one place, turning: home's features keep their direction for any tilt of the camera."""
     made = room("attic", 0, (1.0, 3.0), 0)
     camera = made.camera.model_copy(update={"tilt_sigma": jitter})
     eye = Eye(made.model_copy(update={"camera": camera}))
     known = panorama_of(eye)
     front_end = FrontEnd(extract(eye.home_picture(), known), known)
     off = []
-    for k in range(PROVEN + 3):
+    for k in range(MIN_SIGHTINGS + 3):
         alpha = 0.2 * k
         glance = front_end.see(eye.look(0.0, Pose(0.0, 0.0, alpha), k + 1))
         for name, bearing in glance.bearings.items():
@@ -85,7 +85,7 @@ def test_bearings_of_shaken_pictures_are_those_of_level_ones(jitter):
     assert np.median(np.abs(error / sigma)) < 1.0
 
 
-def test_a_tilted_pair_tells_its_tilt_as_well_as_it_says():
+def test_the_tilt_of_a_pair_is_within_its_covariance():
     nees = []
     for seed in range(4):
         made = room("office", seed, (1.0, 2.0), 0)
@@ -102,4 +102,4 @@ def test_a_tilted_pair_tells_its_tilt_as_well_as_it_says():
         error = np.array(seen.motion[2:4]) - true
         assert np.abs(error).max() < 0.01
         nees.append(error @ np.linalg.solve(seen.tilt_covariance, error))
-    assert np.mean(nees) < 5.0  # 2 where honest; the mean of four is beyond once in 200 times
+    assert np.mean(nees) < 5.0  # 2 where consistent; the mean of four is beyond once in 200 times

@@ -1,4 +1,4 @@
-"""The compiled loops say what NumPy says, and without a compiler NumPy says it."""
+"""The compiled loops agree with NumPy, and without a compiler NumPy is used."""
 
 import numpy as np
 import pytest
@@ -34,16 +34,16 @@ def test_patches_are_laid_alike(both, shape, times):
     at = rng.uniform(-0.5, 0.5, (n, 2)) * [shape[1], shape[0]] + np.array(shape[::-1]) / 2
     size, growth, turn = rng.uniform(0.5, 12, n), rng.uniform(0.7, 1.4, n), rng.normal(0, 0.2, n)
     there = at + rng.normal([3, 0], 0.5, (n, 2))
-    told = (Pyramid.of(home, times), Pyramid.of(now, times), at, there, size, growth, turn)
-    native, plain = both(align_features, *told)
+    given = (Pyramid.of(home, times), Pyramid.of(now, times), at, there, size, growth, turn)
+    native, plain = both(align_features, *given)
     # Where the two do not look alike, small differences grow from step to step.
     assert np.mean(native.found == plain.found) > 0.98
     same = native.found & plain.found
     assert np.abs(native.column - plain.column)[same].max(initial=0) < 5e-3
     assert np.abs(native.row - plain.row)[same].max(initial=0) < 5e-3
-    size = np.trace(plain.spread, axis1=1, axis2=2)[:, None, None]
+    size = np.trace(plain.covariance, axis1=1, axis2=2)[:, None, None]
     # Of tiny pictures little is left but rounding.
-    alike = np.abs((native.spread - plain.spread) / size)[same].max(initial=0) < 1e-2
+    alike = np.abs((native.covariance - plain.covariance) / size)[same].max(initial=0) < 1e-2
     assert min(shape) < 25 or (alike and same.sum() > n / 2)
 
 
@@ -52,16 +52,16 @@ def test_a_feature_is_laid_after_several_maps_as_after_each_alone():
     image = blots(rng, (96, 256))
     pictures = Pyramid.of(image), Pyramid.of(np.roll(image, 3, axis=1))
     at = rng.uniform([0, 0], [256, 96], (n, 2))
-    told = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.ones(n), np.zeros(n)
+    given = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.ones(n), np.zeros(n)
     other = at, at + rng.normal([3, 0], 1.0, (n, 2)), np.full(n, 4.0), np.full(n, 1.2), np.zeros(n)
     # Each feature twice, one after the other.
-    pairs = (np.stack(pair, axis=1) for pair in zip(told, other, strict=True))
+    pairs = (np.stack(pair, axis=1) for pair in zip(given, other, strict=True))
     together = align_features(*pictures, *(pair.reshape(2 * n, *pair.shape[2:]) for pair in pairs))
     for first, alone in enumerate(
-        (align_features(*pictures, *told), align_features(*pictures, *other))
+        (align_features(*pictures, *given), align_features(*pictures, *other))
     ):
         assert np.array_equal(together.place[first::2], alone.place)
-        assert np.array_equal(together.spread[first::2], alone.spread)
+        assert np.array_equal(together.covariance[first::2], alone.covariance)
 
 
 def test_patches_far_outside_and_out_of_shape_are_looked_up_safely(both):

@@ -1,11 +1,11 @@
-"""The pose from home's picture: exact at home whatever the map says, and unsure when unsure."""
+"""The pose from home's picture: exact at home for any map, and unverified when uncertain."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from told_map import SIGMA, Map, bearings, compared, scene
+from scripted_map import SIGMA, Map, bearings, compared, scene
 
 from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.estimator import Counts, Status
@@ -19,7 +19,7 @@ WIDE, LEVEL = np.diag([10.0, 10.0]), 1e-6 * np.eye(2)
 
 
 def anchors(points, camera, scale=1.0, share=0.05):
-    """Return what is seen from a camera's pose, the map being too large by a factor."""
+    """Return the landmarks seen from a camera's pose, the map being too large by a factor."""
     home = bearings(points, Pose(0.0, 0.0, 0.0))
     distance = scale * np.hypot(*points.T)
     spread = np.full(len(points), SIGMA)
@@ -61,11 +61,11 @@ def test_at_home_the_map_may_be_wrong_and_away_from_home_it_may_not():
     far = resect(anchors(points, away, scale=1.4, share=0.3), guess(away), LEVEL)
     error = np.array(far.pose[:2]) - away[:2]
     assert np.hypot(*error) > 0.1
-    # The error is the map's scale, and is within what the covariance says of that.
+    # The error is the map's scale, and is within its covariance.
     assert error @ np.linalg.solve(far.covariance[:2, :2], error) < 9.0
 
 
-def test_wrong_matches_are_outvoted_and_told():
+def test_wrong_matches_are_outvoted_and_reported():
     camera = Pose(0.5, -0.4, 1.0)
     seen = anchors(scene(), camera)
     now = seen.now.copy()
@@ -75,8 +75,8 @@ def test_wrong_matches_are_outvoted_and_told():
     np.testing.assert_array_equal(found.agrees, np.arange(24) >= 7)
 
 
-def test_someone_close_by_of_whom_no_map_knows_does_not_hold_the_pose_at_home():
-    """What two pictures alone tell is misled, too, by more than it knows."""
+def test_an_unmapped_person_close_by_does_not_hold_the_pose_at_home():
+    """The direction from two pictures alone is wrong, too, by more than its covariance."""
     rng, camera = np.random.default_rng(9), Pose(0.012, 0.017, -2.2)
     azimuth = np.concatenate([np.linspace(-1.1, 0.5, 14), rng.uniform(-1.6, 0.3, 60)])
     distance = np.concatenate([np.full(14, 1.4), np.full(60, 5.0)])
@@ -91,14 +91,14 @@ def test_someone_close_by_of_whom_no_map_knows_does_not_hold_the_pose_at_home():
         distance_sigma=np.where(known, seen.distance_sigma, 5.6),
         mapped=known,
     )
-    told = guess(camera, np.diag([0.077, 0.0019]) ** 2)
-    misled = replace(told, theta=told.theta + 0.4, alpha=told.alpha + 0.011)
+    direction = guess(camera, np.diag([0.077, 0.0019]) ** 2)
+    misled = replace(direction, theta=direction.theta + 0.4, alpha=direction.alpha + 0.011)
     found = resect(guessed, misled, LEVEL)
     assert math.dist(found.pose[:2], camera[:2]) < 0.005
 
 
-@pytest.mark.parametrize("told", [True, False])
-def test_a_tilt_common_to_all_bearings_is_not_taken_for_independent_errors(told):
+@pytest.mark.parametrize("is_known", [True, False])
+def test_a_tilt_common_to_all_bearings_is_not_taken_for_independent_errors(is_known):
     """NEES of (x, y, heading) is 3 where the tilt is one unknown of the picture, and far beyond
     where it is left out."""
     rng, tilt, nees = np.random.default_rng(3), 0.01, []
@@ -109,10 +109,10 @@ def test_a_tilt_common_to_all_bearings_is_not_taken_for_independent_errors(told)
         lean = -lean * np.column_stack([np.cos(seen.now), np.sin(seen.now)])
         off = lean @ rng.normal(0.0, tilt, 2) + SIGMA / 5 * rng.standard_normal(40)
         shaken = replace(seen, now=seen.now - off, sigma=seen.sigma / 5, lean=lean)
-        found = resect(shaken, guess(camera), tilt**2 * np.eye(2) if told else LEVEL)
+        found = resect(shaken, guess(camera), tilt**2 * np.eye(2) if is_known else LEVEL)
         error = np.array(found.pose) - camera
         nees.append(error @ np.linalg.solve(found.covariance, error))
-    assert np.mean(nees) < 3.5 if told else np.mean(nees) > 20.0
+    assert np.mean(nees) < 3.5 if is_known else np.mean(nees) > 20.0
 
 
 def test_two_landmarks_fix_nothing():
@@ -166,7 +166,7 @@ def test_a_map_that_home_s_picture_contradicts_is_not_called_sure():
     assert "agree" in said.reason
 
 
-def test_home_must_be_recognised_where_the_map_says_home():
+def test_home_must_be_recognised_where_it_is_on_the_map():
     points = scene()
     near, far = (VisualHoming(Map(points, pose=Pose(x, 0.0, 0.0))) for x in (0.1, 2.0))
     for t in range(4):
@@ -177,20 +177,22 @@ def test_home_must_be_recognised_where_the_map_says_home():
     assert far.estimate(4.0).status is Status.LOCALISED
 
 
-def test_the_direction_is_told_before_there_is_a_map_and_kept_by_odometry():
+def test_the_direction_is_given_before_there_is_a_map_and_kept_by_odometry():
     points, camera = scene(), Pose(1.5, 1.0, 2.0)
     sight = VisualHoming(Map(points[:0], status=Status.MAPPING))
     assert sight.estimate(0.0).pose is None
     sight.odometry(0.0, 0.0, 0.5)
     sight.home(0.5, compared(points, camera))
-    told = sight.estimate(0.5)
-    assert told.status is Status.UNVERIFIED
-    assert (to_polar(told.pose).theta, told.pose.heading) == pytest.approx(to_polar(camera)[1:])
-    assert told.covariance[0, 0] + told.covariance[1, 1] > 0.9  # the distance is a guess
+    estimate = sight.estimate(0.5)
+    assert estimate.status is Status.UNVERIFIED
+    assert (to_polar(estimate.pose).theta, estimate.pose.heading) == pytest.approx(
+        to_polar(camera)[1:]
+    )
+    assert estimate.covariance[0, 0] + estimate.covariance[1, 1] > 0.9  # the distance is a guess
     assert sight.estimate(0.9).pose.heading == pytest.approx(2.0 + 0.4 * 0.5)
     sight.odometry(1.0, 0.2, 0.0)
     after = sight.estimate(1.3).pose
-    assert math.hypot(after.x - told.pose.x, after.y - told.pose.y) == pytest.approx(0.06)
+    assert math.hypot(after.x - estimate.pose.x, after.y - estimate.pose.y) == pytest.approx(0.06)
     assert sight.estimate(0.4 + DIRECTION_HOLD_S).pose is not None
     assert sight.estimate(0.6 + DIRECTION_HOLD_S).pose is None
 
@@ -230,7 +232,7 @@ def test_between_pictures_a_pose_gets_as_unsure_as_odometry_is_noisy():
     assert max(x, y) < 1.25  # noise along the way is taken for noise across it, too
 
 
-def test_the_robot_s_centre_is_told_not_the_camera_s():
+def test_the_pose_is_the_robot_s_centre_not_the_camera_s():
     mount, home_mount = Sensor(x=0.3, y=-0.1, yaw=0.4), Mount(x=-0.2, y=0.1, yaw=-0.7)
     robot, seen_at_home = Pose(0.5, 0.2, 0.9), home_mount.pose
     camera = between(seen_at_home, compose(robot, mount.pose))
@@ -241,7 +243,7 @@ def test_the_robot_s_centre_is_told_not_the_camera_s():
     np.testing.assert_allclose(sight.estimate(0.0).pose, robot, atol=1e-3)
 
 
-def test_landmarks_that_no_map_knows_help_at_home_and_harm_nowhere():
+def test_unmapped_landmarks_help_at_home_and_harm_nowhere():
     """Near ones are guessed to be as far as the others: that must count for little."""
     points = scene(n=30)
     points[10:] *= 0.3
@@ -252,7 +254,7 @@ def test_landmarks_that_no_map_knows_help_at_home_and_harm_nowhere():
 
 
 def test_a_wrong_direction_near_home_is_outvoted():
-    """Two pictures taken a centimetre apart tell a direction, and believe in it too much."""
+    """Two pictures taken a centimetre apart give a direction that is overconfident."""
     camera = Pose(0.01, 0.0, 0.5)
     wrong = Direction(1.0, 0.5, np.diag([math.radians(2.0), math.radians(0.05)]) ** 2)
     found = resect(anchors(scene(n=80), camera), wrong, LEVEL)
@@ -260,7 +262,7 @@ def test_a_wrong_direction_near_home_is_outvoted():
 
 
 def turning(t):
-    """Return the pose at `t` [s] of a robot that drives the arc whose twists `deliver` tells."""
+    """Return the pose at `t` [s] of a robot that drives the arc whose twists are from `deliver`."""
     turn, radius = 0.8 * t, 0.3 / 0.8
     return compose(
         Pose(1.2, -0.4, 0.5), Pose(radius * math.sin(turn), radius * (1.0 - math.cos(turn)), turn)

@@ -35,45 +35,45 @@ from homeward.vision.geometry.tilt import Tilt
 MAX_DIRECTION_SIGMA = np.radians(30.0)
 """The direction is known where its standard deviation is smaller than this [rad]."""
 MIN_PARALLAX = 5.0
-"""Two places differ where the squared parallax is larger than this, in multiples of what noise
-gives: two images from one place have up to 3."""
-ALONE = 0.1
-"""Weight of the covariance of matches alone, beside that of all measurements. Measured on rendered
-rooms: the first is too large, the second at times far too small."""
-SHARP = 1.0
-"""Scale of the robust loss in the last fit, to many measurements [standard deviations]."""
-FORGIVING_RATIO = 0.9
+"""Two images are from different positions if their squared parallax is larger than this, as a
+multiple of that from noise: images from the same position have up to 3."""
+MATCH_ONLY_WEIGHT = 0.1
+"""Weight of the covariance from matches only; that from all measurements has the rest. Measured on
+rendered rooms: the first is too large, the second sometimes far too small."""
+FINAL_SCALE = 1.0
+"""Scale of the robust loss in the last fit, which has many measurements [standard deviations]."""
+GUIDED_RATIO = 0.9
 """Lowe's ratio where only a part of the panorama is searched."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Relative pose of two panoramas but for the distance, the first being home's.
+    """Relative pose, without the distance, of two panoramas, the first of which is home's.
 
-    Angles are those of the level cameras: azimuths anti-clockwise from the camera's axis.
+    Angles refer to the level cameras: azimuths anti-clockwise from the camera's axis.
     """
 
     acceptance: Acceptance
     pairs: Pairs
-    """All matches: directions at home, and of their patches now."""
+    """All matches: directions at home, and of the aligned patches now."""
     home_row: np.ndarray
-    """(n,): the feature of the home view of each match."""
+    """(n,): index of each match's feature at home."""
     now_row: np.ndarray
-    """(n,): and that of the view now."""
+    """(n,): index of each match's feature now."""
     place: np.ndarray
-    """(n, 2): column and row of home's patches now [px]."""
+    """(n, 2): column and row now of home's patches [px]."""
     agrees: np.ndarray
     """(n,) bool: inliers."""
     moved: np.ndarray
     """(n,) bool: outliers that agree with each other, on objects that were moved."""
     motion: Motion | None
-    """None where none was found; a guess unless `accepted`."""
+    """None if none was found; a guess unless `accepted`."""
     covariance: np.ndarray
     """(2, 2): of (theta, alpha) [rad^2]; infinite where not accepted."""
     tilt_covariance: np.ndarray
     """(2, 2): of the motion's (roll, pitch) [rad^2]; infinite where not accepted."""
     parallax: float
-    """See `Fit`; zero where there is none."""
+    """See `Fit`; zero if there is no motion."""
 
     @property
     def accepted(self) -> bool:
@@ -82,7 +82,7 @@ class Comparison:
 
     @property
     def tilt(self) -> Tilt:
-        """Tilt of the camera against home's; none where no motion was found."""
+        """Tilt of the camera relative to home's; level if no motion was found."""
         return Tilt.of(self.motion or Motion(0.0, 0.0), self.tilt_covariance)
 
     @property
@@ -106,13 +106,13 @@ class Comparison:
         return float(np.sqrt(self.covariance[0, 0]))
 
     @property
-    def knows_direction(self) -> bool:
-        """Whether the direction is known, and not only the heading, as near home."""
+    def has_direction(self) -> bool:
+        """Whether the direction is estimated, and not only the heading, as near home."""
         return self.shows_parallax and self.home_direction_sigma < MAX_DIRECTION_SIGMA
 
     @property
     def shows_parallax(self) -> bool:
-        """Whether the two places differ; in which direction may be unknown all the same."""
+        """Whether the two positions differ; the direction may still be unknown."""
         return self.accepted and self.parallax > MIN_PARALLAX
 
     @property
@@ -129,26 +129,19 @@ class Comparison:
 
 @single_threaded_blas()
 def compare(home: Features, now: Features, camera: Panorama) -> Comparison:
-    """Compare two views; in a second pass, where the first leaves the answer open.
+    """Compare the `Features` of two panoramas of one camera, with a second pass if necessary.
 
-    The second pass matches each feature only where it can lie by the heading of the first, so that
-    fewer others look like it.
-
-    Parameters
-    ----------
-    home, now : Features
-        From `extract`.
-    camera : Panorama
-        That took both.
+    If the first pass is undecided, the second matches each feature only where it can be according
+    to the heading of the first, so that fewer others look like it.
 
     Raises
     ------
     InputError
-        When they are not of one size.
+        If their sizes differ.
     """
     require_like_home(now.shape, home.shape)
     seen = compare_once(home, now, camera)
-    answered = seen.accepted and (seen.knows_direction or not seen.shows_parallax)
+    answered = seen.accepted and (seen.has_direction or not seen.shows_parallax)
     if answered or seen.motion is None:
         return seen
     again = compare_once(home, now, camera, seen.motion.alpha)
@@ -159,7 +152,7 @@ def compare(home: Features, now: Features, camera: Panorama) -> Comparison:
 def compare_once(
     home: Features, now: Features, camera: Panorama, heading: float | None = None
 ) -> Comparison:
-    """Compare two views in one pass; `heading` [rad] is that of now, where one is given."""
+    """Compare two panoramas in one pass; `heading` [rad] is the heading now, if known."""
     rows, pairs, alignment, quality = _aligned_matches(home, now, camera, heading)
     i, j = rows.T
     fit = estimate_motion(pairs, quality, camera.tilt_sigma)
@@ -175,13 +168,13 @@ def compare_once(
             at_home = np.column_stack(camera.directions(column, row, home.shape))
             propagated = _pairs(at_home, now, there, np.log(there.area) / 2, camera)
             fit, covariance = _refined(fit, pairs, propagated, camera)
-            # Propagated matches may have led to another motion, with fewer inliers.
+            # Propagated matches may have changed the motion, and left fewer inliers.
             fit = replace(fit, inlier=fit.inlier[: len(pairs)])
             acceptance = acceptance.reassessed(fit.inlier, pairs)
             acceptance = _test_self_similarity(acceptance, fit, pairs, home, i, camera, heading)
-            thing = dominant_object(fit, pairs, heading)
-            covariance = covariance_factor(thing, fit) * covariance
-            acceptance = replace(acceptance, reason=explain(acceptance, thing, pairs))
+            on_object = dominant_object(fit, pairs, heading)
+            covariance = covariance_factor(on_object, fit) * covariance
+            acceptance = replace(acceptance, reason=explain(acceptance, on_object, pairs))
         agrees = fit.inlier
     if acceptance.accepted:
         moved = moved_groups(home, now, rows, ~agrees)
@@ -211,15 +204,15 @@ def _test_self_similarity(
     camera: Panorama,
     heading: float | None,
 ) -> Acceptance:
-    """Return the acceptance of a fit after some of its inliers were tested for self-similarity.
+    """Return the acceptance after a test of some of the inliers for self-similarity.
 
-    `rows`, (n,), are the features of home that were matched.
+    `rows`, (n,), are the matched features of home.
     """
     if fit is None or not acceptance.accepted:
         return acceptance
-    asked = thinned(np.flatnonzero(fit.inlier), 100)  # they are a sample of all
-    recurs = self_similar(home, rows[asked], camera)
-    return assess_unrepeated(acceptance, fit, pairs, asked, recurs, heading)
+    tested = thinned(np.flatnonzero(fit.inlier), 100)
+    recurs = self_similar(home, rows[tested], camera)
+    return assess_unrepeated(acceptance, fit, pairs, tested, recurs, heading)
 
 
 def _aligned_matches(
@@ -227,12 +220,12 @@ def _aligned_matches(
 ) -> tuple[np.ndarray, Pairs, Alignment, np.ndarray]:
     """Match features: return rows, (n, 2), directions, aligned patches and qualities.
 
-    Left out are features that turned in the image, further ones at the same two places, and those
-    whose patches do not align.
+    Features that turned in the image, duplicates at the same two positions, and features whose
+    patches do not align are left out.
     """
     possible, ratio = None, RATIO
     if heading is not None:
-        possible, ratio = _near(home.angle, now.angle, WITHIN), FORGIVING_RATIO
+        possible, ratio = _near(home.angle, now.angle, WITHIN), GUIDED_RATIO
         possible &= _near(home.azimuth, now.azimuth + heading, WITHIN)
     rows, quality = match(home.descriptor, now.descriptor, ratio, possible)
     i, j = rows.T
@@ -253,34 +246,35 @@ def _aligned_matches(
     return rows[kept][found], pairs[found], alignment.rows(found), quality[kept][found]
 
 
-def _near(a: np.ndarray, b: np.ndarray, most: float) -> np.ndarray:
-    """Return which angles a, (n,), and b, (m,), differ by less: (n, m) bool [rad]."""
+def _near(a: np.ndarray, b: np.ndarray, max_angle: float) -> np.ndarray:
+    """Return which angles a, (n,), and b, (m,), differ by less than `max_angle` [rad]: (n, m)."""
     one, other = (np.column_stack([np.cos(x), np.sin(x)]).astype(np.float32) for x in (a, b))
-    return np.asarray(one @ other.T > math.cos(most))
+    return np.asarray(one @ other.T > math.cos(max_angle))
 
 
 def _pairs(
     at_home: np.ndarray, now: Features, alignment: Alignment, growth: np.ndarray, camera: Panorama
 ) -> Pairs:
-    """Return directions at home, (n, 2) [rad], with those of where their patches lie now."""
+    """Return directions at home, (n, 2) [rad], paired with those of their patches now."""
     directions, slope = camera.directions_and_slope(alignment.column, alignment.row, now.shape)
-    return Pairs.of(at_home, directions, slope @ alignment.spread @ slope.swapaxes(1, 2), growth)
+    return Pairs.of(
+        at_home, directions, slope @ alignment.covariance @ slope.swapaxes(1, 2), growth
+    )
 
 
 def _refined(fit: Fit, pairs: Pairs, propagated: Pairs, camera: Panorama) -> tuple[Fit, np.ndarray]:
     """Fit the motion to matches and propagated ones; return it with its covariance, (4, 4).
 
-    Propagated matches err with those they came from: so the covariance of matches alone is blended
-    in, and the parallax is theirs. Where matches alone do not know the direction, another motion
-    may be right, of which the propagated ones know nothing: then the covariance is that of matches.
+    Errors of propagated matches are correlated with those of their origins. So the covariance from
+    matches only is blended in, and the parallax is theirs. If matches alone do not determine the
+    direction, another motion may be correct, and only the covariance from matches is used.
     """
-    match_only_covariance, everything = (
-        jackknife_covariance(fit, pairs, camera.tilt_sigma),
-        pairs + propagated,
-    )
-    forgiving = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, INLIER)
-    found = refine(forgiving, everything, camera.tilt_sigma, SHARP)
+    match_only = jackknife_covariance(fit, pairs, camera.tilt_sigma)
+    everything = pairs + propagated
+    coarse = irls(np.vstack([fit.motion, fit.others]), everything, camera.tilt_sigma, INLIER)
+    found = refine(coarse, everything, camera.tilt_sigma, FINAL_SCALE)
     together = jackknife_covariance(found, everything, camera.tilt_sigma)
-    share = ALONE if math.sqrt(match_only_covariance[0, 0]) < MAX_DIRECTION_SIGMA else 1.0
-    covariance = share * match_only_covariance + (1.0 - share) * together
+    is_determined = math.sqrt(match_only[0, 0]) < MAX_DIRECTION_SIGMA
+    share = MATCH_ONLY_WEIGHT if is_determined else 1.0
+    covariance = share * match_only + (1.0 - share) * together
     return replace(found, parallax=fit.parallax), covariance[:4, :4]

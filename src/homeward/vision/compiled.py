@@ -1,7 +1,6 @@
-"""The innermost loops in C, where there is a compiler; NumPy does the same without.
+"""The innermost loops in C, where there is a compiler; without one, NumPy does the same.
 
-What has a counterpart in ``native/*.c`` asks `compiled` for it, and else goes on by itself; tests
-hold the two together.
+Functions with a counterpart in ``native/*.c`` request it from `compiled`. Tests compare the two.
 """
 
 from __future__ import annotations

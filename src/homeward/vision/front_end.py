@@ -1,8 +1,8 @@
 """Front-end: data association along keyframes, from panoramas to bearings of named landmarks.
 
-Each frame is compared with home and with the last keyframe; inliers take over the landmark of the
-feature they match. Where too little of a keyframe is left in sight, the frame becomes the next one.
-So landmarks that home saw keep their names where home itself is out of sight.
+Each frame is compared with home and with the last keyframe; each inlier inherits the landmark of
+the feature that it matches. When too few landmarks of a keyframe remain in view, the frame becomes
+the next keyframe. So landmarks of home keep their names where home itself is out of sight.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from homeward.vision.features.detection import Features, extract
 from homeward.vision.geometry.tilt import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
-"""A keyframe is replaced when fewer than this share of the most inliers it had are left."""
+"""A keyframe is replaced when it has fewer inliers than this share of its maximum."""
 MIN_SHARED = 25
 """A keyframe is replaced when it has fewer inliers than this."""
 LOST_FRAMES = 3
-"""After so many frames that match nothing, a new chain of keyframes begins."""
+"""After this number of frames without a match, a new chain of keyframes begins."""
 HOME_EVERY = 2
 """Where home is out of sight, every n-th frame is compared with it."""
 MAX_KEYFRAMES = 200
-"""So many keyframes are kept at most; the oldest but home is dropped."""
-PROVEN = 5
-"""A landmark is passed on from its n-th frame."""
+"""Maximum number of keyframes; the oldest one, except home, is dropped."""
+MIN_SIGHTINGS = 5
+"""Landmarks with fewer sightings are not passed on."""
 NO_LANDMARK = -1
 
 
@@ -42,12 +42,12 @@ class Keyframe:
     landmark: np.ndarray
     """(n,) int: number of each feature's landmark, or `NO_LANDMARK`."""
     drift: np.ndarray
-    """(n,): standard deviation of where each feature is, against where its landmark was first seen
-    [rad]: all frames that are compared with this one share it."""
+    """(n,): standard deviation of each feature's position relative to the first sighting of its
+    landmark [rad]; common to all frames that are compared with this one."""
     tilt: Tilt = AS_HOME
-    """Against home's picture."""
+    """Relative to home's picture."""
     shared: int = 0
-    """The most inliers that a later frame had with it."""
+    """Maximum number of inliers of a later frame."""
 
 
 @dataclass(frozen=True)
@@ -59,13 +59,13 @@ class FrameBearings:
     sigmas: dict[str, float]
     """[rad]"""
     home: Comparison | None
-    """With home; None when it was not tried."""
+    """Comparison with home; None if it was not made."""
     reason: str
-    """Which picture it matches, in words."""
+    """Which picture it matches, for the user."""
 
 
 def home_name(row: int) -> str:
-    """Return what the landmark is called that is feature number `row` of the home image."""
+    """Return the name of the landmark that is feature number `row` of the home image."""
     return f"h{row}"
 
 
@@ -75,15 +75,15 @@ class FrontEnd:
     Parameters
     ----------
     home : Features
-        What the camera saw at home; frames are masked as it was.
+        Of the home image; its mask applies to all frames.
     camera : Panorama
-        That takes the panoramas.
-    most : int
-        How many landmarks at most are passed on from one frame.
+        The camera of the panoramas.
+    max_landmarks : int
+        Maximum number of landmarks that are passed on from one frame.
     """
 
-    def __init__(self, home: Features, camera: Panorama, most: int = 30) -> None:
-        self.home, self.camera, self.most = home, camera, most
+    def __init__(self, home: Features, camera: Panorama, max_landmarks: int = 30) -> None:
+        self.home, self.camera, self.max_landmarks = home, camera, max_landmarks
         self._keyframes = [Keyframe(home, np.arange(len(home)), np.zeros(len(home)))]
         self._sightings: dict[int, int] = {}
         self._next = len(home)
@@ -92,28 +92,32 @@ class FrontEnd:
 
     @property
     def home_bearings(self) -> dict[str, HomeBearing]:
-        """What home saw of each landmark that was seen again."""
-        seen = (i for i, n in sorted(self._sightings.items()) if i < len(self.home) and n >= PROVEN)
+        """Home bearings of the landmarks that were seen again."""
+        seen = (
+            i
+            for i, n in sorted(self._sightings.items())
+            if i < len(self.home) and n >= MIN_SIGHTINGS
+        )
         azimuth, sigma = self.home.azimuth, self.home.sigma
         return {self._name(i): HomeBearing(float(azimuth[i]), float(sigma[i])) for i in seen}
 
     def all_home_bearings(self) -> dict[str, HomeBearing]:
-        """Return what home saw, seen again or not: for an estimator that runs online."""
+        """Return the home bearings of all features of home: for an estimator that runs online."""
         pairs = zip(self.home.azimuth.tolist(), self.home.sigma.tolist(), strict=True)
         return {self._name(i): HomeBearing(*pair) for i, pair in enumerate(pairs)}
 
     def see(self, panorama: np.ndarray) -> FrameBearings:
-        """Take a panorama as `Panorama.panorama` gives it, of any kind that `extract` takes.
+        """Process a panorama as `Panorama.panorama` returns it, in any format of `extract`.
 
         Raises
         ------
         InputError
-            When it is no picture, or not as large as home's; it is as if it had not been taken.
+            If it is no picture or differs in size from home's; the front-end does not change then.
         """
         return self.take(extract(panorama, self.camera, self.home.mask))
 
     def take(self, view: Features) -> FrameBearings:
-        """Take the next frame of the drive; errors as of `see`."""
+        """Process the features of the next frame; errors as in `see`."""
         require_like_home(view.shape, self.home.shape)
         landmark = np.full(len(view), NO_LANDMARK)
         compared = {}
@@ -135,17 +139,17 @@ class FrontEnd:
         )
 
     def _tilt(self, fits: list[int], compared: dict[int, Comparison]) -> Tilt:
-        """Return the tilt against home, by the keyframe that tells it best, if any does."""
-        told = [Tilt(np.eye(3), 2.0 * self.camera.tilt_sigma**2 * np.eye(2))]
-        told += [
+        """Return the tilt relative to home, from the keyframe with the least uncertainty."""
+        candidates = [Tilt(np.eye(3), 2.0 * self.camera.tilt_sigma**2 * np.eye(2))]
+        candidates += [
             self._keyframes[k].tilt.then(motion, compared[k].tilt_covariance)
             for k in fits
             if (motion := compared[k].motion) is not None
         ]
-        return min(told, key=lambda tilt: float(np.trace(tilt.covariance)))
+        return min(candidates, key=lambda tilt: float(np.trace(tilt.covariance)))
 
     def _references(self) -> list[int]:
-        """Choose the keyframes to compare with: home, the last one, and when lost one more."""
+        """Choose the keyframes to compare with: home, the last one, and one more if lost."""
         last = len(self._keyframes) - 1
         self._turn += 1
         chosen = {last}
@@ -156,21 +160,21 @@ class FrontEnd:
         return sorted(chosen)
 
     def _compare(self, k: int, view: Features, landmark: np.ndarray) -> tuple[Comparison, Features]:
-        """Compare with a keyframe, and take over its landmarks where they agree.
+        """Compare with a keyframe, and inherit its landmarks where they agree.
 
-        Returned is also the view with these landmarks where the keyframe's patches lie: from frame
-        to frame and from keyframe to keyframe it is one point that is followed.
+        In the features returned, these landmarks are at the positions of the keyframe's aligned
+        patches, so that the same point is tracked from frame to frame and between keyframes.
         """
         keyframe = self._keyframes[k]
         seen = compare(keyframe.view, view, self.camera)
         if not seen.accepted:
             return seen, view
-        # What moved since home was stored is still a landmark, and its home bearing is wrong.
+        # A moved object is still a landmark, although its home bearing is wrong.
         ours = seen.agrees | seen.moved if k == 0 else seen.agrees
         theirs, mine = seen.home_row[ours], seen.now_row[ours]
         known = landmark[mine] != NO_LANDMARK
-        # A landmark that home names keeps that name in the chain from now on, and what lies here is
-        # as far from it as both are seen apart.
+        # A landmark of home keeps its name along the chain; the drift of this feature is its
+        # distance from that landmark in this frame.
         keyframe.landmark[theirs[known]] = landmark[mine[known]]
         apart = wrap(seen.pairs.now[ours][known, 0] - view.azimuth[mine[known]])
         keyframe.drift[theirs[known]] = np.hypot(apart, view.sigma[mine[known]])
@@ -192,7 +196,7 @@ class FrontEnd:
         fits: bool,
         compared: dict[int, Comparison],
     ) -> None:
-        """Make the frame a keyframe when the last one goes out of sight."""
+        """Make the frame a keyframe when the last keyframe goes out of sight."""
         if not fits:
             self._lost += 1
             if self._lost < LOST_FRAMES:
@@ -212,23 +216,23 @@ class FrontEnd:
             del self._keyframes[1]
 
     def _choose(self, view: Features, landmark: np.ndarray) -> np.ndarray:
-        """Choose the features to pass on: those known longest first, spread over all directions."""
+        """Choose the features to pass on: longest tracked first, spread over all directions."""
         rows = np.flatnonzero(landmark != NO_LANDMARK)
         _, first = np.unique(landmark[rows], return_index=True)
         rows = rows[first]
         for i in landmark[rows].tolist():
             self._sightings[i] = self._sightings.get(i, 0) + 1
         age = np.array([self._sightings[i] for i in landmark[rows].tolist()], int)
-        rows, age = rows[age >= PROVEN], age[age >= PROVEN]
+        rows, age = rows[age >= MIN_SIGHTINGS], age[age >= MIN_SIGHTINGS]
         at_home = landmark[rows] < len(self.home)
         order = rows[np.lexsort([view.sigma[rows], -age, ~at_home])]
         sector = sector_of(view.azimuth[order])
-        # The first of every sector, then the second of every sector, and so on.
+        # The first feature of each sector, then the second of each, and so on.
         rank = np.zeros(order.size, int)
         for s in np.unique(sector):
             here = sector == s
             rank[here] = np.arange(here.sum())
-        return order[np.argsort(rank, kind="stable")][: self.most]
+        return order[np.argsort(rank, kind="stable")][: self.max_landmarks]
 
     def _name(self, landmark: int) -> str:
         known = landmark < len(self.home)
@@ -245,7 +249,7 @@ class FrontEnd:
 def _moved_to(
     view: Features, features: np.ndarray, seen: Comparison, matches: np.ndarray, drift: np.ndarray
 ) -> Features:
-    """Return a view with some of its features where a comparison found them."""
+    """Return features, some of them moved to the positions that a comparison found."""
     parts = {k: getattr(view, k).copy() for k in ("column", "row", "azimuth", "elevation", "sigma")}
     parts["column"][features], parts["row"][features] = seen.place[matches].T
     parts["azimuth"][features], parts["elevation"][features] = seen.pairs.now[matches].T

@@ -1,4 +1,4 @@
-"""OpenCV, loaded when first needed: it is an extra."""
+"""OpenCV, loaded at first use: it is an extra."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import Any
 
 from homeward.errors import needs_extra
 
-KEPT = 256 << 20
-"""So much freed memory may stay with the process [bytes]."""
+MAX_KEPT = 256 << 20
+"""Freed memory that may stay with the process [bytes]."""
 MAX_BLOCK = 32 << 20
-"""Larger blocks come from the system and go back to it [bytes]: the most that glibc allows."""
+"""Larger blocks are returned to the system when freed [bytes]: the maximum of glibc."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
-"""In glibc's malloc.h."""
+"""From glibc's malloc.h."""
 
 
 def opencv() -> Any:
@@ -37,10 +37,10 @@ def opencv() -> Any:
 def _keep_memory() -> None:
     """Let the C library keep freed memory for the next image.
 
-    SIFT's pyramids were given back to the system after every image and taken again, page by page,
-    for the next one: a third of SIFT's time. See mallopt(3); other C libraries do as they do.
+    Otherwise SIFT's pyramids are returned to the system after each image and requested again for
+    the next, which takes a third of SIFT's time. See mallopt(3); only glibc has these options.
     """
     with suppress(OSError, AttributeError, TypeError):
         library = ctypes.CDLL(None)
         library.mallopt(_MMAP_THRESHOLD, MAX_BLOCK)
-        library.mallopt(_TRIM_THRESHOLD, KEPT)
+        library.mallopt(_TRIM_THRESHOLD, MAX_KEPT)

@@ -1,4 +1,4 @@
-"""Comparison of two panoramas: words, picture and files."""
+"""Report of a comparison of two panoramas: text, picture and files."""
 
 from __future__ import annotations
 
@@ -22,35 +22,35 @@ Images = tuple[np.ndarray, np.ndarray]
 """Panoramas at home and now, uint8 (height, width)."""
 Views = tuple[Features, Features]
 RESULT, MATCHES, PICTURE = "comparison.json", "matches.csv", "comparison.png"
-MOST_LINES = 60
-"""Matches joined by a line in the picture: more hide the images."""
+MAX_LINES = 60
+"""Maximum number of matches joined by a line: more would hide the images."""
 
 
 def describe(seen: Comparison) -> str:
-    """Return heading change and direction home in a few plain sentences."""
+    """Return heading change and direction home as text."""
     if not seen.accepted:
         return f"No answer: {seen.acceptance.reason}."
     heading = f"Heading change: {_turn(seen.heading)} +- {_deg(seen.heading_sigma)}."
-    if seen.knows_direction:
+    if seen.has_direction:
         home = f"Home lies {_turn(seen.home_direction)} of the camera's axis"
         home += f" +- {_deg(seen.home_direction_sigma)}."
     else:
-        home = "The direction home is not known: home is too near, or too few features agree."
+        home = "Direction home unknown: home is too near, or too few features agree."
     text = f"{heading} {home} {seen.acceptance.reason[0].upper()}{seen.acceptance.reason[1:]}."
     if moved := int(seen.moved.sum()):
-        text += f" {moved} more lie on objects that were probably moved."
+        text += f" {moved} more are on objects that were probably moved."
     return text
 
 
 def write_comparison(directory: Path, seen: Comparison, images: Images, views: Views) -> None:
     """Write comparison.json, matches.csv and comparison.png, all or none.
 
-    Of both `images` and `views`, home's comes first.
+    In `images` and `views`, home's comes first.
 
     Raises
     ------
     InputError
-        When the folder holds something that is not an earlier comparison, or cannot be written.
+        If the folder contains anything but an earlier comparison, or cannot be written.
     """
     with whole_folder(directory, RESULT) as scratch:
         _write_matches(scratch / MATCHES, seen)
@@ -60,7 +60,7 @@ def write_comparison(directory: Path, seen: Comparison, images: Images, views: V
 
 
 def as_dict(seen: Comparison) -> dict[str, object]:
-    """Return the answer as plain numbers, units in the keys; absent where there is none."""
+    """Return the result as numbers, units in the keys; unknown values are absent."""
     values: dict[str, object] = {
         "accepted": seen.accepted,
         "reason": seen.acceptance.reason,
@@ -71,7 +71,7 @@ def as_dict(seen: Comparison) -> dict[str, object]:
     }
     if seen.accepted:
         values |= {"heading_change_rad": seen.heading, "heading_sigma_rad": seen.heading_sigma}
-    if seen.knows_direction:
+    if seen.has_direction:
         values |= {
             "direction_home_rad": seen.home_direction,
             "direction_home_sigma_rad": seen.home_direction_sigma,
@@ -82,7 +82,7 @@ def as_dict(seen: Comparison) -> dict[str, object]:
 
 
 def picture(seen: Comparison, images: Images, views: Views) -> Figure:
-    """Draw the two panoramas, home above, and what was matched between them."""
+    """Draw the two panoramas, home above, and their matches."""
     height, width = images[0].shape
     below = 1.25 * height
     with style():
@@ -94,11 +94,11 @@ def picture(seen: Comparison, images: Images, views: Views) -> Figure:
             place = (-0.5, width - 0.5, top + height - 0.5, top - 0.5)
             axes.imshow(image, cmap="gray", vmin=0, vmax=255, extent=place)
             axes.text(0, top - 0.02 * height, words, va="bottom", color=INK)
-        agree = f"of {len(seen.pairs)} agree" + ("" if seen.accepted else ", which is not enough")
-        _draw_matches(axes, seen, views, below, ~seen.agrees & ~seen.moved, MUTED, "stray")
+        agree = f"of {len(seen.pairs)} agree" + ("" if seen.accepted else " (not enough)")
+        _draw_matches(axes, seen, views, below, ~seen.agrees & ~seen.moved, MUTED, "outliers")
         _draw_matches(axes, seen, views, below, seen.agrees, BLUE if seen.accepted else INK, agree)
-        _draw_matches(axes, seen, views, below, seen.moved, VERMILLION, "on things moved")
-        if seen.knows_direction:
+        _draw_matches(axes, seen, views, below, seen.moved, VERMILLION, "on moved objects")
+        if seen.has_direction:
             _mark_home(axes, seen, views[1], below)
         axes.set_xlim(-0.5, width - 0.5)
         axes.set_ylim(below + height, -0.15 * height)
@@ -117,7 +117,7 @@ def _draw_matches(
     colour: str,
     words: str,
 ) -> None:
-    """Draw one kind of matches: rings at either end, lines between some of them."""
+    """Draw one kind of matches: a ring at each end, and lines for some of them."""
     n = int(chosen.sum())
     if not n:
         return
@@ -135,13 +135,13 @@ def _draw_matches(
         color=colour,
         label=f"{n} {words}",
     )
-    some = np.unique(np.linspace(0, n - 1, min(n, MOST_LINES)).astype(int))
+    some = np.unique(np.linspace(0, n - 1, min(n, MAX_LINES)).astype(int))
     if colour != MUTED:
         axes.plot(x[:, some], y[:, some], color=colour, linewidth=0.4, alpha=0.6)
 
 
 def _mark_home(axes: Axes, seen: Comparison, now: Features, top: float) -> None:
-    """Mark where home lies in the panorama now."""
+    """Mark the direction home in the panorama now."""
     height, width = now.shape
     column = (now.axis - seen.home_direction / (2 * math.pi)) * width % width
     axes.plot([column, column], [top - 0.5, top + height - 0.5], color=VERMILLION, linewidth=0.9)
@@ -149,20 +149,20 @@ def _mark_home(axes: Axes, seen: Comparison, now: Features, top: float) -> None:
 
 
 def _write_matches(file: Path, seen: Comparison) -> None:
-    """Write the matches: bearings [rad], the sigma of those now, and what became of them."""
-    verdicts = np.where(seen.agrees, "agrees", np.where(seen.moved, "moved", "no"))
+    """Write the matches: bearings [rad], sigma of the bearing now, and classification."""
+    classes = np.where(seen.agrees, "agrees", np.where(seen.moved, "moved", "no"))
     rows = zip(
         seen.home_row.tolist(),
         seen.pairs.home[:, 0].tolist(),
         seen.pairs.now[:, 0].tolist(),
         seen.pairs.sigma.tolist(),
-        verdicts.tolist(),
+        classes.tolist(),
         strict=True,
     )
     write_csv(
         file,
         ("landmark", "home_bearing", "bearing", "sigma", "verdict"),
-        ((f"h{i}", *map(number, values), verdict) for i, *values, verdict in rows),
+        ((f"h{i}", *map(number, values), label) for i, *values, label in rows),
     )
 
 

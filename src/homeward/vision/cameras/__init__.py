@@ -1,1 +1,1 @@
-"""Panoramic cameras and their pictures: which direction each pixel looks in."""
+"""Panoramic cameras: the direction of each pixel; image files and masks."""

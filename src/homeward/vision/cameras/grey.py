@@ -1,4 +1,4 @@
-"""Conversion of images of any kind to 8 bits of grey."""
+"""Conversion of images to 8-bit grey values."""
 
 from __future__ import annotations
 
@@ -8,47 +8,43 @@ from numpy.typing import ArrayLike
 from homeward.errors import InputError
 from homeward.vision.opencv import opencv
 
-NARROWEST, LOWEST = 64, 16
+MIN_WIDTH, MIN_HEIGHT = 64, 16
 """Size of the smallest panorama that is accepted [px]."""
 MAX_PIXELS = 64_000_000
 """Size of the largest image that is accepted [px]."""
 
 
 def as_grey(image: ArrayLike) -> np.ndarray:
-    """Return a picture in 8 bits of grey; one that is so already, as it is.
+    """Return a picture in 8-bit grey, uint8 (height, width); not copied if it is that already.
 
     Parameters
     ----------
     image : array of integers, shape (height, width), or (height, width, 1, 3 or 4)
-        Grey, or colour in OpenCV's order (BGR, or BGRA, whose alpha is left out), of 8 bits, or of
-        16: these are scaled by the power of two that holds the brightest pixel.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width)
+        Grey, or colour in OpenCV's order (BGR, or BGRA, whose alpha is ignored). 16-bit values are
+        scaled by the smallest power of two that fits the brightest pixel into 8 bits.
 
     Raises
     ------
     InputError
-        When it is no such array, or of a size that is no panorama's.
+        If it is no such array, or its size is not that of a panorama.
     """
     if image is None:
-        raise InputError("no picture, but None: was its file there?")
+        raise InputError("not a picture but None: check that its file exists")
     try:
         pixels = np.asarray(image)
     except ValueError:
-        raise InputError("no picture: its rows are of different lengths") from None
+        raise InputError("not a picture: its rows differ in length") from None
     if not (pixels.ndim == 2 or (pixels.ndim == 3 and pixels.shape[2] in (1, 3, 4))):
         raise InputError(
-            f"an array of shape {pixels.shape} is no picture: that is (height, width) of grey, or "
-            "(height, width, 3) of colour"
+            f"not a picture: an array of shape {pixels.shape}; give (height, width) for grey or "
+            "(height, width, 3) for colour"
         )
     height, width = pixels.shape[:2]
     require_size(width, height)
     if np.issubdtype(pixels.dtype, np.floating):
-        raise InputError("floating-point pixels; give 8 or 16 bits")
+        raise InputError("floating-point pixels; give 8-bit or 16-bit integers")
     if not np.issubdtype(pixels.dtype, np.integer):
-        raise InputError(f"pixels of type {pixels.dtype}; give 8 or 16 bits")
+        raise InputError(f"pixels of type {pixels.dtype}; give 8-bit or 16-bit integers")
     grey = np.ascontiguousarray(pixels if pixels.dtype == np.uint8 else eight_bits(pixels))
     if grey.ndim == 2:
         return grey
@@ -60,30 +56,31 @@ def as_grey(image: ArrayLike) -> np.ndarray:
 
 
 def eight_bits(deep: np.ndarray) -> np.ndarray:
-    """Return whole numbers of up to 16 bits in 8: scaled by the bits that the brightest one needs.
+    """Return integers of up to 16 bits in 8 bits, scaled so that the brightest one fits.
 
     Raises
     ------
     InputError
-        When they are beyond 16 bits.
+        If they exceed 16 bits.
     """
     brightest = int(deep.max(initial=0))
     bits = max(8, brightest.bit_length())
     if deep.min(initial=0) < 0 or bits > 16:
-        raise InputError("grey values beyond 16 bits")
+        raise InputError("grey values exceed 16 bits; give 8 or 16 bits")
     return (deep.astype(np.int64) >> (bits - 8)).astype(np.uint8)
 
 
 def require_size(width: int, height: int) -> None:
-    """Raise InputError when a picture of so many columns and rows is no panorama."""
+    """Raise InputError if this size [px] is too large or too small for a panorama."""
     if width * height > MAX_PIXELS:
         raise InputError(f"{width}x{height}: more than {MAX_PIXELS // 10**6} million pixels")
-    if width < NARROWEST or height < LOWEST:
-        raise InputError(f"{width}x{height} pixels; a panorama has at least {NARROWEST}x{LOWEST}")
+    if width < MIN_WIDTH or height < MIN_HEIGHT:
+        least = f"{MIN_WIDTH}x{MIN_HEIGHT}"
+        raise InputError(f"{width}x{height} pixels; a panorama has at least {least}")
 
 
 def require_like_home(shape: tuple[int, int], home: tuple[int, int]) -> None:
-    """Raise InputError when a panorama has not home's (height, width) [px]."""
+    """Raise InputError if a panorama differs from home's (height, width) [px]."""
     if shape != home:
         (height, width), (home_height, home_width) = shape, home
         raise InputError(f"{width}x{height} pixels where home has {home_width}x{home_height}")

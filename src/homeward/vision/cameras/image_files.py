@@ -1,6 +1,6 @@
-"""Image files, read as 8 bits of grey.
+"""Image files, read as 8-bit grey.
 
-Pillow decodes them, since it refuses what is truncated, which OpenCV fills with grey.
+Pillow decodes them: it refuses truncated files, while OpenCV fills them with grey.
 """
 
 from __future__ import annotations
@@ -23,35 +23,31 @@ FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 
 
 def read_grey(path: Path) -> np.ndarray:
-    """Read an image as grey, turned as its Exif orientation says: as a viewer shows it.
+    """Read an image as grey, uint8 (height, width), rotated according to its Exif orientation.
 
     Parameters
     ----------
     path : Path
-        PNG, JPEG, BMP, TIFF, PPM, WebP or GIF, of one frame; 16-bit images are scaled by the
-        power of two that holds their brightest pixel.
-
-    Returns
-    -------
-    ndarray of uint8, shape (height, width)
+        PNG, JPEG, BMP, TIFF, PPM, WebP or GIF, of one frame; 16-bit images are scaled as in
+        `as_grey`.
 
     Raises
     ------
     InputError
-        When it is no whole image of one frame, or of a size that is no panorama's.
+        If it is no complete image of one frame, or its size is not that of a panorama.
     """
     with naming(path, "cannot be read"), opened(path) as stream:
         return decoded_grey(stream, path)
 
 
 def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
-    """Decode an open file, which errors call `path`; as `read_grey`."""
+    """Decode an open file, named `path` in errors; as `read_grey`."""
     if not stream.read(1):
         raise InputError("empty file", path)
     stream.seek(0)
     try:
         with warnings.catch_warnings():
-            # Pillow warns of large images and odd tags; sizes are checked below.
+            # Pillow warns about large images and odd tags; sizes are checked below.
             warnings.simplefilter("ignore")
             with Image.open(stream, formats=FORMATS) as image:
                 _check(image)
@@ -59,12 +55,12 @@ def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
     except InputError as error:
         raise InputError(error.what, path) from None
     except UnidentifiedImageError:
-        raise InputError("not an image that can be read", path) from None
+        raise InputError("not an image in a readable format", path) from None
     except Image.DecompressionBombError:
         raise InputError(f"more than {MAX_PIXELS // 10**6} million pixels", path) from None
-    except Exception as error:  # whatever decoders make of bytes that are no picture
+    except Exception as error:  # decoders raise anything for bytes that are no picture
         reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"not a whole image: {reason}", path) from None
+        raise InputError(f"not a complete image: {reason}", path) from None
 
 
 def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
@@ -73,22 +69,22 @@ def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
     Parameters
     ----------
     path : Path
-        An image as for `read_grey`, as the camera's pictures are stored: a ring is unwrapped.
+        An image as for `read_grey`, in the format of the camera's pictures: a ring is unwrapped.
     camera : Panorama
-        That takes the pictures.
+        The camera of the pictures.
     shape : tuple of int
-        Height and width of a picture as it is stored [px].
+        Height and width of a stored picture [px].
 
     Raises
     ------
     InputError
-        When it cannot be read, has another size, or leaves nothing.
+        If it cannot be read, has another size, or leaves no pixels.
     """
     grey = read_grey(path)
     if grey.shape != shape:
         (height, width), (wanted_height, wanted_width) = grey.shape, shape
         raise InputError(
-            f"{width}x{height} pixels: a mask is as large as the pictures, "
+            f"{width}x{height} pixels: a mask must have the size of the pictures, "
             f"{wanted_width}x{wanted_height}",
             path,
         )
@@ -97,16 +93,15 @@ def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
 
 
 def _check(image: Image.Image) -> None:
-    """Refuse what is no single panorama, before it is decoded."""
+    """Refuse wrong sizes and several frames, before decoding."""
     require_size(*image.size)
     if (frames := getattr(image, "n_frames", 1)) > 1:
-        raise InputError(f"holds {frames} frames; give one image a file")
+        raise InputError(f"contains {frames} frames; give one image per file")
 
 
 def _upright(image: Image.Image) -> Image.Image:
-    """Turn or mirror an image as its Exif orientation says."""
-    # What is wrong with the pixels is raised here, and refused; a broken tag is no reason to.
-    image.load()
+    """Rotate or mirror an image according to its Exif orientation; a broken tag is ignored."""
+    image.load()  # raises errors of the pixels
     try:
         return ImageOps.exif_transpose(image)
     except (OSError, SyntaxError, ValueError, TypeError, KeyError, struct.error):
@@ -114,11 +109,11 @@ def _upright(image: Image.Image) -> Image.Image:
 
 
 def _grey(image: Image.Image) -> np.ndarray:
-    """Decode to 8 bits of grey."""
+    """Decode to 8-bit grey."""
     if image.mode.startswith("I"):
         return eight_bits(np.asarray(image))
     if image.mode == "F":
-        raise InputError("floating-point pixels; save it with 8 or 16 bits")
+        raise InputError("floating-point pixels; save the image with 8 or 16 bits")
     if image.mode in ("P", "PA"):
         image = image.convert("RGB")
     return np.asarray(image.convert("L"))

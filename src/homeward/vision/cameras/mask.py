@@ -1,7 +1,7 @@
-"""Image masks: pixels that show the robot itself are left out.
+"""Image masks: pixels that show the robot itself are not used.
 
-A deck, a mast or a time stamp in the picture looks the same wherever the robot stands: matched with
-itself at home, it says that the robot has neither moved nor turned.
+A deck, a mast or a time stamp in the picture looks the same everywhere: its matches with the home
+image suggest that the robot has neither moved nor turned.
 """
 
 from __future__ import annotations
@@ -14,37 +14,31 @@ from homeward.errors import InputError
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.opencv import opencv
 
-HALF = 128
-"""Pixels darker than this are left out."""
+MIN_USED = 128
+"""Mask pixels darker than this [grey levels] exclude the pixel."""
 
 
 @dataclass(frozen=True)
 class Mask:
-    """Which pixels of a camera's panoramas may be used."""
+    """Usable pixels of a camera's panoramas."""
 
     room: np.ndarray
     """(height, width) float32: distance to the next masked pixel [px]; zero where masked."""
 
     @classmethod
     def of(cls, panorama: np.ndarray) -> Mask:
-        """Return the mask that a picture is of.
-
-        Parameters
-        ----------
-        panorama : ndarray
-            As `Panorama.panorama` gives it, of any kind that `as_grey` takes;
-            black (below 128) is left out.
+        """Return the mask in a picture as of `Panorama.panorama`; black (below 128) is not used.
 
         Raises
         ------
         InputError
-            When it is no picture, or nothing would be left.
+            If it is no picture, or no pixel would be left.
         """
-        used = as_grey(panorama) >= HALF
+        used = as_grey(panorama) >= MIN_USED
         if not used.any():
-            raise InputError("black all over: in a mask, white is what is used")
+            raise InputError("the mask is black everywhere: paint the usable pixels white")
         cv2, width = opencv(), used.shape[1]
-        # Across the seam, too, what is left out may be near.
+        # The next masked pixel may be across the seam.
         around = np.pad(used, [(0, 0), (width // 2, width // 2)], mode="wrap").astype(np.uint8)
         room = cv2.distanceTransform(around, cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
         return cls(room[:, width // 2 : width // 2 + width].copy())
@@ -52,21 +46,13 @@ class Mask:
     def clear(self, size: float) -> np.ndarray:
         """Return where patches of a diameter [px] are clear, (height, width) bool.
 
-        They stand off masked pixels by a diameter: half of one holds the patch itself; as much
-        again allows for masks that are painted a little too small.
+        Their distance from masked pixels is at least their diameter: half of it is the patch
+        itself, and the other half allows for masks that are painted a little too small.
         """
         return self.room > size
 
     def clear_at(self, column: np.ndarray, row: np.ndarray, size: np.ndarray) -> np.ndarray:
-        """Return which patches are clear of what is left out, (n,) bool.
-
-        Parameters
-        ----------
-        column, row : ndarray, shape (n,)
-            Their centres [px].
-        size : ndarray, shape (n,)
-            Their diameters [px].
-        """
+        """Return which patches, of centres and diameters (n,) [px], are clear: (n,) bool."""
         height, width = self.room.shape
         i = np.clip(np.rint(row), 0, height - 1).astype(int)
         return np.asarray(self.room[i, np.rint(column).astype(int) % width] > size)

@@ -1,8 +1,7 @@
-"""Panoramic cameras: which direction each pixel of a panorama looks in.
+"""Panoramic cameras: the direction of each pixel of a panorama.
 
-Columns run clockwise, as an image is seen from inside, and wrap round after the last one.
-
-An image of a lens that does not see all round is laid on a panorama that is black elsewhere.
+Columns run clockwise, as an image is seen from inside, and wrap round after the last one. The image
+of a lens with a limited field of view is mapped onto a panorama that is black elsewhere.
 """
 
 from __future__ import annotations
@@ -27,12 +26,12 @@ Share = Annotated[float, Field(ge=0, le=1)]
 
 
 class Panorama(Camera):
-    """What all panoramic cameras share: 360 degrees across the image."""
+    """Base class of panoramic cameras: 360 degrees across the image."""
 
     axis: Share = 0.5
-    """Where the camera's axis (azimuth 0) stands, as a share of the width from the left edge."""
+    """Position of the camera's axis (azimuth 0), as a share of the width from the left edge."""
     horizon: Finite = 0.5
-    """Where elevation 0 stands, as a share of the height from the top edge."""
+    """Position of elevation 0, as a share of the height from the top edge."""
 
     def directions(self, columns: np.ndarray, rows: np.ndarray, shape: Shape) -> Directions:
         """Return azimuth and elevation [rad] of pixels; as `Camera.directions`."""
@@ -51,7 +50,7 @@ class Panorama(Camera):
 
     @property
     def seen(self) -> Mask | None:
-        """Which part of a panorama the camera sees at all; None: all of it."""
+        """The part of a panorama within the field of view; None: all of it."""
         return None
 
     @staticmethod
@@ -60,22 +59,22 @@ class Panorama(Camera):
         return 2 * math.pi / width
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
-        """Return the panorama, uint8 (height, width), that `directions` speaks of.
+        """Return the panorama, uint8 (height, width), that `directions` refers to.
 
         Parameters
         ----------
         image : ndarray
-            As the camera gives it, of any kind that `as_grey` takes.
+            As the camera delivers it, in any format of `as_grey`.
 
         Raises
         ------
         InputError
-            When it is no picture, or its size does not suit the camera.
+            If it is no picture, or its size does not suit the camera.
         """
         grey = as_grey(image)
         height, width = grey.shape
         if height > width:
-            raise InputError(f"{width}x{height} pixels: taller than wide; is it rotated?")
+            raise InputError(f"{width}x{height} pixels: taller than wide; check if it is rotated")
         return grey
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
@@ -88,11 +87,11 @@ class Panorama(Camera):
 
 
 class Equirectangular(Panorama):
-    """Elevation grows evenly with the rows; pixels are square unless told otherwise."""
+    """Elevation is linear in the rows; pixels are square unless `row_scale` is given."""
 
     model: Literal["equirectangular"] = "equirectangular"
     row_scale: Annotated[float, Field(gt=0, le=10)] = 1.0
-    """Elevation that a row spans, over the azimuth that a column spans [1]."""
+    """Elevation spanned by a row over azimuth spanned by a column [1]."""
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
         """Return the image, in grey; it must not span more than 180 degrees of elevation."""
@@ -102,7 +101,7 @@ class Equirectangular(Panorama):
         if span > math.pi * 1.01 and width >= height:
             raise InputError(
                 f"{width}x{height} pixels would span {math.degrees(span):.0f} deg of elevation: "
-                "no equirectangular panorama of 360 deg; name its camera"
+                "not an equirectangular panorama of 360 deg; specify its camera in images.yaml"
             )
         return super().panorama(grey)
 
@@ -114,7 +113,7 @@ class Equirectangular(Panorama):
 
 
 class Cylindrical(Panorama):
-    """A vertical cylinder unrolled: the tangent of the elevation grows evenly with the rows."""
+    """A vertical cylinder unrolled: the tangent of the elevation is linear in the rows."""
 
     model: Literal["cylindrical"] = "cylindrical"
 
@@ -126,46 +125,43 @@ class Cylindrical(Panorama):
 
 
 SECTORS = 24
-"""Azimuth is divided into so many sectors where the spread of matches is counted."""
-
-
+"""Number of azimuth sectors in which the spread of matches is counted."""
 WINDOW = 3
-"""So many neighbouring sectors may be filled by one object: 45 degrees."""
+"""Number of neighbouring sectors that one object may fill: 45 degrees."""
 
 
 def sector_of(azimuth: np.ndarray) -> np.ndarray:
-    """Return the number, 0 to `SECTORS` - 1, of the sector that each azimuth [rad] lies in."""
+    """Return the sector, 0 to `SECTORS` - 1, of each azimuth [rad]."""
     return np.floor((azimuth / (2 * math.pi) + 0.5) * SECTORS).astype(int) % SECTORS
 
 
-FINEST, COARSEST = 2048, 256
-"""Widths of the panorama [px]."""
+MAX_WIDTH, MIN_WIDTH = 2048, 256
+"""Limits of the width of a computed panorama [px]."""
 GRID = 33
-"""So many places of a picture's columns, and of its rows, tell how high and low it sees."""
-STEEPEST = math.radians(75.0)
-"""Beyond this elevation a panorama stretches what it shows [rad]."""
+"""Number of columns, and of rows, at which the vertical field of view is sampled."""
+MAX_ELEVATION = math.radians(75.0)
+"""Beyond this elevation a panorama is too stretched [rad]."""
 
 
 class PartialPanorama(Equirectangular):
-    """The part of a panorama that a calibrated lens sees, as if it were unwrapped.
+    """The part of a panorama within the field of view of a calibrated lens.
 
-    Everything that panoramas serve for does with it: features are bearings and elevations, and
-    what the lens does not see is masked. Pixels in the picture's middle keep their size, as far as
-    the panorama is not wider than it need be.
+    It is used like any panorama; pixels outside the field of view are masked. Pixels in the
+    picture's middle keep their size within the limits of the panorama's width.
     """
 
     model: Literal["partial"] = "partial"  # type: ignore[assignment]
     lens: Lens
-    """That takes the pictures."""
+    """The lens of the pictures."""
 
     @classmethod
     def through(cls, lens: Lens) -> PartialPanorama:
-        """Return what a lens sees.
+        """Return the partial panorama of a lens.
 
         Raises
         ------
         InputError
-            When the size of its pictures is not known.
+            If the size of its pictures is unknown.
         """
         if lens.width is None or lens.height is None:
             raise InputError("in images.yaml the camera needs width and height, or tags: 36h11")
@@ -175,7 +171,7 @@ class PartialPanorama(Equirectangular):
         return cls(lens=lens, horizon=top / (top - bottom), **tilt)
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
-        """Return the panorama, black where the lens sees nothing."""
+        """Return the panorama, black outside the field of view."""
         grey = as_grey(image)
         self.lens.require_shape((grey.shape[0], grey.shape[1]))
         black = {"borderMode": opencv().BORDER_CONSTANT, "borderValue": 0}
@@ -183,15 +179,15 @@ class PartialPanorama(Equirectangular):
 
     @property
     def seen(self) -> Mask | None:
-        """What the lens sees."""
+        """The field of view of the lens."""
         assert self.lens.height is not None
         assert self.lens.width is not None
         return Mask.of(self.panorama(np.full((self.lens.height, self.lens.width), 255, np.uint8)))
 
     @cached_property
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where each pixel of the panorama lies in the picture."""
-        width = int(np.clip(16 * round(math.tau * self.lens.fx / 16), COARSEST, FINEST))
+        """Return the column and row in the picture of each pixel of the panorama."""
+        width = int(np.clip(16 * round(math.tau * self.lens.fx / 16), MIN_WIDTH, MAX_WIDTH))
         top, bottom = _extent(self.lens)
         height = max(round((top - bottom) / self.column_angle(width)), 16)
         rows, columns = np.indices((height, width))
@@ -202,10 +198,10 @@ class PartialPanorama(Equirectangular):
 
 
 def _extent(lens: Lens) -> tuple[float, float]:
-    """Return the greatest and the least elevation [rad] that a lens sees, and the horizon."""
+    """Return the largest and smallest elevation [rad] in view, the horizon included."""
     assert lens.height is not None
     assert lens.width is not None
     columns, rows = np.meshgrid(*(np.linspace(0, n - 1, GRID) for n in (lens.width, lens.height)))
     seen = lens.directions(columns.ravel(), rows.ravel())[1]
     ends = float(np.nanmax(seen)), float(np.nanmin(seen))
-    return min(max(ends[0], 0.0), STEEPEST), max(min(ends[1], 0.0), -STEEPEST)
+    return min(max(ends[0], 0.0), MAX_ELEVATION), max(min(ends[1], 0.0), -MAX_ELEVATION)

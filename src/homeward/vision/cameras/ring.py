@@ -1,4 +1,4 @@
-"""Ring images: a catadioptric camera or a fisheye, looking up or down, unwrapped to a panorama."""
+"""Ring images of catadioptric or fisheye cameras that look up or down, unwrapped to panoramas."""
 
 from __future__ import annotations
 
@@ -13,28 +13,26 @@ from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey
-from homeward.vision.cameras.panoramic import Panorama
+from homeward.vision.cameras.panoramic import MAX_WIDTH, MIN_WIDTH, Panorama
 from homeward.vision.opencv import opencv
 
-FINEST, COARSEST = 2048, 256
-"""Widths of an unwrapped panorama [px]."""
 TABLE = 512
-"""Radii at which a mirror's elevation is tabulated."""
+"""Number of radii at which the elevation is tabulated."""
 MIN_RAYS = 30
-"""On fewer of 360 the edge of a ring is not measured again."""
-HELD_BACK = 2.0
-"""How much of a ring that was found is left out at either edge, which is blurred there [px]."""
+"""Minimum number, out of 360, of rays for a refinement of a ring's edge."""
+BLURRED_EDGE = 2.0
+"""Width that is cut off at both edges of a detected ring, since they are blurred [px]."""
 
 
 class Ring(Panorama):
-    """A ring round a centre: the angle round it is azimuth, the radius is elevation.
+    """A ring image: the angle round its centre is azimuth, the radius is elevation.
 
-    The elevation at a radius r [px] is given either at both edges of the ring, and grows evenly
-    between them; or by Scaramuzza's polynomial: the ray of radius r has the direction
-    (r, f(r)), f(r) = a0 + a1 r + a2 r^2 + ..., f being what it points upwards ("A toolbox for
-    easily calibrating omnidirectional cameras", IROS 2006, with the sign of z turned round); or by
-    a hyperbolic mirror of eccentricity e over a camera of focal length f [px] (Baker and Nayar,
-    "A theory of single-viewpoint catadioptric image formation", IJCV 1999).
+    The elevation at a radius r [px] is given in one of three ways. It is linear between the values
+    at both edges of the ring. Or it follows Scaramuzza's polynomial: the ray of radius r has the
+    direction (r, f(r)), f(r) = a0 + a1 r + a2 r^2 + ..., f being the upward component ("A toolbox
+    for easily calibrating omnidirectional cameras", IROS 2006, with the sign of z reversed). Or it
+    is that of a hyperbolic mirror of eccentricity e over a camera of focal length f [px] (Baker and
+    Nayar, "A theory of single-viewpoint catadioptric image formation", IJCV 1999).
     """
 
     model: Literal["ring"] = "ring"
@@ -49,11 +47,10 @@ class Ring(Panorama):
     polynomial: Annotated[tuple[Finite, ...], Field(min_length=1, max_length=12)] | None = None
     """a0, a1, ... of f(r) in px."""
     mirror: tuple[Positive, Positive] | None = None
-    """Eccentricity (above 1) of a hyperbolic mirror and the camera's focal length [px]; the camera
-    looks up into the mirror, and the ring's inner edge looks down."""
+    """Eccentricity (above 1) of a hyperbolic mirror and the camera's focal length [px]. The camera
+    looks up into the mirror; the ring's inner edge shows the ground."""
     axis_direction: Finite = 0.0
-    """Direction of the camera's axis (azimuth 0) in the image [rad], anti-clockwise from the right
-    as one looks at it."""
+    """Direction of azimuth 0 in the image [rad], anti-clockwise from the right."""
     mirrored: bool = True
     """Whether azimuth runs clockwise in the image, as it does in a mirror seen from below and in a
     fisheye that looks up; false for a camera that looks down."""
@@ -61,17 +58,17 @@ class Ring(Panorama):
     @model_validator(mode="after")
     def _one_model(self) -> Ring:
         if (self.axis, self.horizon) != (0.5, 0.5):
-            raise ValueError("a ring has axis_direction and elevations, no axis and horizon")
+            raise ValueError("a ring has no axis and horizon; give axis_direction and elevations")
         if self.outer - self.inner < 8:
             raise ValueError("outer must be at least 8 px beyond inner")
         if sum(way is not None for way in (self.elevations, self.polynomial, self.mirror)) != 1:
             raise ValueError("give one of elevations, polynomial and mirror")
         if self.mirror is not None and self.mirror[0] <= 1.0:
-            raise ValueError("mirror: the eccentricity of a hyperbola is above 1")
+            raise ValueError("mirror: the eccentricity of a hyperbola must be above 1")
         span = self.elevation_table()[1]
         steps = np.diff(span)
         if not (np.all(steps > 0) or np.all(steps < 0)):
-            raise ValueError("the elevation must rise or fall all the way from inner to outer")
+            raise ValueError("the elevation must rise or fall monotonically from inner to outer")
         return self
 
     def panorama(self, image: np.ndarray) -> np.ndarray:
@@ -84,17 +81,17 @@ class Ring(Panorama):
             and self.outer - margin <= y <= height - 1 - self.outer + margin
         ):
             raise InputError(
-                f"{width}x{height} pixels do not hold a ring of radius {self.outer:g} px "
-                f"round ({x:g}, {y:g})"
+                f"{width}x{height} pixels do not contain a ring of radius {self.outer:g} px "
+                f"around ({x:g}, {y:g}); check centre and outer"
             )
         columns, rows = self._map()
         cv2 = opencv()
         return np.asarray(cv2.remap(grey, columns, rows, cv2.INTER_LINEAR))
 
     def ring_directions(self, columns: np.ndarray, rows: np.ndarray) -> Directions:
-        """Return azimuth and elevation [rad] of pixels of the ring image itself, tilted as it is.
+        """Return azimuth and elevation [rad] of pixels of the ring image, in the tilted frame.
 
-        NaN beyond the ring's edges.
+        They are NaN outside the ring.
         """
         right, up = columns - self.centre[0], self.centre[1] - rows
         angle = np.arctan2(up, right) - self.axis_direction
@@ -103,7 +100,7 @@ class Ring(Panorama):
         return np.where(np.isnan(elevation), np.nan, azimuth), elevation
 
     def _map(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return where each pixel of the panorama lies in the ring image."""
+        """Return the column and row in the ring image of each pixel of the panorama."""
         radii, elevation = self.elevation_table()
         width = self._width()
         step = self.column_angle(width)
@@ -121,9 +118,9 @@ class Ring(Panorama):
         return columns.astype(np.float32), rows.astype(np.float32)
 
     def _width(self) -> int:
-        """Choose as many columns as the middle of the ring has pixels."""
+        """Return the number of columns: the circumference of the middle of the ring [px]."""
         around = math.pi * (self.inner + self.outer)
-        return int(np.clip(16 * round(around / 16), COARSEST, FINEST))
+        return int(np.clip(16 * round(around / 16), MIN_WIDTH, MAX_WIDTH))
 
     def _elevation(self, above: np.ndarray) -> np.ndarray:
         top, bottom = self._edges()
@@ -134,7 +131,7 @@ class Ring(Panorama):
         return elevation - (top + bottom) / 2
 
     def _edges(self) -> tuple[float, float]:
-        """Return the greatest and the least elevation [rad]."""
+        """Return the largest and the smallest elevation [rad]."""
         elevation = self.elevation_table()[1]
         return float(elevation.max()), float(elevation.min())
 
@@ -149,7 +146,7 @@ class Ring(Panorama):
         assert self.mirror is not None
         e, focal = self.mirror
         nadir = np.arctan2(radii, focal)
-        # From the mirror's focus: tan of half the angles are in the ratio (e + 1) / (e - 1).
+        # From the mirror's focus: the tangents of half the angles have the ratio (e + 1) / (e - 1).
         from_axis = 2 * np.arctan((e + 1) / (e - 1) * np.tan(nadir / 2))
         return radii, from_axis - math.pi / 2
 
@@ -165,19 +162,19 @@ class FoundRing(NamedTuple):
 def find_ring(image: np.ndarray) -> FoundRing:
     """Find centre and radii of the bright ring of a catadioptric or fisheye image.
 
-    The edges are circles fitted to where the brightness is half-way to that of the dark surround,
-    and of the dark middle if there is one. From both, `HELD_BACK` px of picture are given up: a rim
-    in the panorama turns with the camera, and is taken for a place that home saw, too.
+    Circles are fitted to the points with half the contrast to the dark surround, and to the dark
+    middle if there is one. `BLURRED_EDGE` is cut off at both: a rim in the panorama turns with the
+    camera, and would match the rim in the home image.
 
     Parameters
     ----------
     image : ndarray
-        Of any kind that `as_grey` takes, dark outside the ring.
+        In any format of `as_grey`, dark outside the ring.
 
     Raises
     ------
     InputError
-        When it is no picture, or no dark surround is there to tell the ring from.
+        If it is no picture, or has no dark surround.
     """
     image, cv2 = as_grey(image), opencv()
     blur = max(image.shape) / 250
@@ -195,7 +192,7 @@ def find_ring(image: np.ndarray) -> FoundRing:
         centre, outer = _circle(outer_edge)
     inner_edge = _edge(lit, centre, outwards=True)
     inner = float(np.median(np.linalg.norm(inner_edge - centre, axis=1)))
-    # So far the blur has pushed the edges out of the ring; it finds them within a few pixels.
+    # Blur has moved these edges by a few pixels out of the ring.
     reach, contrast = 2 * blur + 3, 0.25 * (bright - dark)
     for _ in range(2):
         rim = _half_way(image, centre, outer, reach, contrast)
@@ -205,19 +202,19 @@ def find_ring(image: np.ndarray) -> FoundRing:
         rim = _half_way(image, centre, inner, -reach, contrast)
         if len(rim) >= MIN_RAYS:
             inner = float(np.median(np.linalg.norm(rim - centre, axis=1)))
-        inner += HELD_BACK
+        inner += BLURRED_EDGE
     else:
         inner = 0.0
-    return FoundRing((float(centre[0]), float(centre[1])), inner, outer - HELD_BACK)
+    return FoundRing((float(centre[0]), float(centre[1])), inner, outer - BLURRED_EDGE)
 
 
 def _half_way(
     image: np.ndarray, centre: np.ndarray, radius: float, reach: float, contrast: float
 ) -> np.ndarray:
-    """Return where, (n, 2), the brightness falls to half-way between ring and surround.
+    """Return the points, (n, 2), with half the contrast between ring and surround.
 
-    Along each ray, from `reach` before `radius` to as much behind it; negative for the inner edge.
-    Rays with less contrast, as where the ring itself is dark, are left out.
+    On each ray they are searched within `reach` of `radius`; `reach` is negative for the inner
+    edge. Rays of less contrast, where the ring itself is dark, are left out.
     """
     cv2 = opencv()
     angles = np.linspace(-math.pi, math.pi, 360, endpoint=False)
@@ -231,8 +228,8 @@ def _half_way(
     lit = grey > (ring + surround)[:, None] / 2
     last = len(radii) - 1 - lit[:, ::-1].argmax(axis=1)
     within = (x >= 0) & (x <= image.shape[1] - 1) & (y >= 0) & (y <= image.shape[0] - 1)
-    told = np.flatnonzero((ring - surround > contrast) & within.all(axis=1))
-    return np.column_stack([x[told, last[told]], y[told, last[told]]])
+    clear = np.flatnonzero((ring - surround > contrast) & within.all(axis=1))
+    return np.column_stack([x[clear, last[clear]], y[clear, last[clear]]])
 
 
 def _edge(lit: np.ndarray, centre: np.ndarray, outwards: bool) -> np.ndarray:
@@ -243,13 +240,11 @@ def _edge(lit: np.ndarray, centre: np.ndarray, outwards: bool) -> np.ndarray:
     y = centre[1] + np.outer(np.sin(angles), reach)
     height, width = lit.shape
     inside = (x >= 0) & (x <= width - 1) & (y >= 0) & (y <= height - 1)
-    on = (
-        inside
-        & lit[
-            np.clip(y.round().astype(int), 0, height - 1),
-            np.clip(x.round().astype(int), 0, width - 1),
-        ]
+    row, column = (
+        y.round().astype(int).clip(0, height - 1),
+        x.round().astype(int).clip(0, width - 1),
     )
+    on = inside & lit[row, column]
     hit = on.any(axis=1)
     first = on.argmax(axis=1) if outwards else on.shape[1] - 1 - on[:, ::-1].argmax(axis=1)
     rows = np.flatnonzero(hit)
@@ -257,7 +252,7 @@ def _edge(lit: np.ndarray, centre: np.ndarray, outwards: bool) -> np.ndarray:
 
 
 def _circle(points: np.ndarray) -> tuple[np.ndarray, float]:
-    """Fit a circle to points, (n, 2), most of which lie on it."""
+    """Fit a circle robustly to points, (n, 2)."""
     weight = np.ones(len(points))
     centre, radius = points.mean(axis=0), 1.0
     for _ in range(20):

@@ -1,1 +1,1 @@
-"""What may be wrong with a camera or its settings, told from its own pictures."""
+"""Checks of a camera and its settings from its own pictures."""

@@ -1,6 +1,6 @@
-"""Check of camera settings by two panoramas: whether one is mirrored, or the horizon is wrong.
+"""Check of camera settings with two panoramas, for a mirrored image or a wrong horizon.
 
-Each other setting is tried, and reported where it fits far more of the same matches.
+Other settings are tried, and reported if they fit far more of the same matches.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from homeward.vision.geometry.a_contrario import (
 )
 
 HORIZONS = np.linspace(0.1, 0.9, 9)
-"""Shares of the height at which the horizon is tried."""
+"""Horizons to try, as shares of the height."""
 MIN_OFF = 0.15
 """Horizons that differ from the given one by less than this share of the height are not tried."""
 MIN_SIGMAS = 2.0
-"""Matches gained over matches lost, in standard deviations of a difference by chance."""
+"""Matches gained minus matches lost, in standard deviations of a difference by chance."""
 MIN_PARALLAX = 80.0
-"""Squared parallax over that of noise. A horizon that is wrong by 0.3 rad shifts a ray off its
-epipolar plane by about 0.3 of the parallax: by 3 standard deviations where the parallax is 9."""
+"""Squared parallax over that of noise. A horizon error of 0.3 rad shifts a ray off its epipolar
+plane by about 0.3 of the parallax: by 3 standard deviations for a parallax of 9."""
 
 
 def better_settings(
@@ -36,28 +36,23 @@ def better_settings(
     views: tuple[Features, Features],
     camera: Panorama,
 ) -> str | None:
-    """Return in words which other setting suits two panoramas far better.
+    """Return a message about another setting that fits two panoramas far better, or None.
 
     Parameters
     ----------
     seen : Comparison
-        What came out.
+        Their comparison with the given settings.
     pictures : tuple of ndarray
-        The panoramas at home and now, as `Panorama.panorama` gives them.
+        The panoramas at home and now, as `Panorama.panorama` returns them.
     views : tuple of Features
-        What `extract` made of them.
+        Their features.
     camera : Panorama
-        As it was told.
-
-    Returns
-    -------
-    str or None
-        None where none does.
+        The camera as specified.
     """
     if not seen.accepted:
         flipped = extract(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
         if compare(views[0], flipped, camera).accepted:
-            return "the pictures agree only if one of them is mirrored: mirror it back"
+            return "the pictures agree only if one of them is mirrored: mirror that one"
     if isinstance(camera, Ring):
         return None
     fits, best, most = _matches(seen), None, 0
@@ -77,17 +72,17 @@ def better_settings(
 
 
 def _matches(seen: Comparison) -> dict[tuple[int, int], bool]:
-    """Return whether each match, by its rows at home and now, fits the motion found."""
+    """Return whether each match, keyed by its rows at home and now, is an inlier."""
     rows = zip(seen.home_row.tolist(), seen.now_row.tolist(), strict=True)
     return dict(zip(rows, seen.agrees.tolist(), strict=True))
 
 
 def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
-    """Return how many more of the same matches another horizon fits; 0 where that may be chance.
+    """Return how many more of the same matches another horizon fits; 0 if that may be chance.
 
-    With the right horizon, the matches that do not fit are wrong ones, and fit the motion of
-    another horizon only at random. Numbers of false alarms of whole comparisons do not decide:
-    near home every horizon fits, and they differ by chance.
+    With the correct horizon, outliers are wrong matches, which fit the motion of another horizon
+    only at random. The numbers of false alarms of whole comparisons are not compared: near home
+    every horizon fits, and they differ by chance.
     """
     if not found.accepted or found.motion is None or found.parallax < MIN_PARALLAX:
         return 0
@@ -95,7 +90,7 @@ def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
     unfit = sum(not before for before, _ in both)
     gained = sum(fit and not before for before, fit in both)
     lost = sum(before and not fit for before, fit in both)
-    # A moved object may by chance suit another horizon, but then as many static matches do not.
+    # A moved object may fit another horizon by chance, but then as many static matches do not.
     if gained - lost <= MIN_SIGMAS * math.sqrt(gained + lost):
         return 0
     chance = random_fit_probability(found.motion, found.pairs)

@@ -1,7 +1,7 @@
 """Self-occlusion: image regions that turn with the camera, such as a deck, a mast or a time stamp.
 
-Where the robot has turned, what stands in the room lies elsewhere in the image. What lies where it
-lay before belongs to the robot, or to the image itself, and should be masked.
+When the robot turns, static objects move in the image. Features that remain in the same position
+belong to the robot, or to the image itself, and should be masked.
 """
 
 from __future__ import annotations
@@ -20,20 +20,20 @@ from homeward.vision.features.matching import match
 from homeward.vision.geometry.a_contrario import assess
 from homeward.vision.geometry.ransac import estimate_motion
 
-TURN = math.radians(30.0)
-"""Least turn between two frames that are compared [rad]."""
+MIN_TURN = math.radians(30.0)
+"""Minimum rotation between two compared frames [rad]."""
 SAME = math.radians(0.5)
-"""A match that moved by less than this [rad], or a pixel, has turned with the camera."""
-OF_THE_ROOM = TURN / 2
-"""What stands in the room lies within this of where the turn takes it [rad]."""
+"""A match that moved by less than this [rad], or less than a pixel, has turned with the camera."""
+STATIC_TOLERANCE = MIN_TURN / 2
+"""Maximum error of a static match's position predicted from the rotation [rad]."""
 FRAMES = 6
-"""A frame is compared with so many before it: over more turns, the error of odometry adds up."""
+"""Number of earlier frames that a frame is compared with: odometry errors grow with more."""
 MIN_MATCHES, MIN_SHARE = 5, 0.01
-"""Least number of matches that turn with the camera, and least share of those of the room. Rendered
-rooms without a robot had none among 30,000, with thin legs 2 % and more."""
-MIN_OF_ROOM = 0.1
-"""Matches of the room must be such a share of those that turn along: else the robot is stuck, and
-odometry is wrong."""
+"""Minimum number of matches that turn with the camera, and minimum share of static matches.
+Rendered rooms without a robot had none among 30,000, with thin legs 2 % and more."""
+MIN_STATIC = 0.1
+"""Minimum ratio of static matches to matches that turn with the camera: with fewer, the robot is
+stuck, and odometry is wrong."""
 
 
 @dataclass(frozen=True)
@@ -41,59 +41,51 @@ class SelfOcclusion:
     """Matches that turn with the camera."""
 
     matches: int
-    """How many."""
+    """Number of matches."""
     lowest: float
-    """Their fifth percentile of elevation [rad]."""
+    """5th percentile of their elevation [rad]."""
     highest: float
-    """Their 95th percentile [rad]."""
+    """95th percentile of their elevation [rad]."""
 
     @property
     def words(self) -> str:
-        """What to do about it, in words that follow the number of matches."""
+        """Message that follows the number of matches."""
         low, high = math.floor(math.degrees(self.lowest)), math.ceil(math.degrees(self.highest))
         return (
             f"matches at elevations of {low} to {high} deg turn with the camera: they show "
-            "the robot itself, or a time stamp; mask them out"
+            "the robot itself, or a time stamp; add a mask"
         )
 
 
 class SelfOcclusionDetector:
-    """Detects self-occlusion along a drive, the turn being known from odometry."""
+    """Detects self-occlusion along a drive; the rotation is taken from odometry."""
 
     def __init__(self) -> None:
         self._before: deque[tuple[Features, float]] = deque(maxlen=FRAMES)
-        """Frames a turn apart, and the heading of each [rad]."""
+        """Frames `MIN_TURN` apart, and the heading of each [rad]."""
         self._elevations: list[np.ndarray] = []
-        """Of what lay where it had lain [rad]."""
-        self._of_room = 0
-        """How many matches lay where they should."""
+        """Elevations of matches that turned with the camera [rad]."""
+        self._static = 0
+        """Number of static matches."""
 
     def see(self, view: Features, heading: float) -> None:
-        """Take the next frame.
-
-        Parameters
-        ----------
-        view : Features
-            Of the frame.
-        heading : float
-            Of the robot by odometry, from wherever it counts [rad].
-        """
-        if self._before and abs(wrap(heading - self._before[-1][1])) < TURN:
+        """Process the features of the next frame, with the heading from odometry [rad]."""
+        if self._before and abs(wrap(heading - self._before[-1][1])) < MIN_TURN:
             return
         for before, heading_then in self._before:
             turned = float(wrap(heading - heading_then))
-            if abs(turned) >= TURN:
+            if abs(turned) >= MIN_TURN:
                 self._compare(before, view, turned)
         self._before.append((view, heading))
 
     @property
     def found(self) -> SelfOcclusion | None:
-        """What was found so far; None where nothing turns with the camera."""
+        """Self-occlusion found so far; None if nothing turns with the camera."""
         elevation = np.concatenate([np.empty(0), *self._elevations])
-        return _told(elevation, self._of_room)
+        return _significant(elevation, self._static)
 
     def _compare(self, before: Features, now: Features, turned: float) -> None:
-        """Count what lies where it lay, and what lies where it should after a turn [rad]."""
+        """Count the matches that turned with the camera and the static ones, after a turn [rad]."""
         i, j = match(before.descriptor, now.descriptor)[0].T
         then, here = (
             np.column_stack([view.azimuth[rows], view.elevation[rows]])
@@ -102,43 +94,36 @@ class SelfOcclusionDetector:
         pixel = 2 * math.pi / now.shape[1]
         along = _stays(then, here, max(SAME, pixel))
         off = np.abs(wrap(here - then + [turned, 0.0]))
-        of_room = int((off < OF_THE_ROOM).all(axis=1).sum())
-        if of_room < max(MIN_MATCHES, MIN_OF_ROOM * along.sum()):
+        static = int((off < STATIC_TOLERANCE).all(axis=1).sum())
+        if static < max(MIN_MATCHES, MIN_STATIC * along.sum()):
             return
         self._elevations.append(here[along, 1])
-        self._of_room += of_room
+        self._static += static
 
 
 def find_self_occlusion(seen: Comparison, camera: Panorama) -> SelfOcclusion | None:
-    """Detect self-occlusion by two panoramas alone; None where nothing is known of it.
+    """Detect self-occlusion from the comparison of two panoramas of a camera; None if unknown.
 
-    Without odometry, the turn is that of the other matches, where these suffice to be accepted by
-    themselves and tell one of `TURN` at least.
-
-    Parameters
-    ----------
-    seen : Comparison
-        Of the two.
-    camera : Panorama
-        That took them.
+    Without odometry, the rotation is that of the other matches, if these are accepted on their own
+    and their rotation is at least `MIN_TURN`.
     """
     pairs = seen.pairs
     along = _stays(pairs.home, pairs.now, SAME)
     rest = pairs[~along]
     fit = estimate_motion(rest, np.zeros(len(rest)), camera.tilt_sigma)
-    if fit is None or abs(fit.motion.alpha) < TURN or not assess(fit, rest).accepted:
+    if fit is None or abs(fit.motion.alpha) < MIN_TURN or not assess(fit, rest).accepted:
         return None
-    return _told(pairs.now[along, 1], int(fit.inlier.sum()))
+    return _significant(pairs.now[along, 1], int(fit.inlier.sum()))
 
 
-def _stays(then: np.ndarray, now: np.ndarray, most: float) -> np.ndarray:
-    """Return which directions, (n, 2), are the same to within an angle [rad]."""
-    return np.asarray((np.abs(wrap(now - then)) <= most).all(axis=1))
+def _stays(then: np.ndarray, now: np.ndarray, max_angle: float) -> np.ndarray:
+    """Return which directions, (n, 2), differ by at most an angle [rad]."""
+    return np.asarray((np.abs(wrap(now - then)) <= max_angle).all(axis=1))
 
 
-def _told(elevation: np.ndarray, of_room: int) -> SelfOcclusion | None:
-    """Return what is to be said of matches at elevations, (n,) [rad]; None if it may be chance."""
-    if elevation.size < max(MIN_MATCHES, MIN_SHARE * of_room):
+def _significant(elevation: np.ndarray, num_static: int) -> SelfOcclusion | None:
+    """Return the self-occlusion of matches at elevations, (n,) [rad]; None if it may be chance."""
+    if elevation.size < max(MIN_MATCHES, MIN_SHARE * num_static):
         return None
     lowest, highest = np.percentile(elevation, [5, 95])
     return SelfOcclusion(elevation.size, float(lowest), float(highest))

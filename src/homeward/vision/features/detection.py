@@ -20,17 +20,15 @@ from homeward.vision.opencv import opencv
 CONTRAST = 0.02
 """SIFT's contrast threshold: lower than OpenCV's 0.04, since bare rooms have weak corners."""
 MAX_FEATURES = 5000
-"""Only the strongest features are kept, since matching takes time with their square. Rooms have up
+"""Only the strongest features are kept, since matching time grows with their square. Rooms have up
 to 2,000 with 2048 columns; noise has ten times as many."""
-
 MIN_COLUMNS = 360
-"""Smaller panoramas are enlarged, since SIFT needs some pixels about a feature: at 3 deg a pixel it
-finds twenty times as many in the enlargement."""
-
+"""Smaller panoramas are enlarged, since SIFT needs some pixels around a feature: at 3 deg per pixel
+it finds twenty times as many in the enlargement."""
 CORNER_SIZE, CORNER_APART = 3.0, 5.0
-"""Diameter of a corner's patch, and least distance of two corners [px of the enlargement]."""
-CORNER_LEAST = 0.01
-"""Least corner response (smaller eigenvalue), as a share of that of the strongest corner."""
+"""Diameter of a corner's patch, and minimum distance of two corners [px of the enlargement]."""
+MIN_CORNER = 0.01
+"""Minimum corner response (smaller eigenvalue), as a share of that of the strongest corner."""
 
 
 @dataclass(frozen=True)
@@ -40,13 +38,13 @@ class Features:
     shape: tuple[int, int]
     """Height and width of the panorama [px]."""
     axis: float
-    """Where azimuth 0 stands, as a share of the width from the left edge."""
+    """Position of azimuth 0, as a share of the width from the left edge."""
     column: np.ndarray
     row: np.ndarray
     size: np.ndarray
-    """Diameter of the patch that a feature describes [px]."""
+    """Diameter of a feature's patch [px]."""
     angle: np.ndarray
-    """How that patch is turned, clockwise from the right [rad]."""
+    """Orientation of the patch, clockwise from the right [rad]."""
     azimuth: np.ndarray
     """In the level camera's frame [rad]."""
     elevation: np.ndarray
@@ -56,23 +54,23 @@ class Features:
     descriptor: np.ndarray
     """(n, 128) float32, unit length (RootSIFT)."""
     pyramid: Pyramid
-    """Of the panorama itself, for patch alignment."""
+    """The panorama itself, for patch alignment."""
     mask: Mask | None
-    """Which pixels may be used; None: all of them."""
+    """Usable pixels; None: all of them."""
 
     def __len__(self) -> int:
         return self.column.size
 
     @cached_property
     def patches(self) -> tuple[np.ndarray, np.ndarray]:
-        """Patches that can be aligned: features and corners, one at each place.
+        """Patches that can be aligned: features and corners, one at each position.
 
         Returns
         -------
         patches : ndarray, shape (k, 3)
             Column, row and diameter [px].
         of : ndarray of int, shape (n,)
-            Which of them lies where each feature does.
+            Index of the patch at the position of each feature.
         """
         every = np.vstack([np.column_stack([self.column, self.row, self.size]), self.corners()])
         place = every[:, :2].round() @ [1, 1j]
@@ -82,18 +80,18 @@ class Features:
     def corners(self) -> np.ndarray:
         """Return corners: column, row and diameter, (m, 3) [px].
 
-        They are patches whose place in another panorama is told well (Shi and Tomasi, "Good
-        features to track", CVPR 1994), but nothing describes them by which to find them again.
+        Their patches can be located accurately in another panorama (Shi and Tomasi, "Good features
+        to track", CVPR 1994), but have no descriptor for matching.
         """
         grey, times = self.pyramid.levels[0], self.pyramid.times
         pad = self.pyramid.margin // times
         used = None
         if self.mask is not None:
-            # Given to OpenCV, since the strongest corner must not be one that is left out.
+            # The strongest corner, to which others are compared, must not be a masked one.
             clear = np.pad(self.mask.clear(CORNER_SIZE / times), [(0, 0), (pad, pad)], mode="wrap")
             used = np.kron(clear, np.ones((times, times), np.uint8))
         found = opencv().goodFeaturesToTrack(
-            grey, 0, CORNER_LEAST, CORNER_APART, mask=used, blockSize=5
+            grey, 0, MIN_CORNER, CORNER_APART, mask=used, blockSize=5
         )
         if found is None:
             return np.zeros((0, 3))
@@ -107,17 +105,16 @@ def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Fe
     Parameters
     ----------
     image : ndarray
-        Of any kind that `as_grey` takes: 8 or 16 bits, grey, or colour in
-        OpenCV's order (BGR); columns all round.
+        In any format of `as_grey`: 8 or 16 bits, grey, or colour in OpenCV's order (BGR).
     camera : Panorama
-        What its pixels look at.
+        Camera model of the panorama.
     mask : Mask, optional
-        Leaves out what belongs to the robot.
+        Excludes pixels that show the robot.
 
     Raises
     ------
     InputError
-        When it is no picture, or the mask has another shape.
+        If it is no picture, or the mask has another shape.
     """
     image = as_grey(image)
     height, width = image.shape
@@ -149,33 +146,25 @@ def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Fe
 
 
 def read_features(
-    path: Path,
-    camera: Panorama,
-    like: Features | None = None,
-    mask: Path | None = None,
+    path: Path, camera: Panorama, like: Features | None = None, mask: Path | None = None
 ) -> tuple[np.ndarray, Features]:
-    """Read an image, and find its features.
+    """Read an image; return its panorama, uint8 (height, width), and the features.
 
     Parameters
     ----------
     path : Path
         As in `read_grey`.
     camera : Panorama
-        That took it.
+        The camera of the image.
     like : Features, optional
-        Of home: the panorama must have the same size and is masked as that was.
+        Of home: the panorama must have the same size and gets the same mask.
     mask : Path, optional
-        Of home's picture, see `read_mask`.
-
-    Returns
-    -------
-    panorama : ndarray of uint8, shape (height, width)
-    view : Features
+        Mask of home's picture, see `read_mask`.
 
     Raises
     ------
     InputError
-        When a file cannot be read, or its size does not suit the camera, home or the picture.
+        If a file cannot be read, or its size does not suit the camera, home or the picture.
     """
     grey = read_grey(path)
     with naming_file(path):
@@ -189,12 +178,12 @@ def read_features(
 
 
 def pixel_sigma(size: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of the place of a SIFT feature of diameter `size`, both px."""
+    """Return the standard deviation of the position of a SIFT feature of diameter `size` [px]."""
     return 0.14 + 0.04 * size
 
 
 def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
-    """Return columns, rows, sizes [px], angles and descriptors; the panorama is closed."""
+    """Return columns, rows, sizes [px], angles and descriptors; the panorama wraps round."""
     cv2, width = opencv(), image.shape[1]
     pad = max(16, width // 32)
     padded = cv2.copyMakeBorder(image, 0, 0, pad, pad, cv2.BORDER_WRAP)
@@ -217,9 +206,9 @@ def _detect(image: np.ndarray, times: int) -> tuple[np.ndarray, ...]:
 def _on_panorama(
     places: np.ndarray, times: int, pad: int, width: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return column and row [px] of places, (n, 2), in what was padded, then enlarged.
+    """Return column and row [px] of positions, (n, 2), in the padded, then enlarged image.
 
-    And which of them, (n,), are not beyond the seam, where all is seen once more.
+    And which of them, (n,), are not in the padding, which repeats other columns.
     """
     on = (places + 0.5) / times - [0.5 + pad, 0.5]
     return on, (on[:, 0] >= -0.5) & (on[:, 0] < width - 0.5)

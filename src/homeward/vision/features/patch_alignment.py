@@ -1,11 +1,11 @@
 """Patch alignment: affine, inverse compositional Lucas-Kanade, all patches at once.
 
-Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004. SIFT places a feature to a third of a
-pixel in each panorama by itself; to align its patch at home with the panorama now (shift, size,
-turn, shear) places it to a tenth. Grey values are compared with zero mean and unit length, so that
-light does not matter, and weighted towards the centre. What is left between the patches gives the
-covariance of the place, and rejects what does not look the same: edges of near things before far
-ones, look-alikes.
+Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 2004. SIFT locates a feature to a third of a
+pixel in each panorama separately; aligning its patch at home with the panorama now (shift, scale,
+rotation, shear) locates it to a tenth. Grey values are normalised to zero mean and unit length, so
+that light has no effect, and weighted towards the centre. The residual between the patches gives
+the covariance of the position, and rejects patches that do not show the same: corners formed by a
+near and a far edge, look-alikes.
 
 Patches are sampled from an image pyramid of the panorama, between pixels and across the seam.
 """
@@ -23,11 +23,11 @@ from homeward.vision.compiled import compiled
 from homeward.vision.opencv import opencv
 
 LEVELS = 3
-"""Levels of the pyramid; each has half the size of the one before."""
+"""Levels of the pyramid, each half the size of the one before."""
 BLUR = 0.5
 """Standard deviation of the smoothing of the first level [px]."""
 MARGIN = 64
-"""The image is continued beyond its seam by so many columns on either side, at most."""
+"""Maximum number of columns by which the image is continued beyond its seam on each side."""
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,15 @@ class Pyramid:
     levels: tuple[np.ndarray, ...]
     """float32, continued beyond the seam by `margin` columns of the first."""
     times: int
-    """The first is so many times as large as the panorama."""
+    """Size of the first level, as a multiple of the panorama's."""
     width: int
-    """Of the panorama [px]."""
+    """Width of the panorama [px]."""
     margin: int
-    """In columns of the first level."""
+    """Continuation beyond the seam [columns of the first level]."""
 
     @classmethod
     def of(cls, image: np.ndarray, times: int = 1) -> Pyramid:
-        """Return the picture of a grey panorama, uint8 (height, width), enlarged `times`."""
+        """Return the pyramid of a grey panorama, uint8 (height, width), enlarged `times`."""
         cv2, width = opencv(), image.shape[1]
         around = min(MARGIN, width)
         wide = cv2.copyMakeBorder(image, 0, 0, around, around, cv2.BORDER_WRAP)
@@ -56,27 +56,23 @@ class Pyramid:
         return cls(tuple(levels), times, width, around * times)
 
     def table(self) -> np.ndarray:
-        """Return of each level address, height and width, (levels, 3) int64: for compiled code."""
+        """Return address, height and width of each level, (levels, 3) int64: for compiled code."""
         rows = [(address(grey, np.float32), *grey.shape) for grey in self.levels]
         return np.array(rows, np.int64)
 
     def layout(self) -> np.ndarray:
-        """Return the numbers `times`, `width` and `margin`: for compiled code."""
+        """Return `times`, `width` and `margin`: for compiled code."""
         return np.array([self.times, self.width, self.margin], float)
 
     def sample(self, points: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-        """Return grey values between pixels.
+        """Return interpolated grey values, float32 (n, k).
 
         Parameters
         ----------
         points : ndarray, shape (n, 2, k)
-            Columns and rows [px]; n patches, which may lie across the seam.
+            Columns and rows [px] of n patches, which may be across the seam.
         spacing : ndarray, shape (n,)
-            Between the points of each patch [px], by which the level is chosen.
-
-        Returns
-        -------
-        ndarray of float32, shape (n, k)
+            Distance between the points of each patch [px], which determines the level.
         """
         column, row = points[:, 0], points[:, 1]
         around = np.floor((column.mean(axis=1, keepdims=True) + 0.5) / self.width) * self.width
@@ -95,7 +91,7 @@ class Pyramid:
 
 
 def enlarged(image: np.ndarray, times: int) -> np.ndarray:
-    """Return an image so many times as large."""
+    """Return an image enlarged by a factor."""
     if times == 1:
         return image
     cv2 = opencv()
@@ -104,25 +100,25 @@ def enlarged(image: np.ndarray, times: int) -> np.ndarray:
 
 HALF = 6
 """A patch is sampled at (2 HALF + 1)^2 points."""
-LEAST, MOST, PER_SIZE = 5.0, 12.0, 2.0
-"""Radius of a patch [px]: least, most, and as a multiple of the feature's diameter."""
+MIN_RADIUS, MAX_RADIUS, RADIUS_PER_SIZE = 5.0, 12.0, 2.0
+"""Radius of a patch [px]: minimum, maximum, and as a multiple of the feature's diameter."""
 WINDOW = 0.6
 """Standard deviation of the Gaussian weight about the centre, in radii."""
 STEPS = 8
-"""Iterations; half as many where a map begins nearer than a feature's own size and turn."""
+"""Iterations; half as many for a map that starts from that of another patch."""
 STIFFNESS = (0.05 / 0.3) ** 2
-"""Prior information on the map's matrix about the features' own size and turn: variance of the grey
-values of a unit-length patch over that of the matrix."""
+"""Prior information on the map's matrix, from the features' own size and orientation: variance of
+the grey values of a unit-length patch over that of the matrix."""
 MIN_AREA = 0.01
-"""Smallest factor by which one iteration may shrink a patch."""
-MIN_LIKENESS = 0.8
+"""Minimum factor by which one iteration may shrink a patch."""
+MIN_CORRELATION = 0.8
 """Correlation below which two patches do not show the same."""
 MAX_SHIFT = 0.5
-"""Largest change of a parameter in one iteration, in radii; a patch that ends farther from where it
-began has slid onto something else."""
-SIGMA_FLOOR, SIGMA_TIMES = 0.02, 2.8
-"""Standard deviation of a place: at least this [px], and so many times what independent noise would
-give. The factor was measured on rendered rooms: residuals are correlated from pixel to pixel."""
+"""Maximum change of a parameter in one iteration, and of the position in total, in radii: beyond,
+the patch has slid onto something else."""
+MIN_SIGMA, SIGMA_FACTOR = 0.02, 2.8
+"""Standard deviation of a position: minimum [px], and factor over that from independent noise. The
+factor was measured on rendered rooms: residuals are correlated from pixel to pixel."""
 
 _across, _down = (
     a.ravel().astype(np.float32) for a in np.meshgrid(*2 * [np.arange(-HALF, HALF + 1) / HALF])
@@ -131,25 +127,25 @@ _GRID = np.stack([_across, _down, np.ones_like(_across)])
 _ROOT = np.exp(-(_across**2 + _down**2) / (4 * WINDOW**2))
 _ROOT /= np.linalg.norm(_ROOT)
 _GRIDS = np.pad(np.stack([_across, _down, _ROOT]), [(0, 0), (0, -_ROOT.size % 16)])
-"""For compiled code, which sums up sixteen numbers at a time."""
+"""For compiled code, which adds sixteen numbers at a time."""
 _PRIOR = np.array([1e-6, 1e-6, *4 * [STIFFNESS]])
-"""Prior information on a step; hardly any on the shift."""
+"""Prior information on a step; negligible for the shift."""
 
 
 @dataclass(frozen=True)
 class Alignment(Columns):
-    """Where n patches of home lie now."""
+    """Positions now of n patches of home."""
 
     column: np.ndarray
     """(n,) [px]"""
     row: np.ndarray
     """(n,) [px]"""
     shape: np.ndarray
-    """(n, 2, 2): how a step at home, right and down, is carried [px now by px at home]."""
-    spread: np.ndarray
-    """(n, 2, 2): covariance of column and row [px^2], by what is left between the two patches."""
-    likeness: np.ndarray
-    """(n,): correlation of the two patches."""
+    """(n, 2, 2): linear map of a step at home, right and down [px now per px at home]."""
+    covariance: np.ndarray
+    """(n, 2, 2): of column and row [px^2], from the residual between the two patches."""
+    correlation: np.ndarray
+    """(n,): of the two patches."""
     found: np.ndarray
     """(n,) bool: whether the two patches show the same."""
 
@@ -163,7 +159,7 @@ class Alignment(Columns):
 
     @property
     def area(self) -> np.ndarray:
-        """How many times larger an area is now, (n,)."""
+        """Factor by which an area is larger now, (n,)."""
         return areas(self.shape)
 
 
@@ -175,7 +171,7 @@ def align_patches(
     start: np.ndarray,
     steps: int = STEPS,
 ) -> Alignment:
-    """Align patches of home with the panorama now, beginning with any affine maps.
+    """Align patches of home with the panorama now, starting from given affine maps.
 
     Parameters
     ----------
@@ -186,17 +182,17 @@ def align_patches(
     size : ndarray, shape (n,)
         Diameter of the feature at home [px].
     start : ndarray, shape (n, 2, 3)
-        Of steps at home [px] to columns and rows now.
+        Maps from steps at home [px] to columns and rows now.
     steps : int
-        Of Lucas and Kanade's method.
+        Number of iterations.
     """
     radius = radius_of(size, home)
     begun = start.copy()
     begun[:, :, :2] *= radius[:, None, None]
     reach = np.sqrt(areas(begun))
     task = _Task(home, now, at_home, radius, begun, reach, steps)
-    carried, likeness, spread = _align(task)
-    left = np.maximum(2 - 2 * likeness, 0) / (_ROOT.size / 2)
+    carried, correlation, spread = _align(task)
+    left = np.maximum(2 - 2 * correlation, 0) / (_ROOT.size / 2)
     shape = carried[:, :, :2]
     noise = shape @ spread @ shape.swapaxes(1, 2)
     shift = np.hypot(*(carried[:, :, 2] - start[:, :, 2]).T)
@@ -204,20 +200,22 @@ def align_patches(
         column=carried[:, 0, 2],
         row=carried[:, 1, 2],
         shape=shape / radius[:, None, None],
-        spread=SIGMA_FLOOR**2 * np.eye(2) + SIGMA_TIMES**2 * left[:, None, None] * noise,
-        likeness=likeness,
-        found=(likeness > MIN_LIKENESS) & (shift < MAX_SHIFT * reach),
+        covariance=MIN_SIGMA**2 * np.eye(2) + SIGMA_FACTOR**2 * left[:, None, None] * noise,
+        correlation=correlation,
+        found=(correlation > MIN_CORRELATION) & (shift < MAX_SHIFT * reach),
     )
 
 
 def areas(maps: np.ndarray) -> np.ndarray:
-    """Return how many times larger maps, (n, 2, 2 or 3), make an area."""
+    """Return the factor by which maps, (n, 2, 2 or 3), enlarge an area."""
     return np.asarray(np.abs(maps[:, 0, 0] * maps[:, 1, 1] - maps[:, 0, 1] * maps[:, 1, 0]))
 
 
 def radius_of(size: np.ndarray, home: Pyramid) -> np.ndarray:
-    """Return the radius of patches about features of a size, both in px."""
-    return np.asarray(np.clip(PER_SIZE * size * home.times, LEAST, MOST) / home.times)
+    """Return the radius of patches around features of a diameter `size` [px]."""
+    return np.asarray(
+        np.clip(RADIUS_PER_SIZE * size * home.times, MIN_RADIUS, MAX_RADIUS) / home.times
+    )
 
 
 @dataclass(frozen=True)
@@ -229,18 +227,18 @@ class _Task:
     at: np.ndarray
     """(n, 2): column and row at home [px]."""
     radius: np.ndarray
-    """(n,): there [px]."""
+    """(n,): at home [px]."""
     start: np.ndarray
     """(n, 2, 3): maps from a patch's own coordinates to columns and rows now."""
     reach: np.ndarray
-    """(n,): radius now, as they say [px]."""
+    """(n,): radius now, according to these maps [px]."""
     steps: int
 
 
 def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the maps, (n, 2, 3), the correlation of each pair of patches, (n,), and covariances.
 
-    The latter, (n, 2, 2) [radii^2], are those of places for grey values of unit variance.
+    The latter, (n, 2, 2) [radii^2], are those of positions for grey values of unit variance.
     """
     native = compiled()
     if native is not None:
@@ -250,37 +248,37 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     known, spacing = np.linalg.inv(information), task.reach / HALF
     back, carried = np.linalg.inv(task.start[:, :, :2]), task.start
     for _ in range(task.steps):
-        laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
-        # To which the patch itself adds nothing: slopes are at right angles to it.
-        gradient = (laid[:, None, :] @ slopes)[:, 0]
+        sampled = _normal(task.now.sample(carried @ _GRID, spacing))[0]
+        # The patch itself contributes nothing: slopes are orthogonal to it.
+        gradient = (sampled[:, None, :] @ slopes)[:, 0]
         gradient[:, 2:] += (back @ carried[:, :, :2] - np.eye(2)).reshape(-1, 4) * _PRIOR[2:]
         step = (known @ gradient[..., None])[..., 0]
-        carried = carried @ _undone(np.clip(step, -MAX_SHIFT, MAX_SHIFT))
-    laid = _normal(task.now.sample(carried @ _GRID, spacing))[0]
-    return carried, (laid * patch).sum(axis=1), known[:, :2, :2]
+        carried = carried @ _inverse(np.clip(step, -MAX_SHIFT, MAX_SHIFT))
+    sampled = _normal(task.now.sample(carried @ _GRID, spacing))[0]
+    return carried, (sampled * patch).sum(axis=1), known[:, :2, :2]
 
 
 def _align_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what `_align` does, in compiled code."""
+    """Do the same as `_align` in compiled code."""
     pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
     limits = np.array([HALF, MAX_SHIFT, MIN_AREA])
     given = (task.at, task.radius, task.reach, task.start)
-    told = [np.array(a, float, order="C") for a in given]
+    arrays = [np.array(a, float, order="C") for a in given]
     n = len(task.at)
-    likeness, spread = np.empty(n), np.empty((n, 2, 2))
+    correlation, spread = np.empty(n), np.empty((n, 2, 2))
     if native.align(
         *(n, _GRIDS.shape[1], task.steps, limits, _PRIOR, _GRIDS),
-        *(*pictures[0], *pictures[1], *told, likeness, spread),
+        *(*pictures[0], *pictures[1], *arrays, correlation, spread),
     ):
-        raise ValueError("patches that cannot be laid")
-    return told[-1], likeness, spread
+        raise ValueError("compiled code cannot align these patches")
+    return arrays[-1], correlation, spread
 
 
 def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return patches, (n, k), and how they change with the six parameters, (n, k, 6).
+    """Return patches, (n, k), and their derivatives by the six parameters, (n, k, 6).
 
-    In units of the patch's radius: shift (right, down), then the matrix row by row. What changes
-    only the mean or the length of a patch is taken out, as both are.
+    In units of the patch's radius: shift (right, down), then the matrix row by row. Components that
+    change only the mean or the length of a patch are removed, as in the patches.
     """
     spacing = radius / HALF
     points = similarity(at, radius, np.zeros_like(radius)) @ _GRID
@@ -298,16 +296,16 @@ def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.nda
 
 
 def similarity(at: np.ndarray, scale: np.ndarray, turn: np.ndarray) -> np.ndarray:
-    """Return similarity maps, (n, 2, 3), of steps to columns and rows about places `at`, (n, 2).
+    """Return similarity maps, (n, 2, 3), of steps to columns and rows around `at`, (n, 2).
 
-    They grow by a `scale` and turn clockwise by a `turn` [rad], (n,).
+    They enlarge by `scale` and rotate clockwise by `turn` [rad], (n,).
     """
     c, s = scale * np.cos(turn), scale * np.sin(turn)
     return np.stack([np.stack([c, -s, at[:, 0]], -1), np.stack([s, c, at[:, 1]], -1)], axis=1)
 
 
-def _undone(step: np.ndarray) -> np.ndarray:
-    """Return the inverse, (n, 3, 3), of the map that a step stands for."""
+def _inverse(step: np.ndarray) -> np.ndarray:
+    """Return the inverse, (n, 3, 3), of the map that a step describes."""
     x, y, a, b, c, d = (step + np.array([0, 0, 1, 0, 0, 1])).T
     area = np.maximum(a * d - b * c, MIN_AREA)
     inverse = np.zeros((len(step), 3, 3))
@@ -318,7 +316,7 @@ def _undone(step: np.ndarray) -> np.ndarray:
 
 
 def _normal(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted patches of zero mean and unit length, and the length that they had."""
+    """Return weighted patches of zero mean and unit length, and their length before."""
     weighted = grey * _ROOT
     weighted -= (weighted @ _ROOT)[:, None] * _ROOT
     length = np.maximum(np.linalg.norm(weighted, axis=1), 1e-3)

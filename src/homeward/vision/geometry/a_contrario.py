@@ -1,12 +1,12 @@
 """A-contrario acceptance: whether matches that agree on a motion may agree by chance.
 
 The number of false alarms (Moisan and Stival, "A probabilistic criterion to detect rigid point
-matches between two images", IJCV 2004) is how often random matches are expected to agree as well.
-What a random match does is learnt from the pair of images itself: each direction at home is paired
-with the directions now of other matches.
+matches between two images", IJCV 2004) is the expected number of agreements as good among random
+matches. Their distribution is learnt from the pair of images itself: each direction at home is
+paired with the directions now of other matches.
 
-All matches on one object err together: if it was moved, or moves along, they agree on a motion as
-well as any. So a motion that rests on one object is reported with a larger covariance.
+Errors of matches on one object are correlated: if it was moved, or moves with the robot, they agree
+on a motion. So a motion that depends on one object is reported with a larger covariance.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, squares
 
-REACH = WINDOW * math.pi / SECTORS
-"""What lies within this of one direction may be one object [rad]."""
+OBJECT_RADIUS = WINDOW * math.pi / SECTORS
+"""Angular radius of a large object [rad]."""
 MAX_LOG_FALSE_ALARMS = -4.0
-"""Largest number of false alarms that is accepted (logarithm to base 10)."""
+"""Maximum accepted number of false alarms (logarithm to base 10)."""
 MAX_PER_SECTOR = 4
-"""More matches in one sector count as this many: parts of one thing err together."""
+"""Maximum number of matches that count in one sector: errors on one object are correlated."""
 MIN_SECTORS = 4
-"""Least number of sectors with inliers."""
+"""Minimum number of sectors with inliers."""
 STEEP = math.radians(25.0)
-"""Inliers steeper than this, up or down, may be on another room's ceiling or on other tiles of the
-floor [rad]."""
+"""Inliers steeper than this, up or down, may be on another room's ceiling or on other floor tiles
+[rad]."""
 MIN_LEVEL_SECTORS = 3
-"""Least number of sectors with inliers that are not steep."""
+"""Minimum number of sectors with inliers that are not steep."""
 MIN_LEVEL_SHARE = 0.25
-"""Least share of inliers that are not steep: the tiles of a floor look the same a few tiles on."""
+"""Minimum share of inliers that are not steep: floor tiles look the same a few tiles away."""
 WITHIN = 0.6
-"""Cameras are nearly upright: a feature is turned in the image by less than this [rad], and where
-the heading is given, it lies within this of where the turn alone takes it."""
+"""Maximum rotation of a feature in the image, since cameras are nearly upright; and, if the heading
+is given, maximum distance of a feature from the direction predicted by it [rad]."""
 
 
 @dataclass(frozen=True)
@@ -47,12 +47,12 @@ class Acceptance:
 
     accepted: bool
     reason: str
-    """In words."""
+    """For the user."""
     log_false_alarms: float
     """Logarithm to base 10."""
 
     def reassessed(self, agrees: np.ndarray, pairs: Pairs) -> Acceptance:
-        """Return the acceptance where other matches, (n,) bool, are the inliers."""
+        """Return the acceptance if other matches, (n,) bool, are the inliers."""
         words = _agreement(agrees, pairs)
         home, now = pairs.home[agrees], pairs.now[agrees]
         if lack := too_narrow(home[:, 0], now[:, 0], elevation=home[:, 1]):
@@ -61,16 +61,16 @@ class Acceptance:
 
 
 def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Acceptance:
-    """Accept a fit, or not, by its number of false alarms and the spread of its inliers.
+    """Accept or refuse a fit, from its number of false alarms and the spread of its inliers.
 
     Parameters
     ----------
     fit : Fit or None
-        None where no motion was found.
+        None if no motion was found.
     pairs : Pairs
         All matches.
     heading : float, optional
-        Now, where matches were looked for `WITHIN` what it makes of their directions [rad].
+        Heading [rad] now, if matches were searched `WITHIN` their predicted directions.
     """
     if fit is None or fit.inlier.sum() < 3:
         return Acceptance(
@@ -79,7 +79,7 @@ def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Accep
     alarms = _log_false_alarms(fit, pairs, heading)
     if alarms > MAX_LOG_FALSE_ALARMS:
         words = _agreement(fit.inlier, pairs)
-        return Acceptance(False, f"not enough in common: {words}, which may be chance", alarms)
+        return Acceptance(False, f"not enough in common: {words}, possibly by chance", alarms)
     return Acceptance(True, "", alarms).reassessed(fit.inlier, pairs)
 
 
@@ -87,45 +87,40 @@ def assess_unrepeated(
     acceptance: Acceptance,
     fit: Fit,
     pairs: Pairs,
-    asked: np.ndarray,
+    tested: np.ndarray,
     recurs: np.ndarray,
     heading: float | None = None,
 ) -> Acceptance:
-    """Accept a fit, or not, where it is known which of its inliers are self-similar.
+    """Accept or refuse a fit whose inliers were tested for self-similarity.
 
-    The tiles of a floor agree with those of another room: where most inliers are on such, the
-    others must suffice by themselves.
+    The tiles of a floor match those of another room. So if most inliers are self-similar, the
+    others must be accepted on their own.
 
     Parameters
     ----------
     acceptance : Acceptance
-        So far.
+        Without this test.
     fit, pairs, heading
-        Of what.
-    asked : ndarray of int, shape (k,)
+        As in `assess`.
+    tested : ndarray of int, shape (k,)
         Some or all of the inliers.
     recurs : ndarray of bool, shape (k,)
-        Whether what they show is seen elsewhere in home's picture, too.
+        Whether these inliers are self-similar in home's picture.
     """
-    alone = np.zeros(len(pairs), bool)
-    alone[asked[~recurs]] = True
-    if 2 * alone.sum() >= len(asked):
+    unique = np.zeros(len(pairs), bool)
+    unique[tested[~recurs]] = True
+    if 2 * unique.sum() >= len(tested):
         return acceptance
-    if assess(replace(fit, inlier=alone), pairs, heading).accepted:
+    if assess(replace(fit, inlier=unique), pairs, heading).accepted:
         return acceptance
     words = f"{_agreement(fit.inlier, pairs)}, most of them on repeating patterns"
     return replace(acceptance, accepted=False, reason=f"not enough in common: {words}")
 
 
 def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
-    """Say why directions of inliers, (n,), are spread too narrowly; empty where they are not.
+    """Return why directions of inliers, (n,), are spread too narrowly; empty if they are not.
 
-    Parameters
-    ----------
-    azimuths : ndarray
-        In one panorama or more [rad].
-    elevation : ndarray
-        Of the same matches [rad].
+    `azimuths` are those in one panorama or more, `elevation` is of the same matches [rad].
     """
     sectors = [sector_of(azimuth) for azimuth in azimuths]
     level = np.abs(elevation) < STEEP
@@ -137,13 +132,13 @@ def too_narrow(*azimuths: np.ndarray, elevation: np.ndarray) -> str:
 
 
 def _agreement(good: np.ndarray, pairs: Pairs) -> str:
-    """Say how many matches agree: `good` (n,), bool."""
+    """Return a message about the number of matches that agree: `good` (n,), bool."""
     sectors = [sector_of(side[good, 0]) for side in (pairs.home, pairs.now)]
     return f"{int(good.sum())} of {len(good)} matches agree, in {_occupied(sectors)} directions"
 
 
 def _occupied(sectors: list[np.ndarray]) -> int:
-    """Return how many sectors are not empty, in each panorama."""
+    """Return the number of sectors that are not empty, in each panorama."""
     return min(np.unique(s).size for s in sectors)
 
 
@@ -158,7 +153,7 @@ def _log_false_alarms(fit: Fit, pairs: Pairs, heading: float | None) -> float:
     choices = math.lgamma(n + 1) - math.lgamma(k + 1) - math.lgamma(n - k + 1)
     models = math.log(max(n - 2, 1)) + math.log(k * (k - 1) / 2)
     if heading is not None:
-        models += math.log(math.pi / WITHIN)  # so many others could have been guessed
+        models += math.log(math.pi / WITHIN)  # the number of possible headings
     return (models + choices + (k - 2) * math.log(chance)) / math.log(10)
 
 
@@ -184,41 +179,37 @@ def _capped(sectors: np.ndarray) -> int:
 
 
 def dominant_object(fit: Fit, pairs: Pairs, heading: float | None = None) -> np.ndarray:
-    """Return which inliers, (n,) bool, are on one object that the motion rests on.
+    """Return which inliers, (n,) bool, are on one object that the motion depends on.
 
-    None of them, where no object has most of them, or the others suffice by themselves.
-
-    Parameters
-    ----------
-    fit, pairs, heading
-        As for `homeward.vision.geometry.a_contrario.assess`.
+    None of them if no object has most of them, or the others are accepted on their own. Parameters
+    are those of `assess`.
     """
     rows = np.flatnonzero(fit.inlier)
-    thing = np.zeros(len(pairs), bool)
+    on_object = np.zeros(len(pairs), bool)
     if not rows.size:
-        return thing
-    near = pairs.home_vectors[rows] @ pairs.home_vectors[rows].T > math.cos(REACH)
-    thing[rows[near[near.sum(axis=1).argmax()]]] = True
-    if 2 * thing.sum() <= rows.size:
+        return on_object
+    near = pairs.home_vectors[rows] @ pairs.home_vectors[rows].T > math.cos(OBJECT_RADIUS)
+    on_object[rows[near[near.sum(axis=1).argmax()]]] = True
+    if 2 * on_object.sum() <= rows.size:
         return np.zeros(len(pairs), bool)
-    others = Fit(fit.motion, fit.inlier & ~thing, fit.information, fit.parallax, fit.scale)
-    return np.zeros(len(pairs), bool) if assess(others, pairs, heading).accepted else thing
+    others = Fit(fit.motion, fit.inlier & ~on_object, fit.information, fit.parallax, fit.scale)
+    return np.zeros(len(pairs), bool) if assess(others, pairs, heading).accepted else on_object
 
 
-def covariance_factor(thing: np.ndarray, fit: Fit) -> float:
-    """Return the factor of the covariance where all inliers on one object, (n,), count once."""
-    agree, on_it = int(fit.inlier.sum()), int(thing.sum())
+def covariance_factor(on_object: np.ndarray, fit: Fit) -> float:
+    """Return the factor of the covariance if all inliers on one object, (n,), count once."""
+    agree, on_it = int(fit.inlier.sum()), int(on_object.sum())
     return agree / (agree - on_it + 1) if on_it else 1.0
 
 
-def explain(acceptance: Acceptance, thing: np.ndarray, pairs: Pairs) -> str:
-    """Return the reason of an acceptance, with where the object is that the motion rests on."""
-    if not thing.any():
+def explain(acceptance: Acceptance, on_object: np.ndarray, pairs: Pairs) -> str:
+    """Return the reason of an acceptance, with the direction of an object it depends on."""
+    if not on_object.any():
         return acceptance.reason
-    x, y, z = pairs.home_vectors[thing].mean(axis=0)
+    x, y, z = pairs.home_vectors[on_object].mean(axis=0)
     up = math.degrees(math.atan2(z, math.hypot(x, y)))
     where = "overhead" if up > 45.0 else f"{math.degrees(math.atan2(y, x)):.0f} deg from its axis"
     return (
-        f"{acceptance.reason}; {int(thing.sum())} of them lie on one object ({where} at home): "
-        "if it was moved, or moves with the robot, this answer is wrong"
+        f"{acceptance.reason}; {int(on_object.sum())} of them lie on one object ({where} at home): "
+        "if it was moved, or moves with the robot, this result is wrong"
     )

@@ -1,8 +1,8 @@
 """Epipolar geometry of two panoramas: relative motion, Sampson residuals, cheirality.
 
-Seen from the home camera, the other one lies in direction `theta` and `rise` above the horizon, is
-turned by `alpha`, and tilted by `roll` and `pitch`. Two panoramas do not tell its distance. A point
-in direction x1 at home and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
+Seen from the home camera, the other one is in direction `theta`, `rise` above the horizon, rotated
+by `alpha`, and tilted by `roll` and `pitch`. Its distance is not observable. A point in direction
+x1 at home and x2 now (unit vectors) satisfies t . (x1 x R x2) = 0.
 """
 
 from __future__ import annotations
@@ -18,46 +18,47 @@ from homeward.vision.compiled import compiled
 
 
 class Motion(NamedTuple):
-    """Relative motion: where the other camera is, but for the distance."""
+    """Relative pose of the other camera, without the distance."""
 
     theta: float
     """Its direction seen from home [rad]."""
     alpha: float
     """Its heading in the home frame [rad]."""
     roll: float = 0.0
-    """Its tilt against the home camera [rad]."""
+    """Its tilt relative to the home camera [rad]."""
     pitch: float = 0.0
     """[rad]"""
     rise: float = 0.0
     """Its elevation seen from home [rad]."""
 
 
-WIDE = 8
-"""Compiled code takes so many matches side by side."""
+WIDTH = 8
+"""Number of matches that compiled code processes at once."""
 
 
 @dataclass(frozen=True)
 class Pairs:
-    """n matches as pairs of directions, with what follows from each by itself."""
+    """n matches as pairs of directions, with quantities derived from each."""
 
     table: np.ndarray
-    """(n, 21): what its columns are, the properties say."""
+    """(n, 21): the columns are those of the properties."""
 
     @classmethod
-    def of(cls, home: np.ndarray, now: np.ndarray, spread: np.ndarray, growth: np.ndarray) -> Pairs:
+    def of(
+        cls, home: np.ndarray, now: np.ndarray, covariance: np.ndarray, growth: np.ndarray
+    ) -> Pairs:
         """Return pairs of directions.
 
         Parameters
         ----------
         home, now : ndarray, shape (n, 2)
             Azimuth and elevation [rad].
-        spread : ndarray, shape (n, 2, 2)
-            Covariance of azimuth and elevation now [rad^2]. Those at home are exact: what was seen
-            there is what is looked for.
+        covariance : ndarray, shape (n, 2, 2)
+            Of azimuth and elevation now [rad^2]. Those at home are exact: they define the points.
         growth : ndarray, shape (n,)
-            Logarithm of how much larger the feature looks now than at home.
+            Logarithm of the feature's size now over that at home.
         """
-        first, both, second = spread.reshape(-1, 4).T[[0, 1, 3]]
+        first, both, second = covariance.reshape(-1, 4).T[[0, 1, 3]]
         largest = np.sqrt((first + second) / 2 + np.hypot((first - second) / 2, both))
         at_home = unit_vectors(*home.T), home
         at_now = unit_vectors(*now.T), *tangents(*now.T), now
@@ -92,7 +93,7 @@ class Pairs:
         return self.table[:, 14:16]
 
     @property
-    def spread(self) -> np.ndarray:
+    def covariance(self) -> np.ndarray:
         """Variance of the azimuth now, covariance, variance of the elevation: (n, 3) [rad^2]."""
         return self.table[:, 16:19]
 
@@ -103,18 +104,18 @@ class Pairs:
 
     @property
     def largest_sigma(self) -> np.ndarray:
-        """Standard deviation along the way in which a place now is least known, (n,) [rad]."""
+        """Largest standard deviation of a direction now, (n,) [rad]."""
         return self.table[:, 19]
 
     @property
     def growth(self) -> np.ndarray:
-        """Logarithm of how much larger the feature looks now than at home, (n,)."""
+        """Logarithm of the feature's size now over that at home, (n,)."""
         return self.table[:, 20]
 
     @cached_property
     def columns(self) -> np.ndarray:
-        """The table for compiled code, (21, n or more): up to a multiple of `WIDE`, with zeros."""
-        columns = np.zeros((self.table.shape[1], -(-len(self) // WIDE) * WIDE))
+        """The table for compiled code, (21, n or more), zero-padded to a multiple of `WIDTH`."""
+        columns = np.zeros((self.table.shape[1], -(-len(self) // WIDTH) * WIDTH))
         columns[:, : len(self)] = self.table.T
         return columns
 
@@ -126,7 +127,7 @@ class Pairs:
         return Pairs(np.concatenate([self.table, other.table]))
 
     def mixed(self, home: np.ndarray, now: np.ndarray) -> Pairs:
-        """Return what home saw in some rows, (k,), paired with what is seen in others now, (k,)."""
+        """Return the directions at home of some rows, (k,), paired with those now of others."""
         return Pairs(np.hstack([self.table[home, :5], self.table[now, 5:]]))
 
 
@@ -140,7 +141,7 @@ def tangents(azimuth: np.ndarray, elevation: np.ndarray) -> tuple[np.ndarray, np
 
 
 _Vectors = tuple[np.ndarray, np.ndarray, np.ndarray]
-"""Components apart: arrays of three along their last axis take twice the time."""
+"""Separate components: arrays of three along their last axis take twice the time."""
 
 
 class Residuals(NamedTuple):
@@ -152,18 +153,17 @@ class Residuals(NamedTuple):
     """(m, n, 5), with respect to `Motion`."""
     possible: np.ndarray
     """(m, n) bool: whether, within errors, the rays meet ahead of both cameras (cheirality), at
-    distances in the ratio of the features' sizes, and under no wide angle."""
+    distances in the ratio of the features' sizes, and at less than `MAX_PARALLAX`."""
 
 
 INLIER = 3.0
-"""Whatever is farther off than so many standard deviations is an outlier: a residual, a ray that
-misses the other one, a landmark in a resection. It is the scale of robust losses, too."""
+"""Maximum error of an inlier [standard deviations]: of a residual, a ray that misses the other one,
+a landmark in a resection. It is also the scale of robust losses."""
 MAX_PARALLAX = np.radians(60.0)
-"""Largest angle under which a thing is seen from both places [rad]: beyond, nothing looks the
-same."""
-GROWTH = 0.5
-"""Largest error of the logarithm of a feature's growth: three times the one measured (0.16)."""
-LIMITS = np.array([INLIER, np.cos(MAX_PARALLAX), GROWTH])
+"""Maximum parallax of a point [rad]: beyond, nothing looks the same."""
+MAX_GROWTH_ERROR = 0.5
+"""Maximum error of the logarithm of a feature's growth: three times the one measured (0.16)."""
+LIMITS = np.array([INLIER, np.cos(MAX_PARALLAX), MAX_GROWTH_ERROR])
 """For compiled code."""
 
 
@@ -177,17 +177,17 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     pairs : Pairs
         n matches.
     looseness : float
-        A further error of each direction now [rad].
+        Additional error of each direction now [rad].
     """
     native = compiled()
     if native is not None:
         count, wide = pairs.columns.shape
         shape = len(motions), wide
         value, jacobian = np.empty(shape), np.empty((5, *shape))
-        possible, told = np.empty(shape, bool), np.array(motions, float, order="C")
-        given = (told, pairs.columns, looseness, LIMITS)
+        possible, rows = np.empty(shape, bool), np.array(motions, float, order="C")
+        given = (rows, pairs.columns, looseness, LIMITS)
         if native.residuals(*shape, count, *given, value, jacobian, possible):
-            raise ValueError("not the columns of compiled code")
+            raise ValueError("compiled code has other columns")
         n = len(pairs)
         return Residuals(value[:, :n], np.moveaxis(jacobian[..., :n], 0, -1), possible[:, :n])
     theta, alpha, roll, pitch, rise = motions.T[..., None]
@@ -210,9 +210,9 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
 
 
 def derivative_noise(motion: Motion, pairs: Pairs) -> tuple[np.ndarray, np.ndarray]:
-    """Return the variance, (n,), that noise alone gives the normalised derivatives.
+    """Return the variances, (n,), of the normalised derivatives by theta and rise from noise alone.
 
-    Those by theta and by rise: where there is no parallax, noise looks like it.
+    Without parallax, noise looks like it.
     """
     theta, alpha, _, _, rise = np.array(motion)[:, None, None]
     # Three motions along t and its derivatives.
@@ -226,18 +226,18 @@ def _deviation(
     alpha: np.ndarray, lever: _Vectors, pairs: Pairs, looseness: float = 0.0
 ) -> np.ndarray:
     """Return the standard deviation, (m, n), of t . (x1 x y), given `lever`, t x x1."""
-    # The gradient by x2, before the turn and the tilt: both leave its length as it is, and what
-    # the tilt does to the directions of azimuth and elevation is of no account.
+    # The gradient by x2, before rotation and tilt, which preserve its length. The effect of the
+    # tilt on the directions of azimuth and elevation is negligible.
     gradient = _about_z(-alpha, lever)
     across, up = (_dot(gradient, _parts(tangent)) for tangent in pairs.now_tangents)
-    first, both, second = pairs.spread.T
+    first, both, second = pairs.covariance.T
     loose = looseness**2
     variance = (first + loose) * across**2 + 2 * both * across * up + (second + loose) * up**2
     return np.asarray(np.sqrt(np.maximum(variance, 1e-18)))
 
 
 def _parts(vectors: np.ndarray) -> _Vectors:
-    """Return the components of vectors, (n, 3), each (n,) and in one piece."""
+    """Return the components of vectors, (n, 3), each (n,) and contiguous."""
     x, y, z = np.ascontiguousarray(vectors.T)
     return x, y, z
 
@@ -271,7 +271,7 @@ def _leaned(
 
 
 def _about_z(angle: np.ndarray, x: _Vectors) -> _Vectors:
-    """Return vectors turned about z by (m, 1) angles [rad]."""
+    """Return vectors rotated about z by (m, 1) angles [rad]."""
     c, s = np.cos(angle), np.sin(angle)
     return c * x[0] - s * x[1], s * x[0] + c * x[1], x[2]
 
@@ -284,11 +284,11 @@ def _possible(
     growth: np.ndarray,
     sigma: np.ndarray,
 ) -> np.ndarray:
-    """Return whether both rays can show the same thing, (m, n) bool.
+    """Return whether both rays can show the same point, (m, n) bool.
 
     Both distances along them are positive and in the ratio of the sizes, and the angle between them
-    is not too wide. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 = (t x x1) . n,
-    n = x1 x y. This is what tells a wrong match along the epipolar line from a right one.
+    is at most `MAX_PARALLAX`. With l1 x1 - l2 y = t: l1 |n|^2 = (t x y) . n and l2 |n|^2 =
+    (t x x1) . n, n = x1 x y. This detects wrong matches along the epipolar line.
     """
     good, far, doubt = _dot(x1, y) > np.cos(MAX_PARALLAX), [], 0.0
     for ray in (y, x1):
@@ -299,4 +299,4 @@ def _possible(
         far.append(np.maximum(distance, 1e-12))
         doubt = doubt + error / far[-1]
     ratio = np.log(far[0] / far[1])
-    return np.asarray(good & (np.abs(ratio - growth) <= GROWTH + doubt))
+    return np.asarray(good & (np.abs(ratio - growth) <= MAX_GROWTH_ERROR + doubt))

@@ -1,12 +1,12 @@
 """Cluster jackknife: the covariance of a motion, from leaving out one window of azimuth at a time.
 
-The inverse of the information takes errors of matches for independent; it was half of the true
-error. Features of one thing err together, most of all when it has moved along the epipolar line. A
-sandwich estimate does not see that, since the fit bends towards the few. So windows of azimuth, as
-wide as a thing may be, are left out in turn (MacKinnon, Nielsen and Webb, J. Appl. Econometrics
-2023; overlapping windows: Kuensch, Ann. Statist. 1989), and the motion is fitted anew, beginning at
-the best, for the rest, of all minima that were found: where these would prefer another minimum, the
-answer was not safe, which no derivative tells. What the tilt may do is added in full.
+The inverse of the information assumes independent errors of matches; it was half of the true error.
+Errors of features on one object are correlated, most of all when it has moved along the epipolar
+line. A sandwich estimate does not detect that, since the fit follows the few. So windows of azimuth
+of the width of a large object are left out in turn (MacKinnon, Nielsen and Webb, J. Appl.
+Econometrics 2023; overlapping windows: Kuensch, Ann. Statist. 1989), and the motion is fitted
+again, starting from the minimum that is best for the remaining matches. If that is another minimum,
+the result was uncertain, which no derivative shows. The effect of tilt is added in full.
 """
 
 from __future__ import annotations
@@ -19,28 +19,16 @@ from homeward.vision.geometry.epipolar import INLIER, Pairs, residuals
 from homeward.vision.geometry.refinement import Fit, irls, prior_information, squares
 
 SHARE = 0.25
-"""Share of the inverse information, and of the jackknife's changes, that counts: without a window
-so wide, the fit changes by more than it errs."""
+"""Weight of the inverse information and of the jackknife's changes: leaving out a window this wide
+changes the fit by more than its error."""
 
 
 def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarray:
-    """Return the covariance of a motion.
+    """Return the covariance (5, 5) of a motion fitted to all matches.
 
-    Parameters
-    ----------
-    fit : Fit
-        The motion.
-    pairs : Pairs
-        All matches.
-    tilt_sigma : float
-        How far each camera may be tilted from what is known [rad].
-
-    Returns
-    -------
-    ndarray, shape (5, 5)
-        Of `Motion`.
+    `tilt_sigma` is the standard deviation of each camera's tilt [rad].
     """
-    plain = np.linalg.inv(fit.information + 1e-4 * np.eye(5))  # regular, if nothing is known
+    plain = np.linalg.inv(fit.information + 1e-4 * np.eye(5))  # regular even without information
     by_prior = plain @ prior_information(tilt_sigma) @ plain
     each = leave_windows_out(pairs.home[:, 0], fit.inlier)
     motion = np.array(fit.motion)
@@ -53,9 +41,9 @@ def jackknife_covariance(fit: Fit, pairs: Pairs, tilt_sigma: float) -> np.ndarra
 
 
 def leave_windows_out(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
-    """Return which matches, at azimuths (n,), are left as each window in turn is left out.
+    """Return which matches, at azimuths (n,), remain without each window in turn: (m, n) bool.
 
-    Shape (m, n), bool; windows in which none `counts`, (n,) bool, are skipped.
+    Windows in which none `counts`, (n,) bool, are skipped.
     """
     first = np.arange(SECTORS)[:, None]
     left_out = (sector_of(azimuth) - first) % SECTORS < WINDOW
@@ -63,7 +51,7 @@ def leave_windows_out(azimuth: np.ndarray, counts: np.ndarray) -> np.ndarray:
 
 
 def _starts(fit: Fit, pairs: Pairs, tilt_sigma: float, left: np.ndarray) -> np.ndarray:
-    """Return, (m, 5), the minimum that fits each choice of matches best."""
+    """Return the minimum, (m, 5), that fits each selection of matches best."""
     motions = np.vstack([fit.motion, fit.others])
     each = np.minimum(squares(residuals(motions, pairs)), INLIER**2)
     total = left @ each.T + np.sum((motions @ prior_information(tilt_sigma)) * motions, axis=1)

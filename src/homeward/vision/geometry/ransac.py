@@ -6,7 +6,7 @@ k = (cos theta, sin theta, cos(alpha - theta), sin(alpha - theta)):
     [x1y x2z, -x1x x2z, -x1z x2y, -x1z x2x] k = 0
 
 Two matches give A x = B y, x and y being the halves of k. With y = M x, M = B^-1 A, and both of
-unit length, theta follows from a quadratic equation in x. The sign of x is left to the distances
+unit length, theta follows from a quadratic equation in x. The sign of x follows from the distances
 along the rays, which must be positive.
 """
 
@@ -19,12 +19,12 @@ from homeward.vision.geometry.epipolar import INLIER, Pairs
 from homeward.vision.geometry.refinement import Fit, refine
 
 SAMPLES = 800
-"""So many pairs of matches are drawn."""
+"""Number of pairs of matches that are drawn."""
 CANDIDATES = 12
-"""So many of the best are refined, each in both directions of travel. What else the matches may say
-is needed for the covariance."""
+"""Number of best motions that are refined, each in both directions of travel. The covariance needs
+the other minima, too."""
 APART = 0.1
-"""Motions are different that differ by this in theta or alpha [rad]."""
+"""Minimum difference in theta or alpha between two candidates [rad]."""
 
 
 def estimate_motion(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> Fit | None:
@@ -35,14 +35,14 @@ def estimate_motion(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> Fit
     pairs : Pairs
         All matches.
     quality : ndarray, shape (n,)
-        Of each match; small is good: good ones are tried more often.
+        Of each match; smaller is better, and drawn more often.
     tilt_sigma : float
-        How far each camera may be tilted from what is known [rad].
+        Standard deviation of each camera's tilt [rad].
 
     Returns
     -------
     Fit or None
-        None when there are fewer than three matches or no motion at all fits two of them.
+        None if there are fewer than three matches, or no motion fits two of them.
     """
     if len(pairs) < 3:
         return None
@@ -51,12 +51,12 @@ def estimate_motion(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> Fit
         return None
     starts = np.zeros((2, len(chosen), 5))
     starts[..., :2] = chosen, chosen + np.array([np.pi, 0.0])
-    # Near home, which way round is told only by places as exactly known as they are.
+    # Near home, only exact positions distinguish the two directions of travel.
     return refine(starts.reshape(-1, 5), pairs, tilt_sigma)
 
 
 def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> np.ndarray:
-    """Return the best solutions, (k, 2), of many samples that differ from each other."""
+    """Return the best distinct solutions, (k, 2), of many samples."""
     rows = coefficients(pairs.home_vectors, pairs.now_vectors)
     first, second = _samples(quality)
     motions = np.concatenate([two_point_motions(rows[first], rows[second]), _turns(pairs, first)])
@@ -65,7 +65,7 @@ def _candidates(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> np.ndar
 
 
 def _distinct(motions: np.ndarray) -> np.ndarray:
-    """Return the first motions, (k, 2), that differ from all before, whichever way travelled."""
+    """Return the first motions, (k, 2), that differ from all before, in any direction of travel."""
     free = np.ones(len(motions), bool)
     chosen: list[int] = []
     way, turned = np.exp(1j * motions.T)
@@ -78,14 +78,14 @@ def _distinct(motions: np.ndarray) -> np.ndarray:
 
 
 def _turns(pairs: Pairs, rows: np.ndarray) -> np.ndarray:
-    """Return a turn without translation, (k, 2), from each of some matches: the motion at home."""
+    """Return a rotation without translation, (k, 2), from some matches: the motion at home."""
     some = np.unique(rows)
     alpha = wrap(pairs.home[some, 0] - pairs.now[some, 0])
     return np.column_stack([np.zeros(some.size), alpha])
 
 
 def _samples(quality: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Draw pairs of matches, the same every time; one of each from the better half."""
+    """Draw pairs of matches with a fixed seed; the first is from the better half."""
     rng, n = np.random.default_rng(0), quality.size
     order = np.argsort(quality, kind="stable")
     first = order[rng.integers(0, max(2, (n + 1) // 2), SAMPLES)]
@@ -108,7 +108,7 @@ def coefficients(home: np.ndarray, now: np.ndarray) -> np.ndarray:
 
 
 def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the motions that two matches allow.
+    """Return the motions that are consistent with two matches.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """
     a, b, c, d = -first[:, 2], -first[:, 3], -second[:, 2], -second[:, 3]
     determinant = a * d - b * c
-    # N = adj(B) A, so that y = N x / det(B), and nothing is divided by it.
+    # N = adj(B) A, so that y = N x / det(B), without a division by det(B).
     n11, n12 = (d * first[:, i] - b * second[:, i] for i in (0, 1))
     n21, n22 = (a * second[:, i] - c * first[:, i] for i in (0, 1))
     p = (n11**2 + n21**2 - n12**2 - n22**2) / 2
@@ -143,8 +143,12 @@ def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     return np.column_stack([wrap(flipped), alpha])
 
 
-def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float) -> np.ndarray:
-    """Return the MSAC cost (Torr and Zisserman, CVIU 2000) of motions, theta or theta + pi.
+def msac_costs(
+    motions: np.ndarray, pairs: Pairs, tilt_sigma: float, max_square: float
+) -> np.ndarray:
+    """Return the MSAC cost, (m,), of motions, for theta or theta + pi.
+
+    It is the sum over matches of the squared normalised residual, at most `max_square` each.
 
     Parameters
     ----------
@@ -152,25 +156,20 @@ def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float)
         theta and alpha [rad].
     pairs : Pairs
         All matches.
-    tolerance : float
-        Added to the deviation of each elevation [rad]: what tilt may do.
-    most : float
-        Squared normalised residual of a match that does not fit.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Sum over matches of the squared normalised residual, at most `most` each.
+    tilt_sigma : float
+        Standard deviation of each elevation due to tilt [rad].
+    max_square : float
+        Cost of an outlier.
     """
     theta, turn = motions[:, 0], motions[:, 1] - motions[:, 0]
     k = np.stack([np.cos(theta), np.sin(theta), np.cos(turn), np.sin(turn)]).astype(np.float32)
     x1, x2 = pairs.home_vectors, pairs.now_vectors
     by_azimuth, by_elevation = pairs.now_tangents
-    first, both, second = pairs.spread.T[..., None]
-    # The lower Cholesky root.
+    first, both, second = pairs.covariance.T[..., None]
+    # Lower Cholesky root.
     along = np.sqrt(first + 1e-12)
     mixed = both / along
-    rest = np.sqrt(np.maximum(second - mixed**2, 0.0) + tolerance**2)
+    rest = np.sqrt(np.maximum(second - mixed**2, 0.0) + tilt_sigma**2)
     rows = [
         coefficients(x1, x2),
         coefficients(x1, by_azimuth * along + by_elevation * mixed),
@@ -178,4 +177,4 @@ def msac_costs(motions: np.ndarray, pairs: Pairs, tolerance: float, most: float)
     ]
     value, *slopes = (row.astype(np.float32) @ k for row in rows)
     variance = sum(slope * slope for slope in slopes)
-    return np.asarray(np.minimum(value * value / (variance + 1e-16), most).sum(axis=0))
+    return np.asarray(np.minimum(value * value / (variance + 1e-16), max_square).sum(axis=0))

@@ -21,13 +21,13 @@ from homeward.vision.geometry.epipolar import (
 )
 
 SCHEDULE = (*GNC_SCHEDULE, 0.0)
-"""Error added to directions in each iteration, as a share of the tilt's sigma [1]."""
-LONGEST_STEP = 0.3
-"""Largest change of an angle in one iteration [rad]: near home, theta is hardly determined."""
+"""Additional error of directions in each iteration, as a share of the tilt's sigma [1]."""
+MAX_STEP = 0.3
+"""Maximum change of an angle in one iteration [rad]: near home, theta is poorly determined."""
 SAME = 0.002
 """Motions whose theta and alpha differ by less are the same [rad]."""
-MOST_OTHERS = 5
-"""So many other minima are kept, those of least loss."""
+MAX_OTHERS = 5
+"""Maximum number of other minima that are kept, those of least loss."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +38,10 @@ class Fit:
     inlier: np.ndarray
     """(n,) bool"""
     information: np.ndarray
-    """(5, 5): of the motion, were all errors independent and as large as assumed."""
+    """(5, 5): of the motion, assuming independent errors."""
     parallax: float
-    """Squared parallax of the inliers over what noise alone gives: 1 for two images from the same
-    place, and up to 3, since theta fits noise, too."""
+    """Squared parallax of the inliers over that from noise: 1 to 3 for two images from the same
+    position, since theta fits noise, too."""
     scale: float
     """Of the robust loss [standard deviations]."""
     others: np.ndarray = field(default_factory=lambda: np.empty((0, 5)))
@@ -49,35 +49,21 @@ class Fit:
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = INLIER) -> Fit:
-    """Fit a motion to matches by iteratively reweighted least squares, from several starts.
+    """Fit a motion to all matches by IRLS from several starts; return the fit of least loss.
 
-    Parameters
-    ----------
-    starts : ndarray, shape (m, 5)
-        Motions to begin from, all at once.
-    pairs : Pairs
-        All matches, wrong ones among them.
-    tilt_sigma : float
-        How far each camera may be tilted from what is known [rad].
-    scale : float
-        Of the robust loss [standard deviations].
-
-    Returns
-    -------
-    Fit
-        The one of least loss.
+    Parameters are those of `irls`.
     """
     prior = prior_information(tilt_sigma)
     x = irls(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
     order = np.argsort(_loss(found, scale) + np.sum((x @ prior) * x, axis=1), kind="stable")
     best = Residuals(*(part[order[0]] for part in found))
-    fit = _judged(x[order[0]], pairs, best, prior, scale)
-    return replace(fit, others=_distinct(x[order])[1 : 1 + MOST_OTHERS])
+    fit = _fit(x[order[0]], pairs, best, prior, scale)
+    return replace(fit, others=_distinct(x[order])[1 : 1 + MAX_OTHERS])
 
 
 def _distinct(motions: np.ndarray) -> np.ndarray:
-    """Return those motions, (k, 5), that are not the same as one before."""
+    """Return the motions, (k, 5), that differ from all before."""
     apart = np.abs(wrap(motions[:, None, :2] - motions[:, :2])).max(axis=2)
     return np.asarray(motions[~np.tril(apart < SAME, -1).any(axis=1)])
 
@@ -94,15 +80,15 @@ def irls(
     Parameters
     ----------
     starts : ndarray, shape (m, 5)
-        Motions to begin from.
+        Initial motions.
     pairs : Pairs
-        n matches.
+        n matches, wrong ones among them.
     tilt_sigma : float
-        How far each camera may be tilted from what is known [rad].
+        Standard deviation of each camera's tilt [rad].
     scale : float
         Of the robust loss [standard deviations].
     counts : ndarray, shape (m, n), or 1
-        What each match counts for in each of the fits.
+        Weight of each match in each fit.
     """
     x = np.array(starts, float, order="C")
     if not _irls_compiled(x, pairs, tilt_sigma, scale, counts):
@@ -114,7 +100,7 @@ def irls(
 def _irls(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> np.ndarray:
-    """Do what `irls` does, in NumPy."""
+    """Do the same as `irls` in NumPy."""
     prior = prior_information(tilt_sigma)
     for looseness in SCHEDULE:
         found = residuals(x, pairs, looseness * tilt_sigma)
@@ -123,14 +109,14 @@ def _irls(
         normal = weighted @ found.jacobian + prior + 1e-9 * np.eye(5)
         gradient = (weighted @ found.value[..., None])[..., 0] + x @ prior
         step = np.linalg.solve(normal, gradient[..., None])[..., 0]
-        x = x - np.clip(step, -LONGEST_STEP, LONGEST_STEP)
+        x = x - np.clip(step, -MAX_STEP, MAX_STEP)
     return x
 
 
 def _irls_compiled(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> bool:
-    """Do what `irls` does, in place, in compiled code; return False where there is none."""
+    """Do the same as `irls` in place, in compiled code; return False without a compiler."""
     native = compiled()
     if native is None:
         return False
@@ -139,12 +125,12 @@ def _irls_compiled(
     counted[:, : len(pairs)] = counts
     looseness = np.array(SCHEDULE) * tilt_sigma
     prior = np.diag(prior_information(tilt_sigma)).copy()
-    given = (pairs.columns, counted, looseness, prior, scale, LONGEST_STEP, LIMITS)
+    given = (pairs.columns, counted, looseness, prior, scale, MAX_STEP, LIMITS)
     return not native.irls(len(x), wide, count, len(looseness), x, *given)
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:
-    """Return the information, (5, 5), that both cameras are upright and at one height."""
+    """Return the information, (5, 5), that both cameras are upright and at the same height."""
     known = 1.0 / (2.0 * tilt_sigma**2)
     return np.diag([0.0, 0.0, known, known, known])
 
@@ -154,14 +140,14 @@ def squares(found: Residuals) -> np.ndarray:
     return np.where(found.possible, found.value**2, np.inf)
 
 
-def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, scale: float) -> Fit:
+def _fit(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, scale: float) -> Fit:
     inlier = squares(found) <= INLIER**2
     root = np.sqrt(_weight(found, scale) * inlier)
     by_theta, by_vertical = (
         _beyond_noise(found.jacobian[:, column], noise, root**2)
         for column, noise in zip((0, 4), derivative_noise(Motion(*x), pairs), strict=True)
     )
-    # Near home there is no parallax, but noise looks like it, and seems to tell a direction.
+    # Near home there is no parallax, but noise looks like it, and seems to determine a direction.
     factor = np.ones(5)
     for column, ratio in ((0, by_theta), (4, by_vertical)):
         factor[column] = math.sqrt(max(0.0, 1.0 - 2.0 / max(ratio, 1e-12)))
@@ -176,8 +162,8 @@ def _judged(x: np.ndarray, pairs: Pairs, found: Residuals, prior: np.ndarray, sc
 
 
 def _beyond_noise(jacobian: np.ndarray, noise: np.ndarray, weight: np.ndarray) -> float:
-    """Return the mean of a column of the Jacobian, squared, over what noise alone makes of it."""
-    ratio = np.minimum(jacobian**2 / noise, 100.0)  # one match alone does not show a parallax
+    """Return the mean square of a column of the Jacobian over that from noise alone."""
+    ratio = np.minimum(jacobian**2 / noise, 100.0)  # a single match is no evidence of parallax
     return float(weight @ ratio) / max(float(weight.sum()), 1e-12)
 
 

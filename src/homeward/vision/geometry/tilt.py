@@ -1,8 +1,8 @@
-"""Tilt of a camera against home's, and its effect on bearings.
+"""Tilt of a camera relative to home's, and its effect on bearings.
 
-An unknown tilt shifts all bearings of one panorama by the tangent of their elevation, to one side
-ahead and to the other behind. But home's panorama defines what level is: turned to a camera that
-stands as home's stood, bearings are those of a planar scene, projected along home's own vertical.
+An unknown tilt shifts all bearings of one panorama in proportion to the tangent of their elevation,
+with opposite signs ahead and behind. But home's panorama defines level: relative to a camera with
+the tilt of home's, bearings are those of a planar scene, projected along home's vertical.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from homeward.vision.geometry.epipolar import Motion
 
 @dataclass(frozen=True)
 class Tilt:
-    """Of a camera against home's."""
+    """Tilt of a camera relative to home's."""
 
     rotation: np.ndarray
-    """(3, 3), from the camera's frame to one with the same heading, as level as home's."""
+    """(3, 3), from the camera's frame to one with the same heading and home's tilt."""
     covariance: np.ndarray
     """(2, 2), of roll and pitch [rad^2]."""
 
     @classmethod
     def of(cls, motion: Motion, covariance: np.ndarray) -> Tilt:
-        """Return the tilt that a comparison with home tells."""
+        """Return the tilt of a motion relative to home."""
         return cls(tilt_matrix(motion.roll, motion.pitch), covariance)
 
     def then(self, motion: Motion, covariance: np.ndarray) -> Tilt:
-        """Return the tilt of a picture that was compared with one tilted like this."""
+        """Return the tilt of a picture from its motion relative to a picture of this tilt."""
         c, s = math.cos(motion.alpha), math.sin(motion.alpha)
         turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
         whole = self.rotation @ turn @ tilt_matrix(motion.roll, motion.pitch)
@@ -42,28 +42,19 @@ class Tilt:
         return Tilt(back @ whole, ours + covariance)
 
     def level(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return bearings as a camera that stands as home's would have them.
+        """Return bearings (n,) [rad] as of a camera with home's tilt, and their derivatives.
 
-        Parameters
-        ----------
-        directions : ndarray, shape (n, 2)
-            Azimuth and elevation in the tilted camera's frame [rad].
-
-        Returns
-        -------
-        bearing : ndarray, shape (n,)
-            [rad]
-        lean : ndarray, shape (n, 2)
-            How they change with a further roll and pitch [1].
+        `directions` (n, 2) are azimuth and elevation in the tilted camera's frame [rad]. The
+        derivatives (n, 2) are those by an additional roll and pitch [1].
         """
         x, y, z = self.rotation @ unit_vectors(*directions.T).T
         out = np.maximum(np.hypot(x, y), 0.05)  # azimuth is undefined at the vertical
         return np.arctan2(y, x), -np.column_stack([x, y]) * (z / out**2)[:, None]
 
     def variance(self, lean: np.ndarray) -> np.ndarray:
-        """Return what the bearings' variances, (n,), owe to what is not known of the tilt."""
+        """Return the variances of bearings, (n,), from the uncertainty of the tilt."""
         return np.asarray(np.einsum("ni,ij,nj->n", lean, self.covariance, lean))
 
 
 AS_HOME = Tilt(np.eye(3), np.zeros((2, 2)))
-"""Of home's picture itself."""
+"""Tilt of home's picture itself."""

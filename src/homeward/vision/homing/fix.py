@@ -2,7 +2,7 @@
 
 Julier and Uhlmann, "A non-divergent estimation algorithm in the presence of unknown correlations",
 American Control Conference 1997. Errors of successive fixes are correlated to an unknown degree;
-covariance intersection is consistent whatever they have in common.
+covariance intersection is consistent for any correlation.
 """
 
 from __future__ import annotations
@@ -18,35 +18,34 @@ from homeward.odometry.history import TwistHistory
 from homeward.vision.geometry.epipolar import INLIER
 
 POSE_HOLD_S, DIRECTION_HOLD_S = 2.0, 15.0
-"""A fix counts for so long [s]: a pose, after which the map knows more, and a direction."""
+"""Validity of a fix [s]: of a pose, after which the map is more accurate, and of a direction."""
 SLIP = 0.05
-"""Error of odometry between images in addition to its noise, as a share of path and rotation [1].
-"""
-SHARES = np.linspace(0.0, 1.0, 11)
-"""Weights of the fix before that are tried; the new one has the rest."""
+"""Error of odometry between images in addition to its noise, as a share of path and rotation."""
+WEIGHTS = np.linspace(0.0, 1.0, 11)
+"""Weights of the earlier fix that are tried; the new one has the rest."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """Pose of the robot's centre in the home frame, by home's picture."""
+    """Pose of the robot's centre in the home frame, from home's picture."""
 
     t: float
-    """When [s]."""
+    """Stamp [s]."""
     pose: Pose
     covariance: np.ndarray
     """(3, 3), of x [m], y [m], heading [rad]."""
-    tells_distance: bool
-    """Whether the distance from home is known, too."""
-    sure: bool
+    has_distance: bool
+    """Whether the distance from home is estimated, too."""
+    is_verified: bool
     """Whether enough landmarks agree."""
     contradicted: bool
     """Whether the map contradicts home's picture."""
     reason: str
-    """In words."""
+    """For the user."""
 
 
 def propagated(fix: Fix, t: float, odometry: TwistHistory, noise_rates: np.ndarray) -> Fix:
-    """Return the pose of a fix at a later `t` [s], by odometry.
+    """Return a fix propagated to a later `t` [s] by odometry.
 
     `noise_rates` (3, 3) are those of `homeward.drives.settings.noise_rates`.
     """
@@ -63,16 +62,16 @@ def propagated(fix: Fix, t: float, odometry: TwistHistory, noise_rates: np.ndarr
 
 
 def fused(before: Fix | None, fix: Fix) -> Fix:
-    """Fuse a fix with the one before, propagated to the same time; only sure ones are."""
-    if before is None or not (before.sure and fix.sure):
+    """Fuse a fix with the one before, propagated to the same time, if both are verified."""
+    if before is None or not (before.is_verified and fix.is_verified):
         return fix
     off = np.array(before.pose) - np.array(fix.pose)
     off[2] = wrap(off[2])
     if off @ np.linalg.solve(before.covariance + fix.covariance, off) > INLIER**2:
         return fix
     old, new = (np.linalg.inv(f.covariance) for f in (before, fix))
-    each = SHARES[:, None, None] * old + (1.0 - SHARES)[:, None, None] * new
+    each = WEIGHTS[:, None, None] * old + (1.0 - WEIGHTS)[:, None, None] * new
     best = int(np.linalg.slogdet(each)[1].argmax())
     covariance = np.linalg.inv(each[best])
-    x, y, heading = np.array(fix.pose) + SHARES[best] * covariance @ old @ off
+    x, y, heading = np.array(fix.pose) + WEIGHTS[best] * covariance @ old @ off
     return replace(fix, pose=Pose(float(x), float(y), float(wrap(heading))), covariance=covariance)

@@ -1,8 +1,9 @@
-"""Moved-landmark filter: tells landmarks that moved from wrong matches.
+"""Moved-landmark filter: distinguishes landmarks that moved from wrong matches.
 
-Most features whose home bearing is wrong were mistaken for another of home's: such matches come and
-go, or slide along an edge. A feature of an object that moved is seen again and again, well away
-from where it stood; or is matched with others of that object; or went where such a neighbour went.
+Most features whose home bearing is wrong were matched with another feature of home: such matches
+come and go, or slide along an edge. A feature of a moved object is seen repeatedly, clearly away
+from its old position; or is matched together with others of that object; or has moved like a
+neighbour of which that is known.
 """
 
 from __future__ import annotations
@@ -17,74 +18,75 @@ from homeward.geometry.angles import wrap
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name
 
-LASTING, LASTING_SHARE = 8, 0.3
-"""A landmark lasts that was seen so often, and in such a share of the frames since the first."""
+LASTING_SIGHTINGS, LASTING_SHARE = 8, 0.3
+"""Minimum number of sightings of a lasting landmark, also as a share of frames since the first."""
 MIN_MOVED_M = 0.2
-"""Least move of a lasting landmark across the line from home [m]: by less, features slide on
-edges."""
+"""Minimum shift of a lasting landmark across the line from home [m]: features slide on edges by
+less."""
 MIN_TOGETHER, TOGETHER_SHARE = 3, 0.1
-"""Least number of frames, and share of its sightings, in which a landmark was in a moved group."""
+"""Minimum number of frames, also as a share of its sightings, with a landmark in a moved group."""
 ALIKE = 0.2
-"""Largest angle at home between a moved landmark and a neighbour of it [rad], and largest
-difference of their distances and of their bearing errors, as a share."""
+"""Maximum angle at home between a moved landmark and a neighbour [rad], and maximum relative
+difference of their distances and of their bearing errors."""
 
 
 class MovedLandmarkFilter:
-    """Counts how landmarks were seen, and withdraws a verdict that a wrong match explains."""
+    """Collects sightings of landmarks, and reverts `moved` where a wrong match explains it."""
 
     def __init__(self) -> None:
         self._frames = 0
         self._seen: dict[str, tuple[int, int]] = {}
-        """How often each landmark was seen, and after how many frames first."""
+        """Number of sightings of each landmark, and of frames before the first."""
         self._together: Counter[str] = Counter()
-        """In how many frames each was in a moved group."""
+        """Number of frames in which each landmark was in a moved group."""
 
     def add_frame(self, names: Iterable[str]) -> None:
-        """Take the landmarks that one frame showed."""
+        """Add the landmarks seen in one frame."""
         for name in names:
             times, first = self._seen.get(name, (0, self._frames))
             self._seen[name] = times + 1, first
         self._frames += 1
 
     def add_comparison(self, seen: Comparison) -> None:
-        """Take how a frame compares with home's picture."""
+        """Add the comparison of a frame with home's picture."""
         self._together.update(home_name(row) for row in seen.home_row[seen.moved].tolist())
 
     def filtered(self, landmarks: list[LandmarkEstimate]) -> list[LandmarkEstimate]:
-        """Return landmarks; none is called moved that may be a wrong match."""
-        called = [m for m in landmarks if m.moved]
-        sure = [m for m in called if self._lasts(m) or self._in_moved_group(m)]
-        believed = {m.landmark for m in called if any(m is s or _beside(m, s) for s in sure)}
+        """Return the landmarks; `moved` is None where it may be due to a wrong match."""
+        moved = [m for m in landmarks if m.moved]
+        certain = [m for m in moved if self._lasts(m) or self._in_moved_group(m)]
+        kept = {m.landmark for m in moved if any(m is s or _moved_alike(m, s) for s in certain)}
         return [
             m
-            if not m.moved or m.landmark in believed
+            if not m.moved or m.landmark in kept
             else dataclasses.replace(m, moved=None, moved_probability=math.nan)
             for m in landmarks
         ]
 
     def _lasts(self, found: LandmarkEstimate) -> bool:
-        """Say whether a landmark moved while it was watched, or is seen lastingly far off."""
+        """Return whether a landmark moved during the drive, or is lastingly seen elsewhere."""
         times, first = self._seen.get(found.landmark, (0, self._frames))
-        lasting = times >= LASTING and times >= LASTING_SHARE * (self._frames - first)
-        away = found.distance * abs(_turned(found))
+        lasting = times >= LASTING_SIGHTINGS and times >= LASTING_SHARE * (self._frames - first)
+        away = found.distance * abs(_bearing_error(found))
         return math.isfinite(found.moved_at) or (lasting and away >= MIN_MOVED_M)
 
     def _in_moved_group(self, found: LandmarkEstimate) -> bool:
-        """Say whether a landmark was in a moved group often enough."""
+        """Return whether a landmark was in a moved group in enough frames."""
         times, _ = self._seen.get(found.landmark, (0, 0))
         return self._together[found.landmark] >= max(MIN_TOGETHER, TOGETHER_SHARE * times)
 
 
-def _turned(found: LandmarkEstimate) -> float:
-    """Return by how much a home bearing is wrong [rad]."""
+def _bearing_error(found: LandmarkEstimate) -> float:
+    """Return the error of a stored home bearing [rad]."""
     return float(wrap(found.home_bearing_estimated - found.home_bearing_stored))
 
 
-def _beside(found: LandmarkEstimate, sure: LandmarkEstimate) -> bool:
-    """Say whether a landmark stood beside another at home, and has gone where that one has."""
-    apart = wrap(found.home_bearing_stored - sure.home_bearing_stored)
+def _moved_alike(found: LandmarkEstimate, other: LandmarkEstimate) -> bool:
+    """Return whether two landmarks were neighbours at home, and have moved in the same way."""
+    apart = wrap(found.home_bearing_stored - other.home_bearing_stored)
+    error, error_of_other = _bearing_error(found), _bearing_error(other)
     return (
         abs(float(apart)) < ALIKE
-        and abs(float(wrap(_turned(found) - _turned(sure)))) < ALIKE * abs(_turned(sure))
-        and abs(found.distance - sure.distance) < ALIKE * sure.distance
+        and abs(float(wrap(error - error_of_other))) < ALIKE * abs(error_of_other)
+        and abs(found.distance - other.distance) < ALIKE * other.distance
     )

@@ -1,8 +1,8 @@
-"""Resection from home's landmarks: each lies on the ray along which home saw it.
+"""Resection from home's landmarks: each is on the ray of its home bearing.
 
-Its distance is the map's, or a guess. Near home these distances cancel, and so do the map's errors,
-which they do not in a pose within the map. The unknown tilt is common to all bearings: two unknowns
-beside the pose.
+Its distance is the map's, or a guess. Near home these distances cancel, and with them the map's
+errors, which affect a pose within the map. The unknown tilt is common to all bearings: two unknowns
+in addition to the pose.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from homeward.vision.geometry.epipolar import INLIER
 from homeward.vision.geometry.jackknife import leave_windows_out
 
 BLUR = 0.01
-"""Standard deviation added to bearings while places are tried [rad]."""
+"""Standard deviation added to bearings in the search for a start [rad]."""
 NEAR_HOME = 0.3
-"""A direction counts as told from this far [m] where home is nearer: there, its error is larger
-than its covariance says."""
-LEAST_NEAR = 0.05
-"""Least distance of a landmark from the camera [m]."""
+"""Minimum distance [m] at which a direction is applied: nearer to home, its error exceeds its
+covariance."""
+MIN_DISTANCE = 0.05
+"""Minimum distance of a landmark from the camera [m]."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class HomeLandmarks(Columns):
     home: np.ndarray
     """Bearing from home [rad]."""
     now: np.ndarray
-    """Bearing from here [rad]."""
+    """Bearing now [rad]."""
     sigma: np.ndarray
     """Of the difference of the two [rad]."""
     distance: np.ndarray
@@ -43,9 +43,9 @@ class HomeLandmarks(Columns):
     distance_sigma: np.ndarray
     """[m]"""
     mapped: np.ndarray
-    """bool, whether the distance is the map's, as that of one is at least; else it is a guess."""
+    """bool, whether the distance is the map's (at least one is); else it is a guess."""
     lean: np.ndarray
-    """(n, 2): how the bearings from here change with roll and pitch of the camera [1]."""
+    """(n, 2): derivatives of the bearings now by roll and pitch of the camera [1]."""
 
     def __len__(self) -> int:
         return self.home.size
@@ -53,7 +53,7 @@ class HomeLandmarks(Columns):
 
 @dataclass(frozen=True)
 class Direction:
-    """Direction and heading of the second of two panoramas, by these alone."""
+    """Direction and heading from two panoramas alone."""
 
     theta: float
     """Direction from home [rad]."""
@@ -65,7 +65,7 @@ class Direction:
 
 @dataclass(frozen=True)
 class Resection:
-    """Where the camera is, in the frame of home's."""
+    """Pose of the camera in the frame of home's camera."""
 
     pose: Pose
     covariance: np.ndarray
@@ -75,27 +75,27 @@ class Resection:
 
 
 def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resection | None:
-    """Fit a pose to home's landmarks, and to the direction that the two panoramas tell.
+    """Fit a pose to home's landmarks and to the direction from the two panoramas.
 
-    The direction counts where the map is poor; near home it fades by its own covariance.
+    The direction matters where the map is poor; near home its covariance reduces its weight.
 
     Parameters
     ----------
     anchors : HomeLandmarks
         The landmarks.
     seen : Direction
-        By the two panoramas alone.
+        From the two panoramas alone.
     tilt : ndarray, shape (2, 2)
-        Covariance of what is left of the camera's roll and pitch [rad^2].
+        Covariance of the remaining roll and pitch of the camera [rad^2].
 
     Returns
     -------
     Resection or None
-        None where they do not fix a pose.
+        None if they do not determine a pose.
     """
     if len(anchors) < 3:
         return None
-    # Guessed distances are worth little afar, much near home: what they hold there, they hold fast.
+    # Guessed distances have little weight far from home and much near it, also at a wrong start.
     of_map = anchors.rows(anchors.mapped)
     upright = np.linalg.inv(tilt)
     found = _fit(of_map, seen, upright, _begin(of_map, seen))
@@ -114,7 +114,7 @@ class _Fit:
     """A pose fitted to n landmarks."""
 
     x: np.ndarray
-    """(5,): x [m], y [m], heading, and what is left of roll and pitch [rad]."""
+    """(5,): x [m], y [m], heading, and remaining roll and pitch [rad]."""
     information: np.ndarray
     """(5, 5)"""
     weight: np.ndarray
@@ -122,30 +122,30 @@ class _Fit:
     residual: np.ndarray
     """(n,): of its bearing [rad]."""
     variance: np.ndarray
-    """(n,): of that [rad^2]."""
+    """(n,): of the residual [rad^2]."""
     jacobian: np.ndarray
     """(n, 5): of the bearing."""
     loss: float
-    """How unlikely the bearings of mapped landmarks are, the tilt, and what the two pictures alone
-    tell: of a distance that is guessed nobody knows how likely it is."""
+    """Negative log-likelihood of the bearings of mapped landmarks, the tilt, and the direction from
+    the two pictures; guessed distances have no likelihood."""
 
 
 def _fit(
     anchors: HomeLandmarks, seen: Direction, upright: np.ndarray, x: np.ndarray
 ) -> _Fit | None:
-    """Fit a pose that begins at `x`, (5,); None where the landmarks do not fix one.
+    """Fit a pose, starting from `x`, (5,); None if the landmarks do not determine one.
 
-    `upright`, (2, 2), is the information that no roll or pitch is left.
+    `upright`, (2, 2), is the information that roll and pitch are zero.
     """
     across, known = _direction(seen, max(float(np.hypot(*x[:2])), NEAR_HOME))
     for _ in range(10):
         residual, jacobian, variance = predict_bearings(anchors, x)
         off = np.array([0.0, wrap(seen.alpha - x[2])]) - np.array([across[0] @ x, 0.0])
         weight = robust_weight(residual**2 / (INLIER**2 * variance)) / variance
-        told = robust_weight(off @ known @ off / (INLIER**2 * off.size)) * across.T @ known
-        information = (jacobian.T * weight) @ jacobian + told @ across
+        direction = robust_weight(off @ known @ off / (INLIER**2 * off.size)) * across.T @ known
+        information = (jacobian.T * weight) @ jacobian + direction @ across
         information[3:, 3:] += upright
-        slope = (jacobian.T * weight) @ residual + told @ off
+        slope = (jacobian.T * weight) @ residual + direction @ off
         slope[3:] -= upright @ x[3:]
         try:
             step = np.linalg.solve(information, slope)
@@ -167,17 +167,17 @@ def _fit(
 def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:
     """Return the covariance (3, 3) of a pose.
 
-    What leaving out any one direction would change, one step of the fit, says how far landmarks of
-    one thing err together. Errors of the map's distances, mostly alike for all landmarks, are one
-    factor of the distance from home.
+    One step of the fit without each window of directions shows the correlated errors of landmarks
+    on one object. Errors of the map's distances, mostly common to all landmarks, are a scale error
+    of the distance from home.
     """
     left_out = ~leave_windows_out(anchors.home, np.ones(len(anchors), bool))
     weight, jacobian = fit.weight, fit.jacobian
     rest = fit.information - np.einsum("wn,n,ni,nj->wij", left_out, weight, jacobian, jacobian)
     slope = -np.einsum("wn,n,ni->wi", left_out, weight * fit.residual, jacobian)
-    regular = np.linalg.cond(rest) < 1e10  # else the rest fixes no pose
+    regular = np.linalg.cond(rest) < 1e10  # else the rest does not determine a pose
     change = np.linalg.solve(rest[regular], slope[regular, :, None])[:, :, 0]
-    share = anchors.distance_sigma / np.maximum(anchors.distance, LEAST_NEAR)
+    share = anchors.distance_sigma / np.maximum(anchors.distance, MIN_DISTANCE)
     scale = float(np.median(share[anchors.mapped]))
     out = scale * np.array([fit.x[0], fit.x[1], 0.0])
     together = change.T @ change / WINDOW
@@ -185,7 +185,7 @@ def _covariance(anchors: HomeLandmarks, fit: _Fit) -> np.ndarray:
 
 
 def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return, (2, 5), what takes `_Fit.x` to (off the line from home [m], heading).
+    """Return the map, (2, 5), from `_Fit.x` to (offset from the line from home [m], heading).
 
     And the information, (2, 2), of these.
     """
@@ -196,9 +196,9 @@ def _direction(seen: Direction, distance: float) -> tuple[np.ndarray, np.ndarray
 
 
 def _begin(anchors: HomeLandmarks, seen: Direction) -> np.ndarray:
-    """Return the best of some places in a direction from home, as of `_Fit.x`.
+    """Return the best of some positions in a direction from home, as in `_Fit.x`.
 
-    They go as far as twice the median distance of the landmarks.
+    They extend to twice the median distance of the landmarks.
     """
     R = np.linspace(0.0, 2.0 * float(np.median(anchors.distance)), 60)
     places = np.zeros((R.size, 5))
@@ -224,13 +224,13 @@ def predict_bearings(
 def _sighted(
     anchors: HomeLandmarks, places: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals (m, n) [rad] of bearings from places (m, 5), and their variances.
+    """Return residuals (m, n) [rad] of bearings from positions (m, 5), and their variances.
 
-    And the derivatives of the predicted bearings by the place, (m, n, 2) [rad/m].
+    And the derivatives of the predicted bearings by the position, (m, n, 2) [rad/m].
     """
     ray = np.column_stack([np.cos(anchors.home), np.sin(anchors.home)])
     dx, dy = np.moveaxis(anchors.distance[:, None] * ray - places[:, None, :2], -1, 0)
-    square = np.maximum(dx**2 + dy**2, LEAST_NEAR**2)
+    square = np.maximum(dx**2 + dy**2, MIN_DISTANCE**2)
     level = anchors.now + places[:, 2:3] + places[:, 3:] @ anchors.lean.T
     residual = wrap(level - np.arctan2(dy, dx))
     by_distance = (dx * ray[:, 1] - dy * ray[:, 0]) / square

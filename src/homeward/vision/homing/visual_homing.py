@@ -1,8 +1,8 @@
 """Visual homing: an estimator that compares each panorama with home's, around one that maps.
 
-Two panoramas tell heading and direction from home at once, where a map takes a while; and near home
-they tell the pose better than the map (`homing.resection`). Odometry leads from one comparison to
-the next. A pose that home's picture contradicts is never called localised.
+Two panoramas give heading and direction from home at once, while a map takes time; and near home
+their pose is more accurate than the map's (`homing.resection`). Odometry bridges the time between
+comparisons. A pose that home's picture contradicts is never reported as localised.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
 from homeward.vision.homing.resection import NEAR_HOME, Direction, HomeLandmarks, resect
 
 MIN_MAPPED = 4
-"""Least number of mapped landmarks that a resection uses: one more than a pose has unknowns."""
-AGREEING = 0.7
-"""Least share of the landmarks in the map that agree with a resection."""
-GUESSED = 4.0
-"""Standard deviation of the distance of a landmark outside the map, as a multiple of the median."""
+"""Minimum number of mapped landmarks in a resection: one more than a pose has unknowns."""
+MIN_AGREEING = 0.7
+"""Minimum share of mapped landmarks that agree with a resection."""
+GUESS_SIGMA = 4.0
+"""Standard deviation of the distance of an unmapped landmark, as a multiple of the median."""
 UNKNOWN_DISTANCE = 3.0
-"""Distance from home where only the direction is known, and its standard deviation [m]."""
+"""Assumed distance from home if only the direction is known, and its standard deviation [m]."""
 CONTRADICTS = 4.0
-"""Map and home's picture contradict each other from so many standard deviations on."""
+"""Difference from which map and home's picture contradict each other [standard deviations]."""
 REFUSALS = 3
-"""A map that says `NEAR_HOME` is doubted after so many refused comparisons."""
+"""Number of refused comparisons after which a pose within `NEAR_HOME` is unverified."""
 
 
 class VisualHoming:
@@ -71,36 +71,36 @@ class VisualHoming:
     estimator : Estimator
         Maps the landmarks.
     **robot : Robot
-        As the estimator was told: where the camera is on the robot, now and at home.
+        As given to the estimator: camera extrinsics, now and at home.
     """
 
     def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:
         self._inner, self._turn = estimator, threading.RLock()
         self.name = estimator.name
-        self._told = known_robot(robot)
+        self._robot = known_robot(robot)
         self._odometry = TwistHistory()
-        self._noise_rates = noise_rates(self._told.odometry, OdometryDefaults())
+        self._noise_rates = noise_rates(self._robot.odometry, OdometryDefaults())
         self._fix: Fix | None = None
         self._pictured = -math.inf
         """The newest stamp of a picture [s]."""
         self._refused = 0
-        """How often in a row home's picture was not recognised."""
+        """Number of refused comparisons in a row."""
         self._moved_filter, self._votes = MovedLandmarkFilter(), DirectionVoting(self._odometry)
         self._clock = Clock()
 
     @property
     def counts(self) -> Counts:
-        """Those of the other estimator, and the pictures that came late."""
+        """Counts of the inner estimator, and of late pictures."""
         return self._inner.counts
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Those of the other estimator."""
+        """Notes of the inner estimator."""
         return self._inner.notes
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+        """Process a twist that is valid from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
         self._inner.odometry(t, v, omega)
         t = self._clock.read(t)
         if not (math.isfinite(t) and abs(v) < MAX_RATE and abs(omega) < MAX_RATE):
@@ -113,7 +113,7 @@ class VisualHoming:
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
+        """Process all sightings of stamp `t` [s] (id to bearing [rad] from the camera's axis)."""
         self._moved_filter.add_frame(sightings)
         innovations = self._inner.bearings(t, sightings, sigmas).innovations
         return dataclasses.replace(self.estimate(t), innovations=innovations)
@@ -121,12 +121,12 @@ class VisualHoming:
     @synchronised
     @single_threaded_blas()
     def home(self, t: float, seen: Comparison | None) -> None:
-        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried.
+        """Process the comparison of the picture of stamp `t` [s] with home's; None: not made.
 
-        It may come up to `MAX_DELAY_S` after odometry of its stamp, and counts at its own. One that
-        is later, or older than another picture before, is left out and counted.
+        It may arrive up to `MAX_DELAY_S` after odometry of its stamp. Later pictures, and pictures
+        older than an earlier one, are ignored and counted.
         """
-        said, t = t, self._clock.read(t)
+        stamp, t = t, self._clock.read(t)
         if seen is None:
             return
         if not math.isfinite(t) or t < max(self._pictured, self._odometry.newest - MAX_DELAY_S):
@@ -139,27 +139,27 @@ class VisualHoming:
             return
         self._votes.clear()
         self._moved_filter.add_comparison(seen)
-        fix = self._pose(t, seen) or self._direction(t, seen, self._inner.estimate(said).polar)
+        fix = self._pose(t, seen) or self._direction(t, seen, self._inner.estimate(stamp).polar)
         if fix is not None:
             self._fix = fused(self._carried(t), fix)
             self._forget_odometry()
 
     @guarded
     def estimate(self, t: float) -> Estimate:
-        """Predict to `t` [s], not before the last sample, and change nothing."""
+        """Predict to `t` [s], not before the last sample, without changing the state."""
         mapped, at = self._inner.estimate(t), self._clock.peek(t)
         fix = self._carried(at)
-        if fix is None or not (fix.tells_distance or fix.contradicted or not agree(mapped, fix)):
+        if fix is None or not (fix.has_distance or fix.contradicted or not agree(mapped, fix)):
             return self._unless_refused(mapped if mapped.pose else self._voted(mapped, at))
         return self._answer(mapped, fix)
 
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Everything known of each landmark; none is called moved that may be a wrong match."""
+        """Estimate of each landmark; `moved` is None where it may be due to a wrong match."""
         return self._moved_filter.filtered(self._inner.landmarks())
 
     def _voted(self, mapped: Estimate, t: float) -> Estimate:
-        """Return the consensus of refused pictures; what the map says where there is none."""
+        """Return the consensus of refused pictures; the map's estimate if there is none."""
         consensus = self._votes.at(t)
         if consensus is None:
             return mapped
@@ -168,42 +168,42 @@ class VisualHoming:
         return self._answer(mapped, Fix(t, *there, False, False, False, words))
 
     def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
-        """Return a pose that leads home, though its distance may be a guess."""
-        status = Status.LOCALISED if fix.sure else Status.UNVERIFIED
+        """Return the estimate of a fix, whose distance may be a guess."""
+        status = Status.LOCALISED if fix.is_verified else Status.UNVERIFIED
         return Estimate(mapped.t, status, fix.reason, fix.pose, fix.covariance)
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
-        """Return what the map says; unverified where home's picture should be seen, but is not."""
+        """Return the map's estimate; unverified if home's picture should match, but does not."""
         polar = mapped.polar
         if polar is None or polar.R > NEAR_HOME or self._refused < REFUSALS:
             return mapped
-        words = "the map says that this is home, but the pictures do not match"
+        words = "home according to the map, but the pictures do not match"
         return dataclasses.replace(mapped, status=Status.UNVERIFIED, reason=words)
 
     def _pose(self, t: float, seen: Comparison) -> Fix | None:
-        """Return the pose by resection; None where too few landmarks are seen or mapped."""
+        """Return the pose from resection; None if too few landmarks are seen or mapped."""
         anchors = self._anchors(seen)
         mapped = anchors.mapped
         if mapped.sum() < MIN_MAPPED or seen.motion is None:
             return None
-        found = resect(anchors, _told(seen), seen.tilt_covariance)
+        found = resect(anchors, _measured(seen), seen.tilt_covariance)
         if found is None:
             return None
         there = found.pose, found.covariance
         agreeing, of = int(found.agrees[mapped].sum()), int(mapped.sum())
         words = f"{agreeing} of {of} mapped landmarks agree with home's picture"
-        if agreeing < AGREEING * of:
-            if seen.knows_direction:
-                there = _far(_told(seen), UNKNOWN_DISTANCE)
+        if agreeing < MIN_AGREEING * of:
+            if seen.has_direction:
+                there = _far(_measured(seen), UNKNOWN_DISTANCE)
             return Fix(t, *self._of_robot(*there), False, False, True, f"only {words}")
         return Fix(t, *self._of_robot(*there), True, True, False, words)
 
     def _direction(self, t: float, seen: Comparison, mapped: Polar | None) -> Fix | None:
-        """Return heading and direction from home, the distance being the map's or a guess."""
-        if not seen.knows_direction:
+        """Return heading and direction from home, with the map's distance or a guess."""
+        if not seen.has_direction:
             return None
-        there = _far(_told(seen), UNKNOWN_DISTANCE if mapped is None else float(mapped.R))
-        words = "home's picture tells the direction home, but not how far it is"
+        there = _far(_measured(seen), UNKNOWN_DISTANCE if mapped is None else float(mapped.R))
+        words = "home's picture gives the direction home, but not the distance"
         return Fix(t, *self._of_robot(*there), False, False, False, words)
 
     def _anchors(self, seen: Comparison) -> HomeLandmarks:
@@ -220,16 +220,16 @@ class VisualHoming:
         mapped = np.isfinite(distance)
         if mapped.any():
             distance[~mapped] = np.median(distance[mapped])
-            sigma[~mapped] = GUESSED * distance[~mapped]
+            sigma[~mapped] = GUESS_SIGMA * distance[~mapped]
         now, lean = seen.tilt.level(pairs.now)
         return HomeLandmarks(pairs.home[:, 0], now, pairs.sigma, distance, sigma, mapped, lean)
 
     def _mounts(self) -> tuple[Pose, Pose]:
-        """Return the camera on the robot, at home and now: as told, or as was found out."""
-        told, now = self._told, self._told.sensor.pose
+        """Return the camera extrinsics at home and now, as given or as estimated."""
+        robot, now = self._robot, self._robot.sensor.pose
         if isinstance(self._inner, EstimatesExtrinsics):
             now = self._inner.mount or now
-        return (now if told.home_sensor is None else told.home_mount.pose), now
+        return (now if robot.home_sensor is None else robot.home_mount.pose), now
 
     def _of_robot(self, camera: Pose, covariance: np.ndarray) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""
@@ -242,37 +242,37 @@ class VisualHoming:
         return robot, jacobian @ covariance @ jacobian.T
 
     def _carried(self, t: float) -> Fix | None:
-        """Return the last fix, propagated to `t` by odometry; None where it is too old."""
+        """Return the last fix, propagated to `t` by odometry; None if it is too old."""
         fix = self._fix
         if fix is None:
             return None
         t = max(fix.t, t)
-        if t - fix.t > (POSE_HOLD_S if fix.tells_distance else DIRECTION_HOLD_S):
+        if t - fix.t > (POSE_HOLD_S if fix.has_distance else DIRECTION_HOLD_S):
             return None
         return propagated(fix, t, self._odometry, self._noise_rates)
 
     def _forget_odometry(self) -> None:
-        """Drop the odometry that no picture and no fix will need any more."""
+        """Drop odometry that is older than any late picture or valid fix."""
         since = self._odometry.newest - MAX_DELAY_S
         if self._fix is not None and self._odometry.newest - self._fix.t <= DIRECTION_HOLD_S:
             since = min(since, self._fix.t)
         self._odometry.forget(since)
 
 
-def _told(seen: Comparison) -> Direction:
+def _measured(seen: Comparison) -> Direction:
     return Direction(seen.direction, seen.heading, seen.covariance)
 
 
-def _far(told: Direction, distance: float) -> tuple[Pose, np.ndarray]:
-    """Return the camera's pose, and its covariance, at a distance that nobody knows [m]."""
-    there = Polar(distance, told.theta, told.alpha)
+def _far(seen: Direction, distance: float) -> tuple[Pose, np.ndarray]:
+    """Return the camera's pose and covariance from a direction and a guessed distance [m]."""
+    there = Polar(distance, seen.theta, seen.alpha)
     covariance = np.zeros((3, 3))
-    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, told.covariance
+    covariance[0, 0], covariance[1:, 1:] = UNKNOWN_DISTANCE**2, seen.covariance
     return from_polar(there), polar_covariance_to_pose(there, covariance)
 
 
 def agree(mapped: Estimate, fix: Fix) -> bool:
-    """Say whether the map's pose lies in the direction that home's picture tells."""
+    """Return whether the map's pose agrees with a fix from home's picture."""
     if mapped.pose is None or mapped.covariance is None:
         return False
     off = np.array(mapped.pose) - np.array(fix.pose)

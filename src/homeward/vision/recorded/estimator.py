@@ -37,28 +37,28 @@ class ImageDrive(Drive):
     """A drive whose bearings were found in panoramas."""
 
     pictures: tuple[tuple[float, Comparison | None], ...] = ()
-    """Stamp [s] of each picture, in order, and how it compares with home's; None where that was not
-    tried. A comparison holds some 200 bytes a match, and nothing of the pictures themselves."""
+    """Stamp [s] of each picture, in order, and its comparison with home's; None if not made. A
+    comparison takes about 200 bytes per match, and contains no pixels."""
 
     def with_earlier_sightings(self, by: float) -> Self:
-        """Return it with bearings and pictures stamped earlier by so long [s]."""
+        """Return the drive with bearings and pictures stamped earlier by `by` [s]."""
         pictures = tuple((t - by, compared) for t, compared in self.pictures)
         return dataclasses.replace(super().with_earlier_sightings(by), pictures=pictures)
 
 
 @dataclass(frozen=True)
 class Contradiction:
-    """Home's picture says that the robot is not where the map says."""
+    """Disagreement between home's picture and the map about the robot's pose."""
 
     t: float
-    """When the picture was taken [s]."""
-    tells_distance: bool
-    """Whether it concerns the distance from home, too, and not the direction alone."""
+    """Stamp of the picture [s]."""
+    has_distance: bool
+    """Whether it concerns the distance from home, too, and not only the direction."""
     spread: np.ndarray
-    """(3, 3): added to the covariance of the map's pose, it covers the picture's, too; of x [m],
-    y [m], heading [rad]."""
+    """(3, 3): added to the covariance of the map's pose (x [m], y [m], heading [rad]), so that it
+    covers the picture's pose, too."""
     reason: str
-    """In words."""
+    """For the user."""
 
     def applied_to(self, mapped: Estimate) -> Estimate:
         """Return the map's estimate as unverified."""
@@ -71,42 +71,32 @@ class Contradiction:
 
 
 def contradiction(mapped: Estimate, fix: Fix) -> Contradiction | None:
-    """Compare a fix with a map's pose: where they contradict each other, either may be right.
+    """Return the contradiction between the map's estimate and a fix from home's picture.
 
-    Parameters
-    ----------
-    mapped : Estimate
-        What the map says.
-    fix : Fix
-        What home's picture told.
-
-    Returns
-    -------
-    Contradiction or None
-        None where they do not contradict each other, or the map tells no pose.
+    Either may be correct. None if they agree, or the map has no pose.
     """
     if mapped.pose is None or (agree(mapped, fix) and not fix.contradicted):
         return None
     off = np.array(fix.pose) - np.array(mapped.pose)
     off[2] = wrap(off[2])
     spread = (fix.covariance + np.outer(off, off)) / 2
-    words = f"{_words(fix)}; the map contradicts that"
-    return Contradiction(fix.t, fix.tells_distance or fix.contradicted, spread, words)
+    words = f"{_words(fix)}; the map disagrees"
+    return Contradiction(fix.t, fix.has_distance or fix.contradicted, spread, words)
 
 
 class RecordedVisualHoming(VisualHoming):
-    """`VisualHoming` on a recorded drive: each picture counts when its time has come.
+    """`VisualHoming` on a recorded drive: each picture counts from its stamp on.
 
-    No robot drives by its answers. So a direction home without a distance is told in words, not as
-    a pose. Where map and picture contradict each other the surer one is told; where that is the
-    map, it is unverified until a picture agrees with it.
+    No robot is driven by its estimates. So a direction home without a distance is reported in the
+    reason, not as a pose. Where map and picture contradict each other, the one with the smaller
+    covariance is reported; the map is then unverified until a picture agrees with it.
 
     Parameters
     ----------
     estimator : Estimator
         Maps the landmarks.
     drive : ImageDrive
-        What it will run on; of it, only pictures whose stamps have passed are looked at.
+        The drive it will run on; later pictures are not used before their stamps.
     """
 
     def __init__(self, estimator: Estimator, drive: ImageDrive) -> None:
@@ -117,71 +107,63 @@ class RecordedVisualHoming(VisualHoming):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Those of the other estimator, and that home's picture was used."""
+        """Notes of the inner estimator, and that home's picture was used."""
         return (*super().notes, self._note)
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on, and before it the pictures of earlier stamps."""
-        self._look_before(t)
+        """Process a twist that is valid from `t` [s] on, after the pictures of earlier stamps."""
+        self._process_pictures_before(t)
         super().odometry(t, v, omega)
 
     @guarded
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s], and before them the pictures up to it."""
-        self._look_before(math.nextafter(t, math.inf))
+        """Process all sightings of stamp `t` [s], after the pictures up to this stamp."""
+        self._process_pictures_before(math.nextafter(t, math.inf))
         return super().bearings(t, sightings, sigmas)
 
     def home(self, t: float, seen: Comparison | None) -> None:
-        """Take how the picture of stamp `t` [s] compares with home's; None: it was not tried."""
+        """Process the comparison of the picture of stamp `t` [s] with home's; None: not made."""
         before = self._fix
         super().home(t, seen)
         fix = self._fix
         if fix is not None and fix is not before:
-            doubt, told = contradiction(self._inner.estimate(t), fix), self._doubt
-            # One about the distance is not resolved by a direction.
-            lasts = told is not None and told.tells_distance and not fix.tells_distance
-            self._doubt = doubt or (told if lasts else None)
+            doubt, earlier = contradiction(self._inner.estimate(t), fix), self._doubt
+            # A direction does not resolve a contradiction about the distance.
+            lasts = earlier is not None and earlier.has_distance and not fix.has_distance
+            self._doubt = doubt or (earlier if lasts else None)
 
-    def _look_before(self, t: float) -> None:
-        """Take the pictures before `t` [s] that were not yet taken."""
+    def _process_pictures_before(self, t: float) -> None:
+        """Process the remaining pictures before `t` [s]."""
         while self._coming and self._coming[0][0] < t < math.inf:
             self.home(*self._coming.popleft())
 
     def _answer(self, mapped: Estimate, fix: Fix) -> Estimate:
-        """Return a fix that tells the distance, too, unless a surer map contradicts it."""
+        """Return a verified fix, unless a more accurate map contradicts it; else the map's."""
         doubt = contradiction(mapped, fix)
-        if fix.sure and (doubt is None or _off(fix.covariance) < _off(mapped.covariance)):
+        if fix.is_verified and (
+            doubt is None or _mean_square(fix.covariance) < _mean_square(mapped.covariance)
+        ):
             return super()._answer(mapped, fix)
         if doubt is not None:
             return doubt.applied_to(mapped)
-        said = fix.reason if mapped.pose is not None else _words(fix)
-        return dataclasses.replace(mapped, reason=f"{mapped.reason}; {said}")
+        reason = fix.reason if mapped.pose is not None else _words(fix)
+        return dataclasses.replace(mapped, reason=f"{mapped.reason}; {reason}")
 
     def _unless_refused(self, mapped: Estimate) -> Estimate:
-        """Return what the map says; unsure where home's picture said otherwise, or is not seen."""
-        said, doubt = super()._unless_refused(mapped), self._doubt
+        """Return the map's estimate; unverified if home's picture contradicts or does not match."""
+        estimate, doubt = super()._unless_refused(mapped), self._doubt
         if doubt is None or not self._clock.peek(mapped.t) - doubt.t <= DIRECTION_HOLD_S:
-            return said
-        return doubt.applied_to(said)
+            return estimate
+        return doubt.applied_to(estimate)
 
 
 def way_home(pose: Pose, covariance: np.ndarray) -> str | None:
-    """Say in words where home lies, seen from the robot.
+    """Return the direction of home from the robot as text; None if it is too uncertain.
 
-    Parameters
-    ----------
-    pose : Pose
-        Of the robot.
-    covariance : ndarray, shape (3, 3)
-        Of (x [m], y [m], heading [rad]).
-
-    Returns
-    -------
-    str or None
-        None where the direction is hardly known.
+    `pose` is the robot's, with `covariance` (3, 3) of x [m], y [m] and heading [rad].
     """
     squared = pose.x**2 + pose.y**2
     if squared == 0.0:
@@ -194,17 +176,17 @@ def way_home(pose: Pose, covariance: np.ndarray) -> str | None:
 
 
 def _words(fix: Fix) -> str:
-    """Return what a fix says, with the way home where that is all it tells."""
-    way = None if fix.sure else way_home(fix.pose, fix.covariance)
+    """Return the reason of a fix, with the direction home if it is not verified."""
+    way = None if fix.is_verified else way_home(fix.pose, fix.covariance)
     return fix.reason if way is None else f"{fix.reason} (home lies {way})"
 
 
-def _off(covariance: np.ndarray | None) -> float:
-    """Return the mean square error of a position [m^2]; infinite where there is none."""
+def _mean_square(covariance: np.ndarray | None) -> float:
+    """Return the mean square error of a position [m^2]; infinite without a covariance."""
     return math.inf if covariance is None else float(covariance[0, 0] + covariance[1, 1])
 
 
 def _note(drive: ImageDrive) -> str:
-    """Say that home's picture was used."""
-    known = sum(seen is not None and seen.accepted for _, seen in drive.pictures)
-    return f"Home's picture was used, too: {known:,} of {len(drive.pictures):,} pictures match it."
+    """Return the note that home's picture was used."""
+    matching = sum(seen is not None and seen.accepted for _, seen in drive.pictures)
+    return f"Home's picture was used: {matching:,} of {len(drive.pictures):,} pictures match it."

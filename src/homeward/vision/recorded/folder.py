@@ -1,4 +1,4 @@
-"""Image folders: home's panorama, those along a drive, and odometry, made into a drive."""
+"""Drives from image folders: home's panorama, panoramas along the drive, and odometry."""
 
 from __future__ import annotations
 
@@ -31,24 +31,24 @@ from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDe
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import read_features
 from homeward.vision.front_end import FrameBearings, FrontEnd
-from homeward.vision.homing.moved_landmark_filter import LASTING
+from homeward.vision.homing.moved_landmark_filter import LASTING_SIGHTINGS
 from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.settings import IMAGE_SETTINGS, ImageSettings, settings_in
 
 HOME_STEM = "home"
 TESTED_SEAMS = 8
-"""So many pictures along the drive, and home's, are tested for being panoramas."""
+"""Number of pictures along the drive that are tested for being panoramas, as home's is."""
 TESTED_SETTINGS = 3
-"""Where no picture is like home, other camera settings are tried on so many."""
-UNLIKE = "images that match none before them"
-RARE = f"sightings of landmarks seen fewer than {LASTING} times"
+"""Number of pictures on which other camera settings are tried if none matches home."""
+UNLIKE = "images that match no earlier image"
+RARE = f"sightings of landmarks seen fewer than {LASTING_SIGHTINGS} times"
 
 
 @single_threaded_blas()
 def see_folder(
     path: str | os.PathLike[str],
-    progress: Callable[[float], None] | None = None,
-    ready: Callable[[], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
+    on_ready: Callable[[], None] | None = None,
     force: bool = False,
 ) -> ImageDrive:
     """Turn an image folder into a drive.
@@ -57,37 +57,36 @@ def see_folder(
     ----------
     path : path-like
         Folder with images.csv (t [s], file), the images (JPEG or PNG), a home image, odometry.csv,
-        and perhaps images.yaml (`ImageSettings`), drive.yaml and truth.csv as in a drive folder.
-    progress : callable, optional
-        Told the fraction done, in [0, 1].
-    ready : callable, optional
-        Called when everything but the images along the drive is read: looking at them takes long.
+        and optionally images.yaml (`ImageSettings`), drive.yaml and truth.csv.
+    on_progress : callable, optional
+        Called with the fraction done, in [0, 1].
+    on_ready : callable, optional
+        Called before the images along the drive are processed, which takes long.
     force : bool
-        Whether pictures are taken that look like no panoramas; images.yaml may say so, too.
+        Whether to accept pictures that do not look like panoramas, as `force` in images.yaml.
 
     Returns
     -------
     ImageDrive
-        Landmarks seen at home are called h and a number, others k and a number. Its remarks count
-        images that were like nothing seen before, what was left out, and matches that turn with the
-        camera, as what belongs to the robot does.
+        Landmarks seen at home are named h and a number, others k and a number. Its remarks count
+        images without a match, rare landmarks, and matches that turn with the camera.
 
     Raises
     ------
     InputError
-        When a file is missing or cannot be used, images and odometry do not overlap, or pictures
-        are no panoramas; names file, row and what is wrong.
+        If a file is missing or cannot be used, images and odometry do not overlap, or pictures
+        are no panoramas; names file, row and fault.
     """
     folder = Path(path)
     require_folder(folder)
     if not is_there(folder / IMAGES):
-        raise InputError(f"not a folder of images: no {IMAGES} in it", folder)
+        raise InputError(f"not a folder of images: it has no {IMAGES}", folder)
     settings = settings_in(folder)
     remarks: dict[str, int] = {}
     images = read_images(folder, remarks)
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
-    blind = drive_beside(folder, images.t, remarks)
+    blind = drive_without_images(folder, images.t, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
     picture, home = read_features(place, camera, mask=settings.mask)
@@ -95,39 +94,39 @@ def see_folder(
         with naming_file(folder):
             some = [images.files[k] for k in _evenly(images.files, TESTED_SEAMS)]
             require_panoramas([picture, *(camera.panorama(read_grey(f)) for f in some)], camera)
-    if ready is not None:
-        ready()
+    if on_ready is not None:
+        on_ready()
     front_end = FrontEnd(home, camera, settings.landmarks)
     headings = dead_reckoning(blind.odometry, images.t).heading
-    glances, along = _look_at_all(front_end, images.files, headings, progress)
-    if unlike := sum(not glance.bearings for glance in glances):
+    frames, occlusion = _process_images(front_end, images.files, headings, on_progress)
+    if unlike := sum(not frame.bearings for frame in frames):
         remarks[UNLIKE] = unlike
-    if along is not None:
-        remarks[f"{along.words} ({IMAGE_SETTINGS}, mask: FILE)"] = along.matches
-    sightings = _sightings(images.t, glances, remarks)
-    compared = [glance.home for glance in glances]
+    if occlusion is not None:
+        remarks[f"{occlusion.words} ({IMAGE_SETTINGS}, mask: FILE)"] = occlusion.matches
+    sightings = _sightings(images.t, frames, remarks)
+    compared = [frame.home for frame in frames]
     remarks |= _check_camera_settings(picture, front_end, images.files, compared)
     pictures = tuple(zip(images.t.tolist(), compared, strict=True))
     seen = {"sightings": sightings, "home": front_end.home_bearings, "pictures": pictures}
     return ImageDrive(**{**vars(blind), **seen, "remarks": remarks})
 
 
-def drive_beside(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
-    """Return what a folder tells beside its pictures: a drive without bearings and home.
+def drive_without_images(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
+    """Read the drive of an image folder, without bearings and home.
 
     Parameters
     ----------
     folder : Path
-        With odometry.csv, and perhaps drive.yaml and truth.csv.
+        With odometry.csv, and optionally drive.yaml and truth.csv.
     t : ndarray, shape (n,)
-        Stamps of the pictures [s], which are looked at later, since that takes long.
+        Stamps of the pictures [s].
     remarks : dict of str to int
-        Takes what is to be said; the drive's.
+        The remarks of the drive, which are added to.
 
     Raises
     ------
     InputError
-        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+        If a file is missing or cannot be used, or pictures and odometry do not overlap.
     """
     odometry = read_odometry(folder / ODOMETRY, remarks)
     spans = {"the odometry": odometry.t, "the images": t}
@@ -145,12 +144,12 @@ def drive_beside(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
 
 
 def home_image(folder: Path, settings: ImageSettings) -> Path:
-    """Return the file of the home image: named in the settings, or HOME_STEM in whatever case.
+    """Return the file of the home image: named in the settings, or HOME_STEM in any case.
 
     Raises
     ------
     InputError
-        When there is none, more than one could be it, or it lies outside the folder.
+        If there is none, several candidates, or one outside the folder.
     """
     found = home_images(folder, settings)
     if len(found) != 1:
@@ -160,13 +159,7 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
 
 
 def home_images(folder: Path, settings: ImageSettings) -> list[Path]:
-    """Return the file named in the settings, or all that may be the home image.
-
-    Raises
-    ------
-    InputError
-        When one lies outside the folder.
-    """
+    """Return the file named in the settings, or all candidates; errors as in `home_image`."""
     if settings.home is not None:
         return [file_within(folder, settings.home, "home", folder / IMAGE_SETTINGS)]
     found = sorted(
@@ -177,9 +170,9 @@ def home_images(folder: Path, settings: ImageSettings) -> list[Path]:
     return [file_within(folder, file.name, "home", folder) for file in found]
 
 
-def _evenly(things: Sequence[object], number: int) -> list[int]:
-    """Return the numbers of at most so many things, from the first to the last."""
-    return [int(k) for k in np.unique(np.linspace(0, len(things) - 1, number).astype(int))]
+def _evenly(items: Sequence[object], number: int) -> list[int]:
+    """Return the indices of at most `number` items, evenly from the first to the last."""
+    return [int(k) for k in np.unique(np.linspace(0, len(items) - 1, number).astype(int))]
 
 
 def _check_camera_settings(
@@ -188,48 +181,48 @@ def _check_camera_settings(
     files: list[Path],
     compared: Sequence[Comparison | None],
 ) -> dict[str, int]:
-    """Return a remark where another setting suits home and the first picture like it far better.
+    """Return a remark if another camera setting fits home and the first matching picture better.
 
-    Of several along the drive, where none is like home. A lens is calibrated.
+    If no picture matches home, some along the drive are tried. A calibrated lens is not tested.
     """
     if front_end.camera.seen is not None:
         return {}
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
-    like = [pair for pair in tried if pair[1].accepted][:1]
-    for file, seen in like or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
+    matching = [pair for pair in tried if pair[1].accepted][:1]
+    for file, seen in matching or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
         picture, view = read_features(file, front_end.camera, like=front_end.home)
         views = front_end.home, view
         if words := better_settings(seen, (home, picture), views, front_end.camera):
-            return {f"pair of pictures, home and {file.name}, suggests other settings: {words}": 1}
+            return {f"pair of pictures (home and {file.name}) suggests other settings: {words}": 1}
     return {}
 
 
-def _look_at_all(
+def _process_images(
     front_end: FrontEnd,
     files: list[Path],
     headings: np.ndarray,
-    progress: Callable[[float], None] | None,
+    on_progress: Callable[[float], None] | None,
 ) -> tuple[list[FrameBearings], SelfOcclusion | None]:
-    """Return what each image shows, and what turned with the camera; headings are by odometry."""
-    glances, along = [], SelfOcclusionDetector()
+    """Return the bearings in each image, and the self-occlusion; headings are from odometry."""
+    frames, occlusion = [], SelfOcclusionDetector()
     for k, (file, heading) in enumerate(zip(files, headings.tolist(), strict=True)):
         _, view = read_features(file, front_end.camera, like=front_end.home)
-        glances.append(front_end.take(view))
-        along.see(view, heading)
-        if progress is not None:
-            progress((k + 1) / len(files))
-    return glances, along.found
+        frames.append(front_end.take(view))
+        occlusion.see(view, heading)
+        if on_progress is not None:
+            on_progress((k + 1) / len(files))
+    return frames, occlusion.found
 
 
-def _sightings(t: np.ndarray, glances: list[FrameBearings], remarks: dict[str, int]) -> Sightings:
-    """Put the sightings of all frames together, without landmarks that were seen too rarely."""
-    times = Counter(name for glance in glances for name in glance.bearings)
+def _sightings(t: np.ndarray, frames: list[FrameBearings], remarks: dict[str, int]) -> Sightings:
+    """Combine the sightings of all frames, without rarely seen landmarks."""
+    times = Counter(name for frame in frames for name in frame.bearings)
     rows = [
-        (stamp, name, bearing, glance.sigmas[name])
-        for stamp, glance in zip(t.tolist(), glances, strict=True)
-        for name, bearing in glance.bearings.items()
+        (stamp, name, bearing, frame.sigmas[name])
+        for stamp, frame in zip(t.tolist(), frames, strict=True)
+        for name, bearing in frame.bearings.items()
     ]
-    kept = [row for row in rows if times[row[1]] >= LASTING]
+    kept = [row for row in rows if times[row[1]] >= LASTING_SIGHTINGS]
     if rare := len(rows) - len(kept):
         remarks[RARE] = rare
     return Sightings.of_rows(kept)

@@ -1,4 +1,4 @@
-"""Drives of what a camera recorded: folders of images, videos, and images in logs."""
+"""Drives from camera recordings: folders of images, videos, and images in logs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from homeward.vision.cameras.grey import MAX_PIXELS
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 from homeward.vision.recorded.folder import (
-    drive_beside,
+    drive_without_images,
     home_image,
     home_images,
     see_folder,
@@ -34,11 +34,11 @@ from homeward.vision.tags.messages import tag_eye
 
 NO_TAGS = "pictures without a tag"
 VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".m4v", ".webm")
-"""Endings of the names of videos."""
+"""File name endings of videos."""
 
 
 class PictureFiles:
-    """The pictures that a folder's images.csv names."""
+    """The pictures that are listed in a folder's images.csv."""
 
     def __init__(self, folder: Path, remarks: dict[str, int]) -> None:
         self._images: Images = read_images(folder, remarks)
@@ -51,21 +51,21 @@ class PictureFiles:
 class Video:
     """The frames of a video file, decoded one by one.
 
-    Their stamps [s] are a column `t` of the CSV file that is called as the video is, a row a frame;
-    or what the container tells.
+    Their stamps [s] are in column `t` of the CSV file with the name of the video, one row per
+    frame; without this file, they are those of the container.
 
     Raises
     ------
     InputError
-        When it cannot be read, or has other frames than stamps.
+        If it cannot be read, or the numbers of frames and stamps differ.
     """
 
     def __init__(self, path: Path) -> None:
-        # FFmpeg would take an address or a pattern for a name, too.
+        # FFmpeg would accept a URL or a pattern, too.
         with naming(path, "cannot be read"), opened(path):
             self._path = path.resolve()
-        beside = path.with_suffix(".csv")
-        self.t = self._told(beside) if is_there(beside) else self._container()
+        stamps = path.with_suffix(".csv")
+        self.t = self._csv_stamps(stamps) if is_there(stamps) else self._container_stamps()
 
     def __iter__(self) -> Iterator[np.ndarray]:
         count = 0
@@ -75,18 +75,17 @@ class Video:
             yield frame
         if count != self.t.size:
             rows = self.t.size
-            raise InputError(f"{count} frames or more, but {rows} stamps", self._path)
+            raise InputError(f"at least {count} frames, but {rows} stamps", self._path)
 
-    def _told(self, path: Path) -> np.ndarray:
+    def _csv_stamps(self, path: Path) -> np.ndarray:
         table = read_csv(path, {"t": numbers})
         table.require_order()
         return table["t"]
 
-    def _container(self) -> np.ndarray:
-        """Return what the container tells; from its first frame on, stamps must rise."""
+    def _container_stamps(self) -> np.ndarray:
         t = np.array([stamp for stamp, _ in self._frames(decode=False)], float)
         if t.size > 1 and not (np.diff(t) > 0).all():
-            reason = f"stamps that do not rise; give them in {self._path.stem}.csv (t)"
+            reason = f"time stamps do not increase; give them in {self._path.stem}.csv (column t)"
             raise InputError(reason, self._path)
         return t
 
@@ -97,7 +96,7 @@ class Video:
         try:
             size = [video.get(k) for k in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT)]
             if not video.isOpened() or not 0 < size[0] * size[1] <= MAX_PIXELS:
-                raise InputError("not a video that can be read", self._path)
+                raise InputError("not a readable video", self._path)
             while video.grab():
                 yield (
                     video.get(cv2.CAP_PROP_POS_MSEC) / 1e3,
@@ -109,51 +108,50 @@ class Video:
 
 def see_recording(
     path: Path,
-    tell: Callable[[float], None] | None = None,
-    ready: Callable[[], None] | None = None,
+    on_progress: Callable[[float], None] | None = None,
+    on_ready: Callable[[], None] | None = None,
     *,
     tags: str | None = None,
     topics: Path | None = None,
     force: bool = False,
 ) -> Drive:
-    """Return the drive of a folder of images, a video, or a log with pictures in it.
+    """Return the drive from a folder of images, a video, or a log that contains pictures.
 
     Parameters
     ----------
     path : Path
         Videos and logs need tags.
-    tell, ready, force
+    on_progress, on_ready, force
         As in `see_folder`.
     tags : str, optional
-        Family of the tags that are looked for, instead of what panoramas show; None: as
-        images.yaml says.
+        Family of the tags to detect, instead of natural features; None: that in images.yaml.
     topics : Path, optional
-        Of a log, as in `read_log`.
+        For a log, as in `read_log`.
 
     Raises
     ------
     InputError
-        When it is none of these, or as `see_folder` and `see_tags` say.
+        If it is none of these, or as in `see_folder` and `see_tags`.
     """
     video = path.suffix.lower() in VIDEOS
     if not video and is_log(path):
         if tags is None:
-            raise InputError("of pictures in a log only tags are read: --tags 36h11", path)
-        if ready is not None:
-            ready()
-        # The camera comes from CameraInfo or topics, as for tags that a log has already.
-        return read_log(path, topics, tell, tag_eye(tags))
+            raise InputError("pictures in a log are only used with tags: add --tags 36h11", path)
+        if on_ready is not None:
+            on_ready()
+        # The camera comes from CameraInfo or the topics file, as for tags detected before.
+        return read_log(path, topics, on_progress, tag_eye(tags))
     if topics is not None:
-        raise InputError("there are no topics to choose in images", path)
+        raise InputError("topics apply only to logs, not to images: omit them", path)
     if video or tags or settings_in(path).tags:
-        if ready is not None:
-            ready()
-        return see_tags(path, tags, tell)
-    return see_folder(path, tell, ready, force)
+        if on_ready is not None:
+            on_ready()
+        return see_tags(path, tags, on_progress)
+    return see_folder(path, on_progress, on_ready, force)
 
 
 def see_tags(
-    path: Path, family: str | None = None, tell: Callable[[float], None] | None = None
+    path: Path, family: str | None = None, on_progress: Callable[[float], None] | None = None
 ) -> Drive:
     """Turn a folder of pictures, or a video in such a folder, into a drive.
 
@@ -162,11 +160,11 @@ def see_tags(
     path : Path
         A folder with images.csv, or a video; next to it odometry.csv, images.yaml with the camera,
         and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
-        may specify when the robot was at home, or a place has its home.
+        may specify when the robot was at home, or a place may contain its home.
     family : str, optional
-        Of the tags; None: images.yaml's.
-    tell : callable, optional
-        Told the fraction done, in [0, 1].
+        Family of the tags; None: that in images.yaml.
+    on_progress : callable, optional
+        Called with the fraction done, in [0, 1].
 
     Returns
     -------
@@ -176,7 +174,7 @@ def see_tags(
     Raises
     ------
     InputError
-        When a file is missing or cannot be used, or pictures and odometry do not overlap.
+        If a file is missing or cannot be used, or pictures and odometry do not overlap.
     """
     video = path.suffix.lower() in VIDEOS
     folder = path.parent if video else path
@@ -185,17 +183,17 @@ def see_tags(
     remarks: dict[str, int] = {}
     frames = Video(path) if video else PictureFiles(folder, remarks)
     if not frames.t.size:
-        raise InputError("no pictures in it", path)
-    blind = drive_beside(folder, frames.t, remarks)
+        raise InputError("it contains no pictures", path)
+    blind = drive_without_images(folder, frames.t, remarks)
     home = _home(eye, folder, settings, remarks) if blind.settings.home is None else {}
-    seen = _sightings(eye, frames, remarks, tell)
+    seen = _sightings(eye, frames, remarks, on_progress)
     return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
 
 
 def _home(
     eye: TagFrontEnd, folder: Path, settings: ImageSettings, remarks: dict[str, int]
 ) -> dict[str, HomeBearing]:
-    """Return the home bearings of the home image or, without one, of home.csv; or none."""
+    """Return the home bearings from the home image or else from home.csv; empty without both."""
     if not home_images(folder, settings):
         return read_home(folder / HOME, remarks) if is_there(folder / HOME) else {}
     place = home_image(folder, settings)
@@ -210,9 +208,9 @@ def _sightings(
     eye: TagFrontEnd,
     frames: PictureFiles | Video,
     remarks: dict[str, int],
-    tell: Callable[[float], None] | None,
+    on_progress: Callable[[float], None] | None,
 ) -> Sightings:
-    """Return what all frames show; `remarks` counts what was left out."""
+    """Return the sightings in all frames; `remarks` counts those left out."""
     rows: list[tuple[float, str, float, float]] = []
     counts: Counter[str] = Counter()
     for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
@@ -221,7 +219,7 @@ def _sightings(
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
         counts[TWICE] += len(seen.tags.twice)
         counts[NO_TAGS] += not seen.bearings
-        if tell is not None:
-            tell((k + 1) / frames.t.size)
+        if on_progress is not None:
+            on_progress((k + 1) / frames.t.size)
     remarks |= {reason: count for reason, count in counts.items() if count}
     return Sightings.of_rows(rows)

@@ -1,4 +1,4 @@
-"""images.yaml: which camera took the pictures, which is home's, and what is looked for in them."""
+"""Settings in images.yaml: camera, home image, mask, landmarks or tags."""
 
 from __future__ import annotations
 
@@ -26,34 +26,34 @@ IMAGE_SETTINGS = "images.yaml"
 
 
 class Calibrated(Camera):
-    """A camera whose calibration is in a file; `read_image_settings` puts a `Lens` in its place."""
+    """A camera whose calibration is in a file; `read_image_settings` replaces it by a `Lens`."""
 
     model: Literal["calibrated"] = "calibrated"
     file: str
-    """``FILE.yaml`` beside images.yaml, or ``FILE.yaml#cam1`` of several cameras."""
+    """``FILE.yaml`` next to images.yaml, or ``FILE.yaml#cam1`` for one of several cameras."""
 
 
 AnyCamera = Annotated[
     Equirectangular | Cylindrical | Ring | Lens | Calibrated, Field(discriminator="model")
 ]
-MostLandmarks = Annotated[int, Field(ge=4, le=500)]
+MaxLandmarks = Annotated[int, Field(ge=4, le=500)]
 
 
 class ImageSettings(Strict):
-    """Everything that images.yaml may say; every key may be absent."""
+    """Contents of images.yaml; every key is optional."""
 
     camera: AnyCamera = Equirectangular()
     home: str | None = None
-    """File of the home image, in the folder; None: the one whose name is home.something."""
+    """File of the home image, in the folder; None: the one named home, with any ending."""
     mask: Path | None = None
-    """A picture whose black is left out, for it turns with the camera; `read_image_settings` makes
-    it a path from here, of one from the folder of images.yaml."""
-    landmarks: MostLandmarks = 30
-    """How many landmarks at most are passed on from one image."""
+    """A picture whose black pixels are not used, since they show the robot. A path in the file is
+    relative to its folder; `read_image_settings` makes it relative to the working directory."""
+    landmarks: MaxLandmarks = 30
+    """Maximum number of landmarks that are passed on from one image."""
     tags: str | None = None
-    """Family of the tags that are looked for, such as 36h11; None: no tags, but what rooms have."""
+    """Family of the tags to detect, such as 36h11; None: natural features instead of tags."""
     force: bool = False
-    """Whether pictures are taken that look like no panoramas."""
+    """Whether to accept pictures that do not look like panoramas."""
 
     @property
     def panorama(self) -> Panorama:
@@ -62,7 +62,7 @@ class ImageSettings(Strict):
         Raises
         ------
         InputError
-            When it has a lens, and is not calibrated for pictures of one size.
+            If it has a lens whose calibration lacks the size of the pictures.
         """
         if isinstance(self.camera, Panorama):
             return self.camera
@@ -71,10 +71,10 @@ class ImageSettings(Strict):
 
     @model_validator(mode="before")
     @classmethod
-    def _equirectangular_unless_told(cls, tree: Any) -> Any:
+    def _equirectangular_by_default(cls, tree: Any) -> Any:
         if isinstance(tree, dict) and isinstance(camera := tree.get("camera"), dict):
-            usual = "calibrated" if "file" in camera else "equirectangular"
-            model = camera.get("model", usual)
+            default = "calibrated" if "file" in camera else "equirectangular"
+            model = camera.get("model", default)
             return {**tree, "camera": {**camera, "model": SAME.get(model, model)}}
         return tree
 
@@ -85,7 +85,7 @@ def read_image_settings(path: Path | None) -> ImageSettings:
     Raises
     ------
     InputError
-        When it has a key that is not known, a value out of range, or a file outside its folder.
+        If it has an unknown key, a value out of range, or a file outside its folder.
     """
     if path is None:
         return ImageSettings()
@@ -94,7 +94,6 @@ def read_image_settings(path: Path | None) -> ImageSettings:
         tilt = camera.model_dump(include=set(Camera.model_fields))
         lens = read_calibration(path.parent, camera.file).model_copy(update=tilt)
         settings = settings.model_copy(update={"camera": lens})
-
     if settings.mask is not None:
         mask = file_within(path.parent, settings.mask, "mask", path)
         settings = settings.model_copy(update={"mask": mask})
@@ -102,6 +101,6 @@ def read_image_settings(path: Path | None) -> ImageSettings:
 
 
 def settings_in(folder: Path) -> ImageSettings:
-    """Return the settings in images.yaml of a folder, the defaults where it has none."""
-    told = folder / IMAGE_SETTINGS
-    return read_image_settings(told if is_there(told) else None)
+    """Return the settings in images.yaml of a folder; the defaults if there is no such file."""
+    path = folder / IMAGE_SETTINGS
+    return read_image_settings(path if is_there(path) else None)

@@ -1,1 +1,1 @@
-"""Square tags in pictures: found, their edges fitted, and their bearings with honest deviations."""
+"""Square tags in pictures: detection, edge fitting, and bearings with standard deviations."""

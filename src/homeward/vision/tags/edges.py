@@ -1,9 +1,9 @@
 """Corners of tags to hundredths of a pixel: each edge is a plane through the camera.
 
-A straight edge in space spans a plane with the camera's centre, whatever the lens makes of it in
-the image. Along each edge the step from black to white is located across it, the plane is fitted to
-these places, and neighbouring planes meet in the rays of the corners. How far the places scatter
-about their planes tells the corners' standard deviation.
+A straight edge in space spans a plane with the camera's centre, for any lens distortion. At points
+along each edge the step from black to white is located, the plane is fitted to these points, and
+neighbouring planes intersect in the rays of the corners. The scatter of the points about their
+planes gives the corners' standard deviation.
 """
 
 from __future__ import annotations
@@ -15,49 +15,49 @@ from homeward.drives.cameras.camera import Camera, angles, unit_vectors
 from homeward.vision.opencv import opencv
 
 ALONG, ACROSS = 32, 13
-"""So many places along an edge, and so many samples across it at each."""
+"""Number of points along an edge, and of samples across it at each point."""
 ENDS = 0.08
-"""Of an edge, so much is left out at either end: there the other edge is near."""
+"""Share of an edge that is left out at each end, where the other edge is near."""
 REACH = 0.5
-"""Samples reach so far to either side, in cells of the tag: beyond the border are its bits."""
-NEAREST, FURTHEST = 1.0, 4.0
-"""But at least and at most so far [px]."""
-TIMES = 3
-"""Each time the samples lie nearer to the edge."""
+"""Distance of samples to each side, in cells of the tag: its bits are beyond the border."""
+MIN_REACH, MAX_REACH = 1.0, 4.0
+"""Limits of this distance [px]."""
+ITERATIONS = 3
+"""The samples approach the edge with each iteration."""
 MIN_CONTRAST = 12.0
-"""Between the two sides of an edge [grey levels]."""
+"""Minimum contrast between the two sides of an edge [grey levels]."""
 SYSTEMATIC = 0.03
-"""What pixels that are no points and light that spreads leave of any corner [px]."""
+"""Systematic error of any corner, from the size of pixels and blooming [px]."""
 
 
-def refined(
+def refine_corners(
     image: np.ndarray, corners: np.ndarray, cells: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners of tags, and their standard deviations.
+    """Refine the corners of tags; return them with their standard deviations.
 
     Parameters
     ----------
     image : ndarray of uint8, shape (height, width)
-        As `camera` speaks of it.
+        The image, or panorama, of `camera`.
     corners : ndarray, shape (n, 4, 2)
-        Columns and rows, to a pixel or two, clockwise as one looks at the image [px].
+        Columns and rows, to a pixel or two, clockwise in the image [px].
     cells : int
-        How many cells lie along a tag's edge, with its border.
+        Number of cells along a tag's edge, with its border.
     camera : Camera
-        That took the image.
+        The camera of the image.
 
     Returns
     -------
     corners : ndarray, shape (n, 4, 2)
-        [px]; NaN where an edge is none.
+        [px]; NaN where an edge has no contrast.
     sigma : ndarray, shape (n,)
         Of each of their coordinates [px].
     """
     shape = image.shape[0], image.shape[1]
     rays = _rays(corners, camera, shape)
     sides = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=-1)
-    reach = np.clip(REACH * sides.min(axis=1) / cells, NEAREST, FURTHEST)
-    for _ in range(TIMES):
+    reach = np.clip(REACH * sides.min(axis=1) / cells, MIN_REACH, MAX_REACH)
+    for _ in range(ITERATIONS):
         places, off = _steps(image, rays, reach, camera)
         planes, scatter = _planes(_rays(places + off, camera, shape))
         meet = np.cross(np.roll(planes, 1, axis=1), planes)
@@ -66,8 +66,8 @@ def refined(
     out = np.stack(camera.pixels(*angles(rays), shape), axis=-1)
     length = np.linalg.norm(np.diff(places, axis=2), axis=-1).sum(axis=2)
     span = np.arccos(np.clip(np.sum(rays * np.roll(rays, -1, axis=1), axis=-1), -1, 1))
-    # Neighbouring pixels share light: one place a pixel counts. At its end a line that is fitted to
-    # m places is known to twice their scatter over the root of m.
+    # Errors of neighbouring pixels are correlated: one point per pixel counts. A line fitted to m
+    # points has, at its end, a standard deviation of twice their scatter over the root of m.
     noise = 2 * scatter * length / (span * (1 - 2 * ENDS)) / np.sqrt(np.clip(length, 4, ALONG))
     return out, np.hypot(np.sqrt(np.mean(noise**2, axis=1)), SYSTEMATIC)
 
@@ -80,10 +80,10 @@ def _rays(pixels: np.ndarray, camera: Camera, shape: tuple[int, int]) -> np.ndar
 def _steps(
     image: np.ndarray, rays: np.ndarray, reach: np.ndarray, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return places along edges and the way from each to the step, (n, 4, ALONG, 2) [px].
+    """Return points along edges and the vector from each to the step, (n, 4, ALONG, 2) [px].
 
-    The step lies where the area under the profile, from black 0 to white 1, says: without bias
-    for any symmetric blur, and the noise of all samples averages out.
+    The step is located from the area under the profile, from black 0 to white 1: without bias for
+    any symmetric blur, and averaging the noise of all samples.
     """
     shape = image.shape[0], image.shape[1]
     share = np.linspace(ENDS, 1 - ENDS, ALONG)[:, None]
@@ -97,13 +97,13 @@ def _steps(
         places[..., None, :]
         + (reach[:, None, None, None] * step)[..., None] * outwards[..., None, :]
     )
-    # OpenCV wants sheets.
+    # OpenCV's remap needs two-dimensional maps of limited size.
     sheet = at.reshape(-1, ACROSS, 2).astype(np.float32)
     rows = np.array_split(sheet, range(16384, len(sheet), 16384))
     cv2 = opencv()
     seen = [cv2.remap(image, part, None, cv2.INTER_LINEAR) for part in rows]
     values = np.concatenate(seen).astype(float).reshape(at.shape[:-1])
-    # Both levels are those of the whole edge.
+    # Both levels are means over the whole edge.
     dark, bright = (values[..., k].mean(axis=2)[..., None, None] for k in (0, -1))
     with np.errstate(divide="ignore", invalid="ignore"):
         level = (values - dark) / np.where(bright - dark > MIN_CONTRAST, bright - dark, np.nan)
@@ -112,7 +112,7 @@ def _steps(
 
 
 def _planes(rays: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return unit normals (n, 4, 3) of planes through rays (n, 4, m, 3), and how rays scatter."""
+    """Return unit normals (n, 4, 3) of planes fitted to rays (n, 4, m, 3), and their scatter."""
     whole = np.isfinite(rays).all(axis=(2, 3))
     rays = np.where(whole[..., None, None], rays, 0.0)
     values, vectors = np.linalg.eigh(np.swapaxes(rays, -1, -2) @ rays)

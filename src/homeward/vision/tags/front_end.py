@@ -19,13 +19,12 @@ from homeward.io.table import quoted
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.opencv import opencv
-from homeward.vision.tags.edges import refined
+from homeward.vision.tags.edges import refine_corners
 
-BLURRED = 0.5
-"""A tag whose corners have a greater deviation is not seen sharply enough to be measured [px]."""
-
+MAX_SIGMA = 0.5
+"""Maximum standard deviation of a tag's corners [px]: blurred tags are left out."""
 AMBIGUOUS = 0.1
-"""A cell nearer to the middle between black (0) and white (1) than that may be either."""
+"""A cell nearer than this to the middle between black (0) and white (1) may be either."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +38,7 @@ class Tags:
     sigma: np.ndarray
     """(n,), of each of their coordinates [px]."""
     twice: tuple[str, ...] = ()
-    """Numbers that the picture has more than once, which are left out."""
+    """Numbers that occur more than once in the picture, which are left out."""
 
 
 @dataclass(frozen=True)
@@ -47,27 +46,27 @@ class TagBearings:
     """Bearings of tags in one picture."""
 
     bearings: dict[str, float]
-    """Number of a tag to the bearing of its middle from the camera's axis [rad]."""
+    """Number of a tag to the bearing of its centre from the camera's axis [rad]."""
     sigmas: dict[str, float]
     """[rad]"""
     tags: Tags
-    """As they lie in the picture; some may have no bearing, where the lens has no rays."""
+    """The tags in the picture; those outside the lens model have no bearing."""
 
     @property
     def home(self) -> dict[str, HomeBearing]:
-        """The same as home bearings, of a picture that was taken at home."""
+        """The bearings as home bearings, for a picture that was taken at home."""
         return {name: HomeBearing(b, self.sigmas[name]) for name, b in self.bearings.items()}
 
 
 def family_of(family: str) -> Any:
-    """Return OpenCV's dictionary of a family, by the names of `TagFrontEnd`; errors as there."""
+    """Return OpenCV's dictionary of a family; names and errors as in `TagFrontEnd`."""
     aruco = opencv().aruco
     short = family.lower().removeprefix("tag").removeprefix("_")
     known = {n.lower(): n for n in dir(aruco) if n.startswith("DICT_")}
     name = known.get(f"dict_apriltag_{short}") or known.get(f"dict_{short}")
     if name is None:
         names = sorted({n.removeprefix("dict_").removeprefix("apriltag_") for n in known})
-        raise InputError(f"no family of tags {quoted(family)}; there are {', '.join(names)}")
+        raise InputError(f"unknown tag family {quoted(family)}; use one of {', '.join(names)}")
     return aruco.getPredefinedDictionary(getattr(aruco, name))
 
 
@@ -75,8 +74,7 @@ class TagFrontEnd:
     """Turns images into bearings of the tags of one family.
 
     OpenCV proposes tags and corrects some wrong bits. Then the edges are fitted, and the code is
-    read again between them: a tag counts if its code is whole and every cell black or
-    white.
+    read again between them: a tag counts if its code has no error and every cell is black or white.
 
     >>> eye = TagFrontEnd(Lens(fx=600, fy=600, cx=320, cy=240), "36h11")
     >>> seen = eye.see(picture)
@@ -85,7 +83,7 @@ class TagFrontEnd:
     Parameters
     ----------
     camera : Camera, optional
-        That takes the images; None: not known yet, and edges are assumed straight.
+        The camera of the images; None: not known yet, and edges are assumed straight.
     family : str
         36h11, 25h9, 16h5 or 36h10 of AprilTag; 4x4_50 to 7x7_1000, aruco_original or
         aruco_mip_36h12 of ArUco.
@@ -93,7 +91,7 @@ class TagFrontEnd:
     Raises
     ------
     InputError
-        When there is no such family.
+        If there is no such family.
     """
 
     def __init__(self, camera: Camera | None, family: str = "36h11") -> None:
@@ -105,12 +103,12 @@ class TagFrontEnd:
         self.camera = camera
 
     def see(self, image: np.ndarray) -> TagBearings:
-        """Return the bearings of the tags in an image of any kind that `as_grey` takes.
+        """Return the bearings of the tags in an image in any format of `as_grey`.
 
         Raises
         ------
         InputError
-            When it is no image, or has not the size that the camera was calibrated for.
+            If it is no image, or its size differs from that of the camera's calibration.
         """
         tags, camera, shape = self._find(image, self.camera)
         bearing, sigma = tag_bearings(tags.corners, tags.sigma, camera, shape)
@@ -122,7 +120,7 @@ class TagFrontEnd:
         return TagBearings(bearings, sigmas, tags)
 
     def tags(self, image: np.ndarray, camera: Camera | None) -> Tags:
-        """Return the tags in an image that `camera` took, as they lie in it; errors as of `see`."""
+        """Return the tags in an image of `camera`; errors as in `see`."""
         return self._find(image, camera)[0]
 
     def _find(
@@ -142,9 +140,9 @@ class TagFrontEnd:
         if ids is None:
             return Tags((), np.empty((0, 4, 2)), np.empty(0))
         rough = np.concatenate(found).astype(float)
-        corners, sigma = refined(grey, rough, self._cells, camera)
+        corners, sigma = refine_corners(grey, rough, self._cells, camera)
         with np.errstate(invalid="ignore"):
-            sharp = np.isfinite(corners).all(axis=(1, 2)) & (sigma < BLURRED)
+            sharp = np.isfinite(corners).all(axis=(1, 2)) & (sigma < MAX_SIGMA)
         numbers = np.ravel(ids).tolist()
         names = [str(number) for number in numbers]
         for k in np.flatnonzero(sharp).tolist():
@@ -155,10 +153,10 @@ class TagFrontEnd:
         return Tags(tuple(names[k] for k in rows), corners[rows], sigma[rows], twice)
 
     def _reads(self, grey: np.ndarray, corners: np.ndarray) -> int | None:
-        """Return the number that stands between corners (4, 2), None where it is not plain."""
+        """Return the number encoded between corners (4, 2), None if it is ambiguous."""
         cv2, n = opencv(), self._cells
         square = np.array([[0, 0], [n, 0], [n, n], [0, n]], np.float32)
-        # Nine places in the inner half of each cell.
+        # Nine points in the inner half of each cell.
         place = (np.arange(n)[:, None] + np.array([0.25, 0.5, 0.75])).ravel()
         grid = np.stack(np.meshgrid(place, place), axis=-1).reshape(1, -1, 2)
         map_to = cv2.getPerspectiveTransform(square, corners.astype(np.float32))
@@ -169,9 +167,9 @@ class TagFrontEnd:
         code = cells[1:-1, 1:-1]
         dark, bright = float(black.mean()), float(np.quantile(code, 0.9))
         level = (cells - dark) / max(bright - dark, 1.0)
-        plain = np.abs(level - 0.5) > AMBIGUOUS
-        plain[[0, -1]] = level[[0, -1]] < 0.5
-        plain[:, [0, -1]] = level[:, [0, -1]] < 0.5
+        clear = np.abs(level - 0.5) > AMBIGUOUS
+        clear[[0, -1]] = level[[0, -1]] < 0.5
+        clear[:, [0, -1]] = level[:, [0, -1]] < 0.5
         bits = (level[1:-1, 1:-1] > 0.5).astype(np.uint8)
         found, number, _ = self._dictionary.identify(bits, 0.0)
-        return int(number) if found and plain.all() else None
+        return int(number) if found and clear.all() else None

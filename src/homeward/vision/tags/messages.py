@@ -1,4 +1,4 @@
-"""Tags in pictures of ROS messages, as sightings: of a log, or of a node that listens."""
+"""Tags in pictures of ROS messages, as sightings: from a log, or in a node."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ PLAIN = {
     "bayer_gbrg8": ("u1", 1, "COLOR_BayerGR2GRAY"),
     "bayer_grbg8": ("u1", 1, "COLOR_BayerGB2GRAY"),
 }
-"""By encoding (sensor_msgs/image_encodings.h): type of a number, how many a pixel, to grey."""
+"""Encoding (sensor_msgs/image_encodings.h): number type, numbers per pixel, conversion to grey."""
 
 
 def picture_of(message: Any) -> np.ndarray:
@@ -42,18 +42,18 @@ def picture_of(message: Any) -> np.ndarray:
     Raises
     ------
     InputError
-        When its encoding is not known, or its bytes are no picture.
+        If its encoding is unknown, or its bytes are no picture.
     """
     if not hasattr(message, "encoding"):
         return decoded_grey(io.BytesIO(bytes(message.data)), Path(message.format or "picture"))
     if message.encoding not in PLAIN:
-        raise InputError(f"a picture encoded as {quoted(message.encoding)}, which is not known")
+        raise InputError(f"a picture with unknown encoding {quoted(message.encoding)}")
     kind, channels, grey = PLAIN[message.encoding]
     numbers = np.dtype((">" if message.is_bigendian else "<") + kind)
     height, width, step = message.height, message.width, message.step
     line = width * channels * numbers.itemsize
     if not (height and width and step >= line and len(message.data) >= step * (height - 1) + line):
-        raise InputError(f"a picture of {width}x{height} {message.encoding} without its pixels")
+        raise InputError(f"a picture of {width}x{height} {message.encoding} lacks some pixels")
     raw = np.frombuffer(bytes(message.data), np.uint8)
     rows = np.lib.stride_tricks.as_strided(raw, (height, line), (step, 1))
     pixels = np.ascontiguousarray(rows).view(numbers).reshape(height, width, channels)
@@ -64,13 +64,13 @@ def picture_of(message: Any) -> np.ndarray:
 
 
 def tag_eye(family: str) -> Eye:
-    """Return what looks for the tags of a family in a sensor_msgs/Image or CompressedImage.
+    """Return a function that detects tags in a sensor_msgs/Image or CompressedImage.
 
     Raises
     ------
     InputError
-        When there is no such family; and, of what is returned, when a message is no picture, or
-        has not the size that the camera was calibrated for.
+        If there is no such family. The function raises it if a message is no picture, or its size
+        differs from that of the camera's calibration.
     """
     front_end = TagFrontEnd(None, family)
 

@@ -1,4 +1,4 @@
-"""A map that says what it is told to, and comparisons with home's picture as a scene has them."""
+"""A scripted map, and comparisons with home's picture for a scene."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def bearings(points, camera):
 
 
 class Map:
-    """An estimator that says what it is told to."""
+    """An estimator with scripted results."""
 
     name, notes = "map", ()
 
@@ -50,7 +50,7 @@ class Map:
 
     def estimate(self, t):
         covariance = None if self.pose is None else self.sigma**2 * np.eye(3)
-        return Estimate(t, self.status, "as told", self.pose, covariance)
+        return Estimate(t, self.status, "as scripted", self.pose, covariance)
 
     def landmarks(self):
         return self.found
