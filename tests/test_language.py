@@ -44,6 +44,9 @@ NAME_PARTS = re.compile(
 )
 # Part of a path -> the words that may stay there.
 ALLOWED: dict[str, tuple[str, ...]] = {
+    "homeward/places/version.py": ("stands",),
+    "homeward/places/place.py": ("verdict",),  # a column of visits.csv
+    "homeward/places/persistence.py": ("stands",),  # a column of landmarks.csv
     "docs/do/live.md": ("said",),  # a ROS topic
     "docs/do/rooms.md": ("stood",),  # a key of rooms
     "docs/look-up/json.md": ("verdict",),
@@ -68,7 +71,6 @@ PENDING = (
     "src/homeward/localizer/",
     "src/homeward/native/",
     "src/homeward/odometry/",
-    "src/homeward/places/",
     "src/homeward/plugins.py",
     "src/homeward/reasons.py",
     "src/homeward/registry.py",

@@ -33,7 +33,7 @@ from homeward.drives.settings import KnownLandmarks
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place
-from homeward.places.telling import told_by
+from homeward.places.visit_data import collect_visit
 from homeward.places.visiting import first_place, merged
 from homeward.runs.scoring import errors, statistics
 from homeward.track import Track, run
@@ -68,13 +68,13 @@ def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]
     there = drive if place is None else place.visited_by(drive, when)
     localizer = Localizer(there.home, known=there.known, **there.settings.robot)
     track = run(there, localizer)
-    told = told_by(localizer, there, track, when)
+    told = collect_visit(localizer, there, track, when)
     after = first_place("place", localizer, told) if place is None else merged(place, told)
     return track, after
 
 
 def memories(known: KnownLandmarks, changes: float) -> dict[str, Look]:
-    """Return how looks are resected on what was seen last, `changes` going in a day."""
+    """Return how frames are resected on what was seen last, `changes` going in a day."""
     survey = {n: (m.x, m.y) for n, m in known.landmarks.items()}
     naive, filtered = Resection(survey), PersistentResection(survey, changes, BEARING_SIGMA)
     return {"believes all": lambda _, seen: naive.look(seen), "persistence filter": filtered.look}
@@ -82,14 +82,14 @@ def memories(known: KnownLandmarks, changes: float) -> dict[str, Look]:
 
 def resected(drive: Drive, look: Look) -> Day:
     """Return what a memory is worth by which each look, at its time, is resected alone."""
-    first, off, looks = math.inf, [], 0
+    first, off, frames = math.inf, [], 0
     for t, seen, _ in drive.sightings.stamps():
-        looks += 1
+        frames += 1
         if (found := look(t - drive.span[0], seen)) is not None:
             first = min(first, t - drive.span[0])
             truth = drive.truth.at(np.array([t]))
             off.append(min(math.dist(found[:2], (truth.x[0], truth.y[0])), OUTSIDE))
-    return Day(first, float(np.sqrt(np.mean(np.square(off)))), len(off) / looks)
+    return Day(first, float(np.sqrt(np.mean(np.square(off)))), len(off) / frames)
 
 
 def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
@@ -121,7 +121,7 @@ def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
             number_of = place.visits[-1].number
             named = {e.landmark for e in place.events if e.visit == number_of and e.what == "moved"}
             seen = set(drive.sightings.landmark.tolist())
-            known = {n for n in seen if n in before.standings and n in last_known}
+            known = {n for n in seen if n in before.persistence and n in last_known}
             moved = {n for n in known if math.dist(hall.places[n], last_known[n]) > 1e-9}
             row["moved"] = [len(named & moved), len(named - moved), len(moved - named)]
         for name in drive.sightings.landmark.tolist():
@@ -150,8 +150,8 @@ def home_bound(drive: Drive, hall: Warehouse) -> float:
 def home_error(place: Place, hall: Warehouse) -> float:
     """Return how far home is off for one who sees what stands, the map laid onto the truth [m]."""
     now = place.visits[-1].when
-    fresh = [n for n in place.map.names if place.standings[n].last == now and n in hall.places]
-    fresh = [n for n in fresh if place.standings[n].stands > 0.5]
+    fresh = [n for n in place.map.names if place.persistence[n].last == now and n in hall.places]
+    fresh = [n for n in fresh if place.persistence[n].stands > 0.5]
     if len(fresh) < 2:
         return math.nan
     truth = [between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in fresh]
@@ -252,7 +252,7 @@ def five_seen(drive: Drive, place: Place) -> float:
     """Return when five landmarks of a place were seen [s]."""
     seen: set[str] = set()
     for t, look, _ in drive.sightings.stamps():
-        seen |= {n for n in look if n in place.standings}
+        seen |= {n for n in look if n in place.persistence}
         if len(seen) >= 5:
             return t - drive.span[0]
     return math.inf

@@ -31,9 +31,9 @@ from homeward.lab.simulation.simulate import simulate
 from homeward.localizer.localizer import Localizer
 from homeward.places.files import load_place, save_place
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
+from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.telling import Looks, VisitData
+from homeward.places.visit_data import Frames, VisitData
 from homeward.places.visiting import merged
 
 HALL = 60.0, 40.0
@@ -66,7 +66,8 @@ def made(name: str, places: Places, rng: np.random.Generator) -> Place:
     home = np.zeros(3), np.diag([1e-4, 1e-4, 1e-5])
     there = mapped(places, rng).with_home("home", {}, (0.0, 0.0, 0.0), *home).at_home("home")
     visit = Visit(1, 0.0, "first", rng.bytes(8).hex(), "first", new=len(places), of=len(places))
-    return Place(name, there, {n: Standing(0.0, 0.0) for n in places}, {"home": HOME}, (visit,))
+    persistence = {n: LandmarkPersistence(0.0, 0.0) for n in places}
+    return Place(name, there, persistence, {"home": HOME}, (visit,))
 
 
 def kidnapped(places: Places, seed: int) -> Drive:
@@ -157,9 +158,9 @@ def year(days: int = 365) -> None:
                 number += 1
             eyes = np.array([(x, y, 0.0) for x in (3.0, 10.0, 17.0) for y in (3.0, 9.0)] * 20)
             near = [[n for n, p in standing.items() if math.dist(p, eye[:2]) < 6.0] for eye in eyes]
-            looks = Looks(eyes, near, None)
+            frames = Frames(eyes, near, None)
             told = VisitData(
-                "a drive", rng.bytes(8).hex(), float(day), mapped(standing, rng), looks
+                "a drive", rng.bytes(8).hex(), float(day), mapped(standing, rng), frames
             )
             place = merged(place, told)
             if day in (30, days // 2, days):
@@ -167,7 +168,7 @@ def year(days: int = 365) -> None:
                 save_place(place, folder)
                 held = sum(p.stat().st_size for p in folder.glob("**/*"))
                 print(
-                    f"day {day}: {len(place.standings)} landmarks, {len(place.visits)} visits, "
+                    f"day {day}: {len(place.persistence)} landmarks, {len(place.visits)} visits, "
                     f"{held / 1e3:.0f} kB on disk, home known to "
                     f"{place.home_sigma('home', float(day)):.3f} m"
                 )

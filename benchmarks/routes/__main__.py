@@ -31,8 +31,8 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.places.files import save_place
 from homeward.places.place import Place
-from homeward.places.route import stands
-from homeward.places.telling import told_by
+from homeward.places.route import stops
+from homeward.places.visit_data import collect_visit
 from homeward.places.visiting import first_place
 from homeward.registry import make_estimator
 from homeward.track import run
@@ -84,7 +84,7 @@ class Lesson:
     @property
     def stops(self) -> np.ndarray:
         """(5, 2): where it truly stood at way points, the end among them [m]."""
-        rows = [row for row, _ in stands(self.truth[:, 0], self.truth[:, 1:])]
+        rows = [row for row, _ in stops(self.truth[:, 0], self.truth[:, 1:])]
         return self.truth[[*rows, -1], 1:3]
 
 
@@ -103,7 +103,7 @@ def teach(seed: int) -> Lesson:
     made = simulate(scenario)
     drive = made.drive
     localizer = Localizer(drive.home, **drive.settings.robot)
-    told = told_by(localizer, drive, run(drive, localizer), 0.0)
+    told = collect_visit(localizer, drive, run(drive, localizer), 0.0)
     told = told.store_route("round", smooth(drive, localizer.settings))
     return Lesson(scenario, true_way(made), first_place("hall", localizer, told))
 
@@ -136,7 +136,7 @@ def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) ->
     first, again = (some[0] if some.size else len(way) for some in (on, on[t[on] > since]))
     row = np.arange(len(way))
     counted = off[(row >= again) | ((row >= first) & (t < since))]
-    stood = way[[*(row for row, _ in stands(t, way[:, 1:])), -1], 1:3]
+    stood = way[[*(row for row, _ in stops(t, way[:, 1:])), -1], 1:3]
     # From the end backwards: one that began elsewhere has left out the first ones.
     both = min(len(stood), len(lesson.stops)) if done == 1.0 else 0
     misses = (stood[::-1][:both] - lesson.stops[::-1][:both])[::-1]

@@ -33,7 +33,9 @@ def main():
     both = figure.subplots(1, 2, sharey=True)
     for axes in both:
         line, stops = np.array(taught["line"]), np.array(taught["stops"])
-        axes.plot(*line[:, 1:3].T, color="#c4c9ce", lw=5, label="taught route with way points", zorder=1)
+        axes.plot(
+            *line[:, 1:3].T, color="#c4c9ce", lw=5, label="taught route with way points", zorder=1
+        )
         axes.plot(*stops.T, "D", color="#8a9097", ms=5, zorder=2)
         for x, y, moved in taught["marks"].values():
             axes.plot(x, y, "^" if moved else "o", color=MOVED if moved else "#8a9097", ms=3)

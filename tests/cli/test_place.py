@@ -53,7 +53,7 @@ def hall(visited, tmp_path):
 
 def test_info_says_what_is_known(hall):
     said = call("place", "info", hall).output
-    assert "11 landmarks, 11 of which probably stand" in said
+    assert "11 landmarks, 11 probably in place" in said
     assert "two visits from 2026-11-01 to 2026-11-02" in said
     assert "Home home, stored 2026-11-01, at (0.00, 0.00) m" in said
     assert "Home dock 3, stored 2026-11-02" in said
@@ -110,7 +110,7 @@ def test_a_first_drive_that_shows_little_makes_no_place_but_has_its_answer(tmp_p
     said = call("run", tmp_path / "few", *words)
     assert said.exit_code == 1, said.output
     assert "Report: " in said.stdout
-    assert "a place takes" in said.stderr
+    assert "a place needs" in said.stderr
     assert not (tmp_path / "hall").exists()
 
 
@@ -134,7 +134,7 @@ def test_a_route_is_repeated_to_the_last_bit(hall, tmp_path):
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "other" / path.name).read_bytes()
     no_more = call("simulate", *repeat, "--out", tmp_path / "third")
-    assert "no route 'round'; there is none" in refused(no_more)
+    assert "no route 'round'; there are no routes" in refused(no_more)
     assert not (tmp_path / "third").exists()
 
 
@@ -142,16 +142,16 @@ def test_forget_and_undo(hall):
     before = load_place(hall)
     said = call("place", "forget", hall, "L06", "--home", "dock 3").output
     assert "ten landmarks, one home and one route are left" in said
-    assert "L06" not in load_place(hall).standings
+    assert "L06" not in load_place(hall).persistence
     assert "version 2 again" in call("place", "undo", hall).output
-    assert load_place(hall).standings == before.standings
+    assert load_place(hall).persistence == before.persistence
 
 
 @pytest.mark.parametrize("left", [0, 1])
 def test_a_place_of_which_hardly_a_landmark_is_left_is_told_of(hall, left, tmp_path):
     landmarks = load_place(hall).map.names
     done(call("place", "forget", hall, *landmarks[left:]))
-    assert "is found by nobody any more" in done(call("place", "info", hall)).output
+    assert "cannot be found any more" in done(call("place", "info", hall)).output
     told = json.loads(done(call("place", "info", hall, "--json")).output)
     assert [home["sigma_m"] for home in told["homes"]] == [None, None]
     done(call("place", "view", hall, "--out", tmp_path / "hall.html"))
@@ -186,26 +186,26 @@ def test_view_writes_a_page(hall, tmp_path):
         (["run", "sample", "--place", "{hall}", "--store-home", "x"], "needs --update"),
         (["run", "sample", "--place", "{hall}", "--store-route", "x"], "needs --update"),
         (["run", "sample", "--place-home", "x"], "for a --place"),
-        (["run", "sample", "--place", "{hall}", "--place-home", "x"], "there are home, dock 3"),
+        (["run", "sample", "--place", "{hall}", "--place-home", "x"], "the place has home, dock 3"),
         (["run", "sample", "--place", "{hall}", "--when", "noon"], "no date"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf"], "for the estimator robust"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "--place is for one"),
         (["run", "sample", "--place", "{hall}/new"], "no such folder"),
-        (["run", "sample", "--place", "{hall}/0001", "--update"], "holds files but no place"),
+        (["run", "sample", "--place", "{hall}/0001", "--update"], "contains files but no place"),
         (["run", "{day}", "--place", "{hall}", "--update"], "would count twice"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 3"], "'dock 3' already"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-home", " x"], "no name for a home"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' already"),
-        ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' already"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 3"], "'dock 3' exists"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-home", " x"], "not a valid name"),
+        ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' exists"),
+        ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' exists"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
         ([*SHORT, "--place", "{hall}", "--update", "--home-at", "5"], "needs --store-home"),
         ([*AT, "999"], "999 s is no time of a drive of"),
         ([*AT, "nan"], "nan s is no time of a drive of"),
         ([*AT, "-1"], "-1 s is no time of a drive of"),
-        (["place", "info", "{hall}/.."], "holds no place"),
+        (["place", "info", "{hall}/.."], "contains no place"),
         (["info", "{hall}"], "a place, not a drive"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
-        (["place", "forget", "{hall}", "--home", "home"], "in whose frame the place is"),
+        (["place", "forget", "{hall}", "--home", "home"], "is the origin of the place"),
         (["place", "forget", "{hall}", "--route", "square"], "no route 'square'; there are round"),
         (["simulate", "warehouse", "--route", "round", "--out", "{hall}-d"], "trajectory"),
         (["simulate", "warehouse", "--trajectory", "repeat", "--out", "{hall}-d"], "place"),
@@ -233,9 +233,9 @@ def test_another_place_is_told_and_kept_apart(hall, tmp_path):
     said = call("run", tmp_path / "elsewhere", *words)
     assert said.exit_code == 1, said.output
     assert "home 'dock 4' was not stored" in said.stderr
-    assert "this is not the place, or most of it was rearranged" in said.output
+    assert "this drive was not merged" in said.output
     assert load_place(hall).visits[-1].verdict == "apart"
-    assert load_place(hall).standings == load_place(hall, 2).standings
+    assert load_place(hall).persistence == load_place(hall, 2).persistence
 
 
 def test_a_place_is_told_to_programs(visited):
@@ -256,5 +256,5 @@ def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
     more = "--update", "--store-home", "early", "--home-at", "0.0", "--when", "2026-11-01"
     told = call("run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o")
     assert told.exit_code == 1
-    assert "home 'early' cannot be stored without a pose" in told.stderr
+    assert "home 'early' cannot be stored: the robot has no pose there" in told.stderr
     assert list(load_place(tmp_path / "hall").homes) == ["home"]

@@ -30,7 +30,7 @@ from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
 from homeward.live.visiting import open_place
 from homeward.places.files import load_place, newest
-from homeward.places.telling import fingerprint
+from homeward.places.visit_data import fingerprint
 
 LANDMARKS = {"landmarks.count": 12}
 
@@ -212,7 +212,7 @@ def test_another_place_is_kept_apart(place):
     rig.spoil = renamed
     rig.until(lambda r: r.robot.t > 12.0)
     assert not localised(rig)
-    assert "not the place" in asked(rig, SavePlace())
+    assert "not merged" in asked(rig, SavePlace())
     with pytest.raises(HomewardError, match="did not know where it was"):
         in_place(place, update=True).session.localisation.conclude()
     now = load_place(place)

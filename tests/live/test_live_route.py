@@ -167,7 +167,7 @@ def test_a_route_can_be_driven_in_the_session_that_taught_it_and_after_its_map_w
     folder = shutil.copytree(school[0], tmp_path / "hall")
     rig = later(folder, StoreRoute(name="again"), update=True, **TAUGHT)
     rig.until(lambda r: r.player.ending)
-    assert "there is a route 'again' already" in asked(rig, StoreRoute(name="again"))
+    assert "route 'again' exists already" in asked(rig, StoreRoute(name="again"))
     assert "stayed" in asked(rig, SavePlace())
     assert list(load_place(folder).routes) == ["round", "again"]
     asked(rig, FollowRoute(name="again"), Reset())
@@ -185,7 +185,7 @@ def test_what_cannot_be_is_refused_in_words(school, tmp_path):
     assert "there is no place" in asked(alone, BeginRoute())
     new = Rig(0, place=open_place(tmp_path / "new", update=True))
     assert "waiting" in asked(new, BeginRoute())
-    assert "leads nowhere" in asked(new, StoreRoute(name="round"))
+    assert "did not move" in asked(new, StoreRoute(name="round"))
 
 
 def test_a_landmark_and_a_point_are_driven_to(school):

@@ -15,13 +15,13 @@ RUNS = 60
 
 def off_home_frame(place, places):
     """How far a map is off in the frame of its home, and the covariance of that."""
-    there = place.seen_from_home("home")
+    there = place.in_home_frame("home")
     truth = np.array([places[n] for n in there.names]).ravel()
     return there.mean - truth, there.covariance
 
 
 def test_fused_maps_are_as_uncertain_as_they_are_wrong():
-    """Over many rooms the normalised squared error of the fused map is what its dimension says."""
+    """Over many rooms the normalised squared error of the fused map is its dimension."""
     squares = []
     for seed in range(RUNS):
         rng, places = np.random.default_rng(seed), room(8, seed)
@@ -38,7 +38,7 @@ def test_fused_maps_are_as_uncertain_as_they_are_wrong():
     assert np.mean(squares) == pytest.approx(1.0, abs=4 * math.sqrt(2.0 / 16 / RUNS))
 
 
-def test_what_both_know_is_known_better_and_what_one_knows_is_kept():
+def test_fusion_improves_common_landmarks_and_keeps_the_others():
     rng, places = np.random.default_rng(1), room(12)
     names = list(places)
     place = new_place({n: places[n] for n in names[:8]}, rng).map
@@ -56,9 +56,9 @@ def test_what_both_know_is_known_better_and_what_one_knows_is_kept():
 def test_a_map_moved_as_a_whole_is_the_same_map():
     rng, places = np.random.default_rng(2), room(6)
     place = new_place(places, rng).map
-    moved = place.seen_from(np.array([3.0, -1.0, 2.0]), np.zeros((3, 3)))
-    again = moved.seen_from_home("home")
-    straight = place.seen_from_home("home")
+    moved = place.in_frame_of(np.array([3.0, -1.0, 2.0]), np.zeros((3, 3)))
+    again = moved.in_home_frame("home")
+    straight = place.in_home_frame("home")
     assert again.mean == pytest.approx(straight.mean)
     assert again.covariance == pytest.approx(straight.covariance, abs=1e-12)
 

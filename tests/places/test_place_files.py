@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from visited import new_place, room, told
+from visited import new_place, room, visit_data
 
 from homeward.errors import InputError
 from homeward.io.table import write_csv
-from homeward.places.files import KEPT, load_place, newest, save_place, undo, update_place
+from homeward.places.files import NUM_KEPT, load_place, newest, save_place, undo, update_place
 from homeward.places.place import FIRST_DAY, LAST_DAY
 from homeward.places.visiting import merged
 from homeward.runs.report.words import date
@@ -24,13 +24,13 @@ def folder(tmp_path):
     rng, places = np.random.default_rng(0), room()
     place = new_place(places, rng)
     save_place(place, tmp_path / "hall", 0)
-    save_place(merged(place, told(places, rng)), tmp_path / "hall", 1)
+    save_place(merged(place, visit_data(places, rng)), tmp_path / "hall", 1)
     return tmp_path / "hall"
 
 
 def same(a, b):
-    assert (a.name, a.standings, a.homes, a.visits, a.events) == (
-        *(b.name, b.standings, b.homes, b.visits),
+    assert (a.name, a.persistence, a.homes, a.visits, a.events) == (
+        *(b.name, b.persistence, b.homes, b.visits),
         b.events,
     )
     assert (a.map.names, a.map.homes) == (b.map.names, b.map.homes)
@@ -54,33 +54,33 @@ def test_undo_goes_back_and_only_as_far_as_there_is_something(folder):
 
 def test_a_place_that_contradicts_itself_is_not_written(folder):
     place = load_place(folder)
-    with pytest.raises(InputError, match="not the place's homes"):
+    with pytest.raises(InputError, match="differ from the homes of the place"):
         save_place(replace(place, homes={**place.homes, "dock": place.homes["home"]}), folder)
     assert newest(folder) == 2
 
 
 def test_old_versions_go_and_a_slower_one_is_refused(folder):
     place = load_place(folder)
-    for _ in range(KEPT):
+    for _ in range(NUM_KEPT):
         save_place(place, folder)
-    assert len(list(folder.iterdir())) == KEPT
-    assert newest(folder) == KEPT + 2
+    assert len(list(folder.iterdir())) == NUM_KEPT
+    assert newest(folder) == NUM_KEPT + 2
     with pytest.raises(InputError, match="changed meanwhile"):
         save_place(place, folder, 2)
-    with pytest.raises(InputError, match="is not kept"):
+    with pytest.raises(InputError, match="has no version 1"):
         load_place(folder, 1)
 
 
 @pytest.mark.parametrize("after", [None, 2])
-def test_of_robots_that_save_at_the_same_instant_each_is_first_or_told(folder, after):
+def test_robots_that_save_at_the_same_instant_succeed_or_get_an_error(folder, after):
     place, start = load_place(folder), threading.Barrier(4)
 
     def save(_):
         start.wait()
         try:
             return save_place(place, folder, after)
-        except InputError as told:
-            return str(told)
+        except InputError as error:
+            return str(error)
 
     with ThreadPoolExecutor(4) as robots:
         answers = list(robots.map(save, range(4)))
@@ -101,7 +101,7 @@ def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         save_place(before, folder)
     monkeypatch.undo()
-    # A real one leaves what was being written.
+    # A real interruption leaves its scratch folder.
     shutil.copytree(folder / "0002", folder / ".writing-x")
     (folder / ".writing-x" / "covariance.npz").write_bytes(b"")
     same(load_place(folder), before)
@@ -118,8 +118,8 @@ def test_a_visit_is_merged_again_when_another_robot_saves_meanwhile(folder):
 
     def visit(known):
         if len(others) < 2:  # another robot is quicker, twice
-            others.append(save_place(merged(known, told(room(), rng, when=2.0)), folder))
-        return merged(known, told(room(), rng, when=3.0))
+            others.append(save_place(merged(known, visit_data(room(), rng, when=2.0)), folder))
+        return merged(known, visit_data(room(), rng, when=3.0))
 
     after, version = update_place(folder, visit)
     assert version == others[-1] + 1 == newest(folder)
@@ -178,9 +178,9 @@ def test_a_missing_column_is_one_line(folder, table):
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("all of it")
-    with pytest.raises(InputError, match="holds files but no place"):
+    with pytest.raises(InputError, match="contains files but no place"):
         save_place(new_place(room(), np.random.default_rng(0)), tmp_path)
-    with pytest.raises(InputError, match="holds no place"):
+    with pytest.raises(InputError, match="contains no place"):
         load_place(tmp_path)
     with pytest.raises(InputError, match="no such folder"):
         load_place(tmp_path / "nowhere")
@@ -208,20 +208,20 @@ def test_days_that_have_a_date_have_one():
 @pytest.mark.parametrize(
     ("name", "spoil", "words"),
     [
-        ("place.yaml", lambda f: edit(f, "format: 1", "format: 2"), "of format 2"),
+        ("place.yaml", lambda f: edit(f, "format: 1", "format: 2"), "has format 2"),
         ("place.yaml", lambda f: f.write_text("[1"), "place.yaml"),
-        ("place.yaml", lambda f: edit(f, "landmarks: 20", "landmarks: 21"), "21 are due"),
+        ("place.yaml", lambda f: edit(f, "landmarks: 20", "landmarks: 21"), "rows instead of 21"),
         ("landmarks.csv", lambda f: edit(f, "L3,", "L4,"), "already has a row"),
         ("landmarks.csv", lambda f: f.write_text(""), "empty file"),
         ("landmarks.csv", lambda f: f.write_bytes(b"\xff\xfe\x00"), "not UTF-8"),
         ("landmarks.csv", lambda f: edit(f, "L3,", "L3,nan,0,0,0\nL3,"), "but the header has"),
         ("homes.csv", lambda f: edit(f, "home,0", "home,inf0"), "not a finite number"),
-        ("home_bearings.csv", lambda f: edit(f, "home,L0", "dock,L0"), "no home of homes.csv"),
-        ("homes.csv", lambda f: swap(f, "home", "stored", "1e9"), "no day that has a date"),
-        ("visits.csv", lambda f: swap(f, "1", "when", "1e300"), "no day that has a date"),
-        ("visits.csv", lambda f: swap(f, "1", "when", "-1e9"), "no day that has a date"),
-        ("landmarks.csv", lambda f: swap(f, "L3", "since", "1e9"), "no day that has a date"),
-        ("landmarks.csv", lambda f: swap(f, "L3", "last", "1e9"), "no day that has a date"),
+        ("home_bearings.csv", lambda f: edit(f, "home,L0", "dock,L0"), "not in homes.csv"),
+        ("homes.csv", lambda f: swap(f, "home", "stored", "1e9"), "to a valid date"),
+        ("visits.csv", lambda f: swap(f, "1", "when", "1e300"), "to a valid date"),
+        ("visits.csv", lambda f: swap(f, "1", "when", "-1e9"), "to a valid date"),
+        ("landmarks.csv", lambda f: swap(f, "L3", "since", "1e9"), "to a valid date"),
+        ("landmarks.csv", lambda f: swap(f, "L3", "last", "1e9"), "to a valid date"),
         ("visits.csv", lambda f: f.write_text("number,when\n"), "no column"),
         ("events.csv", lambda f: f.unlink(), "events.csv"),
         ("covariance.npz", lambda f: f.write_bytes(b"PK\x03\x04" + 50 * b"?"), "is damaged"),

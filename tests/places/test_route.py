@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from visited import mapped, new_place, room, told
+from visited import mapped, new_place, room, visit_data
 
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
@@ -13,7 +13,7 @@ from homeward.geometry.se2 import compose
 from homeward.io.table import write_csv
 from homeward.places.files import load_place, save_place, undo
 from homeward.places.joint_map import JointMap
-from homeward.places.route import LEAST_DWELL, Node, Route, seen_along, taught
+from homeward.places.route import MIN_DWELL_S, Node, Route, map_of_estimates, taught
 from homeward.places.visiting import merged, merged_places
 from homeward.track import Counts, Innovations, Track
 
@@ -48,7 +48,7 @@ def a_track(t, poses, landmarks=()):
 
 
 def an_l(stand_s):
-    """Ahead by 4 m, a stand, a turn on the spot, and to the left by 3 m; stands at both ends."""
+    """Ahead by 4 m, a stand, a turn on the spot, and to the left by 3 m; stops at both ends."""
     legs = [(0.0, 0.0, 3.0), (0.4, 0.0, 10.0), (0.0, 0.0, stand_s), (0.0, np.pi / 8, 4.0)]
     legs += [(0.4, 0.0, 7.5), (0.0, 0.0, 8.0)]
     v, omega = (
@@ -59,7 +59,7 @@ def an_l(stand_s):
     return 0.1 * np.arange(v.size), np.column_stack([poses, heading])
 
 
-def test_a_way_is_taught_with_its_stands_and_no_more_nodes_than_it_takes():
+def test_a_way_is_taught_with_its_stops_and_no_more_nodes_than_it_takes():
     route = taught(a_track(*an_l(5.0)), 7.0)
     assert route.taught == 7.0
     assert route.length == pytest.approx(7.0, abs=0.02)
@@ -73,7 +73,7 @@ def test_a_way_is_taught_with_its_stands_and_no_more_nodes_than_it_takes():
 
 
 def test_a_hesitation_is_no_way_point():
-    assert not taught(a_track(*an_l(0.5 * LEAST_DWELL)), 7.0).waypoints
+    assert not taught(a_track(*an_l(0.5 * MIN_DWELL_S)), 7.0).waypoints
 
 
 def test_chords_of_a_curve_are_off_it_by_less_than_a_pose_is():
@@ -85,17 +85,17 @@ def test_chords_of_a_curve_are_off_it_by_less_than_a_pose_is():
     assert np.abs(np.hypot(*middles.T) - 1.0).max() < 0.01
 
 
-def test_a_drive_that_did_not_know_where_it_was_teaches_nothing():
+def test_a_drive_without_poses_teaches_nothing():
     t, poses = an_l(5.0)
     lost = poses.copy()
     lost[60:90] = np.nan
-    with pytest.raises(HomewardError, match=r"did not know where it was for 3\.\d s"):
+    with pytest.raises(HomewardError, match=r"has no pose for 3\.\d s"):
         taught(a_track(t, lost), 0.0)
     late = poses.copy()
     late[:50] = np.nan  # before it knew it, there is no route
     assert taught(a_track(t, late), 0.0).nodes[0].x == pytest.approx(0.8, abs=0.05)
     for nothing in (poses[:20], np.full((20, 3), np.nan)):
-        with pytest.raises(HomewardError, match="leads nowhere"):
+        with pytest.raises(HomewardError, match="did not move"):
             taught(a_track(t[:20], nothing), 0.0)
 
 
@@ -103,13 +103,13 @@ def test_a_route_follows_the_landmarks_round_it():
     places, rng = room(), np.random.default_rng(1)
     before = mapped(places, rng)
     pose, names = np.array([1.0, -2.0, 2.5]), list(places)
-    moved = before.seen_from(pose, np.zeros((3, 3)))
-    there = WAY.carried(before, moved, names)
+    moved = before.in_frame_of(pose, np.zeros((3, 3)))
+    there = WAY.transferred(before, moved, names)
     np.testing.assert_allclose(compose(pose, there.poses), WAY.poses, atol=1e-9)
     assert [n.waypoint for n in there.nodes] == [n.waypoint for n in WAY.nodes]
     # A map that grew by 1 % takes it along, about as far as it is from the middle.
     grown = replace(before, mean=1.01 * before.mean)
-    off = WAY.carried(before, grown, names).poses[:, :2] - 1.01 * WAY.poses[:, :2]
+    off = WAY.transferred(before, grown, names).poses[:, :2] - 1.01 * WAY.poses[:, :2]
     assert np.hypot(*off.T).max() < 0.02
     assert np.hypot(*(0.01 * WAY.poses[:, :2]).T).max() > 0.04
 
@@ -124,7 +124,7 @@ def test_a_visit_keeps_a_route_and_teaches_another(place):
     rng, places = np.random.default_rng(1), room()
     pose = np.array([1.0, -2.0, 2.5])
     seen = mapped(places, rng, pose)
-    visit = replace(told(places, rng), routes={"new": (WAY, seen)})
+    visit = replace(visit_data(places, rng), routes={"new": (WAY, seen)})
     # What that drive knew lay in another frame: its route comes into the place's.
     after = merged(place, visit)
     assert list(after.routes) == ["round", "new"]
@@ -132,7 +132,7 @@ def test_a_visit_keeps_a_route_and_teaches_another(place):
     assert np.hypot(*kept[:, :2].T).max() < 0.1
     truth = compose(pose, WAY.poses)
     assert np.hypot(*(after.routes["new"].poses - truth)[:, :2].T).max() < 0.15
-    with pytest.raises(InputError, match="there is a route 'round' already"):
+    with pytest.raises(InputError, match="route 'round' exists already"):
         merged(place, replace(visit, routes={"round": (WAY, seen)}))
 
 
@@ -164,8 +164,8 @@ def test_routes_come_back_from_files_with_every_version(place, tmp_path):
 def test_a_place_of_old_has_no_routes(place, tmp_path):
     folder = tmp_path / "hall"
     save_place(place.without([], [], ["round"]), folder)
-    told_of = folder / "0001" / "place.yaml"
-    told_of.write_text(told_of.read_text().replace("nodes: 0\n", ""))
+    settings = folder / "0001" / "place.yaml"
+    settings.write_text(settings.read_text().replace("nodes: 0\n", ""))
     (folder / "0001" / "routes.csv").unlink()
     assert load_place(folder).routes == {}
 
@@ -184,14 +184,14 @@ def swapped(file, column, value):
         (lambda f: f.write_text("route,taught\n"), "no column"),
         (
             lambda f: f.write_text(f.read_text() + "\n".join(f.read_text().split("\n")[1:])),
-            "are due",
+            "rows instead of",
         ),
         (lambda f: swapped(f, "x", "nan"), "not a finite number"),
         (lambda f: swapped(f, "y", "-1e300"), "too far to drive there"),
         (lambda f: swapped(f, "heading", "1e9"), "too large for an angle"),
         (lambda f: swapped(f, "dwell", "-1"), "less than nothing"),
         (lambda f: swapped(f, "sigma", "-1"), "less than nothing"),
-        (lambda f: swapped(f, "taught", "1e9"), "no day that has a date"),
+        (lambda f: swapped(f, "taught", "1e9"), "to a valid date"),
         (lambda f: swapped(f, "route", ""), "route is empty"),
         (lambda f: swapped(f, "waypoint", "\x07"), "unprintable"),
     ],
@@ -208,7 +208,7 @@ def test_what_a_track_saw_along_its_way_is_a_map_without_uncertainty():
     from homeward.estimator import LandmarkEstimate
 
     marks = [LandmarkEstimate("a", 1.0, 2.0), LandmarkEstimate("b")]
-    seen = seen_along(a_track(*an_l(3.0), marks).landmarks)
+    seen = map_of_estimates(a_track(*an_l(3.0), marks).landmarks)
     assert isinstance(seen, JointMap)
     assert seen.names == ("a",)
     np.testing.assert_array_equal(seen.positions, [[1.0, 2.0]])

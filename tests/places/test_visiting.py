@@ -1,18 +1,18 @@
-"""Visits: what moved is named, what is gone fades, and another place is kept out."""
+"""Visits: moved and gone landmarks are found, and another place is not merged."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from visited import new_place, room, told
+from visited import new_place, room, visit_data
 
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.places.files import load_place, save_place
-from homeward.places.place import NUDGED
-from homeward.places.telling import Looks
-from homeward.places.visiting import MOST_EVENTS, merged, merged_places
+from homeward.places.place import DRIFT
+from homeward.places.visit_data import Frames
+from homeward.places.visiting import MAX_EVENTS, merged, merged_places
 
 
 def events(place, what):
@@ -20,13 +20,13 @@ def events(place, what):
     return {e.landmark for e in place.events if e.visit == number and e.what == what}
 
 
-def looks(places, field_of_view=None):
-    """Looks all over a room at what is there."""
+def frames(places, field_of_view=None):
+    """Frames at the landmarks of a room, from all over it."""
     rng = np.random.default_rng(5)
     cameras = np.column_stack([rng.uniform(-4, 4, 40), rng.uniform(-2, 2, 40), np.zeros(40)])
     half = np.inf if field_of_view is None else 0.5 * field_of_view
     seen = [[n for n, p in places.items() if abs(bearing(Pose(*c), *p)) < half] for c in cameras]
-    return Looks(cameras, seen, field_of_view)
+    return Frames(cameras, seen, field_of_view)
 
 
 @pytest.mark.parametrize("moved", [0, 1, 4, 7])
@@ -35,9 +35,9 @@ def test_what_moved_is_named_and_follows(moved):
     place = new_place(places, rng)
     for name in list(places)[:moved]:
         places[name] = places[name] + (0.5, -0.4)
-    after = merged(place, told(places, rng))
+    after = merged(place, visit_data(places, rng))
     assert events(after, "moved") == set(list(places)[:moved])
-    there = after.map.seen_from_home("home")
+    there = after.map.in_home_frame("home")
     truth = np.array([places[n] for n in there.names])
     assert np.abs(there.positions - truth).max() < 4 * there.sigmas.max()
 
@@ -48,13 +48,13 @@ def test_what_is_in_view_and_not_seen_fades_and_is_forgotten():
     gone = places.pop("L3")
     counts = []
     for day in (1.0, 2.0, 3.0, 4.0):
-        place = merged(place, told(places, rng, day, looks=looks(places)))
-        counts.append("L3" in place.standings)
+        place = merged(place, visit_data(places, rng, day, frames=frames(places)))
+        counts.append("L3" in place.persistence)
     assert counts[0]
     assert not counts[-1]
     assert {e.what for e in place.events if e.landmark == "L3"} == {"new", "gone", "forgotten"}
-    assert len(place.standings) == 19
-    back = merged(place, told({**places, "L3": gone}, rng, 5.0))
+    assert len(place.persistence) == 19
+    back = merged(place, visit_data({**places, "L3": gone}, rng, 5.0))
     assert events(back, "new") == {"L3"}
 
 
@@ -62,25 +62,27 @@ def test_what_was_out_of_view_is_not_said_to_be_gone():
     rng, places = np.random.default_rng(0), room()
     place = new_place(places, rng)
     ahead = {n: p for n, p in places.items() if p[0] > -1.0}
-    seen = looks(places, 0.5)
-    after = merged(place, told(ahead, rng, looks=replace(seen, cameras=np.abs(seen.cameras))))
+    seen = frames(places, 0.5)
+    after = merged(
+        place, visit_data(ahead, rng, frames=replace(seen, cameras=np.abs(seen.cameras)))
+    )
     assert not events(after, "gone")
-    assert len(after.standings) == 20
+    assert len(after.persistence) == 20
 
 
 def test_another_place_is_kept_apart():
     rng = np.random.default_rng(0)
     place = new_place(room(seed=0), rng)
-    after = merged(place, told(room(seed=9), rng))
+    after = merged(place, visit_data(room(seed=9), rng))
     assert after.visits[-1].verdict == "apart"
     assert after.map is place.map
-    assert after.standings == place.standings
+    assert after.persistence == place.persistence
 
 
 def test_too_few_in_common_is_no_proof():
     rng, places = np.random.default_rng(0), room()
     place = new_place(places, rng)
-    after = merged(place, told({n: places[n] for n in list(places)[:4]}, rng))
+    after = merged(place, visit_data({n: places[n] for n in list(places)[:4]}, rng))
     assert after.visits[-1].verdict == "apart"
 
 
@@ -90,30 +92,30 @@ def test_places_of_two_robots_in_one_room_are_merged():
     mine = new_place({n: places[n] for n in names[:16]}, rng, 0.0, "mine")
     places[names[10]] = places[names[10]] + (1.0, 0.5)
     yours = new_place({n: places[n] for n in names[8:]}, rng, 5.0, "yours")
-    shifted = yours.map.seen_from(np.array([2.0, 1.0, 0.4]), np.zeros((3, 3)))
+    shifted = yours.map.in_frame_of(np.array([2.0, 1.0, 0.4]), np.zeros((3, 3)))
     both = merged_places(mine, replace(yours, map=shifted))
-    assert set(both.standings) == set(names)
+    assert set(both.persistence) == set(names)
     assert events(both, "moved") == {names[10]}
     assert list(both.homes) == ["home", "home of yours"]
     assert np.hypot(*both.home_pose("home of yours")[:2]) < 0.1
-    with pytest.raises(HomewardError, match="two places"):
+    with pytest.raises(HomewardError, match="two different places"):
         merged_places(mine, new_place(room(24, seed=7), rng))
 
 
 def test_a_drive_counts_once():
     rng, places = np.random.default_rng(0), room()
-    place, visit = new_place(places, rng), told(places, rng)
+    place, visit = new_place(places, rng), visit_data(places, rng)
     after = merged(place, visit)
     with pytest.raises(InputError, match="count twice"):
         merged(after, replace(visit, drive="renamed", when=9.0))
-    apart = told(room(seed=9), rng)
+    apart = visit_data(room(seed=9), rng)
     merged(merged(place, apart), apart)  # nothing of it has counted yet
 
 
 def test_places_with_a_drive_in_common_are_not_merged():
     rng, places = np.random.default_rng(0), room()
     mine, yours = new_place(places, rng), new_place(places, rng)
-    child = merged(mine, told(places, rng))
+    child = merged(mine, visit_data(places, rng))
     both = merged_places(mine, yours)
     for place, other in [(mine, mine), (mine, child), (child, mine), (both, yours), (yours, both)]:
         with pytest.raises(InputError, match="count twice"):
@@ -135,27 +137,27 @@ def test_a_place_that_is_merged_has_aged_and_lost_what_went():
     rng, places = np.random.default_rng(0), room()
     mine = new_place({n: places[n] for n in list(places)[:12]}, rng, 300.0)
     yours = new_place(places, rng, 0.0)
-    believed = {n: replace(s, watched=1e5) for n, s in yours.standings.items()}
+    believed = {n: replace(s, watched=1e5) for n, s in yours.persistence.items()}
     believed["L19"] = replace(believed["L19"], stands=0.3)
-    yours = replace(yours, standings=believed)
+    yours = replace(yours, persistence=believed)
     today = replace(yours, visits=(replace(yours.visits[0], when=300.0),))
     old, fresh = merged_places(mine, yours), merged_places(mine, today)
-    assert set(old.standings) == set(places) - {"L19"}
-    nudged = NUDGED * np.sqrt(300.0)
+    assert set(old.persistence) == set(places) - {"L19"}
+    nudged = DRIFT * np.sqrt(300.0)
     assert old.map.sigmas[-1] == pytest.approx(np.hypot(fresh.map.sigmas[-1], nudged), rel=0.05)
 
 
 def test_of_many_visits_the_first_and_the_last_are_kept():
     rng, places = np.random.default_rng(0), room(8)
     place = new_place(places, rng)
-    visits = tuple(replace(place.visits[0], number=n) for n in range(1, MOST_EVENTS))
+    visits = tuple(replace(place.visits[0], number=n) for n in range(1, MAX_EVENTS))
     for after in (
-        merged(replace(place, visits=visits), told(places, rng)),
+        merged(replace(place, visits=visits), visit_data(places, rng)),
         merged_places(replace(place, visits=visits), new_place(places, rng)),
     ):
         numbers = [v.number for v in after.visits]
-        assert len(numbers) == MOST_EVENTS // 10
-        assert (numbers[0], numbers[-1]) == (1, MOST_EVENTS)
+        assert len(numbers) == MAX_EVENTS // 10
+        assert (numbers[0], numbers[-1]) == (1, MAX_EVENTS)
 
 
 def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():
@@ -163,15 +165,15 @@ def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():
     rng, places = np.random.default_rng(0), room(24)
     place = new_place(places, rng)
     answer = Estimate(9.0, Status.LOCALISED, "", Pose(2.0, 1.0, 0.5), np.diag([1e-4, 1e-4, 1e-5]))
-    visit = told(places, rng).store_home("dock 3", answer, {"L0": 0.3})
+    visit = visit_data(places, rng).store_home("dock 3", answer, {"L0": 0.3})
     place = merged(place, visit)
     sigmas = [place.home_sigma("dock 3", 1.0)]
     for day in range(2, 14):
         for name in list(places)[2 * (day - 2) : 2 * (day - 1)]:
             places[name] = rng.uniform((-5, -3), (5, 3))
-        place = merged(place, told(places, rng, float(day)))
+        place = merged(place, visit_data(places, rng, float(day)))
         sigmas.append(place.home_sigma("dock 3", float(day)))
-    assert all(s.since > 1.0 for s in place.standings.values())
+    assert all(s.since > 1.0 for s in place.persistence.values())
     assert sigmas[-1] > sigmas[0]
     known = place.known(13.0, "dock 3").landmarks
     dock = Pose(2.0, 1.0, 0.5)
@@ -179,10 +181,10 @@ def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():
         dx, dy = np.array(places[name]) - dock[:2]
         there = np.exp(-0.5j) * complex(dx, dy)
         assert abs(complex(found.x, found.y) - there) < 0.3
-    with pytest.raises(InputError, match="there are home, dock 3"):
+    with pytest.raises(InputError, match="the place has home, dock 3"):
         place.known(13.0, "dock 4")
     with pytest.raises(InputError, match="already"):
-        merged(place, told(places, rng, 14.0).store_home("dock 3", answer, {}))
+        merged(place, visit_data(places, rng, 14.0).store_home("dock 3", answer, {}))
 
 
 def test_a_place_does_not_grow_without_bound_nor_grow_surer_than_its_visits():
@@ -192,7 +194,7 @@ def test_a_place_does_not_grow_without_bound_nor_grow_surer_than_its_visits():
         del places[next(iter(places))]
         places[f"N{number}"] = rng.uniform((-5, -3), (5, 3))
         number += 1
-        place = merged(place, told(places, rng, float(day), looks=looks(places)))
-    assert len(place.standings) < 20
+        place = merged(place, visit_data(places, rng, float(day), frames=frames(places)))
+    assert len(place.persistence) < 20
     assert place.map.sigmas.min() > 0.002
     assert place.usual_rate == pytest.approx(1 / 12, rel=0.3)

@@ -1,12 +1,12 @@
-"""Rooms of known landmarks, and what drives through them tell, without driving."""
+"""Rooms of known landmarks, and visit data of drives through them, without driving."""
 
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
+from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import Event, Place, StoredHome, Visit
-from homeward.places.telling import VisitData
+from homeward.places.visit_data import VisitData
 
 SIGMA, SCALE_SIGMA = 0.01, 0.02
 
@@ -33,13 +33,13 @@ def new_place(places, rng, when=0.0, name="hall"):
     start = mapped(places, rng).with_home(
         "home", {}, (0.0, 0.0, 0.0), np.zeros(3), np.diag([1e-4, 1e-4, 1e-5])
     )
-    standings = {n: Standing(when, when) for n in places}
+    persistence = {n: LandmarkPersistence(when, when) for n in places}
     homes = {"home": StoredHome(when, {n: HomeBearing(0.1) for n in list(places)[:6]})}
     events = tuple(Event(1, n, "new", *map(float, p)) for n, p in places.items())
     visit = Visit(1, when, "first", rng.bytes(8).hex(), "first", new=len(places), of=len(places))
-    return Place(name, start.at_home("home"), standings, homes, (visit,), events)
+    return Place(name, start.at_home("home"), persistence, homes, (visit,), events)
 
 
-def told(places, rng, when=1.0, pose=(1.0, -2.0, 2.5), **more):
-    """What a drive tells that began elsewhere."""
+def visit_data(places, rng, when=1.0, pose=(1.0, -2.0, 2.5), **more):
+    """Visit data of a drive that began elsewhere."""
     return VisitData("a drive", rng.bytes(8).hex(), when, mapped(places, rng, pose), **more)

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 from chromium import studio
-from places.visited import new_place, room, told
+from places.visited import new_place, room, visit_data
 from runs.browser import needs_chromium
 
 from homeward.places.files import save_place
@@ -103,7 +103,7 @@ def test_visits_of_a_place_are_slid_through(tmp_path):
     rng, places = np.random.default_rng(0), room()
     first = new_place(places, rng)
     places["L0"] = places["L0"] + (0.5, -0.4)
-    save_place(merged(first, told(places, rng, 1.0)), tmp_path / "hall")
+    save_place(merged(first, visit_data(places, rng, 1.0)), tmp_path / "hall")
     with studio(tmp_path, str(tmp_path / "hall"), width=390, dark=True) as page:
         odd = "[...document.querySelectorAll('.landmark.odd')].map((c) => c.parentNode.dataset.id)"
         assert page.find(odd) == ["L0"]

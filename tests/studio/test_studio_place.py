@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from places.visited import new_place, room, told
+from places.visited import new_place, room, visit_data
 
 from homeward.errors import InputError
 from homeward.places.place import Event
@@ -20,8 +20,8 @@ def place():
     first = new_place(places, rng)
     for name in ("L0", "L1"):
         places[name] = places[name] + (0.5, -0.4)
-    second = merged(first, told(places, rng, 1.0))
-    return merged(second, told(places | {"N": np.array([1.0, 1.0])}, rng, 2.0))
+    second = merged(first, visit_data(places, rng, 1.0))
+    return merged(second, visit_data(places | {"N": np.array([1.0, 1.0])}, rng, 2.0))
 
 
 def test_visits_show_what_stood_where(place):

@@ -41,7 +41,7 @@ def _facts(place: Place) -> dict[str, Any]:
         "when": when,
         "moves_per_day": usual,
         "landmarks": [
-            {"landmark": n, "x": x, "y": y, "stays": stays[n], "moved": place.standings[n].moved}
+            {"landmark": n, "x": x, "y": y, "stays": stays[n], "moved": place.persistence[n].moved}
             for n, (x, y) in zip(place.map.names, place.map.positions.tolist(), strict=True)
         ],
         "homes": [

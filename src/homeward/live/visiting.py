@@ -28,8 +28,8 @@ from homeward.localizer.tunables import VERIFIED
 from homeward.places import files
 from homeward.places.joint_map import JointMap
 from homeward.places.place import DAY_S, Place
-from homeward.places.route import Route, route_of, seen_along, taught_along
-from homeward.places.telling import VisitData, require_name, told_along
+from homeward.places.route import Route, map_of_estimates, route_of, taught_along
+from homeward.places.visit_data import VisitData, collect_visit_along, require_name
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
 from homeward.runs.report.words import count, visit_words
@@ -135,7 +135,7 @@ class PlaceSession:
 
     def landmark(self, name: str) -> tuple[float, float] | None:
         """Return where the place has a landmark, in the frame of its first home [m]."""
-        if self.place is None or name not in self.place.standings:
+        if self.place is None or name not in self.place.persistence:
             return None
         x, y = self.place.map.positions[self.place.map.names.index(name)].tolist()
         return x, y
@@ -172,7 +172,7 @@ class PlaceSession:
         rows = table(self._poses[self._taught_from :], COLUMNS)
         t, *poses, sigmas = last_of_equal(rows[np.isfinite(rows[:, -1])]).T
         route = taught_along(t, np.column_stack(poses), sigmas, self.when)
-        self._routes[name] = route, seen_along(landmarks)
+        self._routes[name] = route, map_of_estimates(landmarks)
         stops = count(len(route.waypoints), "way point")
         return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
@@ -189,7 +189,7 @@ class PlaceSession:
         stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, COLUMNS))
         poses = np.full((stamps.size, 3), np.nan)
         poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
-        told = told_along(localizer, drive, poses, self.when, home)
+        told = collect_visit_along(localizer, drive, poses, self.when, home)
         if len(told.map.names) < VERIFIED:
             raise HomewardError(
                 f"{count(len(told.map.names), 'landmark')} mapped on this visit, and it takes "

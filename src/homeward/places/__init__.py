@@ -1,1 +1,1 @@
-"""What lasts between drives: a place's map, its homes, and what is believed to stay."""
+"""Places, kept between drives: maps with homes, routes and the persistence of landmarks."""

@@ -1,7 +1,7 @@
-"""A place as a folder: each version a folder of its own in it, written whole or not at all.
+"""Folder of a place, with a subfolder for each version.
 
-`0007/` holds the place after its seventh change. The newest one counts; older ones are what `undo`
-goes back to. A version enters by one rename, after everything in it has reached the disk.
+`0007/` contains the place after its seventh change. The newest version is used; older versions are
+kept for `undo`. A version is added by one rename after all its files are on disk.
 """
 
 from __future__ import annotations
@@ -20,18 +20,16 @@ from homeward.io.writing import SCRATCH, scratch_folder, sync
 from homeward.places.place import Place
 from homeward.places.version import SETTINGS, read_version, write_version
 
-KEPT = 10
-"""So many versions are kept."""
-CUT_SHORT_S = 3600.0
-"""What was begun so long ago nobody writes any more; till then it may be another robot's [s]."""
-
-
+NUM_KEPT = 10
+"""Number of versions to keep."""
+SCRATCH_TIMEOUT_S = 3600.0
+"""Older scratch folders are left over from an interrupted save; newer ones may be in use [s]."""
 MAX_MERGES = 5
 """Attempts to merge a visit while other robots save the same place."""
 
 
 class PlaceChangedError(InputError):
-    """A place got a newer version while a change of it was computed."""
+    """A newer version of a place was saved while a change was computed."""
 
 
 def is_place(folder: Path) -> bool:
@@ -40,69 +38,56 @@ def is_place(folder: Path) -> bool:
 
 
 def check_place(folder: Path) -> None:
-    """Refuse a folder into which no place can be written: `InputError` if it holds other things."""
+    """Raise `InputError` if a folder contains files but no place."""
     if is_there(folder):
         require_folder(folder)
         strangers = [p.name for p in folder.iterdir() if not p.name.startswith(SCRATCH)]
         if strangers and not _versions(folder):
-            raise InputError("holds files but no place; choose another folder", folder)
+            raise InputError("contains files but no place; choose another folder", folder)
 
 
 def load_place(folder: str | os.PathLike[str], version: int | None = None) -> Place:
-    """Read a place.
-
-    Parameters
-    ----------
-    folder : path-like
-        Of the place.
-    version : int, optional
-        Which version; the newest by default.
-
-    Raises
-    ------
-    InputError
-        When there is none, or it is damaged.
-    """
+    """Read a version of a place, by default the newest; `InputError` if missing or damaged."""
     path = Path(folder)
-    found = _required(path)
+    found = _require_versions(path)
     if version is not None and version not in found:
-        raise InputError(f"version {version} is not kept; {min(found)} to {max(found)} are", path)
+        raise InputError(f"has no version {version}; it has {min(found)} to {max(found)}", path)
     return read_version(path / _name(version if version is not None else max(found)))
 
 
 def newest(folder: str | os.PathLike[str]) -> int:
-    """Return the number of the newest version of a place; `InputError` where there is none."""
-    return max(_required(Path(folder)))
+    """Return the number of the newest version of a place; `InputError` if there is none."""
+    return max(_require_versions(Path(folder)))
 
 
 def save_place(place: Place, folder: str | os.PathLike[str], after: int | None = None) -> int:
-    """Write a place as the next version of a folder; return its number.
+    """Write a place as the next version in a folder; return the version number.
 
     Parameters
     ----------
     place : Place
-        What to write.
+        Place to write.
     folder : path-like
-        New, empty, or of a place.
+        New, empty, or the folder of a place.
     after : int, optional
-        The version that it was made from.
+        The version from which the place was computed.
 
     Raises
     ------
     PlaceChangedError
-        When the folder has a version newer than `after`: another robot saved meanwhile.
+        If the folder has a version newer than `after`, because another robot saved meanwhile.
     InputError
-        When the folder holds something else, or cannot be written, or the place contradicts itself.
+        If the folder contains something else or cannot be written, or the place is inconsistent.
     """
     path = Path(folder)
     if place.map.homes != tuple(place.homes):
-        raise InputError("the homes of its map are not the place's homes", path)
+        raise InputError("the homes of the map differ from the homes of the place", path)
     check_place(path)
     with naming(path, "cannot be written"):
         path.mkdir(parents=True, exist_ok=True)
         for left in path.glob(SCRATCH + "*"):
-            with contextlib.suppress(FileNotFoundError):  # it was finished meanwhile
-                if time.time() - left.stat().st_mtime > CUT_SHORT_S:
+            with contextlib.suppress(FileNotFoundError):  # finished meanwhile
+                if time.time() - left.stat().st_mtime > SCRATCH_TIMEOUT_S:
                     shutil.rmtree(left, ignore_errors=True)
         found = _versions(path)
         number = max(found, default=0) + 1
@@ -112,14 +97,14 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
             write_version(place, scratch)
             for file in (*scratch.iterdir(), scratch):
                 sync(file)
-            while not _enters(scratch, path / _name(number)):
+            while not _publish(scratch, path / _name(number)):
                 if after is not None:
                     raise PlaceChangedError(
                         f"was changed meanwhile: version {number} is newer", path
                     )
                 number += 1
         sync(path)
-        for old in sorted(found)[: max(0, len(found) + 1 - KEPT)]:
+        for old in sorted(found)[: max(0, len(found) + 1 - NUM_KEPT)]:
             _remove(path / _name(old))
         for half_deleted in (p for p in path.iterdir() if _is_half_deleted(p)):
             _remove(half_deleted)
@@ -132,7 +117,7 @@ def update_place(
     """Change the newest version of a place and save it; return the place and its version.
 
     `change` is called again, at most `MAX_MERGES` times, if another robot saves meanwhile.
-    `InputError` as `load_place` and `save_place`, and whatever `change` raises.
+    Raises the errors of `load_place`, `save_place` and `change`.
     """
     for _ in range(MAX_MERGES):
         version = newest(folder)
@@ -147,30 +132,30 @@ def update_place(
 def undo(folder: str | os.PathLike[str]) -> int:
     """Go back to the version before the newest one; return its number."""
     path = Path(folder)
-    found = sorted(_required(path))
+    found = sorted(_require_versions(path))
     if len(found) < 2:
-        raise InputError("there is no older version to go back to", path)
+        raise InputError("has no older version to go back to", path)
     with naming(path, "cannot be written"):
         _remove(path / _name(found[-1]))
     return found[-2]
 
 
 def _remove(version: Path) -> None:
-    """Delete a version: out of the way by one rename first, so that it is whole or gone."""
+    """Delete a version, after a rename so that it is never visible in part."""
     with scratch_folder(version.parent) as scratch:
         version.rename(scratch / version.name)
         sync(version.parent)
 
 
 def _is_half_deleted(entry: Path) -> bool:
-    """Return whether an entry is the rest of a version whose deletion was interrupted."""
+    """Return whether a folder is left over from an interrupted deletion of a version."""
     name = entry.name
     is_version = name.isdecimal() and name.isascii() and name == _name(int(name))
     return is_version and entry.is_dir() and not (entry / SETTINGS).exists()
 
 
-def _enters(scratch: Path, version: Path) -> bool:
-    """Rename what was written to its version; return whether nobody else was quicker."""
+def _publish(scratch: Path, version: Path) -> bool:
+    """Rename a scratch folder to its version; return False if that version already exists."""
     try:
         scratch.rename(version)
     except OSError as error:
@@ -185,15 +170,15 @@ def _name(version: int) -> str:
 
 
 def _versions(path: Path) -> list[int]:
-    """Return the versions of a place that are there whole."""
+    """Return the numbers of the complete versions of a place."""
     with naming(path, "cannot be read"):
         names = [p.name for p in path.iterdir() if p.name.isdecimal() and p.name.isascii()]
     return [int(n) for n in names if n == _name(int(n)) and (path / n / SETTINGS).is_file()]
 
 
-def _required(path: Path) -> list[int]:
+def _require_versions(path: Path) -> list[int]:
     require_folder(path)
     found = _versions(path)
     if not found:
-        raise InputError("holds no place", path)
+        raise InputError("contains no place", path)
     return found

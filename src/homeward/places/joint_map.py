@@ -1,8 +1,8 @@
-"""Joint map: one Gaussian on landmarks and homes, and how two of them become one.
+"""Joint Gaussian on landmarks and homes, and the fusion of two such maps.
 
-Where a place lies nobody knows, and a Gaussian of places that turn together round a far point is
-linear for small turns alone. So the map of a place is that of a free network (Baarda's
-S-transformation): its uncertainty is that of its shape, and homes are poses in it.
+The position of a place in the world is unobservable, and a joint rotation about a distant point is
+linear for small angles only. The map is therefore a free network (Baarda's S-transformation): its
+covariance describes its shape only, and homes are poses in it.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from homeward.geometry.frames import Pose, position_sigma
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.output.map_snapshot import align, rotated
 
-DATUM = 3
-"""Unknowns of a rigid motion."""
-RESECTIONS = 8
-"""Gauss-Newton steps of a resection, which begins near its end."""
+DATUM_DOF = 3
+"""Degrees of freedom of a rigid motion."""
+RESECTION_STEPS = 8
+"""Number of Gauss-Newton steps of a resection; its initial value is close to the solution."""
 VAGUE_SHARE, VAGUE_TURN = 0.1, 0.3
-"""A datum is taken to be so uncertain before two maps are fused [of their size; rad]: linear as
-yet, and so much more than the landmarks leave of it that it tells nothing."""
+"""Prior standard deviation of the datum when two maps are fused [share of their size; rad]: small
+enough to be linear, and large enough to be uninformative next to the landmarks."""
 
 
 @dataclass(frozen=True)
 class JointMap:
-    """A Gaussian on n landmarks and h homes, in any frame."""
+    """Gaussian on n landmarks and h homes, in any frame."""
 
     names: tuple[str, ...]
-    """Of the landmarks."""
+    """Names of the landmarks."""
     homes: tuple[str, ...]
     mean: np.ndarray
     """(2 n + 3 h,): x, y [m] of landmarks, then x, y, heading [m, m, rad] of homes."""
@@ -41,96 +41,96 @@ class JointMap:
 
     @staticmethod
     def empty() -> JointMap:
-        """Return one of nothing."""
+        """Return a map without landmarks and homes."""
         return JointMap((), (), np.zeros(0), np.zeros((0, 0)))
 
     @property
     def positions(self) -> np.ndarray:
-        """(n, 2), of the landmarks [m]."""
+        """(n, 2): positions of the landmarks [m]."""
         return self.mean[: 2 * len(self.names)].reshape(-1, 2)
 
     @property
     def poses(self) -> np.ndarray:
-        """(h, 3), of the homes."""
+        """(h, 3): poses of the homes."""
         return self.mean[2 * len(self.names) :].reshape(-1, 3)
 
     @property
     def size(self) -> float:
-        """The longer side of the box round the landmarks [m]."""
+        """Longer side of the bounding box of the landmarks [m]."""
         return float(np.ptp(self.positions, axis=0).max()) if self.names else 0.0
 
     @property
     def sigmas(self) -> np.ndarray:
-        """(n,): standard deviation of each landmark's place, along its worst direction [m]."""
+        """(n,): position uncertainty of each landmark, along its worst direction [m]."""
         at = 2 * np.arange(len(self.names))[:, None] + np.arange(2)
         return np.asarray(position_sigma(self.covariance[at[:, :, None], at[:, None, :]]))
 
     def columns(self, names: Collection[str]) -> np.ndarray:
-        """Return where the coordinates of landmarks are, (2 k,), in the order of `names`."""
+        """Return the indices of the coordinates of landmarks, (2 k,), in the order of `names`."""
         index = {name: i for i, name in enumerate(self.names)}
         first = 2 * np.array([index[n] for n in names], int)
         return np.asarray((first[:, None] + np.arange(2)).ravel())
 
     def home_columns(self, home: str) -> np.ndarray:
-        """Return where the pose of a home is, (3,)."""
+        """Return the indices of the pose of a home, (3,)."""
         return 2 * len(self.names) + 3 * self.homes.index(home) + np.arange(3)
 
-    def only(self, names: Collection[str], homes: Collection[str] | None = None) -> JointMap:
-        """Return what it says of some landmarks, in its own order, and of some homes, or all."""
+    def marginal(self, names: Collection[str], homes: Collection[str] | None = None) -> JointMap:
+        """Return the marginal of some landmarks, in the map's order, and of some or all homes."""
         kept = tuple(n for n in self.names if n in names)
         stay = tuple(h for h in self.homes if homes is None or h in homes)
         at = np.concatenate([self.columns(kept), *(self.home_columns(h) for h in stay)]).astype(int)
         return JointMap(kept, stay, self.mean[at], self.covariance[np.ix_(at, at)])
 
     def aged(self, variance: float) -> JointMap:
-        """Return it with each landmark's coordinates less certain, by a variance [m^2]."""
+        """Return the map with a variance [m^2] added to each coordinate of the landmarks."""
         covariance = self.covariance.copy()
         at = np.arange(2 * len(self.names))
         covariance[at, at] += variance
         return replace(self, covariance=covariance)
 
-    def seen_from(self, pose: np.ndarray, covariance: np.ndarray) -> JointMap:
-        """Return it in the frame of a pose (3,) that is uncertain by itself, (3, 3)."""
-        mean, by_self, by_pose = self._seen_from(pose)
+    def in_frame_of(self, pose: np.ndarray, covariance: np.ndarray) -> JointMap:
+        """Return the map in the frame of a pose (3,) with an independent error, (3, 3)."""
+        mean, by_self, by_pose = self._transform(pose)
         spread = by_self @ self.covariance @ by_self.T + by_pose @ covariance @ by_pose.T
         return replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
 
-    def seen_from_home(self, home: str) -> JointMap:
-        """Return it in the frame of one of its homes, which is the origin then, and surely so."""
+    def in_home_frame(self, home: str) -> JointMap:
+        """Return the map in the frame of one of its homes, and without that home."""
         at = self.home_columns(home)
-        mean, jacobian, by_pose = self._seen_from(self.mean[at])
+        mean, jacobian, by_pose = self._transform(self.mean[at])
         jacobian[:, at] += by_pose
         spread = jacobian @ self.covariance @ jacobian.T
         there = replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
-        return there.only(self.names, [h for h in self.homes if h != home])
+        return there.marginal(self.names, [h for h in self.homes if h != home])
 
     def at_home(self, home: str) -> JointMap:
-        """Return it moved as a whole so that one of its homes is the origin, as a free network.
+        """Return the map as a free network, moved so that one of its homes is the origin.
 
-        What is uncertain is what the landmarks, more of them the surer ones, cannot tell of each
-        other and of homes; the mean of a home's pose is exact in no other sense.
+        Its datum is the mean of the landmarks, weighted by their information. The covariance
+        includes only errors relative to that datum, so the covariance of the home is not zero.
         """
-        there = self.seen_from(self.mean[self.home_columns(home)], np.zeros((3, 3)))
+        there = self.in_frame_of(self.mean[self.home_columns(home)], np.zeros((3, 3)))
         n, weights = 2 * len(there.names), np.repeat(np.maximum(there.sigmas, 1e-4) ** -2.0, 2)
-        swing = there._swing()
-        weighted = swing[:n].T * weights
+        by_motion = there._by_rigid_motion()
+        weighted = by_motion[:n].T * weights
         project = np.eye(there.mean.size)
-        project[:, :n] -= swing @ np.linalg.solve(weighted @ swing[:n], weighted)
+        project[:, :n] -= by_motion @ np.linalg.solve(weighted @ by_motion[:n], weighted)
         return replace(there, covariance=project @ there.covariance @ project.T)
 
-    def loose(self) -> JointMap:
-        """Return it anywhere within sight of where it is; then its covariance has an inverse."""
-        swing, size = self._swing(), max(self.size, 1e-3)
+    def with_vague_datum(self) -> JointMap:
+        """Return the map with an uncertain datum, which makes its covariance invertible."""
+        by_motion, size = self._by_rigid_motion(), max(self.size, 1e-3)
         vague = np.square([VAGUE_SHARE * size, VAGUE_SHARE * size, VAGUE_SHARE])
-        return replace(self, covariance=self.covariance + (swing * vague) @ swing.T)
+        return replace(self, covariance=self.covariance + (by_motion * vague) @ by_motion.T)
 
-    def _swing(self) -> np.ndarray:
-        """Return how everything moves with a motion of the whole round its middle, (m, 3)."""
+    def _by_rigid_motion(self) -> np.ndarray:
+        """Return the derivative of the mean by a rigid motion about the map's centre, (m, 3)."""
         middle = np.append(self.positions.mean(axis=0), 0.0)
-        return -self._seen_from(middle)[2]
+        return -self._transform(middle)[2]
 
-    def _seen_from(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the mean in the frame of a pose, and its derivatives by itself and the pose."""
+    def _transform(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the mean in the frame of a pose, and its derivatives by the mean and the pose."""
         n, h = len(self.names), len(self.homes)
         points = np.zeros((n + h, 3))
         points[:n, :2], points[n:] = self.positions, self.poses
@@ -151,11 +151,10 @@ class JointMap:
         pose: np.ndarray,
         covariance: np.ndarray,
     ) -> JointMap:
-        """Return it with a home: a resection from what was `seen` there, in this map.
+        """Return the map with a new home, from a resection of the bearings `seen` there.
 
-        All of `seen` are bearings, with deviations, of landmarks of the map that stand in place.
-        `mount` is the camera on the robot; `pose` (3,) and `covariance` (3, 3) are the robot's
-        without these bearings.
+        All of `seen` have a sigma and are of static landmarks of the map. `mount` is the pose of
+        the camera on the robot; `pose` (3,) and `covariance` (3, 3) are the prior of the home.
         """
         size = self.mean.size
         prior = np.concatenate([self.mean, pose])
@@ -166,7 +165,7 @@ class JointMap:
         noise = np.diag([b.sigma**2 for b in seen.values()])
         mean, k, camera = prior, len(seen), np.array(mount)
         jacobian = np.zeros((k, at.size))
-        for _ in range(RESECTIONS if k else 0):  # an iterated Kalman update
+        for _ in range(RESECTION_STEPS if k else 0):  # an iterated Kalman update
             places, robot = mean[at[:-3]].reshape(-1, 2), mean[-3:]
             eye = compose(robot, camera)
             now = sight(eye, places)
@@ -180,13 +179,14 @@ class JointMap:
             mean = prior + gain @ residual
         if k:
             spread = spread - gain @ correlated.T
-        # Homes come last, and this one after all others.
+        # Homes come last, with the new one at the end.
         return JointMap(self.names, (*self.homes, home), mean, 0.5 * (spread + spread.T))
 
 
 def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarray:
-    """Return the pose (3,) of a place's frame in that of a visit, by common landmarks (two)."""
-    mine, order = place.only(names, ()).loose(), visit.columns(place.only(names).names)
+    """Return the pose (3,) of a place's frame in a visit's, from two or more common landmarks."""
+    mine = place.marginal(names, ()).with_vague_datum()
+    order = visit.columns(mine.names)
     there, own = visit.mean[order].reshape(-1, 2), visit.covariance[np.ix_(order, order)]
     turn = rotation(align(there, mine.positions, mine.covariance).pose[2])[:2, :2]
     return align(there, mine.positions, mine.covariance + rotated(own, turn.T)).pose
@@ -195,15 +195,15 @@ def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarra
 def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:
     """Return the fusion of two independent maps in the frame of the first, and their disagreement.
 
-    The second lies anywhere; where it does follows from the landmarks that are the `same`, two at
-    least. What one of them alone knows is kept, corrected by what both know. Landmarks of both that
-    are not the same are taken from the visit. The disagreement is the mean square of deviations in
-    standard deviations: one if all is right.
+    The pose of the second map is unknown, and estimated from the landmarks at the `same` place in
+    both (two or more). Landmarks and homes of only one map are kept and corrected through their
+    correlations. Landmarks that moved get their position from the visit. The disagreement is the
+    mean normalised innovation squared: 1 if the maps are consistent.
     """
     pose = datum(place, visit, same)
     size = VAGUE_SHARE * max(place.size, visit.size)
-    there = visit.seen_from(pose, np.diag(np.square([size, size, VAGUE_TURN])))
-    kept = place.only([n for n in place.names if n in same or n not in visit.names])
+    there = visit.in_frame_of(pose, np.diag(np.square([size, size, VAGUE_TURN])))
+    kept = place.marginal([n for n in place.names if n in same or n not in visit.names])
     n, m = kept.mean.size, there.mean.size
     mean = np.concatenate([kept.mean, there.mean])
     covariance = np.zeros((n + m, n + m))
@@ -214,7 +214,7 @@ def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[Join
     correlated = covariance[:, mine] - covariance[:, theirs]
     innovation = correlated[mine] - correlated[theirs]
     gain = np.linalg.solve(innovation, correlated.T).T
-    disagreement = float(off @ np.linalg.solve(innovation, off)) / max(off.size - DATUM, 1)
+    disagreement = float(off @ np.linalg.solve(innovation, off)) / max(off.size - DATUM_DOF, 1)
     mean, covariance = mean + gain @ off, covariance - gain @ correlated.T
     new = [name for name in there.names if name not in same]
     at = [2 * len(kept.names), n, n + 2 * len(there.names)]
@@ -222,10 +222,10 @@ def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[Join
         [np.arange(at[0]), n + there.columns(new), np.arange(at[0], n), np.arange(at[2], n + m)]
     ).astype(int)
     covariance = covariance[np.ix_(order, order)]
-    both_say = JointMap(
+    joint = JointMap(
         (*kept.names, *new),
         (*kept.homes, *there.homes),
         mean[order],
         0.5 * (covariance + covariance.T),
     )
-    return both_say, disagreement
+    return joint, disagreement

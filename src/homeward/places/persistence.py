@@ -1,9 +1,9 @@
-"""Persistence: how probable it is that a landmark still stands where it was seen last.
+"""Persistence: the probability that a landmark is still where it was last seen.
 
-Landmarks change their places at a rate of their own, exponentially distributed times apart; what is
-known of the rate is a Gamma distribution, which begins with what is usual in the place. The
-probability to stay is then Lomax's. That one was in view and not seen speaks against it (Bayes), as
-in the persistence filter of Rosen, Mason and Leonard (2016).
+Each landmark changes its place at its own rate, at exponentially distributed intervals. The rate
+has a Gamma distribution, whose prior is the rate of the whole place, so that the time until the
+next change has a Lomax distribution. A landmark in view that is not seen is evidence against it
+(Bayes), as in the persistence filter of Rosen, Mason and Leonard (2016).
 """
 
 from __future__ import annotations
@@ -13,73 +13,72 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 USUAL_DAYS = 9.0
-"""A landmark of a place of which nothing is known changes so seldom: in one day it does with
-probability 0.1, as the localiser's `moved_prior` has it [days]."""
-HIDDEN = 0.1
-"""One that stands is out of sight for a whole visit so often, whatever the looks: goods hide it."""
+"""Prior interval between changes of a landmark: it changes within one day with probability 0.1,
+like the localiser's `moved_prior` [days]."""
+MIN_HIDDEN = 0.1
+"""Minimum probability that a landmark in place is hidden throughout a visit."""
 GONE = 0.5
-"""One that stands less probably than this is said to be gone ..."""
+"""A landmark that is in place with a lower probability is reported as gone ..."""
 FORGOTTEN = 0.02
-"""... and than this is forgotten: with one in fifty wrong."""
-SUREST = 0.999
-"""Nothing is known more surely beforehand than this."""
+"""... and with a probability lower than this it is removed: 1 in 50 wrongly."""
+MAX_STAYS = 0.999
+"""Maximum of the prior probability that a landmark is in place."""
 
 
 @dataclass(frozen=True)
-class Standing:
-    """What is believed of one landmark's staying. Times are days since 1970 [days]."""
+class LandmarkPersistence:
+    """Persistence of one landmark. Times are days since 1970 [days]."""
 
     since: float
-    """When it was mapped where it is."""
+    """When it was first mapped where it is."""
     last: float
-    """When it was last judged."""
+    """When it was last tested."""
     stands: float = 1.0
-    """Probability then that it stands where it is mapped."""
+    """Probability at `last` that it is where it is mapped."""
     watched: float = 0.0
-    """How long it was watched [days]."""
+    """Duration of observation [days]."""
     seen: int = 1
-    """Visits that saw it where it is mapped."""
+    """Number of visits that saw it where it is mapped."""
     missed: int = 0
-    """Visits since that should have seen it, and did not."""
+    """Number of visits since then that should have seen it, and did not."""
     moved: int = 0
-    """How often it was seen elsewhere afterwards ..."""
+    """Number of times that it was then seen elsewhere ..."""
     returned: int = 0
-    """... and how often where it was, having been gone."""
+    """... and that it was seen in place after it was gone."""
 
     def rate(self, usual: float) -> float:
-        """Return how often it changes its place [1 / day], where so often is usual."""
+        """Return its rate of changes [1 / day], given the usual rate of the place."""
         return (1.0 + self.moved + self.returned) / (1.0 / usual + self.watched)
 
     def stays(self, when: float, usual: float) -> float:
-        """Return the probability that it stands where it is mapped at `when`."""
+        """Return the probability that it is where it is mapped at `when`."""
         scale = 1.0 / usual + self.watched
         lasts = scale / (scale + max(when - self.last, 0.0))
         changes = 1.0 + self.moved + self.returned
-        return min(self.stands * math.pow(lasts, changes), SUREST)
+        return min(self.stands * math.pow(lasts, changes), MAX_STAYS)
 
-    def stood(self, when: float) -> Standing:
-        """Return it seen where it is mapped."""
+    def seen_in_place(self, when: float) -> LandmarkPersistence:
+        """Return the persistence after a visit that saw it where it is mapped."""
         back = self.stands < GONE
         return replace(
-            self._judged(when, 1.0), seen=self.seen + 1, missed=0, returned=self.returned + back
+            self.updated(when, 1.0), seen=self.seen + 1, missed=0, returned=self.returned + back
         )
 
-    def went(self, when: float) -> Standing:
-        """Return it seen elsewhere, where it is mapped from now on."""
-        return replace(self._judged(when, 1.0), since=when, seen=1, missed=0, moved=self.moved + 1)
+    def seen_elsewhere(self, when: float) -> LandmarkPersistence:
+        """Return the persistence after it was seen elsewhere, where it is now mapped."""
+        return replace(self.updated(when, 1.0), since=when, seen=1, missed=0, moved=self.moved + 1)
 
-    def doubted(self, when: float, stands: float) -> Standing:
-        """Return it neither seen where it is mapped nor surely elsewhere."""
-        return self._judged(when, stands)
+    def was_missed(self, when: float, usual: float, unseen: float) -> LandmarkPersistence:
+        """Return the persistence after a visit that missed it.
 
-    def was_missed(self, when: float, usual: float, unseen: float) -> Standing:
-        """Return it not seen, which happens with probability `unseen` where it stands."""
+        `unseen` is the probability of missing a landmark in place.
+        """
         stays = self.stays(when, usual)
-        stands = stays * unseen / (stays * unseen + 1.0 - stays)
-        return replace(self._judged(when, stands), missed=self.missed + 1)
+        in_place = stays * unseen / (stays * unseen + 1.0 - stays)
+        return replace(self.updated(when, in_place), missed=self.missed + 1)
 
-    def joined(self, other: Standing) -> Standing:
-        """Return what two robots know together that saw it stand in one place."""
+    def combined(self, other: LandmarkPersistence) -> LandmarkPersistence:
+        """Return the persistence from the data of two robots that mapped it at the same place."""
         newer = self if self.last >= other.last else other
         return replace(
             newer,
@@ -90,26 +89,27 @@ class Standing:
             returned=max(self.returned, other.returned),
         )
 
-    def _judged(self, when: float, stands: float) -> Standing:
+    def updated(self, when: float, in_place: float) -> LandmarkPersistence:
+        """Return the persistence after a test with the given probability that it is in place."""
         watched = self.watched + max(when - self.last, 0.0)
-        return replace(self, last=max(when, self.last), stands=stands, watched=watched)
+        return replace(self, last=max(when, self.last), stands=in_place, watched=watched)
 
 
-def tally(some: Iterable[Standing]) -> tuple[float, float]:
-    """Return how often landmarks changed their places, and how long they were watched [days]."""
+def tally(some: Iterable[LandmarkPersistence]) -> tuple[float, float]:
+    """Return the number of changes of landmarks, and their total time of observation [days]."""
     landmarks = list(some)
     changes = sum(s.moved + s.returned + (s.stands < GONE) for s in landmarks)
     return float(changes), float(sum(s.watched for s in landmarks))
 
 
 def usual_rate(changes: float, watched: float) -> float:
-    """Return how often a landmark of a place changes its place, by a `tally` of all [1 / day]."""
+    """Return the rate of changes of a landmark [1 / day], from the `tally` of its place."""
     return (1.0 + changes) / (USUAL_DAYS + watched)
 
 
-def missed_probability(seen_share: float, looks: int) -> float:
-    """Return how probably a landmark in place is not seen in a number of `looks` at its place.
+def missed_probability(seen_share: float, frames: int) -> float:
+    """Return the probability that a landmark in place and in view of N `frames` is never seen.
 
-    `seen_share` is the share of looks at others in which they were seen.
+    `seen_share` is the share of such frames in which other landmarks were seen.
     """
-    return max(HIDDEN, (1.0 - min(seen_share, 1.0)) ** looks)
+    return max(MIN_HIDDEN, (1.0 - min(seen_share, 1.0)) ** frames)

@@ -1,4 +1,4 @@
-"""A place: what lasts of it from drive to drive."""
+"""A place: a map with homes, routes and a history, kept from drive to drive."""
 
 from __future__ import annotations
 
@@ -13,53 +13,52 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, position_sigma
 from homeward.io.table import quoted
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import FORGOTTEN, Standing, tally, usual_rate
+from homeward.places.persistence import FORGOTTEN, LandmarkPersistence, tally, usual_rate
 from homeward.places.route import Route, route_of
 
 DAY_S = 86400.0
-BETWEEN = "+"
-"""Stands between the fingerprints of a place that was merged into another."""
+SEPARATOR = "+"
+"""Separator of the fingerprints of a place that was merged into another."""
 FIRST_DAY, LAST_DAY = -719_162.0, 2_932_896.0
-"""Days since 1970 that have a date, of the years 1 to 9999 [days]."""
-NUDGED = 0.002
-"""Goods are nudged: a place is no better known after a year without a visit (4 cm) than one drive
-maps it [m / sqrt(day)]."""
+"""Range of valid dates, years 1 to 9999 [days since 1970]."""
+DRIFT = 0.002
+"""Random walk of landmarks that are nudged [m / sqrt(day)]: after a year without a visit (4 cm), a
+place is no more accurate than the map of one drive."""
 
 
 @dataclass(frozen=True)
 class StoredHome:
-    """A home, as it was stored."""
+    """Home bearings, and when they were stored."""
 
     stored: float
-    """When [days since 1970]."""
+    """[days since 1970]"""
     seen: dict[str, HomeBearing]
-    """What the camera saw there."""
 
 
 @dataclass(frozen=True)
 class Visit:
-    """What one drive told of a place."""
+    """Result of one drive for a place."""
 
     number: int
     when: float
     """[days since 1970]"""
     drive: str
     evidence: str
-    """The drive's `telling.fingerprint`; of a place that was merged, those of all its drives."""
+    """The drive's `visit_data.fingerprint`; for a merged place, those of all its drives."""
     verdict: str
-    """first, merged, or apart: then the rest is zero, and nothing of it was merged."""
+    """first, merged, or apart: not merged because it contradicts the place; counts are then 0."""
     stayed: int = 0
     moved: int = 0
     gone: int = 0
     new: int = 0
     returned: int = 0
     of: int = 0
-    """Landmarks known afterwards."""
+    """Number of landmarks afterwards."""
 
 
 @dataclass(frozen=True)
 class Event:
-    """What a landmark did by a visit."""
+    """Change of one landmark, found by a visit."""
 
     visit: int
     landmark: str
@@ -67,71 +66,77 @@ class Event:
     """new, moved, gone, returned or forgotten."""
     x: float
     y: float
-    """Where it stands since, or stood [m]."""
+    """Its new position; if it is gone or forgotten, the last one [m]."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place; everything is where it is seen from its first home."""
+    """A place, in the frame of its first home."""
 
     name: str
     map: JointMap
     """Landmarks and homes; see `JointMap.at_home`."""
-    standings: dict[str, Standing]
-    """Of each landmark of the map."""
+    persistence: dict[str, LandmarkPersistence]
+    """Persistence of each landmark of the map."""
     homes: dict[str, StoredHome]
     """By name; the first one is the origin."""
     visits: tuple[Visit, ...] = ()
     events: tuple[Event, ...] = ()
     past: tuple[float, float] = (0.0, 0.0)
-    """The `tally` of landmarks that are forgotten."""
+    """The `tally` of forgotten landmarks."""
     routes: dict[str, Route] = field(default_factory=dict)
     """By name."""
 
     @property
     def origin(self) -> str:
-        """The name of the home whose frame it is."""
+        """Name of the first home, whose frame is the frame of the place."""
         return next(iter(self.homes))
 
     @property
+    def tally(self) -> tuple[float, float]:
+        """Number of changes of all landmarks, and their total time of observation [days]."""
+        changes, watched = tally(self.persistence.values())
+        return self.past[0] + changes, self.past[1] + watched
+
+    @property
     def usual_rate(self) -> float:
-        """How often a landmark changes its place [1 / day]."""
-        return usual_rate(*np.add(self.past, tally(self.standings.values())).tolist())
+        """Rate of changes of a landmark [1 / day]."""
+        return usual_rate(*self.tally)
 
     @property
     def next_visit(self) -> int:
-        """The number of the visit that comes next, from 1."""
+        """Number of the next visit, counted from 1."""
         return self.visits[-1].number + 1 if self.visits else 1
 
     @property
     def evidence(self) -> str:
-        """The fingerprints of all drives that it is made of."""
-        merged = (v.evidence.split(BETWEEN) for v in self.visits if v.verdict != "apart")
-        return BETWEEN.join(sorted(set[str]().union(*merged)))
+        """Fingerprints of all drives that were merged."""
+        merged = (v.evidence.split(SEPARATOR) for v in self.visits if v.verdict != "apart")
+        return SEPARATOR.join(sorted(set[str]().union(*merged)))
 
-    def require_new(self, name: str, told: str) -> None:
-        """Raise `InputError` where a drive or place, by its fingerprint, is known already."""
-        if not set(told.split(BETWEEN)).isdisjoint(self.evidence.split(BETWEEN)):
+    def require_new(self, name: str, evidence: str) -> None:
+        """Raise `InputError` if the fingerprints of a drive or place are already in this place."""
+        if not set(evidence.split(SEPARATOR)).isdisjoint(self.evidence.split(SEPARATOR)):
             raise InputError(
-                f"{quoted(name)}, or a drive of it, is in the place {quoted(self.name)} already: "
-                "what it saw would count twice"
+                f"{quoted(name)}, or a drive in it, is already in the place {quoted(self.name)}: "
+                "its data would count twice"
             )
 
     def stays(self, when: float) -> dict[str, float]:
-        """Return the probability of each landmark to stand where it is mapped, at `when` [days]."""
+        """Return the probability that each landmark is where it is mapped, at `when` [days]."""
         usual = self.usual_rate
-        return {name: s.stays(when, usual) for name, s in self.standings.items()}
+        return {name: s.stays(when, usual) for name, s in self.persistence.items()}
 
     def aged(self, when: float) -> JointMap:
-        """Return the map as it is to be believed at `when` [days]."""
-        return self.map.aged(NUDGED**2 * max(when - self.visits[-1].when, 0.0))
+        """Return the map with the uncertainty that it has at `when` [days]."""
+        return self.map.aged(DRIFT**2 * max(when - self.visits[-1].when, 0.0))
 
     def known(self, when: float, home: str | None = None) -> KnownLandmarks:
-        """Return the place for a localiser, as its `known`, at `when` [days since 1970].
+        """Return the place as known landmarks for a localiser, at `when` [days since 1970].
 
-        Answers are in the frame of a home, by default the first; `InputError` where there is none.
+        Estimates will be in the frame of `home`, by default the first; `InputError` if unknown.
         """
-        there, stays = self.aged(when).seen_from_home(self.required(home)), self.stays(when)
+        there, stays = self.aged(when).in_home_frame(self.required(home)), self.stays(when)
         landmarks = {
             name: SurveyedLandmark(x=x, y=y, stays=max(stays[name], FORGOTTEN))
             for name, (x, y) in zip(there.names, there.positions.tolist(), strict=True)
@@ -140,47 +145,49 @@ class Place:
         return KnownLandmarks.remembered(landmarks, there.covariance[:n, :n])
 
     def visited_by(self, drive: Drive, when: float, home: str | None = None) -> Drive:
-        """Return a drive that knows the place, and asks for one of its homes; see `known`."""
+        """Return a drive with this place as known landmarks and a home of it; see `known`."""
         first = self.required(home) == self.origin
         settings = drive.settings.model_copy(update={"home_sensor": None})
         if not first:
             settings = settings.model_copy(update={"start": None})
-        truth = drive.truth if first else None  # it is in the frame of another home
+        truth = drive.truth if first else None  # ground truth is in the frame of the first home
         known = self.known(when, home)
         return replace(drive, home={}, known=known, settings=settings, truth=truth)
 
     def without(
         self, landmarks: Collection[str], homes: Collection[str] = (), routes: Collection[str] = ()
     ) -> Place:
-        """Return it without some landmarks, homes and routes.
+        """Return the place without some landmarks, homes and routes.
 
-        `InputError` where it has none of such a name, or the first home is among them.
+        `InputError` if one of them is not in the place, or is the first home.
         """
         for name in landmarks:
-            if name not in self.standings:
-                raise InputError(f"no landmark {quoted(name)} in the place")
+            if name not in self.persistence:
+                raise InputError(f"the place has no landmark {quoted(name)}")
         for home in homes:
             if self.required(home) == self.origin:
-                raise InputError(f"{quoted(home)} is the home in whose frame the place is")
+                raise InputError(
+                    f"home {quoted(home)} cannot be removed: it is the origin of the place"
+                )
         for route in routes:
             self.route(route)
         kept = [n for n in self.map.names if n not in landmarks]
         stay = {h: s for h, s in self.homes.items() if h not in homes}
-        standings = {n: self.standings[n] for n in kept}
+        persistence = {n: self.persistence[n] for n in kept}
         ways = {n: r for n, r in self.routes.items() if n not in routes}
-        there = self.map.only(kept, stay)
-        return replace(self, map=there, standings=standings, homes=stay, routes=ways)
+        there = self.map.marginal(kept, stay)
+        return replace(self, map=there, persistence=persistence, homes=stay, routes=ways)
 
     def route(self, name: str) -> Route:
-        """Return a route by its name, else raise `InputError`."""
+        """Return a route by its name; `InputError` if there is none."""
         return route_of(self.routes, name)
 
     def required(self, home: str | None) -> str:
-        """Return the name of a home, the first one's for None; else raise `InputError`."""
+        """Return `home`, or the first home for None; `InputError` if there is none."""
         if home is None:
             return self.origin
         if home not in self.homes:
-            raise InputError(f"no home {quoted(home)}; there are {', '.join(self.homes)}")
+            raise InputError(f"no home {quoted(home)}; the place has {', '.join(self.homes)}")
         return home
 
     def home_pose(self, home: str) -> Pose:
@@ -188,11 +195,11 @@ class Place:
         return Pose(*self.map.mean[self.map.home_columns(home)].tolist())
 
     def home_sigma(self, home: str, when: float) -> float:
-        """Return how uncertain a home's place is for one who sees what stands now [m].
+        """Return the position uncertainty of a home relative to the landmarks at `when` [m].
 
-        Infinite where fewer than two landmarks are left, which hold no frame.
+        Infinite with fewer than two landmarks, which define no frame.
         """
-        if len(self.standings) < 2:
+        if len(self.persistence) < 2:
             return np.inf
         there = self.aged(when).at_home(self.required(home))
         at = there.home_columns(home)[:2]

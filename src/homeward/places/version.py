@@ -1,4 +1,4 @@
-"""The files of one version of a place: tables, and the covariance of its map."""
+"""Files of one version of a place: tables, and the covariance of its map."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from homeward.io.table import (
     write_csv,
 )
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
+from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit
 from homeward.places.route import Node, Route
 
@@ -43,14 +43,14 @@ VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
 ROUTES = "routes.csv"
 DAYS = ("when", "since", "last")
 """Fields of records that are days since 1970."""
-FARTHEST = 1e6
-"""No route leads farther [m]."""
-MOST_LANDMARKS = 5000
-"""A covariance of more takes more than a gigabyte."""
+MAX_COORDINATE = 1e6
+"""Maximum coordinate of a route's nodes [m]."""
+MAX_LANDMARKS = 5000
+"""Maximum number of landmarks: the covariance of more takes over a gigabyte."""
 
 
 class PlaceSettings(Strict):
-    """What place.yaml says."""
+    """Contents of place.yaml."""
 
     format: int
     name: str
@@ -58,40 +58,40 @@ class PlaceSettings(Strict):
     homes: int
     visits: int
     forgotten_changes: NonNegative
-    """How often landmarks that are forgotten had changed their places ..."""
+    """Number of changes of forgotten landmarks ..."""
     forgotten_days: NonNegative
-    """... and how long they had been watched [days]."""
+    """... and their total time of observation [days]."""
     nodes: int = 0
-    """Of all routes together; places of old have none."""
+    """Number of nodes of all routes; missing in old files without routes."""
 
 
 def write_version(place: Place, folder: Path) -> None:
-    """Write the files of a version into a folder that is there and empty."""
-    held = place.map
-    told = PlaceSettings(
+    """Write the files of a version into an empty folder."""
+    joint = place.map
+    settings = PlaceSettings(
         format=FORMAT,
         name=place.name,
-        landmarks=len(held.names),
-        homes=len(held.homes),
+        landmarks=len(joint.names),
+        homes=len(joint.homes),
         visits=len(place.visits),
         forgotten_changes=place.past[0],
         forgotten_days=place.past[1],
         nodes=sum(len(route.nodes) for route in place.routes.values()),
     )
-    text = yaml.safe_dump(told.model_dump(), sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(settings.model_dump(), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
-    columns = [f.name for f in fields(Standing)]
+    columns = [f.name for f in fields(LandmarkPersistence)]
     write_csv(
         folder / LANDMARKS,
         ["landmark", "x", "y", "sigma", *columns],
         (
-            [name, *map(repr, (x, y)), f"{sigma:.4f}", *astuple(place.standings[name])]
+            [name, *map(repr, (x, y)), f"{sigma:.4f}", *astuple(place.persistence[name])]
             for name, (x, y), sigma in zip(
-                held.names, held.positions.tolist(), held.sigmas.tolist(), strict=True
+                joint.names, joint.positions.tolist(), joint.sigmas.tolist(), strict=True
             )
         ),
     )
-    poses = dict(zip(held.homes, held.poses.tolist(), strict=True))
+    poses = dict(zip(joint.homes, joint.poses.tolist(), strict=True))
     write_csv(
         folder / HOMES,
         ["home", "x", "y", "heading", "stored"],
@@ -114,18 +114,19 @@ def write_version(place: Place, folder: Path) -> None:
         ([n, repr(r.taught), *astuple(node)] for n, r in place.routes.items() for node in r.nodes),
     )
     with (folder / COVARIANCE).open("wb") as out:
-        np.savez_compressed(out, covariance=held.covariance)
+        np.savez_compressed(out, covariance=joint.covariance)
 
 
 def read_version(folder: Path) -> Place:
-    """Read the files of a version; `InputError` where one is missing or damaged, or contradicts."""
-    told = read_settings(folder / SETTINGS, PlaceSettings)
-    if told.format != FORMAT:
+    """Read the files of a version; `InputError` if one is missing, damaged or inconsistent."""
+    settings = read_settings(folder / SETTINGS, PlaceSettings)
+    if settings.format != FORMAT:
         raise InputError(
-            f"of format {told.format}; this homeward reads {FORMAT}", folder / SETTINGS
+            f"has format {settings.format}, but this version of homeward reads format {FORMAT}",
+            folder / SETTINGS,
         )
     place = {"landmark": identifiers, "x": numbers, "y": numbers}
-    table = read_csv(folder / LANDMARKS, place | _parsers(Standing))
+    table = read_csv(folder / LANDMARKS, place | _parsers(LandmarkPersistence))
     table.require_unique("landmark")
     table.require("stands", (table["stands"] >= 0) & (table["stands"] <= 1), "not a probability")
     for name in ("watched", "seen", "missed", "moved", "returned"):
@@ -136,9 +137,8 @@ def read_version(folder: Path) -> Place:
     )
     homes.require_rows()
     homes.require_unique("home")
-    for found, number, file in ((table, told.landmarks, LANDMARKS), (homes, told.homes, HOMES)):
-        if len(found) != number:
-            raise InputError(f"{len(found)} rows where {number} are due", folder / file)
+    _require_rows(table, settings.landmarks, folder / LANDMARKS)
+    _require_rows(homes, settings.homes, folder / HOMES)
     names, stored = tuple(table["landmark"].tolist()), tuple(homes["home"].tolist())
     mean = np.concatenate(
         [
@@ -146,30 +146,35 @@ def read_version(folder: Path) -> Place:
             np.column_stack([homes["x"], homes["y"], homes["heading"]]).ravel(),
         ]
     )
-    held = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
+    joint = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
     visits, events = (
         read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
     )
     visits.require_rows()
     return Place(
-        told.name,
-        held,
-        dict(zip(names, _records(table, Standing), strict=True)),
+        settings.name,
+        joint,
+        dict(zip(names, _records(table, LandmarkPersistence), strict=True)),
         _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
         tuple(_records(visits, Visit)),
         tuple(_records(events, Event)),
-        (told.forgotten_changes, told.forgotten_days),
-        _routes(folder / ROUTES, told.nodes) if told.nodes else {},
+        (settings.forgotten_changes, settings.forgotten_days),
+        _routes(folder / ROUTES, settings.nodes) if settings.nodes else {},
     )
 
 
+def _require_rows(table: Table, number: int, path: Path) -> None:
+    if len(table) != number:
+        raise InputError(f"has {len(table)} rows instead of {number}", path)
+
+
 def _parsers(kind: Any) -> dict[str, Parser]:
-    """Return what reads the columns of records."""
+    """Return the parsers of the columns of records."""
     return {f.name: _parser(f) for f in fields(kind)}
 
 
 def _parser(of: Field[Any]) -> Parser:
-    """Return what reads the column of a record's field."""
+    """Return the parser of a record's field."""
     if of.name in DAYS:
         return _days
     if of.default == "":
@@ -178,16 +183,18 @@ def _parser(of: Field[Any]) -> Parser:
 
 
 def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    """Parse days since 1970, of which a date can be made."""
+    """Parse days since 1970 within the range of valid dates."""
     values = numbers(name, cells, rows, path)
     for value, row in zip(values.tolist(), rows, strict=True):
         if not FIRST_DAY <= value <= LAST_DAY:
-            raise InputError(f"{name} is {value:g}, no day that has a date", path, row)
+            raise InputError(
+                f"{name} is {value:g}, not a number of days from 1970 to a valid date", path, row
+            )
     return values
 
 
 def _records(table: Table, kind: Any) -> Iterable[Any]:
-    """Yield the rows of a table as records, whose fields are columns of it."""
+    """Yield the rows of a table as records, from the columns named like their fields."""
     kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
     columns = [table[f.name].tolist() for f in fields(kind)]
     for row in zip(*columns, strict=True):
@@ -195,15 +202,14 @@ def _records(table: Table, kind: Any) -> Iterable[Any]:
 
 
 def _routes(path: Path, nodes: int) -> dict[str, Route]:
-    """Return the routes, of so many nodes together."""
+    """Return the routes, which have this number of nodes in total."""
     table = read_csv(path, {"route": identifiers, "taught": _days, **_parsers(Node)})
-    if len(table) != nodes:
-        raise InputError(f"{len(table)} rows where {nodes} are due", path)
+    _require_rows(table, nodes, path)
     table.require_angle("heading")
     for name in ("sigma", "dwell"):
         table.require(name, table[name] >= 0, "less than nothing")
     for name in ("x", "y"):
-        table.require(name, np.abs(table[name]) <= FARTHEST, "too far to drive there")
+        table.require(name, np.abs(table[name]) <= MAX_COORDINATE, "too far to drive there")
     columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
     routes = dict[str, tuple[float, list[Node]]]()
     for name, when, node in zip(*columns, strict=True):
@@ -212,7 +218,7 @@ def _routes(path: Path, nodes: int) -> dict[str, Route]:
 
 
 def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
-    """Return the homes with what was seen there."""
+    """Return the homes with their home bearings."""
     table = read_csv(
         path,
         {
@@ -224,7 +230,7 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
     )
     table.require_angle("bearing")
     known = np.array([name in stored for name in table["home"]], bool)
-    table.require("home", known, f"which is no home of {HOMES}")
+    table.require("home", known, f"which is not in {HOMES}")
     homes = {name: StoredHome(when, {}) for name, when in stored.items()}
     columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))
     for home, landmark, bearing, sigma in zip(*columns, strict=True):
@@ -233,15 +239,13 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
 
 
 def _covariance(path: Path, size: int) -> np.ndarray:
-    """Return the covariance of a map with so many coordinates."""
-    damaged = (
-        "is damaged: not the covariance of this place; `homeward place undo` goes one version back"
-    )
-    if size > 2 * MOST_LANDMARKS:
-        raise InputError(f"more than {MOST_LANDMARKS:,} landmarks", path)
+    """Return the covariance of a map with `size` coordinates."""
+    damaged = "is damaged; `homeward place undo` goes back to the previous version"
+    if size > 2 * MAX_LANDMARKS:
+        raise InputError(f"is of more than {MAX_LANDMARKS:,} landmarks", path)
     with naming(path, "cannot be read"), opened(path) as stream:
         try:
-            # What a file says of its own size is believed only as far as it is due.
+            # A damaged or malicious file may expand to more than the memory.
             with zipfile.ZipFile(stream) as archive:
                 (entry,) = archive.infolist()
                 if entry.file_size > 8 * size * size + 4096:
@@ -251,7 +255,7 @@ def _covariance(path: Path, size: int) -> np.ndarray:
                 covariance = np.asarray(arrays["covariance"], float)
         except InputError:
             raise
-        except Exception as error:  # zipfile, zlib and NumPy raise a dozen types for damaged data
+        except Exception as error:  # zipfile, zlib and NumPy raise many types for damaged data
             raise InputError(damaged, path) from error
     sound = covariance.shape == (size, size) and np.isfinite(covariance).all()
     if not sound or not np.allclose(covariance, covariance.T):

@@ -17,7 +17,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.places.files import is_place, load_place, newest, save_place, update_place
 from homeward.places.place import DAY_S, FIRST_DAY, LAST_DAY, Place
-from homeward.places.telling import fingerprint, last_look, require_name, told_by
+from homeward.places.visit_data import collect_visit, fingerprint, last_frame, require_name
 from homeward.places.visiting import FIRST_HOME, first_place, merged
 from homeward.track import Track
 
@@ -102,12 +102,12 @@ def save_visit(
     """
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
-    told = told_by(estimator, drive, track, day_of(run, drive), run.place_home)
+    told = collect_visit(estimator, drive, track, day_of(run, drive), run.place_home)
     lost: list[str] = []
     if store.home is not None:
         until = math.inf if store.home_at is None else drive.span[0] + store.home_at
         try:
-            told = told.store_home(store.home, *last_look(drive, track, until))
+            told = told.store_home(store.home, *last_frame(drive, track, until))
         except HomewardError as error:  # it costs the home, not the visit
             lost.append(str(error))
     if store.route is not None:

@@ -29,9 +29,9 @@ from homeward.lab.simulation.simulate import (
 from homeward.lab.simulation.trajectories import SEARCH_RADIUS, settled
 from homeward.places.files import save_place
 from homeward.places.joint_map import JointMap
-from homeward.places.persistence import Standing
+from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.route import Node, Route, stands
+from homeward.places.route import Node, Route, stops
 from homeward.registry import make_estimator
 
 CORNERS = np.array([[0.0, 0.0], [2.5, 0.0], [2.5, 2.0]])
@@ -60,7 +60,7 @@ def hall(tmp_path_factory):
     place = Place(
         "hall",
         known,
-        {n: Standing(20000.0, 20000.0) for n in at},
+        {n: LandmarkPersistence(20000.0, 20000.0) for n in at},
         {"home": StoredHome(20000.0, {n: HomeBearing(0.0) for n in at})},
         (visit,),
         routes={"round": Route(20000.0, tuple(nodes))},
@@ -104,7 +104,7 @@ def test_a_repeat_is_bounded_however_much_was_moved(hall, moved, most):
     assert made.ending is Ending.DONE
     entered = np.argmax(off(way) < 0.05)
     assert off(way[entered:]).max() < most
-    (row, dwell), *_ = stands(way[:, 0], way[:, 1:])
+    (row, dwell), *_ = stops(way[:, 0], way[:, 1:])
     assert math.dist(way[row, 1:3], (2.5, 0.0)) < most
     assert 2.0 < dwell < 4.0
     assert math.dist(way[-1, 1:3], (2.5, 2.0)) < most
@@ -188,7 +188,7 @@ def test_a_repeat_repeats_to_the_last_bit_though_the_place_has_changed(hall, tmp
     [
         ({"trajectory.route": "square"}, "no route 'square'; there are round"),
         ({"trajectory.place": "nowhere"}, "no such folder"),
-        ({"trajectory.version": 7}, "version 7 is not kept"),
+        ({"trajectory.version": 7}, "has no version 7"),
     ],
 )
 def test_what_is_not_there_is_refused_in_one_line(hall, changes, words):
@@ -201,7 +201,7 @@ def test_a_hand_teaches_from_point_to_point_and_waits_there(hall):
     taught = replace_trajectory(scenario(hall), by_hand)
     truth = simulate(taught).drive.truth
     poses = np.column_stack([truth.x, truth.y, truth.heading])
-    ((row, dwell),) = stands(truth.t, poses)
+    ((row, dwell),) = stops(truth.t, poses)
     assert dwell == pytest.approx(4.0, abs=1.2)  # it starts and stops slowly
     assert poses[row, :2] == pytest.approx((2.5, 0.0), abs=0.04)
     assert poses[-1, :2] == pytest.approx((2.5, 2.0), abs=0.04)

@@ -1,4 +1,4 @@
-"""The page of a place: what stood where over its visits, and what moves often."""
+"""Page of a place: its map, visits, and the rates at which landmarks change."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMIL
 from homeward.runs.report.template import render
 from homeward.runs.report.words import date, info_lines
 
-MOST_NAMED = 60
-"""Of so many landmarks at most the names are drawn."""
-MOST_ROWS = 200
-"""Landmarks and visits in a table: the most restless, and the last."""
+MAX_LABELS = 60
+"""Maximum number of landmarks whose names are drawn."""
+MAX_ROWS = 200
+"""Maximum number of rows of a table: landmarks with the highest rates, and the last visits."""
 
 
 def write_page(file: Path, place: Place) -> None:
-    """Write the page of a place; `InputError` where that cannot be written."""
+    """Write the page of a place; `InputError` if it cannot be written."""
     when, usual = place.visits[-1].when, place.usual_rate
     stays = place.stays(when)
     sigmas = dict(zip(place.map.names, place.map.sigmas.tolist(), strict=True))
-    restless = sorted(place.standings, key=lambda n: -place.standings[n].rate(usual))
+    by_rate = sorted(place.persistence, key=lambda n: -place.persistence[n].rate(usual))
     html = render(
         "place.html.j2",
         words=words,
@@ -40,16 +40,16 @@ def write_page(file: Path, place: Place) -> None:
             "visits": Markup(svg(_draw_visits(place), "What each visit found")),
         },
         landmarks=[
-            (n, place.standings[n], stays[n], place.standings[n].rate(usual), sigmas[n])
-            for n in restless[:MOST_ROWS]
+            (n, place.persistence[n], stays[n], place.persistence[n].rate(usual), sigmas[n])
+            for n in by_rate[:MAX_ROWS]
         ],
-        visits=place.visits[: -MOST_ROWS - 1 : -1],
+        visits=place.visits[: -MAX_ROWS - 1 : -1],
     )
     write_whole(file, html.encode())
 
 
 def _draw_map(place: Place) -> Figure:
-    """Draw the landmarks as they are believed to stand at the last visit, and how they moved."""
+    """Draw the landmarks as estimated at the last visit, and their moves."""
     stays = place.stays(place.visits[-1].when)
     with style():
         figure = new_figure(5.2)
@@ -67,13 +67,13 @@ def _draw_map(place: Place) -> Figure:
         for name, (x, y) in zip(place.map.names, place.map.positions.tolist(), strict=True):
             shade = 0.15 + 0.85 * stays[name]
             axes.plot(x, y, "o", color=BLUE, alpha=shade, ms=6, zorder=2)
-            if len(stays) <= MOST_NAMED:
+            if len(stays) <= MAX_LABELS:
                 axes.annotate(
                     plain(name[:8]), (x, y), (4, 3), textcoords="offset points", fontsize=7
                 )
         for number, (route, way) in enumerate(place.routes.items(), 1):
             x, y, _ = way.poses.T
-            named = number * len(x) // (len(place.routes) + 1)  # each elsewhere: ways overlap
+            named = number * len(x) // (len(place.routes) + 1)  # routes may overlap
             axes.plot(x, y, color=MUTED, lw=1.6, zorder=1)
             axes.annotate(plain(route), (x[named], y[named]), (5, 4), textcoords="offset points")
             for node in way.waypoints:
@@ -86,10 +86,8 @@ def _draw_map(place: Place) -> Figure:
         axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
         axes.set_adjustable("datalim")
         marks = [
-            Line2D(
-                [], [], marker="o", ls="", color=BLUE, label="landmark; the paler, the less sure"
-            ),
-            Line2D([], [], marker=".", color=ORANGE, label="where it stood before"),
+            Line2D([], [], marker="o", ls="", color=BLUE, label="landmark (pale: may be gone)"),
+            Line2D([], [], marker=".", color=ORANGE, label="earlier position"),
             Line2D([], [], marker="x", ls="", color=MUTED, label="forgotten"),
         ]
         if place.routes:
@@ -99,7 +97,7 @@ def _draw_map(place: Place) -> Figure:
 
 
 def _draw_visits(place: Place) -> Figure:
-    """Draw what each visit found of the landmarks: stayed, moved, gone and new."""
+    """Draw the number of landmarks that stayed, moved, were gone and were new at each visit."""
     kinds = (("stayed", BLUE), ("moved", ORANGE), ("new", MUTED), ("gone", VERMILLION))
     with style():
         figure = new_figure(2.2)

@@ -1,4 +1,4 @@
-"""What a drive tells of a place: the robot's own map, where it looked, the homes it stored."""
+"""Data of one visit to a place: the map of the drive, its frames, and stored homes and routes."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from homeward.io.table import is_identifier, quoted
 from homeward.localizer.localizer import Localizer
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome
-from homeward.places.route import Route, seen_along, taught
+from homeward.places.route import Route, map_of_estimates, taught
 from homeward.track import Track
 
-IN_REACH = 0.9
-"""Landmarks are seen as far as this share of all sightings goes."""
+RANGE_QUANTILE = 0.9
+"""Range of the camera, as a quantile of the distances of all sightings."""
 
 
 def fingerprint(drive: Drive) -> str:
-    """Return what tells a drive from others: a hash of what it saw, whatever it is called."""
+    """Return an identifier of a drive: a hash of its sightings."""
     seen = drive.sightings
     digest = hashlib.sha256(np.stack([seen.t, seen.bearing]).astype("<f8").tobytes())
     digest.update("\0".join(map(str, seen.landmark.tolist())).encode())
@@ -35,25 +35,27 @@ def fingerprint(drive: Drive) -> str:
 
 
 @dataclass(frozen=True)
-class Looks:
-    """Which landmarks a robot saw from where, at m stamps."""
+class Frames:
+    """Poses of the camera and landmarks seen, in m frames."""
 
     cameras: np.ndarray
-    """(m, 3), in the frame of the home that was asked for."""
+    """(m, 3), in the frame of the drive's home."""
     seen: Sequence[Collection[str]]
     field_of_view: float | None
     """[rad]"""
 
-    def shares(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
-        """Return in how many looks each landmark (n,) was in view, and was seen."""
+    def counts(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Return the number of frames with each landmark (n,) in view, and with it seen.
+
+        `origin` is the pose of the drive's home in the frame of the place.
+        """
         index = {name: i for i, name in enumerate(places.names)}
         saw = np.zeros((len(self.seen), len(places.names)), bool)
         for row, names in enumerate(self.seen):
             saw[row, [index[n] for n in names if n in index]] = True
-        eyes = compose(np.array(origin), self.cameras)
-        there = sight(eyes[:, None], places.positions[None])
+        there = sight(compose(np.array(origin), self.cameras)[:, None], places.positions[None])
         distances = np.hypot(there.offset[..., 0], there.offset[..., 1])
-        reach = float(np.quantile(distances[saw], IN_REACH)) if saw.any() else 0.0
+        reach = float(np.quantile(distances[saw], RANGE_QUANTILE)) if saw.any() else 0.0
         half = np.inf if self.field_of_view is None else 0.5 * self.field_of_view
         in_view = (distances < reach) & (np.abs(wrap(there.bearing)) < half)
         return in_view.sum(axis=0), (in_view & saw).sum(axis=0)
@@ -61,101 +63,106 @@ class Looks:
 
 @dataclass(frozen=True)
 class VisitData:
-    """Data of one visit to a place: the own map of a drive, and what it stored on the way."""
+    """Data of one visit to a place."""
 
     drive: str
     evidence: str
-    """Its `fingerprint`."""
+    """The `fingerprint` of the drive."""
     when: float
     """[days since 1970]"""
     map: JointMap
-    """The robot's own, in a frame of its own, by nothing but this drive."""
-    looks: Looks | None = None
-    """Where it looked from; None: of what was not seen nothing is said."""
+    """Map from this drive alone, in any frame."""
+    frames: Frames | None = None
+    """None: landmarks that were not seen are not tested."""
     home: str | None = None
-    """The home in whose frame it was answered; None: the first."""
+    """The home whose frame the estimates are in; None: the first."""
     homes: dict[str, tuple[StoredHome, Estimate]] = field(default_factory=dict)
-    """Stored on the way, with what was answered there."""
+    """Homes stored on the drive, with the estimates there."""
     routes: dict[str, tuple[Route, JointMap]] = field(default_factory=dict)
-    """Taught by it, with where landmarks are in the same frame."""
+    """Routes taught by the drive, with the map of landmarks in the same frame."""
 
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
-        """Return it with a home where an answer has a pose, and what the camera saw there.
+        """Return the data with a home at the pose of an estimate, and the bearings seen there.
 
-        `InputError` where the answer has no pose, or the name cannot stand in a file.
+        `InputError` if the estimate has no pose, or the name is not valid.
         """
         require_name("home", name, self.homes)
         if answer.pose is None:
-            raise InputError(f"home {quoted(name)} cannot be stored without a pose")
+            raise InputError(f"home {quoted(name)} cannot be stored: the robot has no pose there")
         stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
         return replace(self, homes={**self.homes, name: (stored, answer)})
 
     def store_route(self, name: str, track: Track) -> VisitData:
-        """Return it with a route: the path of a track of the same drive, best a smoothed one.
+        """Return the data with the path of a track of this drive, preferably smoothed, as a route.
 
-        `HomewardError` where the name cannot stand in a file, or as `taught`.
+        `InputError` if the name is not valid; `HomewardError` as `taught`.
         """
         require_name("route", name, self.routes)
-        route = taught(track, self.when), seen_along(track.landmarks)
+        route = taught(track, self.when), map_of_estimates(track.landmarks)
         return replace(self, routes={**self.routes, name: route})
 
 
 def require_name(what: str, name: str, there: Collection[str]) -> None:
-    """Raise `InputError` where no home or route can be stored by a name, beside those there are."""
+    """Raise `InputError` if a name for a new home or route is not valid or not new."""
     if not is_identifier(name):
-        raise InputError(f"{quoted(name)} is no name for a {what}: printable text, trimmed")
+        raise InputError(
+            f"{quoted(name)} is not a valid name for a {what}: "
+            "use printable text without spaces at its ends"
+        )
     if name in there:
-        raise InputError(f"there is a {what} {quoted(name)} already; forget that one first")
+        raise InputError(
+            f"{what} {quoted(name)} exists already; choose another name, or forget it first"
+        )
 
 
-def last_look(
+def last_frame(
     drive: Drive, track: Track, until: float = math.inf
 ) -> tuple[Estimate, dict[str, float]]:
-    """Return the last pose of a track, with a look, and what was seen there.
+    """Return the last estimate of a track with a pose in a frame, and the bearings seen there.
 
-    Of a time `until` [s] it is the last one not after that, and not long before it.
+    With a time `until` [s], return the last one before it, if not more than `NO_BEARINGS_S` old.
     """
-    looks = {t: seen for t, seen, _ in drive.sightings.stamps()}
+    frames = {t: seen for t, seen, _ in drive.sightings.stamps()}
     for i in np.flatnonzero(track.has_pose)[::-1].tolist():
-        if (t := float(track.t[i])) in looks and t <= until:
+        if (t := float(track.t[i])) in frames and t <= until:
             if until - t > NO_BEARINGS_S and until < math.inf:
                 break
             pose = Pose(float(track.x[i]), float(track.y[i]), float(track.heading[i]))
             now = Estimate(t, track.status[i], track.reason[i], pose, track.covariance[i])
-            return now, looks[t]
+            return now, frames[t]
     return Estimate(math.nan, Status.MAPPING, "no pose was found"), {}
 
 
-def told_by(
+def collect_visit(
     localizer: Localizer, drive: Drive, track: Track, when: float, home: str | None = None
 ) -> VisitData:
-    """Return what a drive tells after its run.
+    """Return the visit data of a drive after its run.
 
-    `localizer` received the drive, which knew the place (`Place.visited_by`); `home`: in whose
-    frame the answers are, by default the place's first; `when` [days since 1970].
+    `localizer` processed the drive with the place as known landmarks (`Place.visited_by`). The
+    track is in the frame of `home`, by default the place's first; `when` [days since 1970].
     """
     row = np.searchsorted(track.t, np.unique(drive.sightings.t))
     poses = np.column_stack([track.x, track.y, track.heading])[row]
-    return told_along(localizer, drive, poses, when, home)
+    return collect_visit_along(localizer, drive, poses, when, home)
 
 
-def told_along(
+def collect_visit_along(
     localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
 ) -> VisitData:
-    """Return what a drive tells, given the poses (m, 3) of its stamps, NaN where there is none."""
+    """Return the visit data of a drive, given poses (m, 3) at its stamps, NaN where missing."""
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
     good = np.isfinite(poses[:, 0])
     poses = poses[good]
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
-    looks = Looks(cameras, known, drive.settings.sensor.field_of_view)
-    return VisitData(drive.name, fingerprint(drive), when, own_map(localizer), looks, home)
+    frames = Frames(cameras, known, drive.settings.sensor.field_of_view)
+    return VisitData(drive.name, fingerprint(drive), when, own_map(localizer), frames, home)
 
 
 def own_map(localizer: Localizer) -> JointMap:
-    """Return what a robot mapped by itself; `HomewardError` where that is nothing."""
+    """Return the map of this drive alone; `HomewardError` if it is too uncertain."""
     try:
         own = localizer.map_snapshot()
     except np.linalg.LinAlgError:
-        raise HomewardError("the map of this drive is too vague to be kept") from None
+        raise HomewardError("the map of this drive is too uncertain to be stored") from None
     return JointMap(own.names, (), own.positions.ravel(), own.covariance)
