@@ -117,7 +117,7 @@ def test_a_run_needs_the_core_alone_and_leaves_no_page_of_another(tmp_path):
     done = alone(COMMAND, *words, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert "Files: out" in done.stdout
-    assert "no page and no log: pages and pictures need the extra report" in done.stdout
+    assert "no report.html and no run.mcap: pages and pictures need the extra report" in done.stdout
     written = {file.name for file in (tmp_path / "out").iterdir()}
     assert written == {
         *("estimate.csv", "landmarks.csv", "metrics.json", "run.yaml", "trajectory.tum")

@@ -58,7 +58,6 @@ PENDING = (
     "CONTRIBUTING.md",
     "docs/",
     "src/homeward/__init__.py",
-    "src/homeward/cli/",
     "src/homeward/control/",
     "src/homeward/data/",
     "src/homeward/drives/",

@@ -28,9 +28,9 @@ def test_a_data_set_is_written_whole_and_repeats(tmp_path):
     answer = done(render("kitchen", "--out", tmp_path / "a", "--seed", "3"))
     assert "4 images of 128x32, 3 boxes moved" in answer.output
     moved = {r["thing"] for r in rows(tmp_path / "a" / "things.csv") if r["moved"] == "1"}
-    told = " ".join(answer.output.split()).split("Moved since home: ")[1]
-    assert all(box in told.split(";")[0] for box in moved)
-    assert "home's picture shows" in told
+    boxes = " ".join(answer.output.split()).split("Moved since the home image: ")[1]
+    assert all(box in boxes.split(";")[0] for box in moved)
+    assert "the home image shows" in boxes
     a, b = tmp_path / "a", tmp_path / "b"
     assert render(a / "scenario.yaml", "--out", b, changes=()).exit_code == 0
     files = sorted(p.relative_to(a) for p in a.rglob("*") if p.is_file())

@@ -98,7 +98,7 @@ def test_the_sample_is_opened_from_python_by_its_name(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_every_command_has_help_that_says_the_exit_statuses(name):
     assert call(name, "-h").stdout == call(name, "--help").stdout
-    assert "1 no answer" in " ".join(call(name, "-h").stdout.split())
+    assert "1 no result" in " ".join(call(name, "-h").stdout.split())
     assert "130 interrupted" in " ".join(call("-h").stdout.split())
 
 
@@ -233,7 +233,7 @@ def test_no_pose_is_no_answer(short, tmp_path):
     (short / "home.csv").write_text("landmark,bearing\nelsewhere,0.3\n")
     (short / "drive.yaml").unlink()
     result = call("run", short, "--out", tmp_path / "out")
-    assert "No pose was found" in result.stdout
+    assert "No pose found" in result.stdout
     assert result.exit_code == 1
     (short / "truth.csv").unlink()
     result = call("plan", "--drive", short, "--out", tmp_path / "o")
@@ -305,7 +305,7 @@ def test_settings_are_listed_for_all_that_has_any():
         told = call("settings", name).stdout
         assert all(f"{key.name}=" in told for key in keys(other_model(name)))
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
-    assert "there are robust" in refused(call("settings", "kalman"))
+    assert "choose one of: robust" in refused(call("settings", "kalman"))
 
 
 @pytest.mark.parametrize("name", ESTIMATORS)

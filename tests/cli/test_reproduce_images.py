@@ -84,7 +84,7 @@ def test_the_page_has_the_panorama(tmp_path, monkeypatch):
     page = (out / "paper.html").read_text()
     assert "extracted features" in page
     assert "rendered panoramas of 512" in page
-    assert "Case 2: 0 moved landmarks asked for, obtained 0 in one run." in answer.stdout
+    assert "Case 2: 0 moved landmarks requested, 0 in one run obtained." in answer.stdout
     assert "Faults asked for and obtained" in page
 
 

@@ -16,7 +16,7 @@ from homeward.drives.importers.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
 from homeward.runs.report.canvas import png
-from homeward.runs.report.imported import glance
+from homeward.runs.report.imported import draw_drive
 
 
 def rows(name):
@@ -439,7 +439,7 @@ def test_many_columns_and_many_ids_take_no_long_time(tmp_path):
     begin = time.process_time()
     drive = drive_of(understand([odometry, wide, home]), "wide")
     assert drive.sightings.t.size == len(drive.home) == 5000
-    png(glance(drive))  # drew 5,000 labels
+    png(draw_drive(drive))  # drew 5,000 labels
     assert time.process_time() - begin < 6.0
 
 

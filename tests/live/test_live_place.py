@@ -295,7 +295,7 @@ def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        (["--update"], "needs a --place"),
+        (["--update"], "needs --place"),
         (["--place", "nowhere"], "nowhere"),
         (["--set", "estimator=nonsense"], "no estimator 'nonsense'"),
         (["--place", "{place}", "--set", "estimator=ekf"], "for the estimator robust"),

@@ -222,7 +222,7 @@ def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
     [
         (["--trajectory", "repeat"], "takes --route NAME with"),
         (["--route", "round"], "takes --route NAME with"),
-        (["--trajectory", "repeat", "--route", "r", "--place", "hall"], "knows no place"),
+        (["--trajectory", "repeat", "--route", "r", "--place", "hall"], "takes no --place"),
     ],
 )
 def test_a_simulated_robot_is_told_what_it_lacks(told, words):

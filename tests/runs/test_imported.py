@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from homeward.runs.report.imported import CLEAR, label_radii
+from homeward.runs.report.imported import MIN_LABEL_GAP, label_radii
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -13,7 +13,7 @@ def test_no_two_names_at_home_are_written_over_each_other(seed):
     radii = label_radii(bearings)
     for radius in set(radii):
         together = bearings[np.array(radii) == radius]
-        assert (np.diff(together) >= min(CLEAR, 0.03)).all()
+        assert (np.diff(together) >= min(MIN_LABEL_GAP, 0.03)).all()
     assert len({radii[k] for k in np.flatnonzero((bearings >= 0.3) & (bearings <= 0.33))}) == 3
 
 

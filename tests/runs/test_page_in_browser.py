@@ -25,7 +25,7 @@ const look = () => ({
   fills: [...model("landmarks").data.fill],
   cursors: [...new Set(all.filter((m) => m.tags.includes("cursor")).map((m) => m.location))],
   clock: document.getElementById("clock").textContent,
-  said: document.getElementById("said").textContent,
+  state: document.getElementById("state").textContent,
 });
 found.at = [];
 for (const moment of [0, 60, 150, 190]) {
@@ -112,14 +112,14 @@ def test_nothing_goes_wrong_and_nothing_is_fetched(desktop):
 def test_the_slider_moves_the_robot_and_the_cursors(desktop):
     before, early, late, coasting = desktop["at"]
     assert before["robot"] == [None, None], "no pose yet"
-    assert before["said"].startswith("mapping: ")
+    assert before["state"].startswith("mapping: ")
     assert early["robot"] != late["robot"]
     assert early["ellipse"] == late["ellipse"] == 49
     assert (early["clock"], early["cursors"]) == ("6.0 s", [6])
     assert (late["clock"], late["cursors"]) == ("15.0 s", [15])
     assert early["rays"] == 4
-    assert "localised" in late["said"]
-    assert "coasting" in coasting["said"]
+    assert "localised" in late["state"]
+    assert "coasting" in coasting["state"]
 
 
 @needs_chromium
@@ -133,7 +133,7 @@ def test_a_landmark_takes_the_colour_of_what_was_thought_of_it_then(desktop):
 @needs_chromium
 def test_names_are_text_and_never_markup(desktop):
     assert desktop["title"] == "made up <b> · homeward"
-    assert HOSTILE[0] in desktop["at"][2]["said"]
+    assert HOSTILE[0] in desktop["at"][2]["state"]
 
 
 @needs_chromium
@@ -141,7 +141,7 @@ def test_a_landmark_tells_of_itself_when_hovered(played):
     assert played["wrong"] == []
     tip = " ".join(played["tips"])
     assert HOSTILE[0] in tip
-    assert "moved since home was stored (moved with probability over 99 %)" in tip
+    assert "moved since home was stored (probability of having moved: over 99 %)" in tip
     assert "40 sightings used" in tip
     assert "RMS, mean NIS" in tip
 
@@ -168,7 +168,7 @@ SCREEN = """
 const box = (id) => document.getElementById(id).getBoundingClientRect();
 found.map = box("plot-map").toJSON();
 found.player = document.querySelector(".player").getBoundingClientRect().toJSON();
-found.said = box("said").toJSON();
+found.state = box("state").toJSON();
 found.screen = [innerWidth, innerHeight];
 const slider = document.getElementById("moment");
 found.opening = [Number(slider.value), Number(slider.max)];
@@ -185,7 +185,7 @@ def test_map_and_slider_fit_one_screen_and_show_the_robot_mid_drive(page, tmp_pa
     assert found["map"]["top"] >= 0
     assert found["map"]["height"] > 0.55 * found["screen"][1], "as large as there is room for"
     assert found["player"]["top"] >= found["map"]["bottom"]
-    assert found["said"]["bottom"] <= found["screen"][1]
+    assert found["state"]["bottom"] <= found["screen"][1]
     moment, last = found["opening"]
     assert abs(moment - last / 2) <= 1
     assert found["robot"] is not None
@@ -247,7 +247,7 @@ def test_every_section_has_an_anchor_and_what_scrolls_a_sign(pages, tmp_path):
 
 @needs_chromium
 def test_an_address_leads_to_its_section(page, tmp_path):
-    name = "landmarks-and-what-moved"
+    name = "moved-landmarks"
     where = f'found.top = document.getElementById("{name}").getBoundingClientRect().top'
     found = open_page(page, where, tmp_path, address=f"#{name}")
     assert found["wrong"] == []

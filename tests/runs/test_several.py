@@ -45,7 +45,7 @@ def test_several_estimators_share_a_page_and_one_that_fails_ends_nothing(short, 
     assert "&lt;b&gt;no" in page
     with (out / "table.csv").open() as stream:
         _, ekf, failed = csv.DictReader(stream)
-    assert failed["no pose"] == "1.0"
+    assert failed["unavailable"] == "1.0"
     assert failed["RMSE [m]"] == ""
     assert 0 < float(ekf["RMSE [m]"]) < 5
     again = call("run", out / "ekf" / "run.yaml", "--out", tmp_path / "again")
@@ -67,9 +67,9 @@ def test_where_no_estimator_has_a_pose_the_status_says_so(short, bad, tmp_path):
     ("words", "told"),
     [
         (["--estimator", "robust,kalman"], "no estimator 'kalman'"),
-        (["--estimator", "robust,robust"], "robust: named twice"),
-        (["--estimator", "robust,ekf", "--set", "gate=3"], "--set is for one estimator"),
-        (["--estimator", "robust,ekf", "--smooth"], "--smooth is for one estimator"),
+        (["--estimator", "robust,robust"], "estimator robust is given twice"),
+        (["--estimator", "robust,ekf", "--set", "gate=3"], "--set works with one estimator"),
+        (["--estimator", "robust,ekf", "--smooth"], "--smooth works with one estimator"),
         (["--estimator", "robust,"], "no estimator ''"),
     ],
 )
@@ -80,11 +80,11 @@ def test_what_cannot_be_compared_is_one_line(short, tmp_path, words, told):
 
 
 @pytest.mark.usefixtures("lab")
-def test_without_truth_the_page_shows_what_each_claims(short, tmp_path):
+def test_without_truth_the_page_shows_sigmas(short, tmp_path):
     (short / "truth.csv").unlink()
     out = tmp_path / "out"
     done(call("run", short, "--estimator", "robust,ekf", "--out", out))
-    assert "claimed sigma" in (out / "estimators.html").read_text()
+    assert "position sigma" in (out / "estimators.html").read_text()
 
 
 def test_tables_escape_what_their_formats_mean_otherwise(tmp_path):

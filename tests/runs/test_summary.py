@@ -1,4 +1,4 @@
-"""What is said in words."""
+"""Summaries of runs, and the wording of numbers."""
 
 import dataclasses
 import math
@@ -18,8 +18,9 @@ from homeward.runs.scoring import score
 def test_summary_of_the_usual_run():
     drive, track = made_up(seconds=180.0)
     assert summarise(drive, track, score(track, drive.truth)) == (
-        "Localised for 178 of 180 s (99 %), 1 % on odometry alone; the first pose came after "
-        "2.0 s. Position error 0.050 m RMSE, 0.050 m median, 0.050 m at worst; heading 0° RMSE. "
+        "Localised for 178 of 180 s (99 %, including 1 % on odometry alone), first after 2.0 s; "
+        "no pose for 1 %. "
+        "Position error 0.050 m RMSE, 0.050 m median, 0.050 m maximum; heading 0° RMSE. "
         "One landmark was moved since home was stored: a. 7,197 sightings used, 3 rejected."
     )
 
@@ -27,17 +28,16 @@ def test_summary_of_the_usual_run():
 def test_one_sentence_says_it():
     drive, track = made_up(seconds=180.0)
     assert sentence(track, score(track, drive.truth)) == (
-        "In 180 s the robot was localised for 99 % of the time, 0.050 m off (RMSE), "
-        "and 1 of the four landmarks that home saw had moved: a."
+        "Localised for 99 % of 180 s; position error 0.050 m RMSE; "
+        "1 of the four landmarks seen from home moved: a."
     )
     none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
-    assert sentence(none, score(none, None)).startswith("In 180 s no pose was found: 2 of the")
+    assert sentence(none, score(none, None)).startswith("No pose found in 180 s: 2 of the")
     still = dataclasses.replace(
         track, landmarks=[dataclasses.replace(m, moved=False) for m in track.landmarks]
     )
     assert sentence(still, score(still, None)) == (
-        "In 180 s the robot was localised for 99 % of the time, "
-        "and none of the four landmarks that home saw had moved."
+        "Localised for 99 % of 180 s; none of the four landmarks seen from home moved."
     )
 
 
@@ -45,8 +45,8 @@ def test_summary_says_when_the_claimed_uncertainty_is_too_small():
     drive, track = made_up()
     sure = dataclasses.replace(track, covariance=track.covariance / 100)
     said = summarise(drive, sure, score(sure, drive.truth))
-    assert "for 100 % of the time the true position lay outside its 3-sigma ellipse" in said
-    assert "surer" not in summarise(drive, track, score(track, drive.truth))
+    assert "position was outside the 3-sigma ellipse 100 % of the time (expected: 1 %)" in said
+    assert "Overconfident" not in summarise(drive, track, score(track, drive.truth))
 
 
 def test_summary_without_a_pose_gives_the_reason():
@@ -54,7 +54,7 @@ def test_summary_without_a_pose_gives_the_reason():
     none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
     said = summarise(drive, none, score(none, None))
     assert said.startswith(
-        "No pose was found in 20 s: 2 of the landmarks that home saw are mapped; 3 are needed."
+        "No pose found in 20 s: 2 of the landmarks that home saw are mapped; 3 are needed."
     )
 
 
@@ -92,26 +92,24 @@ def test_what_is_not_known_to_have_moved_is_told():
     unmoved = [dataclasses.replace(m, moved=False) for m in track.landmarks]
     track = dataclasses.replace(track, landmarks=unmoved)
     said = summarise(drive, track, score(track, drive.truth))
-    assert "of 4 judged; what carries none of these may have moved unnoticed." in said
-    assert "more that home saw" not in said
+    assert "No moved landmark among the 4 tested." in said
+    assert "not tested" not in said
     unknown = {"moved": None, "moved_probability": math.nan}
     rarely = dataclasses.replace(unmoved[2], **unknown)
     never = dataclasses.replace(unmoved[3], sightings=0, **unknown)
     elsewhere = dataclasses.replace(rarely, home_bearing_stored=math.nan)
     some = dataclasses.replace(track, landmarks=[*unmoved[:2], rarely, never, elsewhere])
     said = summarise(drive, some, score(some, drive.truth))
-    assert (
-        "Of two others that home saw it is not known; one landmark was not found on the way."
-        in said
-    )
-    told = sentence(some, score(some, drive.truth))
-    assert told.endswith("and none of the two landmarks judged had moved.")
+    others = "Two others seen from home were not tested, 1 of which not seen during the drive."
+    assert others in said
+    text = sentence(some, score(some, drive.truth))
+    assert text.endswith("; none of the two landmarks tested moved.")
 
 
-def test_what_was_moved_in_a_room_is_told_with_what_of_it_can_be_known():
-    assert describe_moved({}) == "Nothing was moved since home."
+def test_boxes_moved_in_a_room_are_named_with_those_in_the_home_image():
+    assert describe_moved({}) == "No box was moved since the home image."
     said = describe_moved({"box 3": True, "box 5": False, "box 6": True})
-    assert said.startswith("Moved since home: box 3, box 5 and box 6; home's picture shows box 3")
+    assert said.startswith("Moved since the home image: box 3, box 5 and box 6; the home image")
     assert "box 5" not in said.split(";")[1]
     assert "none of them" in describe_moved({"box 5": False})
 
@@ -135,8 +133,8 @@ def test_summary_reports_unverified_poses_and_time_without_a_pose():
         x[i] = x[i] if posed else np.nan
     late = dataclasses.replace(track, x=x, status=status)
     said = summarise(drive, late, score(late, None))
-    assert "with an unverified pose for 3 %, and no pose for 32 %" in said
-    assert "the first pose came after 2.0 s, and it was first localised after 35 s" in said
+    assert "(65 %, including" in said
+    assert "first after 35 s; unverified pose for 3 %, no pose for 32 %." in said
 
 
 def test_ground_truth_in_another_frame_is_reported_as_an_offset():
@@ -151,7 +149,7 @@ def test_ground_truth_in_another_frame_is_reported_as_an_offset():
     assert metrics.as_dict()["truth_offset_heading_rad"] == pytest.approx(-0.7, abs=0.01)
     said = summarise(dataclasses.replace(drive, truth=truth), track, metrics)
     assert "ground truth is in another frame, or home is wrong" in said
-    assert "surer" not in said
+    assert "Overconfident" not in said
     short = dataclasses.replace(metrics, pose_share=0.02)  # a short piece of a path is rigid
     said = summarise(dataclasses.replace(drive, truth=truth), track, short)
     assert "another frame" not in said

@@ -124,7 +124,7 @@ def test_deviations_that_sightings_bring_are_left_alone():
     own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=told))
     calls = []
     found = tune([own], calls.append)
-    assert not found.tells_bearings
+    assert not found.has_bearing_noise
     assert "sensor" not in found.settings.model_fields_set
     assert calls == sorted(calls)
     assert calls[-1] == 1.0
@@ -136,7 +136,7 @@ def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
     found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [check], [check])
     monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
     said = call("tune", "sample").stdout
-    lines = said.partition("for drive.yaml:\n")[2]
+    lines = said.partition("first halves):\n")[2]
     assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
     assert "sample" in said
     assert "worse" not in said
@@ -150,7 +150,7 @@ def test_lines_that_make_answers_less_consistent_are_reported(monkeypatch):
     after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
     found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])
     monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
-    assert "NEES got worse by these lines" in call("tune", "sample").output
+    assert "NEES got worse with these lines" in call("tune", "sample").output
 
 
 def test_the_command_says_so_in_one_line(tmp_path):

@@ -1,4 +1,4 @@
-"""The command line: one command a file; it parses and prints, and computes nothing.
+"""Command line: one file per command, which parses options and prints results.
 
-Each command imports what it needs when it is called, so that ``--help`` answers at once.
+Each command imports its modules when called, so that ``--help`` is fast.
 """

@@ -1,4 +1,4 @@
-"""`homeward export`: a filter as C for a microcontroller."""
+"""`homeward export`: export a filter as C code for a microcontroller."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from homeward.cli.options import Changes, key_values, say, table
 
 
 def export(
-    estimator: Annotated[Literal["ekf"], typer.Argument(help="Which filter.")],
-    landmarks: Annotated[int, typer.Option(help="How many home saw, 1 to 32.")],
+    estimator: Annotated[Literal["ekf"], typer.Argument(help="The filter.")],
+    landmarks: Annotated[int, typer.Option(help="Number of landmarks seen from home, 1 to 32.")],
     out: Annotated[Path, typer.Option(help="The folder to write.")],
     target: Annotated[Literal["c"], typer.Option(help="The language.")] = "c",
     precision: Annotated[
-        Literal["float", "double"], typer.Option(help="Of its numbers.")
+        Literal["float", "double"], typer.Option(help="Type of its numbers.")
     ] = "float",
     changes: Changes = None,
 ) -> None:
-    """Write a filter as a C library for microcontrollers.
+    """Export a filter as a C library for microcontrollers.
 
-    The folder is laid out for Arduino and PlatformIO: src/ holds one .c and one .h, which need
+    The folder has the layout of Arduino and PlatformIO: src/ has one .c and one .h file, which need
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
     from homeward.io.settings import validated
@@ -42,4 +42,4 @@ def export(
         (k, f"{w.arithmetic:,}", f"{w.functions:,}")
         for k, w in most_work(landmarks, settings).items()
     ]
-    table([("at most, a call", "+ - * /", "of libm"), *rows], left=1)
+    table([("maximum per call", "+ - * /", "libm calls"), *rows], left=1)

@@ -34,20 +34,20 @@ FORMER = {
     "reproduce": "now `homeward study paper` or `homeward study layouts`",
     "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
-"""Commands of earlier versions, and what does their work now."""
+"""Commands of earlier versions, and their replacements."""
 
 
 class OneLineErrors(TyperGroup):
-    """Turns every error of ours, and Ctrl-C, into one line and an exit status."""
+    """Command group that turns homeward errors and Ctrl-C into one line and an exit status."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        """Return a command; of a former one, raise an error that names its successor."""
+        """Return a command; for a removed one, raise an error that names its replacement."""
         if cmd_name in FORMER:
             raise InputError(f"homeward {cmd_name} is {FORMER[cmd_name]}")
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names in the order of the help: everyday commands first."""
+        """Return the names in the order of the help, everyday commands first."""
         return [_name(command) for command in (*EVERYDAY, *OTHERS)]
 
     def invoke(self, ctx: Any) -> Any:
@@ -55,9 +55,9 @@ class OneLineErrors(TyperGroup):
         try:
             return super().invoke(ctx)
         except ModuleNotFoundError as error:
-            if (told := missing_extra_error(error)) is None:
+            if (missing := missing_extra_error(error)) is None:
                 raise
-            refuse(str(told))
+            refuse(str(missing))
             raise typer.Exit(BAD_INPUT) from None
         except HomewardError as error:
             refuse(str(error))
@@ -90,10 +90,10 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def main(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show it and exit.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print it and exit.")
     ] = False,
 ) -> None:
-    """Where is the robot, relative to a place it has seen before? From bearings alone."""
+    """Localise a robot relative to home from bearings to landmarks and odometry."""
 
 
 EVERYDAY = (run, import_, info, see, live, place, tune, simulate)
@@ -101,7 +101,7 @@ OTHERS = (plan, study, convert, export, settings, studio)
 
 
 def _name(command: Any) -> str:
-    """Return the name of a command, or of the group of a `typer.Typer`."""
+    """Return the name of a command or of a group (`typer.Typer`)."""
     return "place" if command is place else str(command.__name__).rstrip("_")
 
 
@@ -109,6 +109,6 @@ for command in (*EVERYDAY, *OTHERS):
     if isinstance(command, typer.Typer):
         app.add_typer(command, name=_name(command), epilog=EXIT_STATUSES)
         continue
-    # Whole first paragraphs: what typer takes of itself ends in the middle of a sentence.
+    # The whole first paragraph: typer's own short help ends in the middle of a sentence.
     first = (inspect.getdoc(command) or "").partition("\n\n")[0]
     app.command(_name(command), short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)

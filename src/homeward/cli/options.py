@@ -1,4 +1,4 @@
-"""What the commands share: output for people and programs, values from text, and progress."""
+"""Common options of the commands, output as text and JSON, parsing of values, and progress."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from homeward.io.settings import parse_yaml
 ANSWER, NO_ANSWER, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses, the same in all commands."""
 EXIT_STATUSES = (
-    "Exit status: 0 an answer, 1 no answer (no pose found, nothing recognised, every run failed), "
+    "Exit status: 0 result, 1 no result (no pose found, nothing recognised, every run failed), "
     "2 bad input, 130 interrupted."
 )
-NARROWEST = 20
-"""Narrower terminals break lines themselves [characters]."""
+MIN_WIDTH = 20
+"""Text is not wrapped for narrower terminals [characters]."""
 
 
 def say(text: str, indent: str = "") -> None:
@@ -36,9 +36,9 @@ def say(text: str, indent: str = "") -> None:
 
 
 def answer(facts: dict[str, Any]) -> None:
-    """Print an answer for programs: one JSON object; a number that is not finite is null.
+    """Print a result as one JSON object, described in docs/look-up/json.md.
 
-    Arrays become lists, paths text. docs/look-up/json.md says what is in each answer.
+    Arrays become lists, paths text, and numbers that are not finite null.
     """
     text = json.dumps(facts, default=lambda v: str(v) if isinstance(v, Path) else v.tolist())
     plain = json.loads(text, parse_constant=lambda _: None)
@@ -46,7 +46,7 @@ def answer(facts: dict[str, Any]) -> None:
 
 
 def show(as_json: bool, facts: dict[str, Any], *lines: str) -> None:
-    """Print an answer for programs, or else its lines for people."""
+    """Print a result as JSON, or else as lines of text."""
     if as_json:
         answer(facts)
         return
@@ -55,23 +55,23 @@ def show(as_json: bool, facts: dict[str, Any], *lines: str) -> None:
 
 
 def warn(*texts: str) -> None:
-    """Print what a user must know, so that it stands out."""
+    """Print notes, highlighted."""
     for text in texts:
         _marked("Note: ", text, typer.colors.YELLOW)
 
 
 def refuse(text: str) -> None:
-    """Print what went wrong on standard error, as one line in a pipe."""
+    """Print an error on standard error, as one line in a pipe."""
     _marked("homeward: ", text, typer.colors.RED, err=True)
 
 
 def no_answer() -> typer.Exit:
-    """Return what a command raises that has no answer, once it has said why."""
+    """Return the exception that ends a command without a result, after its message."""
     return typer.Exit(NO_ANSWER)
 
 
 def table(rows: Iterable[Iterable[str]], left: int = 2) -> None:
-    """Print rows of text, the head first; where they are too wide for the terminal, as a list.
+    """Print rows of text, head first; as a list where they are too wide for the terminal.
 
     The first `left` columns are aligned left, the others right.
     """
@@ -97,8 +97,8 @@ def _marked(mark: str, text: str, colour: str, err: bool = False) -> None:
 
 
 def _wrapped(text: str, stream: TextIO, indent: str = "") -> str:
-    """Return a paragraph as it fits the terminal; paths stay whole, to be copied."""
-    text = printable(text)  # a name from a file does nothing to a terminal, nor ends a line early
+    """Return a paragraph wrapped for the terminal; paths are not broken, so they can be copied."""
+    text = printable(text)  # names from files may contain control characters
     if (width := _width(stream)) is None:
         return text
     return textwrap.fill(
@@ -107,33 +107,33 @@ def _wrapped(text: str, stream: TextIO, indent: str = "") -> str:
 
 
 def _width(stream: TextIO) -> int | None:
-    """Return the width of a terminal [characters]; None where nothing is to be wrapped."""
+    """Return the width of a terminal [characters]; None where text is not wrapped."""
     if not stream.isatty():
         return None
     columns = shutil.get_terminal_size().columns
-    return columns if columns >= NARROWEST else None
+    return columns if columns >= MIN_WIDTH else None
 
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
 
 PIPED_S = 30.0
-"""In a pipe, progress is told so often [s]."""
+"""Interval of progress messages in a pipe [s]."""
 Topics = Annotated[
-    Path | None, typer.Option(help="Logs: a YAML file that says which topics hold what.")
+    Path | None, typer.Option(help="For logs: the topics file, a YAML file with topics and roles.")
 ]
 HomeSpin = Annotated[
     str | None,
     typer.Option(
         metavar="FROM,UNTIL",
-        help="Home is where the robot turned on the spot meanwhile [s from the drive's start].",
+        help="Take home from the robot turning on the spot in this time [s from the start].",
     ),
 ]
 HomeDuring = Annotated[
     str | None,
     typer.Option(
         metavar="FROM,UNTIL",
-        help="Home is where the robot stood meanwhile [s from the drive's start].",
+        help="Take home from the robot standing still in this time [s from the start].",
     ),
 ]
 Changes = Annotated[
@@ -141,20 +141,22 @@ Changes = Annotated[
     typer.Option(
         "--set",
         metavar="KEY=VALUE",
-        help="Another value of a setting; repeatable. homeward settings lists them.",
+        help="Value of a setting; repeatable. `homeward settings` lists the keys.",
     ),
 ]
 KnownPlace = Annotated[
     Path | None,
-    typer.Option(help="A place that is known from earlier drives, or a new one with --update."),
+    typer.Option(help="Folder of a saved map (place); with --update, it may be new."),
 ]
-Force = Annotated[bool, typer.Option("--force", help="Take pictures that look like no panoramas.")]
-AsJson = Annotated[bool, typer.Option("--json", help="Say it as JSON, for programs.")]
+Force = Annotated[
+    bool, typer.Option("--force", help="Accept images that do not look like panoramas.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Scheduler = Annotated[
-    str | None, typer.Option(help="Compute on this Dask scheduler, as in tcp://HOST:8786.")
+    str | None, typer.Option(help="Address of a Dask scheduler, for example tcp://HOST:8786.")
 ]
 Workers = Annotated[
-    int | None, typer.Option(min=1, help="Compute with so many processes of this machine.")
+    int | None, typer.Option(min=1, help="Number of processes on this machine [all processors].")
 ]
 
 
@@ -173,18 +175,18 @@ def key_values(changes: list[str]) -> dict[str, Any]:
 
 
 def three_numbers(text: str, what: str) -> tuple[float, float, float]:
-    """Return three finite numbers with commas between them, which `what` must be."""
+    """Parse three finite numbers separated by commas; `what` names the option in errors."""
     a, b, c = _numbers(text, what, "three")
     return a, b, c
 
 
 def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, float] | None:
-    """Return the two times [s] of an option; errors as `three_numbers`."""
+    """Parse the two times [s] of an option; errors as `three_numbers`."""
     if text is None:
         return None
     begin, end = _numbers(text, option, "two")
     if not 0.0 <= begin < end:
-        raise InputError(f"{option} must be FROM,UNTIL [s] from the start on, not {text!r}")
+        raise InputError(f"{option} must be FROM,UNTIL [s] with 0 <= FROM < UNTIL, not {text!r}")
     return begin, end
 
 
@@ -194,7 +196,7 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
     except ValueError:
         values = ()
     if len(values) != {"two": 2, "three": 3}[number]:
-        raise InputError(f"{what} must be {number} numbers with commas, not {text!r}")
+        raise InputError(f"{what} must be {number} numbers separated by commas, not {text!r}")
     if not all(map(math.isfinite, values)):
         raise InputError(f"{what} must be finite, not {text!r}")
     return values
@@ -206,24 +208,24 @@ def read_drive(
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 
-    with progress(f"reading {source}") as tell:
-        return open_drive(source, topics=topics, home_spin=home_spin, on_progress=tell)
+    with progress(f"reading {source}") as on_progress:
+        return open_drive(source, topics=topics, home_spin=home_spin, on_progress=on_progress)
 
 
 def day(text: str) -> float:
-    """Return a date, YYYY-MM-DD or with a time of day, in days since 1970; else InputError."""
+    """Parse a date, YYYY-MM-DD or with a time of day, into days since 1970."""
     from homeward.places.place import DAY_S
 
     try:
         when = datetime.fromisoformat(text)
     except ValueError:
-        raise InputError(f"{text!r} is no date like 2026-11-23") from None
+        raise InputError(f"{text!r} is not a date; write YYYY-MM-DD") from None
     return when.replace(tzinfo=when.tzinfo or UTC).timestamp() / DAY_S
 
 
 @contextmanager
 def resumable() -> Iterator[None]:
-    """Let Ctrl-C and a kill end the block, say that its work is kept, and exit with 130."""
+    """End the block on Ctrl-C or SIGTERM with exit status 130 and a hint how to resume."""
 
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt
@@ -232,7 +234,7 @@ def resumable() -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        refuse("stopped; finished blocks are kept, and the same command goes on from them")
+        refuse("stopped; finished blocks are kept: run the same command again to continue")
         raise typer.Exit(INTERRUPTED) from None
     finally:
         signal.signal(signal.SIGTERM, before)
@@ -240,9 +242,9 @@ def resumable() -> Iterator[None]:
 
 @contextmanager
 def progress(words: str) -> Iterator[Callable[[float], None]]:
-    """Show on standard error how far the block is; yield its teller.
+    """Show progress on standard error; yield the callback, which takes the fraction done.
 
-    A bar on a terminal; in a pipe a line now and then, so that long work is not silent.
+    A terminal gets a bar, a pipe a line every `PIPED_S`.
     """
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -258,13 +260,13 @@ def progress(words: str) -> Iterator[Callable[[float], None]]:
     )
     with bar:
         task = bar.add_task(printable(words), total=1.0)
-        said = time.monotonic()
+        printed = time.monotonic()
 
-        def tell(fraction: float) -> None:
-            nonlocal said
+        def on_progress(fraction: float) -> None:
+            nonlocal printed
             bar.update(task, completed=fraction)
-            if not console.is_terminal and time.monotonic() - said >= PIPED_S:
-                said = time.monotonic()
+            if not console.is_terminal and time.monotonic() - printed >= PIPED_S:
+                printed = time.monotonic()
                 typer.echo(f"{printable(words)}: {fraction:.0%}", err=True)
 
-        yield tell
+        yield on_progress

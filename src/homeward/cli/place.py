@@ -1,4 +1,4 @@
-"""`homeward place`: what is kept of a place, and what can be done with it."""
+"""`homeward place`: inspect or edit a saved map (place)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def about() -> None:
 
 @place.command()
 def info(folder: Folder, json: AsJson = False) -> None:
-    """Say what is known of a place and its homes."""
+    """Print the landmarks, homes, routes and visits of a place."""
     from homeward.places.files import load_place
     from homeward.runs.report.words import info_lines
 
@@ -33,7 +33,7 @@ def info(folder: Folder, json: AsJson = False) -> None:
 
 
 def _facts(place: Place) -> dict[str, Any]:
-    """Return for programs what is known of a place at its last visit."""
+    """Return a place at its last visit as plain values."""
     when = place.visits[-1].when
     stays, usual = place.stays(when), place.usual_rate
     return {
@@ -68,7 +68,7 @@ def view(
         Path | None, typer.Option(help="The page to write [out/NAME OF THE PLACE.html].")
     ] = None,
 ) -> None:
-    """Draw a place over its visits, on a page."""
+    """Write a page with the map of a place and its changes over the visits."""
     from homeward.places.files import load_place
     from homeward.runs.report.place_page import write_page
 
@@ -80,7 +80,7 @@ def view(
 @place.command()
 def merge(
     folder: Folder,
-    other: Annotated[Path, typer.Argument(help="A place of the same room by another robot.")],
+    other: Annotated[Path, typer.Argument(help="Another robot's place of the same room.")],
 ) -> None:
     """Merge another robot's place of the same room into a place."""
     from homeward.places.files import load_place, update_place
@@ -95,15 +95,11 @@ def merge(
 @place.command()
 def forget(
     folder: Folder,
-    landmarks: Annotated[list[str] | None, typer.Argument(help="Ids to forget.")] = None,
-    home: Annotated[
-        list[str] | None, typer.Option(help="A home to forget; may be repeated.")
-    ] = None,
-    route: Annotated[
-        list[str] | None, typer.Option(help="A route to forget; may be repeated.")
-    ] = None,
+    landmarks: Annotated[list[str] | None, typer.Argument(help="Ids to remove.")] = None,
+    home: Annotated[list[str] | None, typer.Option(help="A home to remove; repeatable.")] = None,
+    route: Annotated[list[str] | None, typer.Option(help="A route to remove; repeatable.")] = None,
 ) -> None:
-    """Forget landmarks, homes or routes of a place."""
+    """Remove landmarks, homes or routes from a place."""
     from homeward.places.files import update_place
     from homeward.runs.report.words import forget_words
 
@@ -113,7 +109,7 @@ def forget(
 
 @place.command()
 def undo(folder: Folder) -> None:
-    """Go back to what a place was before its last change."""
+    """Undo the last change of a place."""
     from homeward.places.files import undo as go_back
 
     say(f"The place is version {go_back(folder)} again.")

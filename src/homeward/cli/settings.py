@@ -1,4 +1,4 @@
-"""`homeward settings`: what can be set, where, and what it means."""
+"""`homeward settings`: list settings, their defaults and meanings."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ OTHERS = {
     "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),
     "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
 }
-"""Where other settings than those of estimators are used, and their model; an extra may have it."""
+"""Settings other than those of estimators: where to set them, and their model."""
 
 
 def settings(
     of: Annotated[
         str | None,
-        typer.Argument(help="Whose: an estimator, a command that takes --set, or a YAML file."),
+        typer.Argument(help="An estimator, or a name from the list without an argument."),
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """List what can be set, its default and its meaning; without a name, where there is any.
+    """List the settings of an estimator, a command or a YAML file, with defaults and meanings.
 
-    What an estimator or a command takes is given as --set KEY=VALUE; in a YAML file each dot is one
-    level more. A * stands for the name or number of one of several.
+    Give settings of estimators and commands as --set KEY=VALUE; in YAML files, each dot is a
+    further level. A * is a placeholder for a name or a number.
     """
     from homeward.io.keys import keys
     from homeward.registry import estimator_names, settings_model
@@ -60,8 +60,8 @@ def settings(
     elif of in OTHERS:
         model = other_model(of)
     else:
-        there = ", ".join((*estimators, *OTHERS))
-        raise InputError(f"nothing called {of!r} has settings: there are {there}")
+        names = ", ".join((*estimators, *OTHERS))
+        raise InputError(f"no settings named {of!r}; choose one of: {names}")
     if json:
         answer({"keys": [asdict(key) for key in keys(model)]})
         return
@@ -70,6 +70,6 @@ def settings(
 
 
 def other_model(name: str) -> type[Strict]:
-    """Return one of `OTHERS`."""
+    """Return the settings model of one of `OTHERS`."""
     module, _, model = OTHERS[name][1].partition(":")
     return getattr(import_module(f"homeward.{module}"), model)  # type: ignore[no-any-return]

@@ -1,4 +1,4 @@
-"""`homeward studio`: a page to drag landmarks, home and robot on."""
+"""`homeward studio`: interactive page to drag landmarks, home and the robot."""
 
 from __future__ import annotations
 
@@ -15,25 +15,27 @@ def studio(
         str,
         typer.Argument(
             metavar="[SCENE|DRIVE|PLACE]",
-            help="A scene (warehouse, paper-homing, circle, a scenario.yaml) to play in; what was "
-            "driven: sample, a drive folder, a ROS bag or MCAP file; or a place.",
+            help="A simulated scene (warehouse, paper-homing, circle, a scenario.yaml); a drive "
+            "(sample, a drive folder, a ROS bag or MCAP file); or a place.",
         ),
     ] = "warehouse",
     estimator: Annotated[
-        str, typer.Option(help="Side by side: names, or package.module:make, with commas.")
+        str,
+        typer.Option(
+            help="Estimators to compare, separated by commas: names or package.module:make."
+        ),
     ] = "robust,ekf",
-    port: Annotated[int, typer.Option(min=0, max=65535, help="To listen at; 0: any free one.")] = 0,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0: any free port.")] = 0,
     browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open it in the browser.")
+        bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
     topics: Topics = None,
 ) -> None:
-    """Open a page to play in: move landmarks, home and robot, and see which estimators notice.
+    """Open an interactive page: move landmarks, home and the robot, and compare estimators live.
 
-    Of a drive: scrub it, and run it with another camera, lag or noise. Of a place: scrub its
-    visits. Only this machine can
-    connect, and only with the token in the address that is printed. It ends by Ctrl-C. Needs the
-    extra live. docs/do/studio.md has more.
+    For a drive: scrub through it, and run it with other camera extrinsics, lag or noise. For a
+    place: scrub through its visits. Only this machine can connect, with the token in the printed
+    address. Stop with Ctrl-C. Needs the extra live. See docs/do/studio.md.
     """
     import webbrowser
     from pathlib import Path
@@ -53,7 +55,7 @@ def studio(
 
     names = tuple(word.strip() for word in estimator.split(",") if word.strip())
     for name in names:
-        settings_model(name)  # whoever is not there is refused before anything is opened
+        settings_model(name)  # an unknown name is an error before anything is opened
     shown: Played
     if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
         shown = Session(open_scene(source), names)
@@ -61,10 +63,10 @@ def studio(
         shown = Visited(load_place(source))
     else:
         drive = read_drive(source, topics)
-        there = located(source)
-        plan = log_info(there, topics).plan if is_log(there) else None
-        told = read_drive_settings(there / SETTINGS) if is_drive_folder(there) else None
-        shown = Replay(drive, names, plan, told if plan is None else plan.drive)
+        path = located(source)
+        plan = log_info(path, topics).plan if is_log(path) else None
+        given = read_drive_settings(path / SETTINGS) if is_drive_folder(path) else None
+        shown = Replay(drive, names, plan, given if plan is None else plan.drive)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")

@@ -24,7 +24,7 @@ from homeward.geometry.frames import Pose
 from homeward.io.settings import validated
 from homeward.live import messages as msg
 from homeward.live.messages import Answer, Command, Diagnostics, LandmarksOut, Output, line_of
-from homeward.runs.report.palette import LEVELS, UNJUDGED, colour
+from homeward.runs.report.palette import LEVELS, UNTESTED, colour
 
 JSON = "std_msgs/msg/String"
 """The type of bearings as JSON."""
@@ -171,7 +171,7 @@ def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str) -> Any:
         if landmark.x is None or landmark.y is None:
             continue
         chance = landmark.moved_probability
-        shade = colour(UNJUDGED if chance is None else round(LEVELS * chance))
+        shade = colour(UNTESTED if chance is None else round(LEVELS * chance))
         for kind, space in ((_SPHERE, "landmarks"), (_TEXT, "names")):
             marker = make(ns=space, id=number, type=kind)
             marker.header.stamp, marker.header.frame_id = stamp, frame

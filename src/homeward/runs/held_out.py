@@ -1,7 +1,7 @@
-"""Two runs of a drive side by side: consistency and accuracy where both have answers.
+"""Comparison of two runs of a drive: consistency and accuracy where both have answers.
 
 A run that has a pose sooner includes more of the time in which poses are worst, and must not score
-worse for it.
+worse for that.
 """
 
 from __future__ import annotations
@@ -24,24 +24,24 @@ CONSISTENT = {"NIS": 1.0, "NEES": 3.0}
 
 @dataclass(frozen=True)
 class Check:
-    """Scores of a held-out drive where both runs of it have answers."""
+    """Scores of one run of a held-out drive where both runs have answers."""
 
     nis: float
     """Mean normalised innovation squared; 1 when consistent."""
     log_likelihood: float
-    """Of an innovation, mean."""
+    """Mean over the innovations."""
     pose_share: float
     """Share of rows with a pose, in this run."""
     rmse_m: float
-    """Of the position; NaN without truth."""
+    """RMSE of the position; NaN without ground truth."""
     nees: float
-    """Mean; 3 when consistent; NaN without truth."""
+    """Mean NEES; 3 when consistent; NaN without ground truth."""
 
     @property
     def log_inconsistency(self) -> dict[str, float]:
-        """Size of the logarithm of NIS and of NEES over their consistent values."""
+        """Absolute logarithm of NIS and of NEES over their consistent values."""
         values = {"NIS": self.nis, "NEES": self.nees}
-        return {word: abs(math.log(value / CONSISTENT[word])) for word, value in values.items()}
+        return {name: abs(math.log(value / CONSISTENT[name])) for name, value in values.items()}
 
 
 class EvaluatedRun(NamedTuple):
@@ -53,24 +53,24 @@ class EvaluatedRun(NamedTuple):
 
 
 def evaluated(drive: Drive, estimator: Estimator) -> EvaluatedRun:
-    """Run an estimator on a drive."""
+    """Run an estimator on a drive and return its scores."""
     track, truth = run(drive, estimator), drive.truth
     off = None if truth is None else errors(track, truth)
     return EvaluatedRun(float(track.has_pose.mean()), off, track.innovations)
 
 
 def checks(before: EvaluatedRun, after: EvaluatedRun) -> tuple[Check, Check]:
-    """Return the scores of two runs of a drive, at the times and innovations that both have."""
+    """Return the scores of two runs at the times and innovations that both have."""
     return _check(before, after), _check(after, before)
 
 
 def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
-    """Return the scores of a run where another run of the drive has answers, too."""
+    """Return the scores of `one` run where the `other` run of the drive has answers, too."""
     off = None
     if one.errors is not None and other.errors is not None:
         off = accuracy(one.errors.rows(np.isin(one.errors.t, other.errors.t)))
-    theirs = set(stamps(other.innovations))
-    both = [stamp in theirs for stamp in stamps(one.innovations)]
+    others = set(stamps(other.innovations))
+    both = [stamp in others for stamp in stamps(one.innovations)]
     square, likelihood = (values[both] for values in log_likelihoods(one.innovations))
     return Check(
         nis=float(square.mean()) if square.size else math.nan,
@@ -82,7 +82,7 @@ def _check(one: EvaluatedRun, other: EvaluatedRun) -> Check:
 
 
 def stamps(i: Innovations) -> list[tuple[float, str]]:
-    """Return when each innovation was, and of which landmark."""
+    """Return the time and the landmark of each innovation."""
     return list(zip(i.t.tolist(), i.landmark.tolist(), strict=True))
 
 

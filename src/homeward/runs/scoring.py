@@ -1,7 +1,7 @@
-"""How good a track is: errors against truth, consistency, shares of time, timings.
+"""Scores of a track: errors against ground truth, consistency, availability and run time.
 
-Everything is weighted by time: a row of the track weighs as long as it was the latest answer, that
-is until the next row, less any gap of truth.
+Everything is weighted by time: a row of the track counts as long as it was the latest answer, that
+is until the next row, without any gap of ground truth.
 """
 
 from __future__ import annotations
@@ -20,46 +20,46 @@ from homeward.reasons import Rejection
 from homeward.track import Track
 
 NEAR_S = 0.05
-"""Where ground truth is slow, the row nearest to each stamp is scored, if this near: half the
-interval of the rows [s]."""
+"""Where ground truth is slow, the row nearest to each stamp is scored, if within this time: half
+the interval of the rows [s]."""
 OFFSET_RATIO = 3.0
 """Alignment must reduce the position RMSE by this factor before an offset is reported: then the
 offset is three times the other errors [1]."""
 MIN_OFFSET = 0.1
-"""Smallest position RMSE of an offset, as a share of the path's spread: smaller ones are errors of
-home, not of the choice of a frame [1]."""
+"""Smallest position RMSE of an offset, as a share of the path's spread: smaller offsets are errors
+of home, not another frame [1]."""
 CHI_SQUARE_3_95 = 7.814727903251179
 """95 % quantile of chi-square with three degrees of freedom (Abramowitz and Stegun, table 26.8)."""
 CHI_SQUARE_1_95 = 3.841458820694124
-"""The same with one degree of freedom."""
+"""95 % quantile of chi-square with one degree of freedom."""
 ELLIPSE_SHARES = (0.3934693402873666, 0.8646647167633873, 0.9888910034617577)
-"""What the 1, 2 and 3 sigma ellipses in the plane should hold: 1 - exp(-k^2 / 2)."""
+"""Expected shares inside the 1, 2 and 3 sigma ellipses in the plane: 1 - exp(-k^2 / 2)."""
 
 
 @dataclass(frozen=True)
 class Errors(Columns):
     """Errors of the rows of a track that ground truth covers; all arrays have shape (m,).
 
-    Errors are estimated minus true; lengths in m, angles in rad and wrapped.
+    Errors are estimate minus ground truth; lengths in m, angles in rad and wrapped.
     """
 
     t: np.ndarray
     """[s]"""
     weight: np.ndarray
-    """How long each row counts [s]."""
+    """Time that each row counts for [s]."""
     x: np.ndarray
     y: np.ndarray
     position: np.ndarray
     """Distance from the true position."""
     R: np.ndarray
-    """Of the distance from home."""
+    """Error of the distance from home."""
     theta: np.ndarray
-    """Of the direction from home."""
+    """Error of the direction from home."""
     heading: np.ndarray
     nees: np.ndarray
     """Normalised estimation error squared of (x, y, heading); chi-square(3) when consistent."""
     nees_position: np.ndarray
-    """The same of (x, y)."""
+    """NEES of (x, y)."""
     true_x: np.ndarray
     true_y: np.ndarray
     true_heading: np.ndarray
@@ -67,7 +67,7 @@ class Errors(Columns):
 
 @dataclass(frozen=True)
 class Statistics:
-    """An error in four numbers, each weighted by time; signs do not count."""
+    """Statistics of the absolute value of an error, weighted by time."""
 
     rmse: float
     median: float
@@ -77,10 +77,10 @@ class Statistics:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """A track against truth."""
+    """Errors and consistency of a track against ground truth."""
 
     scored_s: float
-    """Time with both a pose and truth [s]."""
+    """Time with both a pose and ground truth [s]."""
     position: Statistics
     """[m]"""
     R: Statistics
@@ -94,7 +94,7 @@ class Accuracy:
     nees_inside_95_share: float
     """Share of time inside the 95 % region of chi-square(3)."""
     position_inside_sigma_shares: tuple[float, float, float]
-    """Share of time inside the 1, 2 and 3 sigma ellipses; `ELLIPSE_SHARES` when consistent."""
+    """Shares of time inside the 1, 2 and 3 sigma ellipses; `ELLIPSE_SHARES` when consistent."""
     aligned: Statistics
     """Position error after the best rigid alignment with ground truth (aligned ATE) [m]."""
     rpe_1s: Statistics | None
@@ -114,7 +114,7 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Everything measured on one track; None where it cannot be."""
+    """Metrics of one track; None where one cannot be computed."""
 
     duration_s: float
     """From the first row to the last [s]."""
@@ -138,10 +138,10 @@ class Metrics:
     rejected: dict[Rejection, int]
     """Samples and sightings not used, by reason."""
     accuracy: Accuracy | None
-    """None without truth, or when no row can be judged by it."""
+    """None without ground truth, or when it covers no row."""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain numbers for metrics.json: units in the keys, absent where not known."""
+        """Return plain numbers for metrics.json: units in the keys, absent where unknown."""
         accuracy = {} if self.accuracy is None else _accuracy_dict(self.accuracy)
         plain = {
             "duration_s": self.duration_s,
@@ -161,15 +161,10 @@ class Metrics:
 
 
 def score(track: Track, truth: Truth | None) -> Metrics:
-    """Measure a track, against truth where there is any.
+    """Return the metrics of a track, with accuracy where there is ground truth.
 
-    Parameters
-    ----------
-    track : Track
-        What to measure.
-    truth : Truth or None
-        True poses in the home frame; rows outside its span, or inside one of its gaps longer than
-        `TRUTH_GAP_S`, are not judged. If most gaps are longer, rows at its own stamps are.
+    `truth` holds true poses in the home frame. Rows outside its span, or inside one of its gaps
+    longer than `TRUTH_GAP_S`, are not scored; if most gaps are longer, the rows at its stamps are.
     """
     seconds = np.diff(track.t, append=track.t[-1:])
     duration = float(seconds.sum())
@@ -194,7 +189,7 @@ def score(track: Track, truth: Truth | None) -> Metrics:
 
 
 def errors(track: Track, truth: Truth) -> Errors:
-    """Return the error of every row of a track that has a pose and ground truth at its time."""
+    """Return the errors of the rows of a track that have a pose and ground truth at their time."""
     covered, weight = _coverage(track.t, truth.t)
     rows = np.flatnonzero(track.has_pose & covered)
     x, y, heading = track.x[rows], track.y[rows], track.heading[rows]
@@ -218,7 +213,7 @@ def errors(track: Track, truth: Truth) -> Errors:
 
 
 def accuracy(errors: Errors) -> Accuracy | None:
-    """Summarise the errors of a track, or of some of its rows; None when they cover no time."""
+    """Return the accuracy from errors of a track or of some rows; None if they cover no time."""
     total = float(errors.weight.sum())
     if not total > 0:
         return None
@@ -249,19 +244,19 @@ def accuracy(errors: Errors) -> Accuracy | None:
 def _spread(errors: Errors) -> float:
     """Return the RMS distance of the true positions from their centre [m]."""
     true, weight = errors.true_x + 1j * errors.true_y, errors.weight
-    away = np.abs(true - np.average(true, weights=weight))
-    return float(np.sqrt(np.average(away**2, weights=weight)))
+    distance = np.abs(true - np.average(true, weights=weight))
+    return float(np.sqrt(np.average(distance**2, weights=weight)))
 
 
 def _alignment(errors: Errors) -> tuple[Pose, np.ndarray]:
     """Return the rigid transform from true to estimated positions, and the residuals (m,) [m]."""
     true = errors.true_x + 1j * errors.true_y
     estimate, weight = true + errors.x + 1j * errors.y, errors.weight
-    centre, place = (np.average(z, weights=weight) for z in (true, estimate))
-    angle = float(np.angle(np.sum(weight * np.conj(true - centre) * (estimate - place))))
-    turn = np.exp(1j * angle)
-    shift = place - turn * centre
-    residual = np.abs(estimate - turn * true - shift)
+    centre, other = (np.average(z, weights=weight) for z in (true, estimate))
+    angle = float(np.angle(np.sum(weight * np.conj(true - centre) * (estimate - other))))
+    rotation = np.exp(1j * angle)
+    shift = other - rotation * centre
+    residual = np.abs(estimate - rotation * true - shift)
     return Pose(float(shift.real), float(shift.imag), angle), residual
 
 
@@ -279,10 +274,10 @@ def _relative(errors: Errors) -> np.ndarray:
 
 
 def statistics(error: np.ndarray, weight: np.ndarray) -> Statistics:
-    """Return RMSE, median, 95 % quantile and maximum of the size of an error (m,).
+    """Return RMSE, median, 95 % quantile and maximum of the absolute value of an error (m,).
 
-    A quantile is the smallest size that is not exceeded for that share of the `weight` (m,), which
-    is positive somewhere and negative nowhere; rows of no weight do not count.
+    A quantile is the smallest value that is not exceeded for that share of the `weight` (m,). No
+    weight is negative and at least one is positive; rows of weight zero do not count.
     """
     size, weight = np.abs(error[weight > 0]), weight[weight > 0]
     order = np.argsort(size)
@@ -306,7 +301,7 @@ def normalised_squared(e: np.ndarray, covariance: np.ndarray) -> np.ndarray:
 
 
 def _coverage(t: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return which rows truth can judge, and for how long each stands and truth lasts [s]."""
+    """Return which rows ground truth covers, and the time that each counts for [s]."""
     if truth.size < 2:
         return np.zeros(t.shape, bool), np.zeros(t.shape)
     if is_slow(truth):
@@ -320,7 +315,7 @@ def _coverage(t: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 
 def _coverage_at_stamps(t: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return `_coverage` by slow truth: the row nearest to each stamp, for the median interval."""
+    """Return `_coverage` for slow ground truth: the row nearest to each stamp, weighted equally."""
     covered, weight = np.zeros(t.shape, bool), np.zeros(t.shape)
     if t.size:
         after = np.clip(np.searchsorted(t, truth), 1, max(t.size - 1, 1))
@@ -340,7 +335,7 @@ def _status_shares(status: list[Status], seconds: np.ndarray) -> dict[Status, fl
 
 
 def _accuracy_dict(accuracy: Accuracy) -> dict[str, float]:
-    """Return the numbers of an accuracy, units in the keys."""
+    """Return an accuracy as plain numbers, units in the keys."""
     units = {"position": "m", "R": "m", "theta": "rad", "heading": "rad"}
     numbers = {"scored_s": accuracy.scored_s}
     for name, unit in units.items():

@@ -1,4 +1,4 @@
-"""Runs as validated settings: a drive, one estimator or several, and a start prior."""
+"""Settings of a run and its steps: open the drive, make the estimator, run it."""
 
 from __future__ import annotations
 
@@ -32,48 +32,57 @@ from homeward.track import Track
 from homeward.track import run as follow
 
 TRUTH_SIGMA = 0.05
-"""Of a start prior taken from the truth [m and rad]."""
-TRUTH_NOTE = "The start prior was taken from the truth: this run was told where it began."
-SMOOTH_NOTE = "The track was smoothed over the whole drive: it knows at each time what came later."
-PLACE_NOTE = "Poses are those of the place's home; what the drive saw at a home was not asked for."
-TRUTH_NEAR_S = 1.0
-"""The truth must know the start at least this nearly [s]."""
+"""Standard deviation of a start prior taken from ground truth [m and rad]."""
+TRUTH_NOTE = (
+    "The start prior comes from ground truth, which a robot does not have. Give --start"
+    " R,THETA,ALPHA, or `start:` in drive.yaml, to run without it."
+)
+SMOOTH_NOTE = (
+    "The track is smoothed: each pose uses the whole drive. Run without --smooth for the poses that"
+    " a robot has while it drives."
+)
+PLACE_NOTE = (
+    "Poses are in the frame of the place's home; home bearings of this drive are not used. Choose"
+    " another home of the place with --place-home."
+)
+MAX_TRUTH_GAP_S = 1.0
+"""Ground truth must begin within this time of the start [s]."""
 
 
 class DriveChoice(Strict):
-    """A drive, and the topics of a log."""
+    """A drive, and the topics file of a log."""
 
     drive: str
     """A path, or `SAMPLE`."""
     topics: str | None = None
-    """For a log: the path of a YAML file that names its topics."""
+    """Path of the topics file of a log."""
 
 
 class RunSettings(DriveChoice):
-    """Everything that a run depends on; run.yaml holds it, and a run repeats from it."""
+    """Everything that a run depends on: the content of run.yaml, which repeats the run."""
 
     home_spin: Span | None = None
-    """From when until when the robot turned on the spot at home, in the drive itself [s]."""
+    """Time span of the drive in which the robot turned on the spot at home [s]."""
     estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
-    """R [m], theta [rad], alpha [rad]; "truth" takes them from the drive's truth; None from the
-    drive's settings, or where these say nothing and the estimator needs one, from its truth."""
+    """R [m], theta [rad], alpha [rad]; "truth": from ground truth; None: from the drive's settings,
+    or if they have none and the estimator needs one, from ground truth."""
     place: str | None = None
-    """The folder of a place that is known; a new one for the first drive of it."""
+    """Folder of a place; a new folder for the first drive in it."""
     place_version: Annotated[int, Field(ge=0)] | None = None
-    """Of the place; 0: there was none yet; None: the newest, if there is any."""
+    """Version of the place; 0: there was none yet; None: the newest, if there is any."""
     place_home: str | None = None
-    """The home of the place in whose frame answers are; None: the first."""
+    """The home of the place in whose frame poses are given; None: the first."""
     when: Finite | None = None
-    """The day of the visit [days since 1970]; None: as the drive's clock says, else today."""
+    """Day of the visit [days since 1970]; None: from the drive's clock, else today."""
     smooth: bool = False
     """Whether a final pass corrects the whole track; only the robust localiser can."""
     settings: dict[str, Any] = {}
-    """Of the estimator, by name."""
+    """Settings of the estimator by name."""
 
 
 def load_run(file: Path) -> RunSettings:
-    """Read the run.yaml of an earlier run; `InputError` where it is none."""
+    """Read the run.yaml of an earlier run; `InputError` where the file is not one."""
     tree = read_tree(file)
     tree.pop("versions", None)
     return validated(RunSettings, tree, file)
@@ -85,7 +94,7 @@ def finish(
     run: RunSettings,
     progress: Callable[[float], None] | None = None,
 ) -> Track:
-    """Return the track of a run, its three parts as from `prepare`."""
+    """Run an estimator on a drive, both from `prepare`, and return the track."""
     notes = (TRUTH_NOTE,) if run.start == "truth" else ()
     if run.place_version:
         notes = (*notes, PLACE_NOTE)
@@ -102,36 +111,36 @@ def prepare(
 ) -> tuple[Drive, Estimator, RunSettings]:
     """Open the drive, reporting `progress`, and make the estimator of a run.
 
-    The run that is returned has every setting of the estimator spelt out. `InputError` where the
-    drive cannot be read or has no sightings, the settings do not fit, or the estimator cannot
-    smooth; `HomewardError` where no landmark was found in a folder of images.
+    The returned settings contain every setting of the estimator. `InputError` where the drive
+    cannot be read or has no sightings, the settings are invalid, or the estimator cannot smooth;
+    `HomewardError` where no landmark was found in a folder of images.
     """
     return ready(run, opened(run, progress))
 
 
 def opened(run: RunSettings, progress: Callable[[float], None] | None = None) -> Drive:
-    """Open the drive of a run, telling `progress`; errors as `prepare`."""
+    """Open the drive of a run, reporting `progress`; errors as `prepare`."""
     settings = estimator_settings(run.estimator, run.settings)
     if run.place is not None and run.estimator != DEFAULT:
         raise InputError(f"a place is for the estimator {DEFAULT}, not {run.estimator}")
     if run.smooth and not isinstance(settings, LocalizerSettings):
-        raise InputError(f"{run.estimator} cannot smooth; the estimator robust can")
+        raise InputError(f"{run.estimator} cannot smooth; use the estimator robust")
     drive = open_drive(
         drive_path(run), topics=run.topics, home_spin=run.home_spin, on_progress=progress
     )
     if not drive.sightings.t.size:
-        raise _saw_nothing(drive_path(run), drive.remark_lines)
+        raise _no_sightings(drive_path(run), drive.remark_lines)
     visits = run.place is not None and run.place_version != 0 and is_place(Path(run.place))
     if not (drive.home or visits) and not (
         drive.known.surveyed_from_home and run.estimator == DEFAULT
     ):
-        way = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
-        raise InputError(f"nothing in it tells what the camera saw at home: {way}", Path(run.drive))
+        remedy = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
+        raise InputError(f"no home bearings found: {remedy}", Path(run.drive))
     return drive
 
 
 def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings]:
-    """Return what `prepare` does, of a drive that is open."""
+    """Return what `prepare` returns, for a drive that is open."""
     settings = estimator_settings(run.estimator, run.settings)
     run = run.model_copy(update=place_used(run, drive))
     drive = in_place(run, drive)
@@ -139,25 +148,23 @@ def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings
     estimator = make_estimator(run.estimator, drive, settings)
     if run.place is not None and not isinstance(estimator, Localizer):
         raise InputError(f"a place is for the estimator {DEFAULT}, on a drive without images")
-    spelt = settings.model_dump(mode="json")
-    if "engine" in spelt:
+    values = settings.model_dump(mode="json")
+    if "engine" in values:
         # The engine that was found, not "auto": the run repeats to the last bit.
-        spelt["engine"] = getattr(estimator, "engine", spelt["engine"])
-    update = {"start": start, "settings": spelt}
-    complete = run.model_copy(update=update)
-    return drive, estimator, complete
+        values["engine"] = getattr(estimator, "engine", values["engine"])
+    return drive, estimator, run.model_copy(update={"start": start, "settings": values})
 
 
-def _saw_nothing(path: Path, remarks: Iterable[str]) -> HomewardError:
-    """Return the error of a drive without sightings; good pictures may show nothing of home."""
+def _no_sightings(path: Path, remarks: Iterable[str]) -> HomewardError:
+    """Return the error for a drive without sightings; sound images are no input error."""
     if is_image_folder(path):
         return HomewardError("; ".join([f"{path}: no landmark was found in its images", *remarks]))
-    way = f": {NAME_BEARINGS}" if is_log(path) else ""
-    return InputError("; ".join([f"no sightings of landmarks in it{way}", *remarks]), path)
+    remedy = f": {NAME_BEARINGS}" if is_log(path) else ""
+    return InputError("; ".join([f"no sightings of landmarks in it{remedy}", *remarks]), path)
 
 
 def drive_path(run: RunSettings) -> Path:
-    """Return where the drive of a run is."""
+    """Return the path of the drive of a run."""
     return sample_drive() if run.drive == SAMPLE else Path(run.drive)
 
 
@@ -167,76 +174,79 @@ StartChoice = Literal["truth"] | tuple[float, float, float] | None
 def with_start(
     drive: Drive, estimator: str, start: StartChoice = None
 ) -> tuple[StartChoice, Drive]:
-    """Return where the start prior comes from, and the drive with it.
+    """Return the source of the start prior, and the drive with that prior.
 
-    Where none is asked for and the drive has none, an estimator that needs one gets the truth's.
+    Without `start` and without a prior in the drive, an estimator that needs one gets ground truth.
     """
     known = drive.settings.start is not None or drive.truth is None
     if start is None and not known and needs_start(estimator):
         start = "truth"
     if start is None:
         return None, drive
-    told = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
-    return start, replace(drive, settings=told)
+    settings = drive.settings.model_copy(update={"start": _start_prior(start, drive)})
+    return start, replace(drive, settings=settings)
 
 
 def _start_prior(start: str | tuple[float, float, float], drive: Drive) -> Start:
-    """Return the start prior that was asked for."""
+    """Return the start prior from numbers, or from the ground truth of a drive."""
     if isinstance(start, tuple):
         R, theta, alpha = start
         return validated(Start, {"R": R, "theta": theta, "alpha": alpha})
     if drive.truth is None:
-        raise InputError(f"{drive.name}: it has no truth to take the start from")
+        raise InputError(f"{drive.name}: no ground truth for --start truth; give R,THETA,ALPHA")
     first = drive.span[0]
     late = max(float(drive.truth.t[0]) - first, first - float(drive.truth.t[-1]))
-    if late > TRUTH_NEAR_S:
-        raise InputError(f"{drive.name}: its truth is {late:.1f} s away from the start")
+    if late > MAX_TRUTH_GAP_S:
+        raise InputError(
+            f"{drive.name}: --start truth needs ground truth within {MAX_TRUTH_GAP_S:g} s of the"
+            f" start; it is {late:.1f} s away"
+        )
     x, y, heading = (float(a[0]) for a in drive.truth.at(np.array([first])))
     return Start.about(to_polar(Pose(x, y, heading)), *[TRUTH_SIGMA] * 3)
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came of one estimator."""
+    """Result of one of several estimators."""
 
     run: RunSettings
-    """With every setting spelt out."""
+    """Every setting, defaults included."""
     drive: Drive
-    """With the start prior that this estimator had."""
+    """The drive with the start prior of this estimator."""
     track: Track | None
-    """None where it failed."""
+    """None where the estimator failed."""
     failure: str = ""
-    """Why."""
+    """Reason of the failure."""
 
     @property
     def metrics(self) -> Metrics | None:
-        """Of the track."""
+        """Metrics of the track."""
         return None if self.track is None else score(self.track, self.drive.truth)
 
 
 def run_several(
     runs: Sequence[RunSettings], progress: Callable[[float], None] | None = None
 ) -> list[Outcome]:
-    """Run several estimators over one drive, which is opened once.
+    """Run several estimators on one drive, which is opened once.
 
     The runs differ in their estimators only; `progress` receives the fraction done, in [0, 1].
     `InputError` where the drive cannot be used, two estimators are the same, or one cannot be made.
     """
-    words = [run.estimator for run in runs]
-    if twice := next((word for word in words if words.count(word) > 1), None):
-        raise InputError(f"{twice}: named twice")
+    names = [run.estimator for run in runs]
+    if twice := next((name for name in names if names.count(name) > 1), None):
+        raise InputError(f"estimator {twice} is given twice")
     drive = opened(runs[0])
     prepared = [ready(run, drive) for run in runs]
     outcomes = []
-    for done, (told, estimator, complete) in enumerate(prepared):
+    for done, (started, estimator, complete) in enumerate(prepared):
 
-        def tell(fraction: float, done: int = done) -> None:
+        def on_progress(fraction: float, done: int = done) -> None:
             if progress is not None:
                 progress((done + fraction) / len(runs))
 
         try:
-            track = finish(told, estimator, complete, tell)
-            outcomes.append(Outcome(complete, told, track))
+            track = finish(started, estimator, complete, on_progress)
+            outcomes.append(Outcome(complete, started, track))
         except HomewardError as error:
-            outcomes.append(Outcome(complete, told, None, str(error)))
+            outcomes.append(Outcome(complete, started, None, str(error)))
     return outcomes

@@ -1,9 +1,8 @@
-"""Sensor noise of a robot, identified from its logs.
+"""Identification of a robot's sensor noise from its logs.
 
-Where nothing is told, the localiser learns the odometry's noise by variance components. From there
-the noises go up and down as long as the likelihood of the innovations grows (Mehra 1972; Abbeel and
-others 2005): what a sighting is before it is believed. Bearings are judged on the first part of
-each log, and what came out of it on the second, which nothing was learnt from.
+The search starts from the noise that the localiser estimates by variance components. It scales each
+noise up and down as long as the likelihood of the innovations grows (Mehra 1972; Abbeel and others
+2005). The first half of each log is for the search; the second half is held out, for the scores.
 """
 
 from __future__ import annotations
@@ -27,18 +26,18 @@ from homeward.track import run
 Table = TypeVar("Table", Odometry, Sightings, Truth)
 Likelihoods = dict[tuple[int, float, str], float]
 """The log-likelihood of each innovation, by drive, stamp [s] and landmark."""
-LEARNT_FROM = 0.5
-"""So much of each log is learnt from [1]."""
+TRAINING_SHARE = 0.5
+"""Share of each log for the search; the rest is held out [1]."""
 FACTORS = (2.0, math.sqrt(2.0))
-"""By so much a noise goes up or down, coarse and fine [1]."""
-NOTABLE = 2.0
-"""A noise is changed for so much log-likelihood: a likelihood ratio of one parameter, at 95 %."""
-SURE, BLOCKS = 2.0, 20
-"""And for so many of its standard deviations, by how it is spread over blocks of the logs: errors
-of bearings last, so that a likelihood that counts each as new grows by tens by chance alone."""
-MOST_STEPS = 5
-"""Steps one way: what a log cannot tell from none is not made smaller for ever."""
-ENOUGH = 100
+"""Factors by which a noise is scaled up or down, coarse and fine [1]."""
+MIN_GAIN = 2.0
+"""Gain of log-likelihood that changes a noise: a likelihood ratio of one parameter, at 95 %."""
+MIN_GAIN_SIGMAS, NUM_BLOCKS = 2.0, 20
+"""The gain must exceed this multiple of its standard deviation, estimated from blocks of the logs:
+errors of bearings are correlated, so the likelihood of independent ones grows by tens by chance."""
+MAX_STEPS = 5
+"""Steps in one direction: a noise that a log cannot distinguish from zero must not go to zero."""
+MIN_SIGHTINGS = 100
 """Sightings that each half of a log needs."""
 
 
@@ -55,85 +54,83 @@ class Noise(NamedTuple):
 
 @dataclass(frozen=True)
 class Tuning:
-    """What was learnt, and how it does."""
+    """Identified noise, and the scores of the held-out halves before and after."""
 
     noise: Noise
-    tells_bearings: bool
-    """Whether the noise of bearings is among it: not where all came with a deviation."""
+    has_bearing_noise: bool
+    """Whether bearing noise was identified: not if every bearing has its own sigma."""
     turn_scale_sigma: float
-    """How far turn rates were off, and how sure that is, over all logs [1]."""
+    """Scale error of the turn rate with its uncertainty, RMS over all logs [1]."""
     turn_bias_sigma: float
-    """The same of a constant part [rad/s]."""
+    """Bias of the turn rate with its uncertainty, RMS over all logs [rad/s]."""
     names: list[str]
-    """Of the drives."""
+    """Names of the drives."""
     before: list[Check]
-    """By what the drives say of themselves, of the part that was held out."""
+    """Scores with the drives' own settings."""
     after: list[Check]
-    """By what was learnt."""
+    """Scores with the identified noise."""
 
     @property
     def less_consistent(self) -> list[str]:
-        """Which of NIS and NEES what was learnt made worse, in the mean of the drives."""
+        """Which of NIS and NEES became worse, in the mean over the drives."""
 
-        def mean(checks: Sequence[Check], word: str) -> float:
-            return float(np.mean([check.log_inconsistency[word] for check in checks]))
+        def mean(checks: Sequence[Check], name: str) -> float:
+            return float(np.mean([check.log_inconsistency[name] for check in checks]))
 
-        return [word for word in CONSISTENT if mean(self.after, word) > mean(self.before, word)]
+        return [name for name in CONSISTENT if mean(self.after, name) > mean(self.before, name)]
 
     @property
     def settings(self) -> DriveSettings:
-        """As in drive.yaml, to two or three digits; only these keys are set."""
+        """Settings for drive.yaml, to two or three digits; only these keys are set."""
         bearing, speed, turn = (float(f"{sigma:.3g}") for sigma in self.noise)
         scale, bias = (float(f"{s:.2g}") for s in (self.turn_scale_sigma, self.turn_bias_sigma))
         odometry = {"speed_sigma": speed, "turn_sigma": turn}
         odometry |= {"turn_scale_sigma": scale, "turn_bias_sigma": bias}
-        sensor = {"sensor": Sensor(bearing_sigma=bearing)} if self.tells_bearings else {}
+        sensor = {"sensor": Sensor(bearing_sigma=bearing)} if self.has_bearing_noise else {}
         return DriveSettings(**sensor, odometry=OdometryNoise(**odometry))
 
 
 def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     """Identify the noise of one robot's sensors from its drives, at least one.
 
-    `progress` receives the fraction done, in [0, 1]. `HomewardError` where a drive is too short to
-    learn from.
+    `progress` receives the fraction done, in [0, 1]. `HomewardError` where a drive is too short.
     """
     halves = [_halves(drive) for drive in drives]
-    first = [a for a, _ in halves]
-    tells_bearings = any(np.isnan(drive.sightings.sigma).any() for drive in first)
-    fields = Noise._fields[0 if tells_bearings else 1 :]
-    runs = 2 * len(fields) * len(FACTORS) + 4
+    first, held_out = [a for a, _ in halves], [b for _, b in halves]
+    has_bearing_noise = any(np.isnan(drive.sightings.sigma).any() for drive in first)
+    fields = Noise._fields[0 if has_bearing_noise else 1 :]
+    num_steps = 2 * len(fields) * len(FACTORS) + 4
     done = 0
 
-    def tell() -> None:
+    def step_done() -> None:
         nonlocal done
         done += 1
-        progress(done / runs)
+        progress(done / num_steps)
 
     begun = [_identified(drive) for drive in first]
-    tell()
+    step_done()
     noise = Noise(*np.exp(np.mean(np.log([n for n, _, _ in begun]), axis=0)).tolist())
-    noise = _search(first, noise, fields, tell)
+    noise = _search(first, noise, fields, step_done)
     turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
     scale, bias = turn.tolist()
-    held_out = [b for _, b in halves]
     as_is = [evaluated(drive, _localizer(drive)) for drive in held_out]
-    tell()
-    told = [
-        evaluated(told, _localizer(told))
-        for told in (_told(drive, noise, scale, bias) for drive in held_out)
-    ]
-    tell()
-    before, after = zip(*map(checks, as_is, told), strict=True)
+    step_done()
+    tuned = [_with_noise(drive, noise, scale, bias) for drive in held_out]
+    improved = [evaluated(drive, _localizer(drive)) for drive in tuned]
+    step_done()
+    before, after = zip(*map(checks, as_is, improved), strict=True)
     names = [drive.name for drive in drives]
-    return Tuning(noise, tells_bearings, scale, bias, names, list(before), list(after))
+    return Tuning(noise, has_bearing_noise, scale, bias, names, list(before), list(after))
 
 
 def _halves(drive: Drive) -> tuple[Drive, Drive]:
-    """Return the part of a drive to learn from, and the one to judge by."""
+    """Return the part of a drive for the search, and the held-out part."""
     seen = drive.sightings.t
-    if seen.size < 2 * ENOUGH:
-        raise HomewardError(f"{drive.name}: {seen.size} sightings; {2 * ENOUGH} are needed")
-    middle = float(seen[int(LEARNT_FROM * seen.size)])
+    if seen.size < 2 * MIN_SIGHTINGS:
+        raise HomewardError(
+            f"{drive.name}: {seen.size} sightings; at least {2 * MIN_SIGHTINGS} are needed"
+        )
+    middle = float(seen[int(TRAINING_SHARE * seen.size)])
     begin, end = drive.span
     later = drive.settings.model_copy(update={"start": None})
     return _part(drive, begin, middle, drive.settings), _part(drive, middle, end, later)
@@ -155,33 +152,32 @@ def _part(drive: Drive, begin: float, end: float, settings: DriveSettings) -> Dr
     )
 
 
-def _told(drive: Drive, noise: Noise, scale: float | None, bias: float | None) -> Drive:
-    """Return the drive with the noise of its sensors told."""
-    said = drive.settings
+def _with_noise(drive: Drive, noise: Noise, scale: float | None, bias: float | None) -> Drive:
+    """Return the drive with this sensor noise in its settings."""
+    settings = drive.settings
     odometry = OdometryNoise(
         speed_sigma=noise.speed_sigma,
         turn_sigma=noise.turn_sigma,
-        speed_scale_sigma=said.odometry.speed_scale_sigma,
+        speed_scale_sigma=settings.odometry.speed_scale_sigma,
         turn_scale_sigma=scale,
         turn_bias_sigma=bias,
     )
-    sensor = said.sensor.model_copy(update={"bearing_sigma": noise.bearing_sigma})
-    told = said.model_copy(update={"odometry": odometry, "sensor": sensor})
-    return dataclasses.replace(drive, settings=told)
+    sensor = settings.sensor.model_copy(update={"bearing_sigma": noise.bearing_sigma})
+    update = {"odometry": odometry, "sensor": sensor}
+    return dataclasses.replace(drive, settings=settings.model_copy(update=update))
 
 
 def _identified(drive: Drive) -> tuple[Noise, float, float]:
-    """Return the noise by variance components, and how far turn rates are off: scale, bias."""
-    said = drive.settings
-    sensor = said.sensor.model_copy(update={"bearing_sigma": None})
+    """Return the noise from variance components, and the scale error and bias of turn rates."""
+    sensor = drive.settings.sensor.model_copy(update={"bearing_sigma": None})
     update = {"odometry": OdometryNoise(), "sensor": sensor}
-    untold = dataclasses.replace(drive, settings=said.model_copy(update=update))
-    localizer = _localizer(untold)
-    track = run(untold, localizer)
-    if track.innovations.t.size < ENOUGH:
+    unspecified = dataclasses.replace(drive, settings=drive.settings.model_copy(update=update))
+    localizer = _localizer(unspecified)
+    track = run(unspecified, localizer)
+    if track.innovations.t.size < MIN_SIGHTINGS:
         raise HomewardError(
             f"{drive.name}: its first half has {track.innovations.t.size} sightings of mapped "
-            f"landmarks; {ENOUGH} are needed to learn from"
+            f"landmarks; at least {MIN_SIGHTINGS} are needed"
         )
     chart, odometry = localizer.chart, drive.odometry.bridged
     moves = max(np.count_nonzero((odometry.v != 0) | (odometry.omega != 0)), 1)
@@ -189,7 +185,8 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
     along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]
     if min(along, heading) <= 0.0:
         raise HomewardError(
-            f"{drive.name}: in its first half the robot moves too little for its odometry's noise"
+            f"{drive.name}: in its first half the robot moves too little to estimate the odometry"
+            " noise; use a log with more motion"
         )
     calibration = chart.map.smoother.state.calibration
     variances = chart.map.smoother.state.calibration_variances
@@ -199,51 +196,51 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
 
 
 def _search(
-    drives: Sequence[Drive], noise: Noise, fields: Sequence[str], tell: Callable[[], None]
+    drives: Sequence[Drive], noise: Noise, fields: Sequence[str], step_done: Callable[[], None]
 ) -> Noise:
-    """Let each noise go up, or else down unless doubted, while innovations become likelier."""
+    """Scale each noise up, or else down unless the localiser raises it, while likelihoods grow."""
     likely, _ = _likelihoods(drives, noise)
-    tell()
+    step_done()
     for factor in FACTORS:
         for field in fields:
             begun = noise
-            for way in (factor, 1.0 / factor):
-                for _ in range(MOST_STEPS if noise is begun else 0):
-                    other = noise._replace(**{field: way * getattr(noise, field)})
-                    found, doubted = _likelihoods(drives, other)
-                    if not _likelier(found, likely) or (doubted and way < 1.0):
+            for scale in (factor, 1.0 / factor):
+                for _ in range(MAX_STEPS if noise is begun else 0):
+                    other = noise._replace(**{field: scale * getattr(noise, field)})
+                    found, is_raised = _likelihoods(drives, other)
+                    if not _is_likelier(found, likely) or (is_raised and scale < 1.0):
                         break
                     noise, likely = other, found
-                tell()
+                step_done()
     return noise
 
 
-def _likelier(found: Likelihoods, before: Likelihoods) -> bool:
-    """Whether the innovations that two runs have in common became notably likelier.
+def _is_likelier(found: Likelihoods, before: Likelihoods) -> bool:
+    """Whether the innovations that two runs have in common became significantly likelier.
 
     The standard deviation of the gain is that of batch means (Law and Carson 1979): sums over
-    blocks hang together far less than innovations do.
+    blocks are far less correlated than innovations.
     """
     both = sorted(found.keys() & before.keys())
     gains = np.array([found[key] - before[key] for key in both])
-    blocks = np.array([block.sum() for block in np.array_split(gains, BLOCKS)])
-    deviation = math.sqrt(BLOCKS) * float(blocks.std(ddof=1))
-    return float(gains.sum()) > max(NOTABLE, SURE * deviation)
+    blocks = np.array([block.sum() for block in np.array_split(gains, NUM_BLOCKS)])
+    deviation = math.sqrt(NUM_BLOCKS) * float(blocks.std(ddof=1))
+    return float(gains.sum()) > max(MIN_GAIN, MIN_GAIN_SIGMAS * deviation)
 
 
 def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bool]:
     """Return log-likelihoods of innovations with a noise, and whether the localiser raised it."""
     found: Likelihoods = {}
-    doubted = False
+    is_raised = False
     for number, drive in enumerate(drives):
-        told = _told(drive, noise, None, None)
-        localizer = _localizer(told)
-        i = run(told, localizer).innovations
+        tuned = _with_noise(drive, noise, None, None)
+        localizer = _localizer(tuned)
+        i = run(tuned, localizer).innovations
         chart = localizer.chart
-        doubted |= chart.noise.scale > 1.0 or bool((chart.process_noise.scales > 1.0).any())
+        is_raised |= chart.noise.scale > 1.0 or bool((chart.process_noise.scales > 1.0).any())
         values = log_likelihoods(i)[1].tolist()
         found |= {(number, *s): value for s, value in zip(stamps(i), values, strict=True)}
-    return found, doubted
+    return found, is_raised
 
 
 def _localizer(drive: Drive) -> Localizer:

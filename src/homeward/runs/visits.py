@@ -1,4 +1,4 @@
-"""A run in a place: what is known of it beforehand, and what it is afterwards."""
+"""Runs in a place: the drive as a visit, and the update of the place after the run."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ToStore:
-    """What of a visit its place is to keep by name."""
+    """Names under which a visit stores a home and a route in its place."""
 
     home: str | None = None
     home_at: float | None = None
-    """Where the drive was then; None: at its end [s after its first sample]."""
+    """Time of the home [s after the first sample]; None: the end of the drive."""
     route: str | None = None
-    """The way, smoothed."""
+    """Name for the smoothed path of the drive."""
 
 
 NOTHING = ToStore()
 
 
 def in_place(run: RunSettings, drive: Drive) -> Drive:
-    """Return the drive of a run, dated by `place_used`, as it knows its place."""
+    """Return the drive of a run as a visit to its place, dated by `place_used`."""
     if run.place is None or not run.place_version or run.when is None:
         return drive
     return load_place(run.place, run.place_version).visited_by(drive, run.when, run.place_home)
 
 
 def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
-    """Return the version of its place that a run knows (0: none yet), and its day, if any."""
+    """Return the version of the place that a run uses (0: none yet), and its day, if any."""
     if run.place is None:
         return {}
     version = run.place_version
@@ -57,10 +57,10 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
 
 
 def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
-    """Refuse before a run of minutes what `save_visit` would refuse after it.
+    """Raise before a run of minutes the errors that `save_visit` would raise after it.
 
-    `InputError` where the place knows the drive, or has a home or route of the name that is to be
-    stored, or is new and has not the home that is asked for, or the drive has no such time.
+    `InputError` where the drive was merged before, the name of a home or route is taken, a new
+    place does not have the chosen home, or the drive has no such time.
     """
     homes: Collection[str] = (FIRST_HOME,)
     routes: Collection[str] = ()
@@ -70,7 +70,7 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
         homes, routes = place.homes, place.routes
     elif run.place_home not in (None, FIRST_HOME):
         raise InputError(
-            f"no home {quoted(str(run.place_home))}: the place is new, and its home {FIRST_HOME}"
+            f"no home {quoted(str(run.place_home))}: the place is new and has only {FIRST_HOME}"
         )
     if store.home is not None:
         require_name("home", store.home, homes)
@@ -78,49 +78,58 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
         require_name("route", store.route, routes)
     first, last = drive.span
     if store.home_at is not None and not 0.0 <= store.home_at <= last - first:
-        raise InputError(f"{store.home_at:g} s is no time of a drive of {last - first:.1f} s")
+        raise InputError(
+            f"--home-at {store.home_at:g}: must be from 0 to {last - first:.1f} s, the length of"
+            " the drive"
+        )
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
-    """Return the day of a run's visit [days since 1970]; `InputError` where that has no date."""
+    """Return the day of a visit [days since 1970]; `InputError` where it is not a date."""
     epoch, when = drive.settings.epoch, run.when
     if when is None:
         when = (time.time() if epoch is None else epoch + drive.span[0]) / DAY_S
     if not FIRST_DAY <= when <= LAST_DAY:
-        raise InputError(f"the day of the visit, {when:g} since 1970, has no date")
+        raise InputError(
+            f"the day of the visit, {when:g} days since 1970, is not a date; give --when YYYY-MM-DD"
+        )
     return when
 
 
 def save_visit(
     run: RunSettings, drive: Drive, estimator: Estimator, track: Track, store: ToStore = NOTHING
 ) -> tuple[Place, list[str]]:
-    """Merge a run into the newest version of its place, and save that.
+    """Merge a run into the newest version of its place, and save it.
 
-    Drive, estimator and track are from `prepare` and `finish`. Return the place afterwards, and the
-    reasons why something of `store` was not stored. `HomewardError` where there is too little to be
-    kept, or the place cannot be written.
+    Drive, estimator and track are from `prepare` and `finish`. Return the new version of the place,
+    and the reasons why a home or route was not stored. `HomewardError` where there is too little to
+    keep, or the place cannot be written.
     """
     assert isinstance(estimator, Localizer)  # `prepare` has checked it
     assert run.place is not None
-    told = collect_visit(estimator, drive, track, day_of(run, drive), run.place_home)
+    visit = collect_visit(estimator, drive, track, day_of(run, drive), run.place_home)
     lost: list[str] = []
     if store.home is not None:
         until = math.inf if store.home_at is None else drive.span[0] + store.home_at
         try:
-            told = told.store_home(store.home, *last_frame(drive, track, until))
-        except HomewardError as error:  # it costs the home, not the visit
+            visit = visit.store_home(store.home, *last_frame(drive, track, until))
+        except HomewardError as error:  # the visit is merged nevertheless
             lost.append(str(error))
     if store.route is not None:
         try:
-            told = told.store_route(store.route, smooth(drive, estimator.settings))
+            visit = visit.store_route(store.route, smooth(drive, estimator.settings))
         except HomewardError as error:
             lost.append(f"route {quoted(store.route)}: {error}")
     if not run.place_version:
-        after = first_place(Path(run.place).name, estimator, told)
+        after = first_place(Path(run.place).name, estimator, visit)
         save_place(after, run.place, 0)
     else:
-        after, _ = update_place(run.place, lambda known: merged(known, told))
-    for what, name, kept in (("home", store.home, told.homes), ("route", store.route, told.routes)):
-        if name in kept and name not in (after.homes if what == "home" else after.routes):
+        after, _ = update_place(run.place, lambda known: merged(known, visit))
+    homes, routes = (
+        (store.home, visit.homes, after.homes),
+        (store.route, visit.routes, after.routes),
+    )
+    for what, (name, kept, stored) in (("home", homes), ("route", routes)):
+        if name in kept and name not in stored:
             lost.append(f"{what} {quoted(str(name))} was not stored")
     return after, lost

@@ -1,4 +1,4 @@
-"""`homeward convert`: a drive from one form into another."""
+"""`homeward convert`: convert a drive to another format."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ def convert(
         str, typer.Argument(help="A drive folder, a ROS bag, an MCAP file, or: sample.")
     ],
     target: Annotated[
-        Path, typer.Argument(help="A name ending in .mcap, .bag or .db3, or a new drive folder.")
+        Path, typer.Argument(help="A file ending in .mcap, .bag or .db3, or a new drive folder.")
     ],
     topics: Topics = None,
     home_spin: HomeSpin = None,
 ) -> None:
-    """Write a drive as a drive folder, an MCAP file or a ROS bag; the way back is exact."""
+    """Convert a drive to a drive folder, an MCAP file or a ROS bag, without loss."""
     from homeward.drives.opening import save_drive
 
     drive = read_drive(source, topics, spin_span(home_spin))
-    with progress(f"writing {target}") as tell:
-        kind = save_drive(drive, target, tell)
+    with progress(f"writing {target}") as on_progress:
+        kind = save_drive(drive, target, on_progress)
     say(
         f"{kind} {target}: {drive.odometry.t.size} twists, {drive.sightings.t.size} sightings, "
         f"{len(drive.home)} home bearings"

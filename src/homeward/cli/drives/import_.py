@@ -1,4 +1,4 @@
-"""`homeward import`: a drive folder from tables of any columns, or from an MRCLAM folder."""
+"""`homeward import`: convert tables with any columns, or an MRCLAM folder, to a drive folder."""
 
 from __future__ import annotations
 
@@ -12,63 +12,66 @@ from homeward.cli import options as shared
 from homeward.errors import InputError
 
 MRCLAM = "mrclam"
-"""First argument for a folder of this data set."""
+"""First argument for a folder of the MRCLAM data set."""
 
 
 def import_(
     files: Annotated[
         list[Path],
         typer.Argument(
-            help="Text files with odometry, bearings, home bearings, perhaps ground truth; or the "
-            "word mrclam and an MRCLAM folder."
+            help="Text files with odometry, bearings, home bearings and optionally ground truth; "
+            "or the word mrclam and an MRCLAM folder."
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="The drive folder to write; without it, --picture alone.")
+        Path | None, typer.Option(help="The drive folder to write; without it, only --picture.")
     ] = None,
     columns: Annotated[
         list[str] | None,
         typer.Option(
             metavar="[FILE:]ROLE=COLUMN[UNIT]",
-            help="What a column is, several with commas; a minus before COLUMN turns the sign. "
+            help="Roles of columns, separated by commas; a minus before COLUMN changes the sign. "
             "Without a header, columns are 1, 2, 3. "
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
         ),
     ] = None,
     home_spin: shared.HomeSpin = None,
-    picture: Annotated[Path, typer.Option(help="Where to draw what was understood.")] = Path(
+    picture: Annotated[Path, typer.Option(help="The figure of the imported data to write.")] = Path(
         "out/import.png"
     ),
-    robot: Annotated[int | None, typer.Option(help="mrclam: number of the robot.")] = None,
+    robot: Annotated[int | None, typer.Option(help="mrclam: number of the robot, 1 to 5.")] = None,
     home: Annotated[
         str | None, typer.Option(help="mrclam: X,Y,HEADING [m, m, rad] of home in the survey.")
     ] = None,
     home_noise_deg: Annotated[
         float, typer.Option(help="mrclam: noise of the computed home bearings [deg].")
     ] = 0.0,
-    seed: Annotated[int, typer.Option(help="mrclam: seed of that noise.")] = 0,
+    seed: Annotated[int, typer.Option(help="mrclam: random seed of that noise.")] = 0,
     json: shared.AsJson = False,
 ) -> None:
-    """Turn CSV files of any columns, separators and units into a drive folder.
+    """Convert CSV files with any columns, separators and units to a drive folder.
 
-    Reports what each column was taken for, and draws it, before anything is written. Angles and
-    turn rates are positive anti-clockwise. `homeward import mrclam FOLDER --robot 3 --home
-    2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
+    Reports the role and the unit of each column, and draws the data, before it writes the drive.
+    Angles and turn rates are positive anti-clockwise. `homeward import mrclam FOLDER --robot 3
+    --home 2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
     """
     from homeward.drives.opening import save_drive
 
     if files[0] == Path(MRCLAM) and len(files) > 1:
         if columns or home_spin:
-            raise InputError("import mrclam takes --robot, --home, --home-noise-deg, --seed, --out")
+            raise InputError(
+                "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
+            )
         _mrclam(files[1:], robot, home, (home_noise_deg, seed), out, json)
         return
     if robot is not None or home is not None or home_noise_deg or seed:
-        ways = "--robot, --home, --home-noise-deg and --seed are for homeward import mrclam FOLDER"
-        raise InputError(ways)
+        raise InputError(
+            "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
+        )
     from homeward.drives.importers.reading import about_home, drive_of, understand
     from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png
-    from homeward.runs.report.imported import glance
+    from homeward.runs.report.imported import draw_drive
 
     found = understand(files, columns or ())
     keys = ("file", "is", "column", "as", "unit", "how", "range")
@@ -79,7 +82,7 @@ def import_(
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     drive = drive_of(found, "import" if out is None else out.name, shared.spin_span(home_spin))
-    write_whole(picture, png(glance(drive)))
+    write_whole(picture, png(draw_drive(drive)))
     remarks = [*drive.remark_lines, *about_home(drive)]
     if json:
         if out is not None:
@@ -91,10 +94,11 @@ def import_(
         return
     shared.warn(*remarks)
     shared.say(
-        f"Picture: {picture}. Has the path the right size and shape, do bearings run smoothly?"
+        f"Picture: {picture}. Check that the path has the right size and shape and that the"
+        " bearings change smoothly."
     )
     if out is None:
-        shared.say("Nothing else was written; --out FOLDER writes the drive.")
+        shared.say("No drive written. Add --out FOLDER to write it.")
         return
     save_drive(drive, out)
     shared.say(f"Drive folder: {out}")

@@ -1,4 +1,4 @@
-"""`homeward info`: what is in a log, and what would be used of it."""
+"""`homeward info`: contents of a log or a folder, and the topics that a run would use."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ def info(
         ),
     ],
     topics: Annotated[
-        Path | None, typer.Option(help="A YAML file that says which topics hold what.")
+        Path | None, typer.Option(help="The topics file, a YAML file with topics and roles.")
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """List topics, types, rates, gaps and clocks of a log, and which topics would be used.
+    """List the topics, types, rates, gaps and clocks of a log, and the topics that a run would use.
 
-    Of a folder: its files, their rates, and what is missing.
+    For a folder: its files, their rates, and missing files.
     """
     from homeward.drives.ros.info import log_info
 
-    with progress(f"reading {log}") as tell:
-        found = log_info(log, topics, tell)
+    with progress(f"reading {log}") as on_progress:
+        found = log_info(log, topics, on_progress)
     if json:
         answer(_facts(found))
         return
@@ -52,13 +52,13 @@ def info(
         table([head, *(_row(topic) for topic in found.topics)], left=len(head))
     warn(*found.remarks)
     if found.settings:
-        say("Used, as a topics file would say it:")
+        say("A run would use these topics (copy them to a topics file to change them):")
         for line in found.settings.splitlines():
             say(line)
 
 
 def _facts(found: LogInfo) -> dict[str, Any]:
-    """Return what is known as plain values; docs/look-up/json.md says what each is."""
+    """Return the result as plain values, described in docs/look-up/json.md."""
     topics = [
         {
             "name": topic.name,
@@ -85,7 +85,7 @@ def _row(topic: Topic) -> tuple[str, ...]:
     if clock is not None and clock.jumps:
         offset += f", {clock.jumps} jumps"
     if topic.header is not None and not topic.stamped and topic.count:
-        offset = "headers hold no times"
+        offset = "headers without stamps"
     return (
         topic.name,
         topic.type,

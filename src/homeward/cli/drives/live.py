@@ -1,4 +1,4 @@
-"""`homeward live`: a session with a robot, over JSON lines."""
+"""`homeward live`: localise a robot while it drives, over JSON lines."""
 
 from __future__ import annotations
 
@@ -18,38 +18,37 @@ TOKEN = "HOMEWARD_TOKEN"
 
 def live(
     tcp: Annotated[
-        str | None, typer.Option(metavar="[HOST:]PORT", help="Listen for JSON lines; 0: any port.")
+        str | None,
+        typer.Option(metavar="[HOST:]PORT", help="TCP port for JSON lines; 0: any port."),
     ] = None,
     websocket: Annotated[
-        str | None, typer.Option(metavar="[HOST:]PORT", help="Listen for WebSockets (extra live).")
+        str | None, typer.Option(metavar="[HOST:]PORT", help="WebSocket port (needs extra live).")
     ] = None,
-    home: Annotated[
-        Path | None, typer.Option(help="A home.csv: what the camera saw at home.")
-    ] = None,
+    home: Annotated[Path | None, typer.Option(help="A home.csv with the home bearings.")] = None,
     robot: Annotated[
-        Path | None, typer.Option(help="A drive.yaml: camera, noise of odometry, start.")
+        Path | None, typer.Option(help="A drive.yaml: camera, odometry noise, start prior.")
     ] = None,
     place: KnownPlace = None,
     update: Annotated[
-        bool, typer.Option("--update", help="Merge what is driven into the place.")
+        bool, typer.Option("--update", help="Merge the session into the place at its end.")
     ] = False,
     record: Annotated[
-        Path | None, typer.Option(help="Keep the session in this folder, which ends as a drive.")
+        Path | None, typer.Option(help="Record the session in this folder, as a drive folder.")
     ] = None,
     replay: Annotated[
         Path | None,
-        typer.Option(help="Repeat the session.jsonl of a recording, and compare every answer."),
+        typer.Option(help="Repeat the session.jsonl of a recording, and compare all answers."),
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of all messages and exit.")
     ] = False,
     changes: Changes = None,
 ) -> None:
-    """Localise a robot as it drives, and drive it home: JSON lines in, JSON lines out.
+    """Localise a robot while it drives, and drive it home: JSON lines in, JSON lines out.
 
-    By stdin and stdout, or where --tcp or --websocket says so. Without a HOST only this machine can
-    connect; with one, everybody must say hello with the token in the environment's HOMEWARD_TOKEN.
-    It ends with stdin, or by Ctrl-C or SIGTERM. docs/do/live.md says what the messages are.
+    Uses stdin and stdout, or the ports of --tcp and --websocket. Without HOST, only this machine
+    can connect; with HOST, every client must send hello with the token of the environment variable
+    HOMEWARD_TOKEN. Ends with stdin, Ctrl-C or SIGTERM. docs/do/live.md describes the messages.
     """
     from homeward.drives.folder import read_home
     from homeward.drives.settings import DriveSettings
@@ -68,20 +67,20 @@ def live(
     if replay is not None:
         same, other = repeat(replay)
         if other is not None:
-            refuse(f"answer {same + 1} is another one now: {other}")
+            refuse(f"answer {same + 1} differs from the recording: {other}")
             raise no_answer()
         say(f"{same:,} answers, all equal to the last bit")
         return
-    told = validated(LiveSettings, nested(key_values(changes or [])))
+    settings = validated(LiveSettings, nested(key_values(changes or [])))
     known = DriveSettings() if robot is None else read_settings(robot, DriveSettings)
     homes = {} if home is None else {"home": read_home(home, {})}
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
     if update and place is None:
-        raise InputError("--update needs a --place")
-    visited = None if place is None else open_place(place, update, told.estimator)
-    session = Session(told, known, homes, visited)
-    # After it: of a session that cannot begin no folder is left.
-    recorder = None if record is None else Recorder(record, told, known, homes, visited)
+        raise InputError("--update needs --place")
+    visited = None if place is None else open_place(place, update, settings.estimator)
+    session = Session(settings, known, homes, visited)
+    # After the session: a session that cannot begin must leave no folder.
+    recorder = None if record is None else Recorder(record, settings, known, homes, visited)
     if recorder is not None:
         session.watch(recorder.keep)
     server = Server(session, os.environ.get(TOKEN) or None)

@@ -1,4 +1,4 @@
-"""`homeward run`: a drive in, a pose with its uncertainty out."""
+"""`homeward run`: localise a robot in a recorded drive."""
 
 from __future__ import annotations
 
@@ -38,53 +38,52 @@ def run(
     estimator: Annotated[
         str | None,
         typer.Option(
-            help="robust (default), a name of `homeward settings`, or package.module:make; several "
-            "with commas go onto one page."
+            help="robust (default), another name from `homeward settings`, or package.module:make; "
+            "several, separated by commas, are compared on one page."
         ),
     ] = None,
     start: Annotated[
         str | None,
         typer.Option(
-            help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth; default: drive.yaml's."
+            help="Start prior: R,THETA,ALPHA [m, rad, rad], or truth (ground truth) [drive.yaml]."
         ),
     ] = None,
     topics: shared.Topics = None,
     home_spin: shared.HomeSpin = None,
     place: shared.KnownPlace = None,
     update: Annotated[
-        bool, typer.Option("--update", help="Merge the drive into the place at its end.")
+        bool, typer.Option("--update", help="Merge the drive into the place after the run.")
     ] = False,
     store_home: Annotated[
         str | None,
-        typer.Option(help="With --update: a new home of this name where the drive ends."),
+        typer.Option(help="With --update: store the end of the drive as a home with this name."),
     ] = None,
     home_at: Annotated[
         float | None,
-        typer.Option(help="With --store-home: where the drive was then [s from its start]."),
+        typer.Option(help="With --store-home: time of the home [s from the start; the end]."),
     ] = None,
     store_route: Annotated[
         str | None,
-        typer.Option(help="With --update: the way of the drive as a route of this name."),
+        typer.Option(help="With --update: store the path as a route with this name."),
     ] = None,
     place_home: Annotated[
-        str | None, typer.Option(help="Answer in the frame of this home of the place [the first].")
+        str | None, typer.Option(help="Home of the place in whose frame poses are [the first].")
     ] = None,
     when: Annotated[
-        str | None, typer.Option(help="The day of the visit, YYYY-MM-DD [the drive's, else today].")
+        str | None, typer.Option(help="Day of the visit, YYYY-MM-DD [the drive's, else today].")
     ] = None,
     smooth: Annotated[
-        bool, typer.Option("--smooth", help="Correct the whole track at the end; not causal.")
+        bool, typer.Option("--smooth", help="Smooth the track over the whole drive (not causal).")
     ] = False,
     changes: shared.Changes = None,
     json: shared.AsJson = False,
 ) -> None:
-    """Localise a robot along a drive, and write what came out.
+    """Localise a robot in a recorded drive, and write poses, landmarks, metrics and a report.
 
-    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap,
-    report.html and run.yaml, from which the run repeats (without the extra report no run.mcap and
-    no report.html). Of several estimators it gets all that in a folder of each, and
-    estimators.html with table.csv, table.md and table.tex. Where no pose was found, the exit
-    status is 1.
+    The folder gets estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap, report.html
+    and run.yaml, which repeats the run (without the extra report, no run.mcap and no report.html).
+    Several estimators get a folder each, and estimators.html with table.csv, table.md and
+    table.tex. Exit status 1 if no pose was found.
     """
     from homeward.io.settings import nested
     from homeward.places.files import check_place, newest
@@ -102,9 +101,9 @@ def run(
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
     if update and (place is None or smooth):
-        raise InputError("--update needs a --place, and no --smooth")
+        raise InputError("--update needs --place, and does not work with --smooth")
     if place is not None and update:
-        check_place(place)  # before a run of minutes
+        check_place(place)  # fail before a run of minutes
     elif place is not None:
         newest(place)
     for option, name in (("--store-home", store_home), ("--store-route", store_route)):
@@ -113,7 +112,7 @@ def run(
     if home_at is not None and store_home is None:
         raise InputError("--home-at needs --store-home")
     if place is None and (place_home is not None or when is not None):
-        raise InputError("--place-home and --when are for a --place")
+        raise InputError("--place-home and --when need --place")
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
@@ -141,7 +140,10 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
         changed = sorted(given.keys() - ({"estimator"} if confirmed else set()))
         if changed:
             option = "--" + ("set" if "settings" in given else changed[0].replace("_", "-"))
-            raise InputError(f"{option} cannot be changed: the run repeats as it was", file)
+            raise InputError(
+                f"{option} cannot be changed when a run.yaml is repeated; run the drive itself",
+                file,
+            )
         if ":" in earlier.estimator and not confirmed:
             raise InputError(
                 f"estimator: {earlier.estimator} is Python code outside homeward; to execute it, "
@@ -155,10 +157,10 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
 
 
 def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
-    """Return the folder to write: `chosen`, or out/NAME where that is free or has a run of `drive`.
+    """Return the folder to write: `chosen`, or the first of out/NAME, out/NAME-run, out/NAME-2, ...
 
-    Else NAME-run, NAME-2, NAME-3, ...: out/NAME may hold the drive itself, or a run of another
-    drive of that name.
+    that does not exist or contains a run of `drive`. Others may contain the drive itself, or a run
+    of another drive with that name.
     """
     from homeward.io.settings import read_tree
     from homeward.io.writing import check_output
@@ -174,7 +176,7 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
         except InputError:
             if is_there(folder):
                 continue
-            raise  # no other name would be any better
+            raise  # no other name would help
         run = folder / SETTINGS_FILE
         if not is_there(run) or read_tree(run).get("drive") == drive:
             break
@@ -194,41 +196,41 @@ def _run(
     from homeward.runs.single_run import drive_path, finish, prepare
     from homeward.runs.visits import ToStore, check_update, save_visit
 
-    store, lack = ToStore(*names), missing_extra()
+    store, missing = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
     after: Place | None = None
-    with shared.progress(f"{settings.drive}, {settings.estimator}") as tell:
-        drive, estimator, complete = prepare(settings, tell)
+    with shared.progress(f"{settings.drive}, {settings.estimator}") as on_progress:
+        drive, estimator, complete = prepare(settings, on_progress)
         if update:
             check_update(complete, drive, store)
         folder = _output_folder(out, drive.name, settings.drive)
         images, unread = _images(drive_path(complete))
-        track = finish(drive, estimator, complete, tell)
+        track = finish(drive, estimator, complete, on_progress)
         summary = write_run(folder, drive, track, complete.model_dump(mode="json"), images)
         if update and settings.place is not None:
             try:
                 after, reasons = save_visit(complete, drive, estimator, track, store)
                 lost = HomewardError("; ".join(reasons)) if reasons else None
-            except HomewardError as error:  # told below the answer, which is there nevertheless
+            except HomewardError as error:  # raised after the summary is printed
                 after, lost = None, error
     words = [summary, *([] if after is None else [visit_words(after)])]
     if after is not None and store.route in after.routes:
         words.append(route_words(after, str(store.route)))
     if json:
-        told: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
-        told["report"] = str(folder / PAGE) if lack is None else None
+        facts: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
+        facts["report"] = str(folder / PAGE) if missing is None else None
         shared.answer(
-            {**told, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))}
+            {**facts, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))}
         )
     else:
         for paragraph in words:
             shared.say(paragraph)
         shared.warn(*drive.remark_lines, *track.notes, *unread)
-        if lack is None:
+        if missing is None:
             shared.say(f"Report: {folder / PAGE}")
         else:
             shared.say(f"Files: {folder}")
-            shared.warn(f"no page and no log: {lack}")
+            shared.warn(f"no report.html and no run.mcap: {missing}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():
@@ -236,7 +238,7 @@ def _run(
 
 
 def _images(drive: Path) -> tuple[Images | None, list[str]]:
-    """Return the camera images of a drive; None and a warning where they cannot be read."""
+    """Return the camera images of a drive, or None and a warning."""
     from homeward.drives.images import read_images
 
     try:
@@ -246,7 +248,7 @@ def _images(drive: Path) -> tuple[Images | None, list[str]]:
 
 
 def _facts(track: Track, metrics: Metrics) -> dict[str, Any]:
-    """Return what came out of one run as plain values."""
+    """Return the results of one run as plain values."""
     landmarks = [asdict(landmark) for landmark in track.landmarks]
     return {"metrics": metrics.as_dict(), "landmarks": landmarks, "notes": track.notes}
 
@@ -259,22 +261,25 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
     for option in ("settings", "smooth", "place"):
         if option in given:
             name = "set" if option == "settings" else option
-            raise InputError(f"--{name} is for one estimator; homeward study takes it for each")
-    words = [word.strip() for word in given["estimator"].split(",")]
-    runs = [run_settings(drive, {**given, "estimator": word}) for word in words]
-    with shared.progress(f"{drive}, {', '.join(words)}") as tell:
-        outcomes = run_several(runs, tell)
+            raise InputError(
+                f"--{name} works with one estimator only; a study file of homeward study takes it"
+                " for each"
+            )
+    names = [name.strip() for name in given["estimator"].split(",")]
+    runs = [run_settings(drive, {**given, "estimator": name}) for name in names]
+    with shared.progress(f"{drive}, {', '.join(names)}") as on_progress:
+        outcomes = run_several(runs, on_progress)
         folder = out or Path("out") / f"{outcomes[0].drive.name}-estimators"
         check_output(folder, PAGE)
         write_several(folder, outcomes)
     if json:
-        came = [
+        results = [
             {"estimator": o.run.estimator, "failure": o.failure or None}
             | ({} if o.track is None or o.metrics is None else _facts(o.track, o.metrics))
             for o in outcomes
         ]
-        told = {"folder": str(folder), "page": str(folder / PAGE), "runs": came}
-        shared.answer({**told, "remarks": outcomes[0].drive.remark_lines})
+        facts = {"folder": str(folder), "page": str(folder / PAGE), "runs": results}
+        shared.answer({**facts, "remarks": outcomes[0].drive.remark_lines})
     else:
         _say_several(outcomes, table(outcomes), folder / PAGE)
     if not any(o.track is not None and o.track.has_pose.any() for o in outcomes):

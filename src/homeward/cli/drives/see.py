@@ -1,4 +1,4 @@
-"""`homeward see`: a drive folder from images, or a comparison of two panoramas."""
+"""`homeward see`: convert images to a drive folder, or compare two panoramas."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ def see(
     folder: Annotated[
         Path,
         typer.Argument(
-            help="A folder with images.csv (t,file), a home image and odometry.csv; or a video "
-            "instead of images.csv, or a log, both with --tags; or a panorama taken at home."
+            help="A folder with images.csv (t,file), a home image and odometry.csv; with --tags "
+            "also a folder with a video, or a log; or a panorama taken at home."
         ),
     ],
     now: Annotated[
         Path | None,
-        typer.Argument(help="A second panorama of the camera, taken elsewhere, to compare."),
+        typer.Argument(help="A second panorama of the same camera, to compare with the first."),
     ] = None,
     out: Annotated[
         Path | None, typer.Option(help="The drive folder to write [two panoramas: out/compare].")
     ] = None,
     tags: Annotated[
         str | None,
-        typer.Option(help="Look for tags of this family: 36h11, 25h9, 4x4_50 and the like"),
+        typer.Option(help="Detect fiducial tags of this family, for example 36h11 or 4x4_50."),
     ] = None,
     topics: shared.Topics = None,
     home_spin: shared.HomeSpin = None,
@@ -44,34 +44,34 @@ def see(
     mask: Annotated[
         Path | None,
         typer.Option(
-            help="Two panoramas: an image as large as they are, black where the robot itself, or "
-            "anything else that turns with the camera, is seen; default: that of images.yaml."
+            help="Two panoramas: an image of their size, black where the robot itself is visible; "
+            "default: the mask of images.yaml."
         ),
     ] = None,
     force: shared.Force = False,
     json: shared.AsJson = False,
 ) -> None:
-    """Find landmarks in panoramas, or tags in any pictures, and write a drive folder.
+    """Detect landmarks in panoramas, or tags in any images, and write a drive folder.
 
-    Any estimator runs on what it writes: homeward run OUT. images.yaml in the folder may name the
-    camera, the home image, and a mask, black where the robot itself is seen; drive.yaml and
-    truth.csv are handed on. Tags need no home image: home.csv, --home-spin or --home-during serve
-    as well, and a drive in a known place needs none. Where no landmark was found, the exit status
-    is 1.
+    Continue with: homeward run OUT. images.yaml in the folder may name the camera, the home image,
+    and a mask, black where the robot itself is visible; drive.yaml and truth.csv are copied. With
+    --tags, home.csv, --home-spin or --home-during replace the home image; a drive in a known place
+    needs none of them. Exit status 1 if no landmark was found.
 
-    Of two panoramas (`homeward see home.png now.png`) it reports how the camera has turned since
-    home and in which direction home is; the folder gets comparison.png, matches.csv and
-    comparison.json.
+    For two panoramas (`homeward see home.png now.png`), it reports the rotation of the camera since
+    home and the direction of home, and writes comparison.png, matches.csv and comparison.json.
     """
     if now is not None:
         if tags or topics or home_spin or home_during:
-            raise InputError("two panoramas take --camera, --mask, --force, --out and --json alone")
+            raise InputError("two panoramas take only --camera, --mask, --force, --out and --json")
         compare(folder, now, out or Path("out/compare"), camera, mask, force, json)
         return
     if camera or mask:
-        raise InputError("--camera and --mask are for two panoramas; a folder has images.yaml")
+        raise InputError(
+            "--camera and --mask are for two panoramas; for a folder, set them in its images.yaml"
+        )
     if out is None:
-        raise InputError("--out FOLDER is missing: the drive folder to write")
+        raise InputError("no output folder: add --out FOLDER, the drive folder to write")
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.spin import with_home
     from homeward.drives.settings import HomeWhen
@@ -81,16 +81,21 @@ def see(
     from homeward.vision.recorded.recording import see_recording
 
     if os.path.realpath(out) == os.path.realpath(folder):
-        raise InputError("choose another output folder than that of the images", out)
+        raise InputError("--out is the folder of the images; choose another folder", out)
     spin, during = shared.spin_span(home_spin), shared.spin_span(home_during, "--home-during")
     when = None
     if spin or during:
         if spin and during:
-            raise InputError("--home-spin or --home-during, not both")
+            raise InputError("give either --home-spin or --home-during, not both")
         when = HomeWhen(spin=spin, during=during)
-    with shared.progress(f"looking at {folder}") as tell:
+    with shared.progress(f"detecting landmarks in {folder}") as on_progress:
         drive = see_recording(
-            folder, tell, lambda: check_output(out, ODOMETRY), tags=tags, topics=topics, force=force
+            folder,
+            on_progress,
+            lambda: check_output(out, ODOMETRY),
+            tags=tags,
+            topics=topics,
+            force=force,
         )
         if when is not None:
             with naming_file(folder):
@@ -117,7 +122,7 @@ def compare(
     force: bool,
     json: bool,
 ) -> None:
-    """Report how the camera has turned since home, and in which direction home is."""
+    """Report the rotation of the camera since home, and the direction of home."""
     from homeward.io.writing import check_output
     from homeward.vision.checks.camera_settings import better_settings
     from homeward.vision.checks.seam import require_panoramas
@@ -137,12 +142,12 @@ def compare(
     images, views = (home_image, now_image), (home_view, now_view)
     doubt = better_settings(seen, images, views, settings.panorama)
     write_comparison(out, seen, images, views)
-    notes = [] if doubt is None else [f"But {doubt}."]
+    notes = [] if doubt is None else [f"{doubt[:1].upper()}{doubt[1:]}."]
     if found := find_self_occlusion(seen, settings.panorama):
         notes.append(f"{found.matches} {found.words} (--mask FILE).")
     if json:
-        told = {"summary": describe(seen), **as_dict(seen), "notes": notes}
-        shared.answer({**told, "picture": str(out / PICTURE)})
+        facts = {"summary": describe(seen), **as_dict(seen), "notes": notes}
+        shared.answer({**facts, "picture": str(out / PICTURE)})
     else:
         shared.say(describe(seen))
         shared.warn(*notes)

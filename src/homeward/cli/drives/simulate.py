@@ -1,4 +1,4 @@
-"""`homeward simulate`: a simulated drive, or images of a drive through a room."""
+"""`homeward simulate`: simulate a drive, or render the images of a drive through a room."""
 
 from __future__ import annotations
 
@@ -32,54 +32,53 @@ def simulate(
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="The drive folder to write.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Another seed than the scenario's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed [the scenario's].")] = None,
     trajectory: Annotated[
         Literal["homing", "circle", "waypoints", "teach", "repeat"] | None,
         typer.Option(
             metavar="KIND",
-            help="Another trajectory than the scenario's: homing, circle, waypoints, teach or "
-            "repeat.",
+            help="Trajectory [the scenario's]: homing, circle, waypoints, teach or repeat.",
         ),
     ] = None,
     estimator: Annotated[
         str | None,
-        typer.Option(help="Whose pose steers: truth, or as homeward run --estimator takes it."),
+        typer.Option(help="Estimator whose pose steers the robot, or truth (ground truth)."),
     ] = None,
     law: Annotated[
         str | None,
         typer.Option(
-            help="By which law it drives home (homing trajectories alone): paper, lyapunov, alv, "
-            "tron, or package.module:function."
+            help="Control law of homing trajectories: paper, lyapunov, alv, tron, or "
+            "package.module:function."
         ),
     ] = None,
     place: Annotated[
-        str | None, typer.Option(help="To repeat: the place whose route it drives along.")
+        str | None, typer.Option(help="For repeat: the place with the route to follow.")
     ] = None,
     route: Annotated[
-        str | None, typer.Option(help="To repeat, or live to teach: the name of the route.")
+        str | None, typer.Option(help="For repeat, and for teach with --live: name of the route.")
     ] = None,
     live: Annotated[
         str | None,
         typer.Option(
             metavar="[HOST:]PORT",
-            help="Write nothing, but be the robot of the homeward live that listens there.",
+            help="Write nothing; connect as a simulated robot to homeward live at this port.",
         ),
     ] = None,
     pace: Annotated[
-        float, typer.Option(min=0.1, max=10.0, help="With --live: so many times real time.")
+        float, typer.Option(min=0.1, max=10.0, help="With --live: speed relative to real time.")
     ] = 1.0,
     images: Annotated[
-        bool, typer.Option("--images", help="Render what a camera sees on a drive through a room.")
+        bool, typer.Option("--images", help="Render the camera images of a drive through a room.")
     ] = False,
     changes: Changes = None,
     json: AsJson = False,
 ) -> None:
     """Simulate a drive and write it as a drive folder.
 
-    Next to the drive it writes scenario.yaml, which repeats the drive to the last bit, and
-    world.csv, ground truth of the landmarks. With --images it writes home.png, images.csv and the
-    images, images.yaml, things.csv with what was moved since the home image, and scenario.yaml;
-    with --estimator robust, too, images steer the robot home, and drive/ has what was seen.
+    It also writes scenario.yaml, which repeats the drive to the last bit, and world.csv, the ground
+    truth of the landmarks. With --images it writes home.png, images.csv and the images,
+    images.yaml, things.csv with the objects moved since the home image, and scenario.yaml; if also
+    --estimator robust, the images steer the robot home, and drive/ contains the sightings.
     """
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.simulate import SCENARIO, load_scenario, prepare, write_simulation
@@ -88,19 +87,21 @@ def simulate(
     from homeward.registry import make_estimator
 
     if (out is None) == (live is None):
-        raise InputError("give one of --out and --live")
+        raise InputError("give either --out FOLDER or --live [HOST:]PORT")
     drive = {"trajectory": trajectory, "law": law, "place": place, "route": route}
     if images:
         if wrong := [name for name, value in ({"live": live} | drive).items() if value is not None]:
-            raise InputError(f"--{wrong[0]} is not for --images; --set takes its trajectory")
+            raise InputError(
+                f"--{wrong[0]} does not work with --images; set the trajectory with --set"
+            )
         estimators = {"estimator": estimator} if estimator else {}
         render(scenario, cast(Path, out), seed, key_values(changes or []) | estimators)
         return
-    if live is not None:  # the place and its routes are the server's
+    if live is not None:  # the server has the place and its routes
         if place is not None:
-            raise InputError("--live knows no place: that is homeward live's")
+            raise InputError("--live takes no --place; give it to homeward live")
         if (route is not None) != (trajectory in ("teach", "repeat")):
-            raise InputError("--live takes --route NAME with --trajectory teach or repeat")
+            raise InputError("--live needs --route NAME with --trajectory teach or repeat only")
         del drive["route"]
         if trajectory == "repeat":
             del drive["trajectory"]
@@ -110,15 +111,15 @@ def simulate(
     chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
     if live is not None:
         if chosen.trajectory.kind == "repeat":
-            raise InputError("--live: --trajectory repeat --route NAME, without a place of its own")
+            raise InputError("--live cannot repeat the scenario's own place; give --route NAME")
         _play(chosen, live, pace, json, route, teach=trajectory == "teach")
         return
     assert out is not None
     prepared = prepare(chosen)
     steering = None if chosen.estimator == "truth" else make_estimator(chosen.estimator, prepared)
     check_output(out, SCENARIO)
-    with progress(f"simulating {chosen.name}") as tell:
-        simulation = run_simulation(chosen, steering, tell)
+    with progress(f"simulating {chosen.name}") as on_progress:
+        simulation = run_simulation(chosen, steering, on_progress)
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
     show(json, _facts(simulation, out), _summary(simulation, out))
@@ -127,7 +128,7 @@ def simulate(
 def _play(
     scenario: Scenario, where: str, pace: float, json: bool, route: str | None, teach: bool
 ) -> None:
-    """Be a robot until it is home, or has done what it was to do with a route, or has given up."""
+    """Simulate a robot for `homeward live` until its task has succeeded or failed."""
     from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, Task, play
     from homeward.lab.simulation.trajectories import make_control
     from homeward.live.messages import FollowRoute, StoreRoute
@@ -141,16 +142,15 @@ def _play(
     token = os.environ.get("HOMEWARD_TOKEN") or None
     asyncio.run(play(player, address(where), pace, token, warn))
     state, robot = player.last_words or "time up", player.robot
-    told = {"scenario": scenario.name, "ending": state}
-    end = f"{state}; truly {robot.distance:.3f} m from home after {robot.t:.1f} s"
-    facts = {**told, "duration_s": robot.t, "from_home_m": robot.distance}
-    show(json, facts, f"{scenario.name}: {end}")
+    end = f"{state}; true distance from home {robot.distance:.3f} m after {robot.t:.1f} s"
+    facts = {"scenario": scenario.name, "ending": state, "duration_s": robot.t}
+    show(json, facts | {"from_home_m": robot.distance}, f"{scenario.name}: {end}")
     if not player.succeeded:
         raise no_answer()
 
 
 def _facts(simulation: Simulation, out: Path) -> dict[str, Any]:
-    """Return for programs what was made, and how it ended."""
+    """Return the facts of a simulation as plain values."""
     drive, world = simulation.drive, simulation.world
     return {
         "summary": _summary(simulation, out),
@@ -168,7 +168,7 @@ def _facts(simulation: Simulation, out: Path) -> dict[str, Any]:
 
 
 def _summary(simulation: Simulation, out: Path) -> str:
-    """Say in one line what was made."""
+    """Return the summary of a simulation in one line."""
     drive, world = simulation.drive, simulation.world
     sightings, stamps = drive.sightings.t.size, len(set(drive.sightings.t.tolist()))
     ending = simulation.ending.value + (f": {simulation.reason}" if simulation.reason else "")
@@ -181,7 +181,7 @@ def _summary(simulation: Simulation, out: Path) -> str:
 
 
 def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> None:
-    """Render what a camera sees on a drive through a room, and write an image data set."""
+    """Render the camera images of a drive through a room, and write an image data set."""
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
     from homeward.lab.simulation.render.room.presets import load_room
@@ -191,8 +191,9 @@ def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> Non
     scenario = load_room(room, seed, given)
     eye = Eye(scenario)
     check_output(out, SCENARIO)
-    with progress(f"rendering {scenario.name}") as tell, whole_folder(out, SCENARIO) as scratch:
-        made = write_rendered(eye, scratch, _maker(scenario), tell)
+    title = f"rendering {scenario.name}"
+    with progress(title) as on_progress, whole_folder(out, SCENARIO) as scratch:
+        made = write_rendered(eye, scratch, _maker(scenario), on_progress)
     camera = made.eye.scenario.camera
     moved = moved_boxes(made.eye)
     say(
@@ -204,7 +205,7 @@ def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> Non
 
 
 def _maker(scenario: RenderScenario) -> Callable[[Drive], Estimator] | None:
-    """Return what makes the estimator that steers, or None when the truth does."""
+    """Return the factory of the steering estimator, or None if ground truth steers."""
     if scenario.estimator == "truth":
         return None
     from homeward.registry import make_estimator

@@ -1,4 +1,4 @@
-"""`homeward tune`: logs in, the noise of the robot's sensors out."""
+"""`homeward tune`: estimate a robot's sensor noise from its logs."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NE
 
 def tune(
     drives: Annotated[
-        list[str], typer.Argument(help="Drives or logs of one robot, as of `homeward run`.")
+        list[str], typer.Argument(help="Drives or logs of one robot, as for `homeward run`.")
     ],
     topics: Topics = None,
     json: AsJson = False,
 ) -> None:
-    """Learn the noise of a robot's camera and odometry from its logs, as lines for drive.yaml.
+    """Estimate the noise of a robot's camera and odometry from its logs, for drive.yaml.
 
-    It is learnt from the first half of each log and checked on the second, before and after: NIS
-    (1 is honest), likelihood, and where there is truth, RMSE and NEES (3 is honest).
+    The first half of each log gives the estimate, the second half the scores before and after: NIS
+    (consistent: 1), log-likelihood, and with ground truth RMSE and NEES (consistent: 3).
     """
     from homeward.io.settings import settings_yaml
     from homeward.runs.report.words import count, listing
@@ -36,26 +36,26 @@ def tune(
     from homeward.runs.tuning import tune as identify
 
     given = {} if topics is None else {"topics": str(topics)}
-    with progress(count(len(drives), "drive")) as tell:
-        found = identify([opened(run_settings(drive, given)) for drive in drives], tell)
+    with progress(count(len(drives), "drive")) as on_progress:
+        found = identify([opened(run_settings(drive, given)) for drive in drives], on_progress)
     if json:
         answer(_facts(found))
         return
     table([HEAD, *_rows(found)], left=2)
-    say("Learnt from the other halves, for drive.yaml:")
+    say("Add these lines to drive.yaml (estimated from the first halves):")
     for line in settings_yaml(found.settings).splitlines():
         typer.echo(line)
     if found.less_consistent:
         worse = listing(found.less_consistent)
-        warn(f"{worse} got worse by these lines: leave them out where a covariance must hold.")
+        warn(f"{worse} got worse with these lines. Do not add them where you rely on covariances.")
 
 
 def _rows(found: Tuning) -> list[tuple[str, ...]]:
-    """Return two rows a drive, before and after."""
+    """Return two rows per drive, before and after."""
     return [
-        (name, word, *_cells(check))
+        (name, label, *_cells(check))
         for name, *checks in zip(found.names, found.before, found.after, strict=True)
-        for word, check in zip(("as it is", "learnt"), checks, strict=True)
+        for label, check in zip(("before", "after"), checks, strict=True)
     ]
 
 
@@ -73,7 +73,7 @@ def _cells(check: Check) -> tuple[str, ...]:
 
 
 def _facts(found: Tuning) -> dict[str, object]:
-    """Return what is known as plain values; docs/look-up/json.md says what each is."""
+    """Return the result as plain values, described in docs/look-up/json.md."""
     checks = [
         {"drive": name, "before": dataclasses.asdict(before), "after": dataclasses.asdict(after)}
         for name, before, after in zip(found.names, found.before, found.after, strict=True)

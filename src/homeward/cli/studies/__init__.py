@@ -1,1 +1,1 @@
-"""Commands for studies, plans, observability and the paper."""
+"""Commands for studies, plans, observability and the paper's cases."""

@@ -1,4 +1,4 @@
-"""`homeward plan`: homing on a floor plan, and the observability of landmarks or a drive."""
+"""`homeward plan`: homing accuracy on a floor plan, and observability of landmarks or a drive."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 def plan(
     source: Annotated[
-        str | None, typer.Argument(metavar="[PLAN]", help="A YAML file, or: warehouse, an example.")
+        str | None, typer.Argument(metavar="[PLAN]", help="A YAML file, or the example: warehouse.")
     ] = None,
     landmarks: Annotated[
         int | None,
-        typer.Option(help="Instead of a floor plan: analyse observability with N landmarks."),
+        typer.Option(help="Instead of a floor plan: observability with this number of landmarks."),
     ] = None,
     compass: Annotated[
         bool, typer.Option("--compass", help="With --landmarks: the heading is known.")
@@ -39,16 +39,16 @@ def plan(
     unknown: Annotated[
         list[str] | None,
         typer.Option(
-            help="With --landmarks: speed-scale, turn-scale, turn-bias, lag or camera-yaw is "
-            "unknown, too; repeatable."
+            help="With --landmarks: also unknown is speed-scale, turn-scale, turn-bias, lag or "
+            "camera-yaw; repeatable."
         ),
     ] = None,
     drive: Annotated[
         str | None,
-        typer.Option(help="Instead of a floor plan: analyse observability along this drive."),
+        typer.Option(help="Instead of a floor plan: observability along this drive."),
     ] = None,
     window: Annotated[
-        float | None, typer.Option(help="With --drive: stretches of the drive, in seconds [30].")
+        float | None, typer.Option(help="With --drive: length of the time windows [s] [30].")
     ] = None,
     topics: Topics = None,
     out: Annotated[
@@ -56,11 +56,11 @@ def plan(
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Map from where homing can begin on a floor plan, how well, and where to add landmarks.
+    """Map where homing can begin on a floor plan, its accuracy, and where to add landmarks.
 
     The folder gets plan.html, its maps as PNG and SVG, floor.csv with every point, and plan.yaml,
-    the plan with every default spelt out. With --landmarks or --drive it gets observe.html, which
-    states what bearings determine and what not, its drawing as PNG and SVG, and observe.yaml.
+    the plan with all defaults. With --landmarks or --drive it gets observe.html, which lists the
+    quantities that bearings determine, its figure as PNG and SVG, and observe.yaml.
     """
     of_model = {
         "landmarks": landmarks,
@@ -84,11 +84,11 @@ def _given(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _analysis(source: str | None, *analyses: dict[str, Any]) -> dict[str, Any] | None:
-    """Return the options of the analysis that was chosen by its first one; None: a floor plan."""
+    """Return the options of the analysis that its first option selects; None: a floor plan."""
     firsts = [next(iter(options)) for options in analyses]
     chosen = [o for o, first in zip(analyses, firsts, strict=True) if o[first] is not None]
     if len(chosen) + (source is not None) != 1:
-        raise InputError("give one of PLAN, --landmarks N and --drive DRIVE")
+        raise InputError("give exactly one of PLAN, --landmarks N and --drive DRIVE")
     for options, first in zip(analyses, firsts, strict=True):
         if options not in chosen and (others := _given(options)):
             raise InputError(f"--{next(iter(others))} needs --{first}")
@@ -108,15 +108,15 @@ def _plan(source: str, out: Path, json: bool) -> None:
     except InputError as error:
         raise InputError(error.what, Path(source)) from error
     check_output(out, SETTINGS_FILE)
-    with progress(f"planning {settings.name}") as tell:
-        view = analyse(settings, tell)
+    with progress(f"planning {settings.name}") as on_progress:
+        view = analyse(settings, on_progress)
         write_plan(out, view)
     facts = {"summary": plan_summary(view), **_facts(view), "page": out / PAGE}
     show(json, facts, plan_summary(view), f"Page: {out / PAGE}")
 
 
 def _facts(view: PlanView) -> dict[str, Any]:
-    """Return what is known as plain values."""
+    """Return the result as plain values."""
     landmarks = [
         {"landmark": name, "seen_from_home": bool(seen), "share_without": float(left)}
         for name, seen, left in zip(
@@ -139,16 +139,16 @@ def _facts(view: PlanView) -> dict[str, Any]:
 
 
 def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
-    """Report what the bearings of a number of landmarks do not determine, and draw it."""
+    """Report and draw the unobservable quantities with a number of landmarks."""
     from homeward.io.writing import check_output
     from homeward.lab.observability.study import observe
     from homeward.lab.report import observe as page
 
-    asked = {**given, "unknown": tuple(given.get("unknown", ()))}
-    with progress("observing") as tell:
-        view = observe(asked.pop("landmarks"), **cast(Any, asked))
+    options = {**given, "unknown": tuple(given.get("unknown", ()))}
+    with progress("analysing observability") as on_progress:
+        view = observe(options.pop("landmarks"), **cast(Any, options))
         check_output(out, page.SETTINGS_FILE)
-        tell(0.5)
+        on_progress(0.5)
         page.write_model_view(out, view, given)
     model = view.model
     facts = {
@@ -162,31 +162,31 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
     if view.family:
         members = sum(len(t.unknowns) - 1 for t in view.family)
         lines.append(
-            f"{members} other worlds drawn; in each all bearings are the same to"
+            f"{members} other worlds drawn that give the same bearings to"
             f" {page.same_to(view):.0e} rad."
         )
     show(json, facts, *lines, f"Page: {out / page.PAGE}")
 
 
 def _numbers(view: ModelView) -> str:
-    """Return the rank and how sure it is."""
+    """Return the rank, and the singular values that decide it."""
     if view.model is None:
         found = view.drive.found
         return (
-            f"rank {found.value} of {view.drive.unknowns}; smallest singular value that counts"
+            f"rank {found.value} of {view.drive.unknowns}; smallest nonzero singular value"
             f" {found.singular_values[found.value - 1]:.1e} of the largest, then a gap of"
             f" {found.gap:.0e}"
         )
     m = view.model
     how = "60 digits" if m.precise else "scaled singular values"
     return (
-        f"rank {m.rank} of {m.n}, by Lie derivatives up to order {m.order} ({how}; smallest that"
-        f" counts {m.singular_values[m.rank - 1]:.1e} of the largest)"
+        f"rank {m.rank} of {m.n}, from Lie derivatives up to order {m.order} ({how}; smallest"
+        f" nonzero {m.singular_values[m.rank - 1]:.1e} of the largest)"
     )
 
 
 def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
-    """Report what the bearings of stretches of a drive do not determine, and draw it."""
+    """Report and draw the unobservable quantities in time windows of a drive."""
     from homeward.io.writing import check_output
     from homeward.lab.report import observe as page
     from homeward.lab.studies.observing import WINDOW_S, check_window, observe_drive
@@ -195,8 +195,8 @@ def observe_recording(given: dict[str, Any], out: Path, json: bool) -> None:
     opened = read_drive(given["drive"], given.get("topics"))
     check_window(opened, settings["window"])
     check_output(out, page.SETTINGS_FILE)
-    with progress(f"observing {opened.name}") as tell:
-        view: DriveView = observe_drive(opened, settings["window"], tell)
+    with progress(f"analysing observability of {opened.name}") as on_progress:
+        view: DriveView = observe_drive(opened, settings["window"], on_progress)
         page.write_drive_view(out, view, settings)
     facts = {
         "summary": page.drive_summary(view),

@@ -1,4 +1,4 @@
-"""`homeward study`: estimators x scenarios x runs, and the cases of the paper."""
+"""`homeward study`: Monte Carlo studies of estimators, and the cases of the paper."""
 
 from __future__ import annotations
 
@@ -25,22 +25,22 @@ def study(
     study: Annotated[
         str,
         typer.Argument(
-            help="A YAML file, or one that ships: paper, layouts (the paper's cases), peers, "
+            help="A YAML file, or an included study: paper, layouts (the paper's cases), peers, "
             "a-ekf-tuning, pi-ekf-tuning."
         ),
     ],
     out: Annotated[
         Path | None, typer.Option(help="The folder to write [out/NAME OF THE STUDY].")
     ] = None,
-    runs: Annotated[int | None, typer.Option(help="Another number than the study's.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Another seed than the study's.")] = None,
+    runs: Annotated[int | None, typer.Option(help="Number of runs [the study's].")] = None,
+    seed: Annotated[int | None, typer.Option(help="Random seed [the study's].")] = None,
     options: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="paper and layouts: another value of a setting; repeatable. homeward settings "
-            "paper lists them (measurements=images renders panoramas); layouts has also varied, "
+            help="paper and layouts: value of a setting; repeatable. `homeward settings paper` "
+            "lists the keys (measurements=images renders panoramas); layouts also has varied, "
             "robust and grid.KEY.",
         ),
     ] = None,
@@ -50,14 +50,14 @@ def study(
 ) -> None:
     """Run a Monte Carlo study: every estimator in every scenario, many times.
 
-    The folder gets results.nc (netCDF: errors of every run, over time too), study.html, its table
-    as CSV, Markdown and LaTeX, every figure as PNG, study.yaml, and the finished blocks; stopped,
-    the same command goes on from them. By default all processors of this machine work. Where every
-    run failed, the exit status is 1. Needs the extra scale.
+    The folder gets results.nc (netCDF: errors of every run, also over time), study.html, its table
+    as CSV, Markdown and LaTeX, every figure as PNG, study.yaml, and the finished blocks. After an
+    interruption, the same command continues from them. Uses all processors by default. Exit status
+    1 if every run failed. Needs the extra scale.
 
     `paper` runs the paper's Cases 1 to 4 with its printed parameters and writes paper.html with
     both RMSE tables next to the printed ones. `layouts` runs Cases 1, 2 and 4 over thousands of
-    layouts, under many readings of the paper, and writes layouts.html with the verdict.
+    layouts, under many interpretations of the paper, and writes layouts.html with the result.
     """
     from homeward.io.settings import nested
     from homeward.io.writing import check_output
@@ -77,19 +77,21 @@ def study(
         (paper if study == "paper" else layouts)(folder, where, values, json)
         return
     if options:
-        raise InputError(f"--set is for {' and '.join(PAPER)}; write it into the study's YAML file")
-    for package in ("xarray", "h5netcdf"):  # not to be missed at the end
+        raise InputError(
+            f"--set is only for {' and '.join(PAPER)}; put the setting into the study's YAML file"
+        )
+    for package in ("xarray", "h5netcdf"):  # fail now, not after the study
         import_module(package)
     plan = make_plan(load_study(study, changes))
     check_output(folder, MARKER)
     store = store_of(plan.study, folder)
-    with shared.resumable(), shared.progress(plan.study.name) as tell:
-        results = run_study(plan, StudyBlocks(store, where, tell))
+    with shared.resumable(), shared.progress(plan.study.name) as on_progress:
+        results = run_study(plan, StudyBlocks(store, where, on_progress))
         rows = write_study(folder, results)
     if json:
-        told = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}
+        facts = {"summary": headline(results) + ".", "lines": [asdict(x) for x in lines(results)]}
         files = {"page": str(folder / PAGE), "results": str(folder / DATA)}
-        shared.answer({**told, "failures": failures(results), **files})
+        shared.answer({**facts, "failures": failures(results), **files})
     else:
         print_rows(rows)
         shared.say(headline(results) + ".")
@@ -101,7 +103,7 @@ def study(
 
 
 IMAGE_RUNS = 10
-"""Layouts per case when every sample must be rendered."""
+"""Number of layouts per case when every sample must be rendered."""
 
 
 def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
@@ -120,22 +122,22 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
     settings = validated(PaperSettings, values)
     check_output(out, page.SETTINGS_FILE)
     store = open_store(out, page.SETTINGS_FILE)
-    with shared.resumable(), shared.progress("the paper's cases") as tell:
-        result = run_cases(settings, StudyBlocks(store, where, tell))
+    with shared.resumable(), shared.progress("the paper's cases") as on_progress:
+        result = run_cases(settings, StudyBlocks(store, where, on_progress))
         page.write_reproduction(out, result)
 
     if json:
-        told = {
+        facts = {
             "summary": " ".join(page.sentences(result)),
             "rows": [asdict(r) for r in rows(result)],
         }
-        shared.answer({**told, "runs": settings.runs, "page": str(out / page.PAGE)})
+        shared.answer({**facts, "runs": settings.runs, "page": str(out / page.PAGE)})
         return
     head = ["case", "filter", "R", "theta", "alpha", "printed: R", "theta", "alpha"]
     print_rows([head, *([row.case, row.filter, *_cells(row)] for row in rows(result))])
     if settings.measurements == "images":
-        for case, asked, obtained in page.fault_rows(result):
-            shared.say(f"Case {case}: {asked} moved landmarks asked for, obtained {obtained}.")
+        for case, requested, obtained in page.fault_rows(result):
+            shared.say(f"Case {case}: {requested} moved landmarks requested, {obtained} obtained.")
     for sentence in page.sentences(result):
         shared.say(sentence)
     shared.say(
@@ -145,13 +147,13 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
 
 
 def _cells(row: Row) -> list[str]:
-    """Return errors next to the printed ones, where there are any."""
+    """Return the cells of a row: errors, and the printed ones where the paper has them."""
     printed = ["", "", ""] if row.printed is None else [f"{value:.4f}" for value in row.printed]
     return [*(f"{value:.4f}" for value in row.median), *printed]
 
 
 def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
-    """Run Cases 1, 2 and 4 over thousands of layouts, under many readings of the paper."""
+    """Run Cases 1, 2 and 4 over thousands of layouts, under many interpretations of the paper."""
     from homeward.io.writing import check_output
     from homeward.lab.report.paper import layout_page as page
     from homeward.lab.studies.blocks.finish import StudyBlocks
@@ -162,14 +164,14 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     settings = layout_settings(values, values.pop("runs", None), values.pop("seed", None))
     check_output(out, MARKER)
     store = open_store(out)
-    with shared.resumable(), shared.progress("layouts of the paper's cases") as tell:
-        result = study_layouts(settings, StudyBlocks(store, where, tell))
+    with shared.resumable(), shared.progress("layouts of the paper's cases") as on_progress:
+        result = study_layouts(settings, StudyBlocks(store, where, on_progress))
         page.write_layouts(out, result)
     tables = (page.error_table, page.ratio_table, page.order_table, page.claim_table)
     if json:
-        told = {table.__name__.removesuffix("_table"): table(result) for table in tables}
+        values = {table.__name__.removesuffix("_table"): table(result) for table in tables}
         files = {"page": str(out / page.PAGE), "results": str(out / page.DATA)}
-        shared.answer({"summary": page.headline(result), "tables": told, **files})
+        shared.answer({"summary": page.headline(result), "tables": values, **files})
         return
     for table in tables:
         print_rows(table(result), left=3)

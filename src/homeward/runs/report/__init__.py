@@ -1,1 +1,1 @@
-"""What a run and a study leave behind: files, figures, pages."""
+"""Output of runs: files, figures and pages."""

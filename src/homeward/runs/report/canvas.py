@@ -1,6 +1,6 @@
-"""What all figures by matplotlib share: type, and the way to SVG and PNG.
+"""Style of the matplotlib figures, and their export as SVG and PNG.
 
-Figures are made through matplotlib's objects alone, so nothing here touches pyplot's global state.
+Figures use matplotlib's objects directly, so nothing here touches pyplot's global state.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ WIDTH_IN = 7.2
 """Width of every figure [inch]; the page scales it."""
 
 GAP_IN = 0.06
-"""Between the labels of ticks at least [inch]."""
+"""Minimum gap between tick labels [inch]."""
 
 _STYLE: dict[str, Any] = {
     "font.size": 9.0,
@@ -70,18 +70,18 @@ def style(salt: str = "homeward") -> Iterator[None]:
     """Draw in homeward's style within this block; `salt` makes ids in the SVG unique to it."""
     rc: Any = {**_STYLE, "svg.hashsalt": salt}
     with matplotlib.rc_context(rc), warnings.catch_warnings():
-        # Landmarks have any names; a box instead of a letter is no reason to stop.
+        # Landmarks may have any name; a missing glyph is drawn as a box.
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
         yield
 
 
 def plain(label: str) -> str:
-    """Return a label that somebody chose so that it is drawn as it is, not as a formula."""
+    """Escape a user's label so that matplotlib does not draw it as a formula."""
     return printable(label).replace("$", r"\$")
 
 
 def new_figure(height_in: float) -> Figure:
-    """Return an empty figure of the common width, to be made and drawn within `style`."""
+    """Return an empty figure of the common width; use it within `style`."""
     figure = Figure(figsize=(WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
     return figure
@@ -98,21 +98,21 @@ def png(figure: Figure, dpi: float = 150) -> bytes:
 def drawn(
     folder: Path, name: str, caption: str, figure: Figure, vector: bool = False
 ) -> tuple[str, Markup]:
-    """Write a figure into a folder as a PNG file, and perhaps as an SVG file.
+    """Write a figure into a folder as PNG, and with `vector` as SVG.
 
-    Returns its caption, plain words of ours, and its SVG for a page.
+    Returns its caption, which must need no escaping, and its SVG for a page.
     """
     drawing = svg(figure, caption)
     (folder / f"{name}.png").write_bytes(png(figure))
     if vector:
         (folder / f"{name}.svg").write_text(svg_file(drawing), encoding="utf-8")
-    return caption, Markup(drawing)  # matplotlib has escaped every text in it
+    return caption, Markup(drawing)  # matplotlib has escaped every text
 
 
 def svg(figure: Figure, label: str) -> str:
-    """Return a figure as an SVG element on no ground, to stand in a page, with nothing to fetch.
+    """Return a figure as an SVG element without background, self-contained, for a page.
 
-    `label`, plain words of ours, says what it shows to those who hear the page.
+    `label` is the description for screen readers; it must need no escaping.
     """
     out = io.StringIO()
     with style(label):
@@ -121,7 +121,7 @@ def svg(figure: Figure, label: str) -> str:
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>", "", text, count=1, flags=re.DOTALL)
     text = re.sub(r'<g id="[A-Za-z]+[\dA-Za-z.]*_\d+">', "<g>", text)
-    # In tags alone: what the figure says keeps its digits.
+    # Shorten numbers in tags only, not in the figure's text.
     text = re.sub(r"<[^>]+>", lambda tag: re.sub(r"(?<=\d\.\d\d)\d+", "", tag[0]), text)
     head, body = text.split(">", 1)
     box = re.search(r'viewBox="[^"]*"', head)
@@ -130,16 +130,16 @@ def svg(figure: Figure, label: str) -> str:
 
 
 def svg_file(drawing: str) -> str:
-    """Return an element from `svg` as a file of its own, on white."""
+    """Return an element from `svg` as the text of a file, on white."""
     head = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink"'
     ground = '<rect width="100%" height="100%" fill="white"/>'
     tag, body = drawing.replace("<svg", head, 1).split(">", 1)
     return f'<?xml version="1.0" encoding="UTF-8"?>\n{tag}>{ground}{body}\n'
 
 
-def legend_below(figure: Figure, handles: Sequence[Artist], most: int = 4) -> None:
-    """Put a legend below a figure, in as many columns (at most `most`) as it has room for."""
-    for columns in range(most, 0, -1):
+def legend_below(figure: Figure, handles: Sequence[Artist], max_columns: int = 4) -> None:
+    """Put a legend below a figure, in as many columns as fit, at most `max_columns`."""
+    for columns in range(max_columns, 0, -1):
         legend = figure.legend(handles=handles, loc="outside lower center", ncols=columns)
         if legend.get_window_extent().width <= figure.bbox.width:
             return
@@ -148,7 +148,7 @@ def legend_below(figure: Figure, handles: Sequence[Artist], most: int = 4) -> No
 
 
 def uncrowd(figure: Figure) -> None:
-    """Leave out ticks along x whose labels would touch: every other, or more of them."""
+    """Thin out ticks along x until their labels do not touch."""
     figure.draw_without_rendering()
     for axis in (axes.xaxis for axes in figure.axes):
         low, high = sorted(axis.get_view_interval())
@@ -166,9 +166,9 @@ def uncrowd(figure: Figure) -> None:
 def quantile_bar(
     axes: Axes, place: float, values: np.ndarray, colour: str, hollow: bool = False
 ) -> None:
-    """Draw five quantiles as a thin and a thick line and a dot, or `hollow` without the thick one.
+    """Draw five quantiles as a thin and a thick line and a dot, or `hollow` without the thick line.
 
-    What is infinite is drawn up to 1e12.
+    Values are clipped to [1e-12, 1e12].
     """
     shown = np.clip(values, 1e-12, 1e12)
     axes.plot(shown[[0, 4]], (place, place), color=colour, lw=1.2, alpha=0.6)
@@ -182,13 +182,13 @@ def quantile_bar(
 def name_mark(
     axes: Axes, text: str, at: np.ndarray, offset: tuple[float, float], **options: Any
 ) -> None:
-    """Write a name that somebody chose, as it is, so many points beside a place (2,)."""
+    """Write a user's label unchanged, at an `offset` [points] from a position `at` (2,)."""
     options |= {"in_layout": False, "parse_math": False}
     axes.annotate(text, (at[0], at[1]), offset, textcoords="offset points", **options)
 
 
 def bare(axes: Axes) -> None:
-    """Take grid, ticks and frame from axes."""
+    """Remove the grid, y ticks and frame of axes."""
     axes.grid(False)
     axes.set_yticks([])
     axes.spines[:].set_visible(False)

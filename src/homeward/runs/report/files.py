@@ -1,4 +1,4 @@
-"""Plain files of a run, with the versions that made them, and tables: CSV, TUM, JSON, LaTeX."""
+"""Files of a run and tables: CSV, TUM, JSON, Markdown, LaTeX and YAML."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ LANDMARKS_HEADER = (
 
 
 def write_estimate(file: Path, track: Track) -> None:
-    """Write estimate.csv, a row per row of the track; [m], [rad] and [s] to nine digits.
+    """Write estimate.csv, a row per row of the track; [m] and [rad] to nine digits.
 
-    Times are to the last bit; fields are empty where there is no pose.
+    Times are exact; fields are empty where there is no pose.
     """
     polar = np.column_stack([track.R, track.theta, track.heading])
     poses = np.column_stack([track.x, track.y, track.heading, polar, track.sigmas])
@@ -44,8 +44,8 @@ def write_estimate(file: Path, track: Track) -> None:
 def write_trajectory(file: Path, track: Track, epoch: int = 0) -> None:
     """Write trajectory.tum, rows with a pose only: t x y z qx qy qz qw in the home frame.
 
-    The format of the TUM RGB-D benchmark, which evo reads. Times are those of the log's clock:
-    `epoch` [s] is added to those of the drive, without loss.
+    This is the format of the TUM RGB-D benchmark, which evo reads. Times are those of the log's
+    clock: `epoch` [s] is added to the times of the drive, without loss.
     """
     with file.open("w", encoding="utf-8", newline="\n") as out:
         for row in np.flatnonzero(track.has_pose):
@@ -74,13 +74,13 @@ def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
 
 
 def write_metrics(file: Path, metrics: Metrics) -> None:
-    """Write metrics.json: plain numbers with units in the keys, absent where not known."""
+    """Write metrics.json: plain numbers with units in the keys, absent where unknown."""
     text = json.dumps(metrics.as_dict(), indent=2, ensure_ascii=False, allow_nan=False)
     file.write_text(text + "\n", encoding="utf-8")
 
 
 def number(value: float) -> str:
-    """Return a number to nine significant digits, or nothing where there is none."""
+    """Return a number to nine significant digits, or an empty string if it is not finite."""
     return f"{value:.9g}" if math.isfinite(value) else ""
 
 
@@ -91,14 +91,14 @@ _LATEX = str.maketrans(
 
 
 def markdown(rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return a table in Markdown, its head first; the first `left` columns are aligned left."""
+    """Return a table in Markdown, head first; the first `left` columns are aligned left."""
     head, *body = [[printable(cell).replace("|", "\\|") for cell in row] for row in rows]
     sides = ["---" if k < left else "--:" for k in range(len(head))]
     return "".join(f"| {' | '.join(row)} |\n" for row in (head, sides, *body))
 
 
 def latex(rows: Sequence[Sequence[str]], left: int = 1) -> str:
-    """Return a table, its head first, as a LaTeX tabular with the rules of booktabs."""
+    """Return a table, head first, as a LaTeX tabular with the rules of booktabs."""
     head, *body = [
         " & ".join(printable(cell).translate(_LATEX) for cell in row) + r" \\" for row in rows
     ]
@@ -110,10 +110,9 @@ def latex(rows: Sequence[Sequence[str]], left: int = 1) -> str:
 def write_tables(
     folder: Path, rows: Sequence[Sequence[str]], exact: Sequence[Sequence[object]], left: int = 1
 ) -> None:
-    """Write table.md and table.tex as they are read, and table.csv to the last bit.
+    """Write table.md and table.tex from formatted `rows`, and table.csv from `exact` numbers.
 
-    Rows begin with the head; those of `exact` hold plain numbers, with units in the head. The first
-    `left` columns are aligned to the left, the others to the right.
+    The first row is the head, with units. The first `left` columns are aligned left.
     """
     (folder / "table.md").write_text(markdown(rows, left), encoding="utf-8")
     (folder / "table.tex").write_text(latex(rows, left), encoding="utf-8")
@@ -132,7 +131,7 @@ _PACKAGES = (
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of homeward, of what it computes with, and of the machine's system."""
+    """Return the versions of homeward, Python, the operating system and the main packages."""
     found = {"python": platform.python_version(), "system": platform.platform()}
     for package in _PACKAGES:
         try:
@@ -143,11 +142,11 @@ def versions() -> dict[str, str]:
 
 
 def with_versions(settings: Mapping[str, Any]) -> str:
-    """Return plain data as YAML, and under ``versions`` those of everything."""
+    """Return settings as YAML, with `versions` under the key ``versions``."""
     tree = {**settings, "versions": versions()}
     return yaml.safe_dump(tree, sort_keys=False, allow_unicode=True)
 
 
 def write_settings(file: Path, settings: Mapping[str, Any]) -> None:
-    """Write `with_versions` of settings."""
+    """Write settings and versions as YAML."""
     file.write_text(with_versions(settings), encoding="utf-8")

@@ -1,4 +1,4 @@
-"""The output folder of a run, written whole or not at all."""
+"""Output folder of a run, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from homeward.runs.scoring import score
 from homeward.track import Track
 
 SETTINGS_FILE = "run.yaml"
-"""Written last: a folder that holds it is a whole run of ours."""
+"""Written last: a folder with this file is a complete run of homeward."""
 ESTIMATE = "estimate.csv"
 PAGE, RECORDING = "report.html", "run.mcap"
 """These need the extra report."""
 VIEWS = ("foxglove.json", "rerun.rbl")
-"""A layout for Foxglove and a blueprint for Rerun, copied next to `RECORDING`. Rerun applies the
+"""Layout for Foxglove and blueprint for Rerun, copied next to `RECORDING`. Rerun applies the
 blueprint (docs/make_blueprint.py) only to a recording whose file name is run."""
 
 
 def missing_extra() -> InputError | None:
-    """Return what to say of a run that gets no `PAGE` and no `RECORDING`; None where it does."""
+    """Return the error that names the missing extra of `PAGE` and `RECORDING`, or None."""
     try:
         import_module("homeward.runs.report.page")
         import_module("homeward.runs.report.mcap")
     except ModuleNotFoundError as error:
-        if (told := missing_extra_error(error)) is None:
+        if (missing := missing_extra_error(error)) is None:
             raise
-        return told
+        return missing
     return None
 
 
@@ -52,14 +52,13 @@ def write_run(
     settings: Mapping[str, Any],
     images: Images | None = None,
 ) -> str:
-    """Write the output files of a run, and return its summary in words.
+    """Write the output files of a run, and return its summary.
 
     The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap with `VIEWS`,
-    report.html and run.yaml; without the extra report neither log nor page. They replace those of
-    an earlier run; nothing else in the folder is touched. `settings` is every setting used, as
-    plain data; run.yaml contains it, and the versions of everything under ``versions``. `images`
-    are written to run.mcap. `InputError` where the folder is not an earlier run, or cannot be
-    written.
+    report.html and run.yaml; without the extra report neither run.mcap nor report.html. They
+    replace those of an earlier run; other files stay. run.yaml contains all `settings`, as plain
+    data, and the versions of the packages; run.mcap contains the `images`. `InputError` where the
+    folder is not that of a run, or cannot be written.
     """
     metrics = score(track, drive.truth)
     summary = summarise(drive, track, metrics)
@@ -79,6 +78,6 @@ def write_run(
                 (scratch / name).write_bytes(view.read_bytes())
             write_page(scratch / PAGE, drive, track, metrics, settings)
         write_settings(scratch / SETTINGS_FILE, settings)
-    for file in () if pages else (RECORDING, PAGE, *VIEWS):  # none of another run should stay
+    for file in () if pages else (RECORDING, PAGE, *VIEWS):  # remove files of an earlier run
         (directory / file).unlink(missing_ok=True)
     return summary

@@ -1,9 +1,9 @@
 """run.mcap: a run for Rerun, Foxglove, RViz and evo, as standard messages of ROS 2.
 
-Frames are those of REP 105: ``map`` is the home frame, ``odom`` is where odometry alone leads from
+Frames are those of REP 105: ``map`` is the home frame, ``odom`` is the frame of dead reckoning from
 the start of the drive, ``base_link`` is the robot's centre, ``camera`` is the camera. ``odom`` to
-``base_link`` is there from the first row on, ``map`` to ``odom`` wherever there is a pose.
-Rerun draws no markers and no nav_msgs; point clouds are drawn by every viewer, so paths, ellipses,
+``base_link`` is published from the first row on, ``map`` to ``odom`` wherever there is a pose.
+Rerun draws neither markers nor nav_msgs, but every viewer draws point clouds: so paths, ellipses,
 rays, landmarks and home are coloured points.
 """
 
@@ -31,19 +31,19 @@ from homeward.track import Track
 
 MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera"
 STATUS_S = 1.0
-"""The status is repeated at this interval [s], and written at each change."""
+"""The status is written at each change, and at this interval [s]."""
 IMAGE_S = 0.5
-"""Minimum interval of images [s]; all of them would make the file as large as the drive."""
+"""Minimum interval of images [s]; with all images the file would be as large as the drive."""
 STALE_S = 0.5
 """Rays disappear after this time without new sightings [s]."""
 UNPLACED_M = 2.0
 """Length of a ray whose landmark has no position [m]."""
 DOTS = 24
-"""Points of a ray, and of an ellipse."""
+"""Number of points of a ray, and of an ellipse."""
 HOUSE_M = 0.15
 """Half the width of home's symbol [m]."""
 PLANAR = (0, 1, 5)
-"""Places of x, y and the turn about z in ROS's covariances of six."""
+"""Indices of x, y and the rotation about z in ROS's 6 x 6 covariances."""
 LEVELS = dict.fromkeys((Status.MAPPING, Status.UNVERIFIED, Status.COASTING), 1)
 LEVELS |= {Status.LOCALISED: 0, Status.WAITING: 3}
 """Levels of diagnostic_msgs: 0 is OK, 1 is WARN, 3 is STALE."""
@@ -52,21 +52,21 @@ _TEXT, _INFO, _WARN, _UINT32, _FLOAT32 = 9, 20, 30, 6, 7
 _POINT = np.dtype([(axis, "<f4") for axis in "xyz"] + [("rgb", "<u4"), ("color", "<u4")])
 """A point: `rgb` is 0x00RRGGBB, as Foxglove and RViz read it; `color` is 0xRRGGBBAA, for Rerun."""
 PALE = "#e1e6eb"
-"""The viewers are dark, so what is ink on paper is pale here."""
+"""Pale colour, since the viewers have dark backgrounds."""
 
 Row = tuple[int, str, Any]
 """A stamp [ns], a topic and a message."""
 
 
 def write_recording(file: Path, drive: Drive, track: Track, images: Images | None = None) -> None:
-    """Write a run as an MCAP file of messages of ROS 2, as docs/look-up/files.md lists them."""
+    """Write a run as an MCAP file of ROS 2 messages, as listed in docs/look-up/files.md."""
     with writing(file) as log:
         for stamp, topic, message in _Messages(log, drive, track).all(images):
             log.write(topic, stamp, message)
 
 
 class _Messages:
-    """The messages of a run, in order of time; none is made before it is asked for."""
+    """The messages of a run in order of time, created one by one."""
 
     def __init__(self, log: LogFile, drive: Drive, track: Track) -> None:
         self._log, self._drive, self._track = log, drive, track
@@ -96,7 +96,7 @@ class _Messages:
         return heapq.merge(*streams, key=lambda row: row[0])
 
     def _fixed(self) -> Iterator[Row]:
-        """Yield what does not change: the camera on the robot, home, and the two paths."""
+        """Yield the messages at the start: camera extrinsics, home, and the two paths."""
         track, start = self._track, self._stamps[0]
         posed = self._has_pose
         mounted = self._transform(start, BASE, CAMERA, self._drive.settings.sensor.pose)
@@ -154,7 +154,7 @@ class _Messages:
             yield self._cloud(stamp, "robot", points, *[BLUE] * DOTS, *[PALE] * DOTS)
 
     def _rays(self) -> Iterator[Row]:
-        """Yield the sightings, from the camera to where the landmark was mapped."""
+        """Yield the sightings as rays from the camera to the mapped landmarks."""
         track, history = self._track, self._track.history
         rows = np.flatnonzero(self._has_pose & np.isin(track.t, self._drive.sightings.t))
         column = {landmark: i for i, landmark in enumerate(history.landmark)}
@@ -188,7 +188,7 @@ class _Messages:
             colours = [colour(level) for level in levels(chances[placed]).tolist()]
             yield self._cloud(stamp, "landmarks", places[placed], *colours)
             yield self._numbers(stamp, "moved_probability", label, chances)
-            # Names are written when one of them has to move or change, at 0.1 m and 10 %.
+            # Names are written again when a position changes by 0.1 m or a probability by 10 %.
             if named != (shown := np.round([*places.T, chances], 1).tobytes()):
                 named = shown
                 markers = [
@@ -199,7 +199,7 @@ class _Messages:
                 yield stamp, "/homeward/landmark_names", array
 
     def _name(self, stamp: int, i: int, place: np.ndarray, chance: float) -> dict[str, Any]:
-        """Return the text over a landmark: its name, and its probability of having moved."""
+        """Return the marker of a landmark's name and its probability of having moved."""
         pose = _pose(place[0], place[1], 0.0)
         pose["position"]["z"] = 0.3
         moved = f"\nmoved: {chance:.0%}" if chance >= 0.05 else ""
@@ -216,20 +216,20 @@ class _Messages:
         }
 
     def _statuses(self) -> Iterator[Row]:
-        track, told, since = self._track, None, -math.inf
+        track, last, since = self._track, None, -math.inf
         name = f"homeward: {track.estimator}"
         for row, t in enumerate(track.t.tolist()):
             now = (track.status[row], track.reason[row])
-            if now == told and t - since < STATUS_S:
+            if now == last and t - since < STATUS_S:
                 continue
             stamp, (status, reason) = self._stamps[row], now
             words = f"{status.value}: {reason}" if reason else status.value
             header = self._log.header(stamp, "")
-            if now != told:
+            if now != last:
                 severity = _WARN if LEVELS[status] else _INFO
                 fields = {"stamp": header.stamp, "level": severity, "name": name, "msg": words}
                 yield stamp, "/homeward/status", self._log.make("rcl_interfaces/msg/Log", **fields)
-            told, since = now, t
+            last, since = now, t
             values = {"status": status.value}
             if self._has_pose[row]:
                 sigma = self._sigmas[row]
@@ -272,9 +272,9 @@ class _Messages:
             yield stamp, "/camera/image/compressed", message
 
     def _cloud(self, stamp: int, topic: str, points: np.ndarray, *colours: str) -> Row:
-        """Return points (n, 2) [m] in the home frame; the last colour is that of the rest."""
+        """Return points (n, 2) [m] in the home frame; the last colour is for all further points."""
         array = np.zeros(len(points), _POINT)
-        # 1/1024 m is enough for a picture, and compresses well.
+        # 1/1024 m is fine enough to draw, and compresses well.
         array["x"], array["y"] = np.round(points.T * 1024) / 1024
         if colours:
             rgb = np.array([int(c[1:], 16) for c in colours], np.uint32)
@@ -294,7 +294,7 @@ class _Messages:
         return stamp, f"/homeward/{topic}", message
 
     def _numbers(self, stamp: int, topic: str, label: str, values: Any) -> Row:
-        """Return a row of numbers, for plots."""
+        """Return an array of numbers, for plots."""
         data = np.asarray(values, float)
         layout = {"dim": [{"label": label, "size": data.size, "stride": data.size}]}
         message = self._log.make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)

@@ -1,4 +1,4 @@
-"""report.html: one self-contained page that says what happened on a run."""
+"""report.html: the self-contained page of a run."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from homeward.runs.report.plots.look import embedded, script
 from homeward.runs.report.plots.map import map_aspect, map_plot, undrawn
 from homeward.runs.report.plots.moments import moments
 from homeward.runs.report.plots.time import consistency_plots, error_plots, sigma_plots, time_range
-from homeward.runs.report.plots.timeline import MOST_ROWS, timeline
+from homeward.runs.report.plots.timeline import MAX_ROWS, timeline
 from homeward.runs.report.summary import caution, sentence
 from homeward.runs.report.template import GLOSSARY, render
 from homeward.runs.scoring import ELLIPSE_SHARES, Accuracy, Metrics, Statistics
@@ -30,7 +30,7 @@ from homeward.track import Track
 def write_page(
     file: Path, drive: Drive, track: Track, metrics: Metrics, settings: Mapping[str, Any]
 ) -> None:
-    """Write the page of a run; `settings` is every one used, as plain data."""
+    """Write the page of a run; `settings` contains every setting used, as plain data."""
     plots = _plots(drive, track)
     html = render(
         "report.html.j2",
@@ -40,7 +40,7 @@ def write_page(
         drive=drive,
         track=track,
         metrics=metrics,
-        # A number stays with its unit.
+        # No line break between a number and its unit.
         sentence=re.sub(r"(?<=\d) (?=\w)", "\u00a0", sentence(track, metrics)),
         caution=caution(metrics),
         plots=plots,
@@ -52,7 +52,7 @@ def write_page(
         error_rows=_error_rows(metrics.accuracy),
         landmarks=sorted(track.landmarks, key=lambda m: (not m.moved, natural(m.landmark))),
         consistency=_consistency(metrics),
-        unlisted=max(0, np.unique(drive.sightings.landmark).size - MOST_ROWS),
+        unlisted=max(0, np.unique(drive.sightings.landmark).size - MAX_ROWS),
         left_out=[*drive.remarks.items(), *((why.words, n) for why, n in metrics.rejected.items())],
         stages=_stages(track, metrics),
         timing=_timing(metrics),
@@ -62,7 +62,7 @@ def write_page(
 
 
 def _plots(drive: Drive, track: Track) -> dict[str, UIElement]:
-    """Return the plots that this run has something for, by name."""
+    """Return the plots for which the run has data, by name."""
     if not track.t.size:
         return {}
     span = time_range(track)
@@ -79,7 +79,7 @@ def _plots(drive: Drive, track: Track) -> dict[str, UIElement]:
 
 
 def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]:
-    """Return label, error and whether it is an angle, for each row of the table of errors."""
+    """Return label, statistics and whether it is an angle, for each row of the table of errors."""
     if accuracy is None:
         return []
     rpe = [("translation in 1 s (RPE)", accuracy.rpe_1s, False)] if accuracy.rpe_1s else []
@@ -94,12 +94,14 @@ def _error_rows(accuracy: Accuracy | None) -> list[tuple[str, Statistics, bool]]
 
 
 def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
-    """Return what consistent uncertainty would give beside what was found."""
+    """Return label, value and expected value, for each row of the table of consistency."""
     rows: list[tuple[str, str, str]] = []
     if metrics.accuracy is not None:
         a = metrics.accuracy
         rows.append(("mean NEES of (x, y, heading)", f"{a.nees_mean:.2f}", "3"))
-        rows.append(("time inside its 95 % region", words.percent(a.nees_inside_95_share), "95 %"))
+        rows.append(
+            ("time with NEES inside its 95 % region", words.percent(a.nees_inside_95_share), "95 %")
+        )
         shares = zip(a.position_inside_sigma_shares, ELLIPSE_SHARES, strict=True)
         for k, (found, expected) in enumerate(shares, start=1):
             name = f"time inside the {k}-sigma ellipse"
@@ -113,7 +115,7 @@ def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
 
 
 def _stages(track: Track, metrics: Metrics) -> list[tuple[float, str, float, str]]:
-    """Return each status: its first time [s], name, share of the time, and its first reason."""
+    """Return the first time [s], name, share of the time and first reason of each status."""
     first = [(track.status.index(s), s) for s in Status if s in track.status]
     shares = metrics.status_shares
     return [
@@ -123,12 +125,12 @@ def _stages(track: Track, metrics: Metrics) -> list[tuple[float, str, float, str
 
 
 def _timing(metrics: Metrics) -> str:
-    """Say in a sentence how long it took."""
-    text = f"The run took {words.quantity(metrics.run_s, 's')} of computing"
+    """Return the run time of the estimator in one sentence."""
+    text = f"Run time {words.quantity(metrics.run_s, 's')}"
     if metrics.update_median_s is None or metrics.update_p99_s is None:
         return text + "."
     median, p99 = (1e3 * s for s in (metrics.update_median_s, metrics.update_p99_s))
     return (
-        f"{text}; an update with bearings {words.quantity(median, 'ms')} in the median, "
-        f"and 99 % of them at most {words.quantity(p99, 'ms')}."
+        f"{text}; per update with bearings: median {words.quantity(median, 'ms')}, 99 % quantile "
+        f"{words.quantity(p99, 'ms')}."
     )

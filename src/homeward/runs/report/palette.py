@@ -1,4 +1,4 @@
-"""The colours, and the mark of home, that all pictures and pages share."""
+"""Colours and the symbol of home, shared by all figures and pages."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from homeward.estimator import Status
 
-# Okabe and Ito's palette, told apart by colour-blind readers too.
+# Okabe and Ito's palette, distinguishable for colour-blind readers.
 INK = "#22262b"
 MUTED = "#8a9097"
 RULE = "#e3e6e9"
@@ -26,16 +26,16 @@ STATUS_COLOURS = {
 }
 MOVED = VERMILLION
 HOUSE = [(-1.0, -1.0), (1.0, -1.0), (1.0, 0.25), (0.0, 1.2), (-1.0, 0.25), (-1.0, -1.0)]
-"""Home."""
+"""Outline of the symbol of home."""
 LEVELS = 10
-"""Steps in which probabilities are drawn."""
-UNJUDGED = -1
+"""Number of steps in which probabilities are drawn."""
+UNTESTED = -1
 """Level of a landmark that the estimator does not test."""
 
 
 def colour(level: int) -> str:
-    """Return the colour of a probability of `level` in `LEVELS` of having moved."""
-    if level == UNJUDGED:
+    """Return the colour of a level of the probability of having moved."""
+    if level == UNTESTED:
         return MUTED
     share = level / LEVELS
     mixed = (
@@ -46,9 +46,9 @@ def colour(level: int) -> str:
 
 
 def levels(chances: np.ndarray) -> np.ndarray:
-    """Return the level of each probability, or `UNJUDGED` where it is NaN."""
-    judged = np.isfinite(chances)
-    return np.where(judged, np.round(LEVELS * np.nan_to_num(chances)), UNJUDGED).astype(int)
+    """Return the level of each probability, or `UNTESTED` where it is NaN."""
+    tested = np.isfinite(chances)
+    return np.where(tested, np.round(LEVELS * np.nan_to_num(chances)), UNTESTED).astype(int)
 
 
 LEVEL_COLOURS = [colour(level) for level in range(LEVELS + 1)]

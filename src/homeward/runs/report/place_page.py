@@ -36,8 +36,8 @@ def write_page(file: Path, place: Place) -> None:
         date=date,
         lines=info_lines(place),
         figures={
-            "map": Markup(svg(_draw_map(place), "The place as seen from above")),
-            "visits": Markup(svg(_draw_visits(place), "What each visit found")),
+            "map": Markup(svg(_draw_map(place), "Map of the place")),
+            "visits": Markup(svg(_draw_visits(place), "Landmarks stayed, moved, new and gone")),
         },
         landmarks=[
             (n, place.persistence[n], stays[n], place.persistence[n].rate(usual), sigmas[n])
@@ -103,14 +103,14 @@ def _draw_visits(place: Place) -> Figure:
         figure = new_figure(2.2)
         axes = figure.add_subplot()
         number = np.array([v.number for v in place.visits])
-        foot = np.zeros(len(number))
+        bottom = np.zeros(len(number))
         for kind, colour in kinds:
             height = np.array([float(getattr(v, kind)) for v in place.visits])
             if kind == "gone":
                 axes.bar(number, -height, color=colour, label=kind)
                 continue
-            axes.bar(number, height, bottom=foot, color=colour, label=kind)
-            foot += height
+            axes.bar(number, height, bottom=bottom, color=colour, label=kind)
+            bottom += height
         axes.set(xlabel="visit", ylabel="landmarks")
         axes.grid(False, axis="x")
         legend_below(figure, axes.get_legend_handles_labels()[0])

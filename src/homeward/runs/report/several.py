@@ -1,4 +1,4 @@
-"""What several estimators over one drive leave behind: a page, tables, and a folder of each run."""
+"""Output of several estimators on one drive: a page, tables, and a folder of each run."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ from homeward.runs.scoring import errors
 from homeward.runs.single_run import Outcome
 
 PAGE = "estimators.html"
-"""Written last: a folder that holds it is whole output of ours."""
-LEAST_M = 1e-3
-"""Smaller errors are drawn as this: a start that is told has none."""
-HEAD = ["estimator", "no pose", "beyond 3 sigma", "RMSE [m]", "median [m]", "worst [m]"]
-HEAD += ["heading [deg]", "NEES", "update [ms]", "named as moved"]
+"""Written last: a folder with this file is complete output of homeward."""
+MIN_DRAWN_M = 1e-3
+"""Smaller errors are drawn as this; a start prior from ground truth has none [m]."""
+HEAD = ["estimator", "unavailable", "outside 3 sigma", "RMSE [m]", "median [m]", "max [m]"]
+HEAD += ["heading RMSE [deg]", "NEES", "update [ms]", "moved landmarks"]
 
 
 def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
-    """Write a page, tables, figures, a run folder of each that ended; errors as `whole_folder`."""
+    """Write a page, tables, figures, and the folder of each run; errors as `whole_folder`."""
     drive = outcomes[0].drive
     ended = [o for o in outcomes if o.track is not None and o.track.t.size]
     with whole_folder(directory, PAGE) as scratch:
         figures = []
         if ended:
             figures = [
-                drawn(scratch, "paths", "Where each says the robot was", draw_paths(ended)),
-                drawn(scratch, "errors", "How far off each is over time", draw_errors(ended)),
+                drawn(scratch, "paths", "Estimated paths", draw_paths(ended)),
+                drawn(scratch, "errors", "Position error over time", draw_errors(ended)),
             ]
         for outcome in ended:
             assert outcome.track is not None
@@ -58,36 +58,38 @@ def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
 
 
 def folder_name(outcome: Outcome) -> str:
-    """Return the folder of a run, after its estimator."""
+    """Return the folder of a run, named after its estimator."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in outcome.run.estimator)
 
 
 def table(outcomes: Sequence[Outcome]) -> list[list[str]]:
-    """Return the table of the terminal and of the page, its head first, failures told first."""
-    rows = [(o, _numbers(o)) for o in outcomes]
-    words = [[*map(share, numbers[:2]), *map(number, numbers[2:])] for _, numbers in rows]
+    """Return the table of the terminal and of the page, head first."""
+    rows = ((o, _numbers(o)) for o in outcomes)
     return [
         HEAD,
-        *([o.run.estimator, *w, _named(o)] for (o, _), w in zip(rows, words, strict=True)),
+        *(
+            [o.run.estimator, *map(share, values[:2]), *map(number, values[2:]), _moved(o)]
+            for o, values in rows
+        ),
     ]
 
 
 def exact_table(outcomes: Sequence[Outcome]) -> list[list[object]]:
-    """Return the same to the last bit, with the reasons of failures."""
-    rows = ([o.run.estimator, *_numbers(o), _named(o), o.failure] for o in outcomes)
+    """Return the table with unrounded numbers and the reasons of failures."""
+    rows = ([o.run.estimator, *_numbers(o), _moved(o), o.failure] for o in outcomes)
     return [[*HEAD, "failure"], *rows]
 
 
 def _numbers(outcome: Outcome) -> list[float]:
-    """Return the figures of one row, NaN where they are not known."""
+    """Return the numbers of one row, NaN where unknown."""
     metrics = outcome.metrics
     if metrics is None:
         return [1.0] + [math.nan] * 7
     errors_of = [math.nan] * 6
     if (a := metrics.accuracy) is not None:
         p, heading = a.position, math.degrees(a.heading.rmse)
-        beyond = 1.0 - a.position_inside_sigma_shares[2]
-        errors_of = [beyond, p.rmse, p.median, p.max, heading, a.nees_mean]
+        outside = 1.0 - a.position_inside_sigma_shares[2]
+        errors_of = [outside, p.rmse, p.median, p.max, heading, a.nees_mean]
     update = metrics.update_median_s
     return [
         1.0 - (metrics.pose_share or 0.0),
@@ -96,8 +98,8 @@ def _numbers(outcome: Outcome) -> list[float]:
     ]
 
 
-def _named(outcome: Outcome) -> str:
-    """Return which landmarks are said to have moved; nothing where the estimator names none."""
+def _moved(outcome: Outcome) -> str:
+    """Return the moved landmarks; nothing where the estimator does not detect them."""
     known = [] if outcome.track is None else outcome.track.landmarks
     if all(m.moved is None for m in known):
         return ""
@@ -105,7 +107,7 @@ def _named(outcome: Outcome) -> str:
 
 
 def draw_paths(outcomes: Sequence[Outcome]) -> Figure:
-    """Draw the path of each, and the true one; what is far from all others is cut off."""
+    """Draw the estimated paths and ground truth; diverged paths are cut off."""
     truth = outcomes[0].drive.truth
     tracks = [o.track for o in outcomes if o.track is not None]
     with style("paths"):
@@ -118,13 +120,13 @@ def draw_paths(outcomes: Sequence[Outcome]) -> Figure:
             axes.plot(track.x, track.y, color=_colour(j), lw=0.9)
         axes.plot(0.0, 0.0, marker="*", ms=11, color=INK, ls="none")
         axes.set(xlabel="x [m]", ylabel="y [m]", aspect="equal")
-        _legend(figure, outcomes, "truth" if truth is not None else "")
+        _legend(figure, outcomes, "ground truth" if truth is not None else "")
         uncrowd(figure)
     return figure
 
 
 def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
-    """Draw the position error over time; without truth, what each claims it to be."""
+    """Draw the position error over time; without ground truth, its standard deviation."""
     with style("errors"):
         figure = new_figure(3.2)
         axes = figure.add_subplot()
@@ -132,13 +134,13 @@ def draw_errors(outcomes: Sequence[Outcome]) -> Figure:
             track, truth = outcome.track, outcome.drive.truth
             assert track is not None
             if truth is not None:
-                judged = errors(track, truth)
-                times, size = judged.t, judged.position
+                error = errors(track, truth)
+                times, size = error.t, error.position
             else:
                 times, size = track.t, np.hypot(track.sigmas[:, 0], track.sigmas[:, 1])
-            axes.plot(times - track.t[0], np.maximum(size, LEAST_M), color=_colour(j), lw=0.9)
-        told = outcomes[0].drive.truth is not None
-        label = "position error [m]" if told else "claimed sigma [m]"
+            axes.plot(times - track.t[0], np.maximum(size, MIN_DRAWN_M), color=_colour(j), lw=0.9)
+        has_truth = outcomes[0].drive.truth is not None
+        label = "position error [m]" if has_truth else "position sigma [m]"
         axes.set(yscale="log", xlabel="time [s]", ylabel=label)
         _legend(figure, outcomes, "")
         uncrowd(figure)
@@ -159,7 +161,7 @@ def _colour(j: int) -> str:
 
 
 def _span(values: np.ndarray) -> tuple[float, float]:
-    """Return what an axis shows: all of the truth and home, with half as much room around."""
+    """Return the limits of an axis: ground truth and home, with a margin of a quarter."""
     low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
-    room = 0.25 * max(high - low, 1.0)
-    return low - room, high + room
+    margin = 0.25 * max(high - low, 1.0)
+    return low - margin, high + margin

@@ -1,4 +1,4 @@
-"""What happened on a run, in a few plain sentences."""
+"""Summary of a run in plain sentences."""
 
 from __future__ import annotations
 
@@ -9,47 +9,46 @@ from homeward.estimator import LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, between
 from homeward.reasons import Rejection
 from homeward.runs.report.words import count, degrees, listing, name, percent, quantity
-from homeward.runs.scoring import Metrics
+from homeward.runs.scoring import ELLIPSE_SHARES, Metrics
 from homeward.track import Track
 
 NOT_NEEDED = Rejection.VAGUE_ODOMETRY, Rejection.STANDING
-"""Normal in every drive: sightings between keyframes, and of a robot that stands still."""
+"""Normal in every drive: sightings between keyframes, and of a robot at rest."""
 MIN_OFFSET_SHARE = 0.5
 """An offset of ground truth is suggested if there was a pose for this share of the time [1]."""
-OUTSIDE_3_SIGMA = 0.05
-"""Outside the 3-sigma ellipse for more of the time than this (1.1 % would be right) is told."""
+MAX_OUTSIDE_3_SIGMA = 0.05
+"""A run is called overconfident outside the 3-sigma ellipse for a larger share of the time [1]."""
 
 NOT_SCORED = "No position error: no pose has ground truth at its time."
 
 
 def sentence(track: Track, metrics: Metrics) -> str:
-    """Say in one sentence what happened on a run."""
+    """Return the result of a run in one sentence."""
     if not track.t.size:
-        return "Nothing happened: the drive holds no samples."
+        return "The drive contains no samples."
     duration = quantity(metrics.duration_s, "s")
     if metrics.first_pose_after_s is None:
-        return f"In {duration} no pose was found: {track.reason[-1].rstrip('.')}."
+        return f"No pose found in {duration}: {track.reason[-1].rstrip('.')}."
     share = _localised_share(metrics)
-    text = f"In {duration} the robot was " + (
-        "never sure where it was" if share == 0.0 else f"localised for {percent(share)} of the time"
-    )
+    text = f"Localised for {percent(share)} of" if share else "Never localised in"
+    text += f" {duration}"
     if metrics.accuracy is not None:
-        text += f", {quantity(metrics.accuracy.position.rmse, 'm')} off (RMSE)"
-    judged = [m for m in track.landmarks if m.moved is not None]
-    if not judged:
+        text += f"; position error {quantity(metrics.accuracy.position.rmse, 'm')} RMSE"
+    tested = [m for m in track.landmarks if m.moved is not None]
+    if not tested:
         return text + "."
-    moved = [name(m.landmark) for m in judged if m.moved]
-    of = f"of the {count(len(judged), 'landmark')} "
-    of += "judged" if _unjudged(track) else "that home saw"
+    moved = [name(m.landmark) for m in tested if m.moved]
+    of = f"of the {count(len(tested), 'landmark')} "
+    of += "tested" if _untested(track) else "seen from home"
     if not moved:
-        return f"{text}, and none {of} had moved."
-    return f"{text}, and {len(moved):,} {of} had moved: {listing(moved, 5)}."
+        return f"{text}; none {of} moved."
+    return f"{text}; {len(moved):,} {of} moved: {listing(moved, 5)}."
 
 
 def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
-    """Return how long the robot was localised, its errors, and what had moved, in a paragraph."""
+    """Return a paragraph: time localised, errors, moved landmarks, and sightings used."""
     if not track.t.size:
-        return "The drive holds no samples, so there is nothing to say."
+        return "The drive contains no samples."
     sentences = [
         _localised(track, metrics),
         _accuracy(metrics, drive.truth is not None),
@@ -60,56 +59,48 @@ def summarise(drive: Drive, track: Track, metrics: Metrics) -> str:
 
 
 def _localised(track: Track, metrics: Metrics) -> str:
-    """Say how long there was a pose, and how good it claimed to be."""
+    """Return the shares of the time localised, with an unverified pose, and without a pose."""
     duration = quantity(metrics.duration_s, "s")
     if metrics.first_pose_after_s is None:
-        return f"No pose was found in {duration}: {track.reason[-1].rstrip('.')}."
+        return f"No pose found in {duration}: {track.reason[-1].rstrip('.')}."
     shares = metrics.status_shares
     coasting, unverified = (shares.get(s, 0.0) for s in (Status.COASTING, Status.UNVERIFIED))
     share = _localised_share(metrics)
-    seconds = share * metrics.duration_s
     if share == 0.0:
         text = f"Never localised in {duration}"
     else:
-        text = f"Localised for {quantity(seconds, 's').removesuffix(' s')} of {duration}"
-        text += f" ({percent(share)})"
-    if coasting > 0.005:
-        text += f", {percent(coasting)} on odometry alone"
-    if unverified > 0.005:
-        text += f", with an unverified pose for {percent(unverified)}"
-    without = 1.0 - (metrics.pose_share or 0.0)
-    if without * metrics.duration_s > metrics.first_pose_after_s + 0.5:
-        text += f", and no pose for {percent(without)}"
-    if metrics.first_pose_after_s > 0.5:
-        text += f"; the first pose came after {quantity(metrics.first_pose_after_s, 's')}"
-    localised = [i for i, s in enumerate(track.status) if s is Status.LOCALISED]
-    since = float(track.t[localised[0]] - track.t[0]) if localised else 0.0
-    if since > metrics.first_pose_after_s + 0.5:
-        text += f", and it was first localised after {quantity(since, 's')}"
-    return text + "."
+        seconds = quantity(share * metrics.duration_s, "s").removesuffix(" s")
+        odometry = f", including {percent(coasting)} on odometry alone" if coasting > 0.005 else ""
+        text = f"Localised for {seconds} of {duration} ({percent(share)}{odometry})"
+    if Status.LOCALISED in track.status:
+        since = float(track.t[track.status.index(Status.LOCALISED)] - track.t[0])
+        text += f", first after {quantity(since, 's')}" if since > 0.5 else ""
+    others = ("unverified pose", unverified), ("no pose", 1.0 - (metrics.pose_share or 0.0))
+    rest = ", ".join(f"{what} for {percent(part)}" for what, part in others if part > 0.005)
+    return f"{text}; {rest}." if rest else f"{text}."
 
 
 def _localised_share(metrics: Metrics) -> float:
-    """Return the share of the time with a pose to rely on."""
+    """Return the share of the time in the statuses localised and coasting."""
     shares = metrics.status_shares
     return shares.get(Status.LOCALISED, 0.0) + shares.get(Status.COASTING, 0.0)
 
 
 def _accuracy(metrics: Metrics, has_truth: bool) -> str:
-    """Say how far off the poses were."""
+    """Return the errors of position and heading, and a caution if there is one."""
     accuracy = metrics.accuracy
     if accuracy is None:
-        return NOT_SCORED if has_truth else "There is no truth to measure the error against."
+        return NOT_SCORED if has_truth else "No position error: the drive has no ground truth."
     p = accuracy.position
     text = (
         f"Position error {quantity(p.rmse, 'm')} RMSE, {quantity(p.median, 'm')} median, "
-        f"{quantity(p.max, 'm')} at worst; heading {degrees(accuracy.heading.rmse)} RMSE."
+        f"{quantity(p.max, 'm')} maximum; heading {degrees(accuracy.heading.rmse)} RMSE."
     )
     return f"{text} {caution(metrics)}".strip()
 
 
 def caution(metrics: Metrics) -> str:
-    """Say where the claimed uncertainty was too small; nothing where it was not."""
+    """Return a warning where the covariance does not explain the errors, else nothing."""
     accuracy = metrics.accuracy
     # Every short piece of a path fits with some offset.
     for_long = (metrics.pose_share or 0.0) >= MIN_OFFSET_SHARE
@@ -122,26 +113,27 @@ def caution(metrics: Metrics) -> str:
             " in the frame of ground truth (m, m, rad)."
         )
     outside = 0.0 if accuracy is None else 1.0 - accuracy.position_inside_sigma_shares[2]
-    if outside <= OUTSIDE_3_SIGMA:
+    if outside <= MAX_OUTSIDE_3_SIGMA:
         return ""
     return (
-        f"It was surer than it should be: for {percent(outside)} of the time the true "
-        "position lay outside its 3-sigma ellipse."
+        f"Overconfident: the true position was outside the 3-sigma ellipse {percent(outside)} of"
+        f" the time (expected: {percent(1.0 - ELLIPSE_SHARES[2])}). `homeward tune` estimates the"
+        " sensor noise for drive.yaml."
     )
 
 
 def _moved(track: Track) -> str:
-    """Say which landmarks had moved."""
-    judged = [m for m in track.landmarks if m.moved is not None]
-    if not judged and not track.has_pose.any():
-        return "Which landmarks moved is not known without a pose."
-    if not judged:
-        return f"The estimator {track.estimator} does not judge which landmarks moved."
-    during = [m for m in judged if m.moved_at == m.moved_at]
-    before = [m for m in judged if m.moved and m not in during]
+    """Return which landmarks moved, and how many were not tested."""
+    tested = [m for m in track.landmarks if m.moved is not None]
+    if not tested and not track.has_pose.any():
+        return "Moved landmarks: unknown without a pose."
+    if not tested:
+        return f"The estimator {track.estimator} does not detect moved landmarks."
+    during = [m for m in tested if m.moved_at == m.moved_at]
+    before = [m for m in tested if m.moved and m not in during]
     text = ""
     stored = any(math.isfinite(m.home_bearing_stored) for m in track.landmarks)
-    since = "home was stored" if stored else "they were surveyed or seen last"
+    since = "home was stored" if stored else "the survey or the last visit"
     if before:
         were = "was" if len(before) == 1 else "were"
         text = (
@@ -153,26 +145,23 @@ def _moved(track: Track) -> str:
         when = [f"{name(m.landmark)} (at {quantity(m.moved_at - start, 's')})" for m in during]
         text += f"{count(len(during), 'landmark').capitalize()} moved during the drive: "
         text += f"{listing(when)}."
-    text = text.strip() or (
-        f"No landmark was found to have moved, of {len(judged):,} judged; what carries none of"
-        " these may have moved unnoticed."
-    )
-    others = _unjudged(track)
+    text = text.strip() or f"No moved landmark among the {len(tested):,} tested."
+    others = _untested(track)
     if others:
         unseen = sum(m.sightings == 0 for m in others)
-        were = "was" if unseen == 1 else "were"
-        text += f" Of {count(len(others), 'other')} that home saw it is not known"
-        text += f"; {count(unseen, 'landmark')} {were} not found on the way." if unseen else "."
+        were = "was" if len(others) == 1 else "were"
+        text += f" {count(len(others), 'other').capitalize()} seen from home {were} not tested"
+        text += f", {unseen:,} of which not seen during the drive." if unseen else "."
     return text
 
 
-def _unjudged(track: Track) -> list[LandmarkEstimate]:
-    """Return the landmarks that home saw, but of which it is not known whether they moved."""
+def _untested(track: Track) -> list[LandmarkEstimate]:
+    """Return the landmarks with a home bearing that were not tested for having moved."""
     return [m for m in track.landmarks if m.moved is None and math.isfinite(m.home_bearing_stored)]
 
 
 def _rejected(metrics: Metrics) -> str:
-    """Say how much of the input was not used."""
+    """Return the numbers of sightings used, not needed and rejected."""
     unneeded = sum(metrics.rejected.get(why, 0) for why in NOT_NEEDED)
     rejected = sum(metrics.rejected.values()) - unneeded
     if not (rejected or unneeded):

@@ -1,4 +1,4 @@
-"""Pages from templates: all values are escaped, and none may be missing."""
+"""Pages from templates: all values are escaped, and a missing value is an error."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from homeward.io.reading import shipped
 from homeward.runs.report.files import versions
 
 GLOSSARY: dict[str, str] = yaml.safe_load(shipped("glossary.yaml").read_text(encoding="utf-8"))
-"""Each term of the reports and the documentation, and its meaning."""
+"""Terms of the reports and the documentation, and their meanings."""
 
 
 def render(template: str, package: str = "homeward.runs.report", **values: Any) -> str:
-    """Return a page filled with `values`, and with `versions`.
+    """Return a page filled with `values` and `versions`.
 
-    Its template is in a `package`, and what all pages share in this one.
+    Its template is in `package`; templates that all pages share are in this package.
     """
     own, shared = PackageLoader(package), PackageLoader("homeward.runs.report")
     environment = Environment(
@@ -42,7 +42,7 @@ def heading(words: str) -> Markup:
 
 
 def contents(sections: Sequence[str]) -> Markup:
-    """Return links to sections, by the words of their headings."""
+    """Return links to sections, given their headings."""
     links = (Markup('<a href="#{}">{}</a>').format(_anchor(s), s) for s in sections)
     return Markup('<nav aria-label="Contents"><p>{}</p></nav>').format(Markup(" · ").join(links))
 

@@ -1,4 +1,4 @@
-"""Numbers, lists, places and visits as they are written in a sentence."""
+"""Wording of numbers, lists, places and visits in sentences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SMALL = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", 
 
 
 def count(n: int, noun: str) -> str:
-    """Return a number of things: "no landmarks", "one landmark", "1,204 landmarks"."""
+    """Return a number with its noun: "no landmarks", "one landmark", "1,204 landmarks"."""
     return f"{_SMALL[n] if n < len(_SMALL) else f'{n:,}'} {noun}{'' if n == 1 else 's'}"
 
 
@@ -34,7 +34,7 @@ def quantity(value: float, unit: str) -> str:
 
 
 def percent(share: float) -> str:
-    """Return a share in per cent; only nothing is 0 % and only all of it is 100 %."""
+    """Return a share in per cent; only exactly 0 is 0 % and only exactly 1 is 100 %."""
     rounded = round(100 * share)
     if rounded == 100 and share < 1 - 1e-9:
         return "over 99 %"
@@ -49,33 +49,33 @@ def degrees(angle: float) -> str:
 
 
 def name(landmark: str, longest: int = 24) -> str:
-    """Return a landmark's id fit for a line of text: printable, and not too long."""
+    """Return a landmark's id, printable and shortened to `longest` characters."""
     line = "".join(c if c.isprintable() else "�" for c in landmark) or "(empty)"
     return line if len(line) <= longest else line[: longest - 1] + "…"
 
 
 def describe_sightings(drive: Drive) -> str:
-    """Say how many landmarks were seen, and how often."""
+    """Return the numbers of sightings, landmarks, images and home bearings."""
     stamps, ids = np.unique(drive.sightings.t).size, set(drive.sightings.landmark.tolist())
     at_home = len(ids & set(drive.home))
     return (
         f"{drive.sightings.t.size:,} sightings of {count(len(ids), 'landmark')} in "
-        f"{count(stamps, 'image')}; {at_home:,} of them were seen from home."
+        f"{count(stamps, 'image')}; {at_home:,} of these landmarks were seen from home."
     )
 
 
 def describe_moved(boxes: Mapping[str, bool]) -> str:
-    """Say what was moved since home was stored, and how much of that a run can find out.
+    """Return which boxes were moved since the home image, and which of these a run can detect.
 
-    `boxes` are those that were moved; True where home's picture shows one.
+    `boxes` are the moved ones; True where the home image shows the box.
     """
     if not boxes:
-        return "Nothing was moved since home."
+        return "No box was moved since the home image."
     shown = [name for name, seen in boxes.items() if seen]
-    moved = f"Moved since home: {listing(list(boxes))}; home's picture shows"
     return (
-        f"{moved} {listing(shown) if shown else 'none of them'}. A run notices it of those alone on"
-        " which landmarks lie that are seen from home and often enough on the way."
+        f"Moved since the home image: {listing(list(boxes))}; the home image shows "
+        f"{listing(shown) if shown else 'none of them'}. A run can detect only boxes with landmarks"
+        " that are seen from home and often enough during the drive."
     )
 
 
@@ -92,7 +92,7 @@ def visit_words(place: Place) -> str:
     if visit.verdict == "apart":
         return (
             f"{place.name}: this drive was not merged, because it contradicts the place: it is "
-            "another place, or most landmarks were moved."
+            "another place, or most landmarks were moved. Give another folder to begin a new place."
         )
     parts = [f"{visit.stayed:,} stayed"]
     for what in ("moved", "gone", "returned", "new"):
@@ -100,7 +100,7 @@ def visit_words(place: Place) -> str:
         names = [name(e.landmark) for e in mine]
         if names:
             parts.append(f"{len(names):,} {what} ({listing(names, 8)})")
-    return f"{place.name}: of its landmarks {listing(parts)}; it has {visit.of:,} now."
+    return f"{place.name}: {listing(parts)}; now {count(visit.of, 'landmark')}."
 
 
 def route_words(place: Place, route: str) -> str:
@@ -118,7 +118,7 @@ def forget_words(place: Place) -> str:
     """Describe what is left of a place."""
     left = [count(len(place.persistence), "landmark"), count(len(place.homes), "home")]
     left += [count(len(place.routes), "route")] if place.routes else []
-    return f"{place.name}: {listing(left)} are left."
+    return f"{place.name}: {listing(left)} remain."
 
 
 def info_lines(place: Place) -> list[str]:

@@ -1,1 +1,1 @@
-"""The plots of a run's page, which the reader can move through, and what a slider shows in them."""
+"""Interactive plots of a run's page, and the data of its slider."""

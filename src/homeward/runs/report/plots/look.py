@@ -1,7 +1,7 @@
-"""What all plots of a page share: their look, their tools, and how they get into the page.
+"""Style, tools and embedding of the plots of a page.
 
-They are Bokeh's: its script is a quarter of plotly's, draws on a canvas, which stays quick with
-thousands of points under a slider, and needs no network and no `eval`.
+Plots use Bokeh: its script is a quarter of plotly's, draws on a canvas, which stays fast with
+thousands of points under a slider, and needs neither a network nor `eval`.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from homeward.runs.report.palette import INK
 FONT = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', sans-serif"
 TYPE = "12px"
 THEMED = "ink"
-"""Tag of what is drawn in the colour of the text; the page's script follows dark and light."""
+"""Tag of elements in the colour of the text; the page's script adapts it to dark and light."""
 CURSOR = "cursor"
 """Tag of the lines that show the slider's moment."""
 
 
 def new_plot(height: int, y_label: str, **options: Any) -> figure:
-    """Return an empty plot over the time of a drive, to be zoomed along it, `height` in px.
+    """Return an empty plot over the time of a drive, `height` in px, with zoom along the time axis.
 
     `options` are those of `bokeh.plotting.figure`.
     """
@@ -52,7 +52,7 @@ def new_plot(height: int, y_label: str, **options: Any) -> figure:
 
 
 def restyled(plot: figure) -> figure:
-    """Return a plot in the page's style: its type, no frame, tools that show when wanted."""
+    """Return a plot in the page's style: its font, no frame, tools only under the mouse."""
     plot.toolbar.logo = None
     plot.toolbar.autohide = True
     plot.toolbar_inner = True
@@ -67,14 +67,14 @@ def restyled(plot: figure) -> figure:
 
 
 def add_hover(plot: figure, tip: str, *renderers: Any, **options: Any) -> None:
-    """Let a tip show over `renderers`; Bokeh escapes what it puts for each ``@column``."""
+    """Add a tooltip for `renderers`; Bokeh escapes the value of each ``@column``."""
     plot.add_tools(HoverTool(renderers=list(renderers), tooltips=tip, **options))
 
 
 def embedded(plots: Mapping[str, UIElement]) -> Markup:
-    """Return plots as JSON to stand in a script element: {doc, roots}, the roots id to name.
+    """Return plots as JSON for a script element: {doc, roots}, where roots maps ids to names.
 
-    Bokeh numbers its models by process; here they are numbered by their place, so that the same
+    Bokeh numbers its models per process; here they are numbered by their order, so that the same
     plots give the same text.
     """
     document = Document()
@@ -87,13 +87,13 @@ def embedded(plots: Mapping[str, UIElement]) -> Markup:
 
 
 def script() -> Markup:
-    """Return the script that draws them, to stand in a script element."""
+    """Return the script of Bokeh for a script element."""
     (text,) = Resources(mode="inline", components=["bokeh"]).js_raw[:1]
     return Markup(text)
 
 
 def _renumbered(tree: Any, numbers: dict[str, str]) -> Any:
-    """Return a tree of JSON with the ids of models replaced by the order in which they come."""
+    """Return a tree of JSON with the ids of models replaced by numbers in order of appearance."""
     if isinstance(tree, dict):
         return {
             key: numbers.setdefault(value, f"m{len(numbers)}")
@@ -105,16 +105,16 @@ def _renumbered(tree: Any, numbers: dict[str, str]) -> Any:
 
 
 Label = TypeVar("Label")
-MOST = 1600
-"""So many rows of a line are kept, roughly."""
+MAX_LINE_ROWS = 1600
+"""Approximate maximum number of rows of a line."""
 
 
 def thin(values: np.ndarray) -> np.ndarray:
-    """Return the rows that draw a line like `values`, (n,): extremes and breaks (NaN) stay."""
-    if values.size <= MOST:
+    """Return the rows that draw a line like `values`, (n,); extremes and breaks (NaN) remain."""
+    if values.size <= MAX_LINE_ROWS:
         return np.arange(values.size)
     keep: set[int] = {0, values.size - 1}
-    for part in np.array_split(np.arange(values.size), MOST // 2):
+    for part in np.array_split(np.arange(values.size), MAX_LINE_ROWS // 2):
         known = part[np.isfinite(values[part])]
         if known.size < part.size:
             keep.add(int(part[~np.isfinite(values[part])][0]))
@@ -124,13 +124,13 @@ def thin(values: np.ndarray) -> np.ndarray:
     return np.array(sorted(keep))
 
 
-def thin_dots(size: np.ndarray, most: int) -> np.ndarray:
-    """Return rows of dots to draw: the tenth of `most` of greatest size, and evenly of the rest."""
-    if size.size <= most:
+def thin_dots(size: np.ndarray, max_dots: int) -> np.ndarray:
+    """Return at most `max_dots` rows to draw: a tenth are the largest, the others evenly spaced."""
+    if size.size <= max_dots:
         return np.arange(size.size)
-    greatest = np.argsort(-size, kind="stable")[: most // 10]
-    evenly = np.linspace(0, size.size - 1, most - greatest.size).astype(int)
-    return np.union1d(greatest, evenly)
+    largest = np.argsort(-size, kind="stable")[: max_dots // 10]
+    evenly = np.linspace(0, size.size - 1, max_dots - largest.size).astype(int)
+    return np.union1d(largest, evenly)
 
 
 def runs(labels: Sequence[Label]) -> Iterator[tuple[int, int, Label]]:

@@ -1,4 +1,4 @@
-"""The map of a run: path, truth, uncertainty, landmarks and home, and what the slider moves."""
+"""Map of a run: path, ground truth, uncertainty, landmarks, home, and the slider's layers."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ from homeward.runs.report.plots.look import FONT, THEMED, TYPE, add_hover, resty
 from homeward.track import Track
 
 ELLIPSES = 24
-"""How many ellipses are drawn along the path."""
-MOST_LABELS = 40
-"""With more landmarks than this only the moved ones are named."""
+"""Number of ellipses along the path."""
+MAX_LABELS = 40
+"""With more landmarks than this, only the moved ones are labelled."""
 Limits = tuple[float, float, float, float]
-"""West, east, south and north of the map [m]."""
-TIP = '<b>@name</b><div style="white-space: pre-line">@told</div>'
+"""West, east, south and north limits of the map [m]."""
+TIP = '<b>@name</b><div style="white-space: pre-line">@details</div>'
 
 
 def map_plot(track: Track, truth: Truth | None) -> figure:
     """Return the map of a run in the home frame.
 
-    What the page's slider moves is named ``robot``, ``ellipse``, ``rays``, ``true-robot`` and
-    ``landmarks``; the script fills these data sources.
+    The page's script fills the data sources ``robot``, ``ellipse``, ``rays``, ``true-robot`` and
+    ``landmarks`` for the slider's moment.
     """
     limits = map_limits(track, truth)
     plot = _empty()
@@ -58,19 +58,19 @@ def map_plot(track: Track, truth: Truth | None) -> figure:
 
 
 def map_aspect(track: Track, truth: Truth | None) -> float:
-    """Return how wide the map should be for its height, within what a page has room for."""
+    """Return the aspect ratio (width over height) of the map, limited to what fits a page."""
     west, east, south, north = map_limits(track, truth)
     return float(np.clip((east - west) / (north - south), 0.8, 2.2))
 
 
 def undrawn(track: Track, truth: Truth | None) -> list[str]:
-    """Return the ids of landmarks that have a place, but too vague or too far off for the map."""
+    """Return the ids of mapped landmarks that are too uncertain or too far away for the map."""
     drawn = _drawn(track.landmarks, map_limits(track, truth))
     return [m.landmark for m in track.landmarks if np.isfinite(m.x) and m not in drawn]
 
 
 def map_limits(track: Track, truth: Truth | None) -> Limits:
-    """Return the limits that hold home, the path, and the landmarks not far from them."""
+    """Return limits that contain home, the path, and the landmarks near them."""
     points = [np.array([[-0.5, -0.5], [0.5, 0.5]])]
     posed = np.column_stack([track.x, track.y])[track.has_pose]
     if posed.size:
@@ -82,8 +82,8 @@ def map_limits(track: Track, truth: Truth | None) -> Limits:
     core = np.concatenate(points)
     centre, reach = core.mean(axis=0), 1.0 + float(np.ptp(core, axis=0).max())
     placed = _placed(track.landmarks)
-    places = [(m.x, m.y) for m in placed] + [_old_place(m) for m in placed if m.moved]
-    marks = np.array(places).reshape(-1, 2)
+    positions = [(m.x, m.y) for m in placed] + [_old_position(m) for m in placed if m.moved]
+    marks = np.array(positions).reshape(-1, 2)
     near = marks[np.all(np.abs(marks - centre) < 1.5 * reach, axis=1)]
     everything = np.concatenate([core, near])
     low, high = everything.min(axis=0), everything.max(axis=0)
@@ -94,7 +94,7 @@ def map_limits(track: Track, truth: Truth | None) -> Limits:
 
 
 def ellipse(x: float, y: float, covariance: np.ndarray, sigmas: float) -> np.ndarray:
-    """Return the rim of an ellipse of so many sigmas round (x, y) [m], shape (2, 33)."""
+    """Return the outline of the ellipse of `sigmas` around (x, y) [m], shape (2, 33)."""
     circle = np.linspace(0, 2 * np.pi, 33)
     variance, directions = np.linalg.eigh(covariance[:2, :2])
     radii = sigmas * np.sqrt(np.maximum(variance, 0.0))
@@ -103,20 +103,20 @@ def ellipse(x: float, y: float, covariance: np.ndarray, sigmas: float) -> np.nda
 
 
 def _placed(landmarks: list[LandmarkEstimate]) -> list[LandmarkEstimate]:
-    """Return the landmarks whose place means something: a sigma below half the distance."""
+    """Return the landmarks with a useful position: sigma at most half the distance."""
     return [
         m for m in landmarks if np.isfinite(m.x) and not m.sigma_distance > 0.5 * abs(m.distance)
     ]
 
 
 def _drawn(landmarks: list[LandmarkEstimate], limits: Limits) -> list[LandmarkEstimate]:
-    """Return the landmarks that stand on the map."""
+    """Return the landmarks inside the map."""
     west, east, south, north = limits
     return [m for m in _placed(landmarks) if west <= m.x <= east and south <= m.y <= north]
 
 
 def _empty() -> figure:
-    """Return the empty map, a metre as long upwards as sideways."""
+    """Return the empty map with equal scales."""
     drag, wheel = PanTool(), WheelZoomTool()
     wheel.modifiers = {"ctrl": True}
     plot = figure(
@@ -176,7 +176,7 @@ def _draw_ellipses(plot: figure, track: Track) -> None:
 
 
 def _draw_home(plot: figure, limits: Limits) -> None:
-    """Draw home and its x-axis."""
+    """Draw home and the x-axis of the home frame."""
     west, east, south, north = limits
     extent = max(east - west, north - south)
     head = NormalHead(size=8, fill_color=INK, line_color=None, tags=[THEMED])
@@ -197,7 +197,7 @@ def _draw_home(plot: figure, limits: Limits) -> None:
 
 
 def _draw_moment(plot: figure, has_truth: bool) -> None:
-    """Draw what the slider moves; the page's script fills it."""
+    """Add the layers of the slider's moment; the page's script fills them."""
     nothing: dict[str, list[Any]] = {"x": [], "y": []}
     rays = ColumnDataSource({k: [] for k in ("x0", "y0", "x1", "y1", "color")}, name="rays")
     plot.segment(
@@ -217,10 +217,10 @@ def _draw_moment(plot: figure, has_truth: bool) -> None:
 
 
 def _draw_landmarks(plot: figure, track: Track, limits: Limits) -> GlyphRenderer:
-    """Draw landmarks; an arrow leads to a moved one from where home saw it."""
+    """Draw landmarks, and an arrow to each moved one from its old position."""
     drawn = _drawn(track.landmarks, limits)
     for m in drawn:
-        if m.moved and np.isfinite(_old_place(m)).all():
+        if m.moved and np.isfinite(_old_position(m)).all():
             _draw_move(plot, m)
     source = ColumnDataSource(_columns(drawn, track, limits), name="landmarks")
     dots = plot.scatter(
@@ -250,12 +250,12 @@ def _draw_landmarks(plot: figure, track: Track, limits: Limits) -> GlyphRenderer
 
 
 def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dict[str, list[Any]]:
-    """Return what is drawn of each landmark, and what its tip says."""
+    """Return the data source of the landmarks: markers, labels and tooltips."""
     west, east, _, _ = limits
     rows, none = track.innovations.by_landmark(), np.empty(0, int)
-    # Near the eastern edge the name stands to the left.
+    # Near the eastern edge the label is on the left.
     left = [m.x > east - 0.15 * (east - west) for m in drawn]
-    named = [m.moved or len(drawn) <= MOST_LABELS for m in drawn]
+    named = [m.moved or len(drawn) <= MAX_LABELS for m in drawn]
     colours = [MOVED if m.moved else MUTED if m.moved is None else BLUE for m in drawn]
     return {
         "x": [m.x for m in drawn],
@@ -269,26 +269,26 @@ def _columns(drawn: list[LandmarkEstimate], track: Track, limits: Limits) -> dic
         "side": ["right" if side else "left" for side in left],
         "id": [m.landmark for m in drawn],
         "name": [words.name(m.landmark, 60) for m in drawn],
-        "told": ["\n".join(_landmark_tip(m, track, rows.get(m.landmark, none))) for m in drawn],
+        "details": ["\n".join(_details(m, track, rows.get(m.landmark, none))) for m in drawn],
     }
 
 
 def _draw_move(plot: figure, m: LandmarkEstimate) -> None:
-    """Draw an arrow to a moved landmark from its old direction, at its present distance."""
-    x, y = _old_place(m)
+    """Draw an arrow to a moved landmark from its old position."""
+    x, y = _old_position(m)
     plot.scatter([x], [y], marker="diamond", size=13, fill_color=None, line_color=MOVED)
     head = NormalHead(size=8, fill_color=MOVED, line_color=None)
     plot.add_layout(Arrow(x_start=x, y_start=y, x_end=m.x, y_end=m.y, end=head, line_color=MOVED))
 
 
-def _old_place(m: LandmarkEstimate) -> tuple[float, float]:
-    """Return where a moved landmark would have stood at its present distance [m]."""
+def _old_position(m: LandmarkEstimate) -> tuple[float, float]:
+    """Return the position in the direction of the home bearing, at the present distance [m]."""
     far = np.hypot(m.x, m.y)
     return far * np.cos(m.home_bearing_stored), far * np.sin(m.home_bearing_stored)
 
 
-def _landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
-    """Return lines on a landmark; `rows` are its entries among the track's innovations."""
+def _details(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[str]:
+    """Return the lines of a landmark's tooltip; `rows` are its rows of the track's innovations."""
     seen = track.innovations
     mine, rejected = rows[seen.accepted[rows]], int((~seen.accepted[rows]).sum())
     words_rejected = f"{rejected:,} rejected" if rejected else "none rejected"
@@ -306,10 +306,10 @@ def _landmark_tip(m: LandmarkEstimate, track: Track, rows: np.ndarray) -> list[s
 
 
 def _moved_words(m: LandmarkEstimate, track: Track) -> str:
-    """Say whether a landmark moved."""
+    """Return whether a landmark moved, in words."""
     if math.isfinite(m.moved_at):
         return f"moved during the drive, at {words.quantity(m.moved_at - track.t[0], 's')}"
     if m.moved is None:
-        return "not judged" + (": home did not see it" if math.isnan(m.home_bearing_stored) else "")
-    chance = f"(moved with probability {words.percent(m.moved_probability)})"
+        return "not tested" + (": no home bearing" if math.isnan(m.home_bearing_stored) else "")
+    chance = f"(probability of having moved: {words.percent(m.moved_probability)})"
     return f"{'moved since home was stored' if m.moved else 'in place'} {chance}"

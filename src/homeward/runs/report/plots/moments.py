@@ -1,4 +1,4 @@
-"""What the page's slider shows: the robot, its ellipse and its bearings at moments of the drive."""
+"""Data of the page's slider: the robot, its ellipse and its bearings at moments of the drive."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Sightings
 from homeward.io.naming import natural
-from homeward.runs.report.palette import LEVEL_COLOURS, STATUS_COLOURS, UNJUDGED, colour, levels
+from homeward.runs.report.palette import LEVEL_COLOURS, STATUS_COLOURS, UNTESTED, colour, levels
 from homeward.runs.report.words import name
 from homeward.track import Track
 
-MOST_MOMENTS = 1500
-"""Moments of a drive that the slider tells apart."""
-MOST_CELLS = 40_000
-"""Bearings, and places of landmarks, that a page holds; with more there are fewer moments."""
+MAX_MOMENTS = 1500
+"""Maximum number of positions of the slider."""
+MAX_CELLS = 40_000
+"""Maximum number of bearings, and of landmark positions, on a page; more give fewer moments."""
 USED, REJECTED, NEW = 0, 1, 2
-"""What became of a bearing; new is one of a landmark that is not mapped yet."""
+"""Use of a bearing; new: its landmark is not mapped yet."""
 
 
 def moments(drive: Drive, track: Track) -> dict[str, Any]:
@@ -27,23 +27,21 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``opening``, the moment to begin with: the nearest to the middle that has a pose, and
-        bearings if any has; ``t`` and what there is at each of these times, None where there is
-        nothing: ``pose`` (x, y, heading), ``cov`` (xx, xy, yy), ``sigma_heading``, ``truth``,
-        ``status`` and ``reason`` as numbers into ``statuses`` and ``reasons``, ``seen`` a list of
-        (number into ``names``, direction from the robot's x-axis, `USED`, `REJECTED` or `NEW`),
-        ``known`` a row of ``history``, whose rows hold (x, y, level of `LEVEL_COLOURS`) of each of
-        ``names``.
+        ``opening``, the initial moment: the nearest to the middle that has a pose, and bearings if
+        any has; ``t`` and for each of these times, or None: ``pose`` (x, y, heading), ``cov`` (xx,
+        xy, yy), ``sigma_heading``, ``truth``, ``status`` and ``reason`` as indices into
+        ``statuses`` and ``reasons``, ``seen`` a list of (index into ``names``, direction from the
+        robot's x-axis, `USED`, `REJECTED` or `NEW`), ``known`` a row of ``history``. Each row of
+        ``history`` has (x, y, level of `LEVEL_COLOURS`) for each of ``names``.
     """
     per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
-    most = int(min(MOST_MOMENTS, MOST_CELLS / max(per_stamp, 1.0)))
-    rows = _chosen(track, drive.sightings, most)
+    max_moments = int(min(MAX_MOMENTS, MAX_CELLS / max(per_stamp, 1.0)))
+    rows = _chosen(track, drive.sightings, max_moments)
     names = sorted({*track.history.landmark, *drive.sightings.landmark.tolist()}, key=natural)
     number = {landmark: i for i, landmark in enumerate(names)}
     history, known = _history(track, names, rows)
     reasons = list(dict.fromkeys(track.reason[row] for row in rows))
     statuses = list(STATUS_COLOURS)
-    mount = drive.settings.sensor
     t = track.t[rows] - track.t[:1]
     poses = _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4)
     seen = bearings_at(drive, track, rows)
@@ -67,24 +65,24 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         "ids": names,
         "statuses": [status.value for status in statuses],
         "reasons": reasons,
-        "camera": list(mount.pose),
+        "camera": list(drive.settings.sensor.pose),
         "colours": {
             "status": list(STATUS_COLOURS.values()),
             "moved": LEVEL_COLOURS,
-            "unjudged": colour(UNJUDGED),
+            "untested": colour(UNTESTED),
         },
     }
 
 
 def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
-    """Return the bearings at each of some rows (m,) of a track, and what became of them.
+    """Return the bearings at each of `rows` (m,) of a track, and their use.
 
     Each is (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`).
     """
-    judged = track.innovations
+    seen = track.innovations
     wanted = set(track.t[rows].tolist())
-    here = np.isin(judged.t, track.t[rows])
-    fates = zip(judged.t[here], judged.landmark[here], judged.accepted[here], strict=True)
+    here = np.isin(seen.t, track.t[rows])
+    fates = zip(seen.t[here], seen.landmark[here], seen.accepted[here], strict=True)
     fate = {(float(t), str(i)): USED if ok else REJECTED for t, i, ok in fates}
     yaw = drive.settings.sensor.yaw
     at = {
@@ -99,25 +97,25 @@ def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple
     return [at.get(t, []) for t in track.t[rows].tolist()]
 
 
-def _chosen(track: Track, sightings: Sightings, most: int) -> np.ndarray:
-    """Return rows of a track, evenly in time, those with most bearings first."""
+def _chosen(track: Track, sightings: Sightings, max_rows: int) -> np.ndarray:
+    """Return rows of a track evenly in time; of each interval the one with the most bearings."""
     before, after = (np.searchsorted(sightings.t, track.t, side) for side in ("left", "right"))
     seen = after - before
-    if track.t.size <= most:
+    if track.t.size <= max_rows:
         return np.arange(track.t.size)
-    edges = np.linspace(track.t[0], track.t[-1], most)
+    edges = np.linspace(track.t[0], track.t[-1], max_rows)
     groups = np.split(np.arange(track.t.size), np.searchsorted(track.t, edges[1:-1]))
     best = [group[np.argmax(seen[group])] for group in groups if group.size]
     return np.unique([0, *best, track.t.size - 1])
 
 
 def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[list[Any]], list[int]]:
-    """Return what was known of the landmarks, and which row of it each row of the track has."""
+    """Return the landmark estimates over time, and the index of one for each row of the track."""
     history = track.history
     if not history.t.size or not names:
         return [], [-1] * rows.size
-    most = min(history.t.size, max(2, MOST_CELLS // len(names)))
-    kept = np.unique(np.linspace(0, history.t.size - 1, most).astype(int))
+    num_rows = min(history.t.size, max(2, MAX_CELLS // len(names)))
+    kept = np.unique(np.linspace(0, history.t.size - 1, num_rows).astype(int))
     columns = {name: i for i, name in enumerate(history.landmark)}
     level = levels(history.moved_probability)
     table = [
@@ -138,7 +136,7 @@ def _history(track: Track, names: list[str], rows: np.ndarray) -> tuple[list[lis
 
 
 def _truth(drive: Drive, t: np.ndarray) -> list[list[float | None] | None]:
-    """Return true poses, where the truth covers these times."""
+    """Return the true poses at times that ground truth covers, else None."""
     if drive.truth is None or not drive.truth.t.size:
         return [None] * t.size
     pose = np.column_stack(drive.truth.at(t))
@@ -147,10 +145,10 @@ def _truth(drive: Drive, t: np.ndarray) -> list[list[float | None] | None]:
 
 
 def _rows(values: np.ndarray, digits: int) -> list[list[float | None] | None]:
-    """Return rows as lists, None where one holds a NaN."""
+    """Return rows as lists; None for rows with a NaN."""
     return [row if np.isfinite(row).all() else None for row in np.round(values, digits).tolist()]
 
 
 def _rounded(values: np.ndarray, digits: int) -> list[float | None]:
-    """Return numbers as a list, None where there is none."""
+    """Return numbers as a list; None for numbers that are not finite."""
     return [v if math.isfinite(v) else None for v in np.round(values, digits).tolist()]

@@ -16,30 +16,30 @@ from homeward.runs.report.plots.look import THEMED, add_hover, new_plot, runs, t
 from homeward.runs.scoring import errors
 from homeward.track import Track
 
-MOST_DOTS = 4000
-"""Innovations drawn, of either kind."""
-WINDOWS, FEWEST = 60, 10
-"""The NIS is averaged over so many windows of a drive, of at least so many sightings."""
+MAX_DOTS = 4000
+"""Maximum number of accepted, and of rejected, innovations drawn."""
+NUM_WINDOWS, MIN_SIGHTINGS = 60, 10
+"""Number of windows over which the NIS is averaged, and minimum number of sightings in each."""
 NORMAL_95 = 1.959963984540054
 """97.5 % quantile of the normal distribution."""
 BINS = 800
-"""Steps of time that a strip tells apart."""
+"""Number of time steps of a strip."""
 
 
 def time_range(track: Track) -> Range1d:
-    """Return the span of time that all plots of a page share [s]."""
+    """Return the common time axis of the plots of a page [s]."""
     return Range1d(0.0, float(track.t[-1] - track.t[0]) or 1.0, bounds="auto")
 
 
 def error_plots(track: Track, truth: Truth, span: Range1d) -> Column:
-    """Return the errors of x, y and heading, with the 3-sigma bands claimed for them."""
-    judged = errors(track, truth)
-    rows = np.searchsorted(track.t, judged.t)
+    """Return the errors of x, y and heading with their 3-sigma bands."""
+    scored = errors(track, truth)
+    rows = np.searchsorted(track.t, scored.t)
     plots = [_status_strip(track, span)]
     for values, column_number, scale, label, unit in (
-        (judged.x, 0, 1.0, "x error [m]", "m"),
-        (judged.y, 1, 1.0, "y error [m]", "m"),
-        (judged.heading, 2, np.degrees(1.0), "heading error [°]", "°"),
+        (scored.x, 0, 1.0, "x error [m]", "m"),
+        (scored.y, 1, 1.0, "y error [m]", "m"),
+        (scored.heading, 2, np.degrees(1.0), "heading error [°]", "°"),
     ):
         error = np.full(track.t.size, np.nan)
         error[rows] = scale * values
@@ -51,7 +51,7 @@ def error_plots(track: Track, truth: Truth, span: Range1d) -> Column:
 
 
 def sigma_plots(track: Track, span: Range1d) -> Column:
-    """Return the standard deviations of x, y and heading, for runs without truth."""
+    """Return the standard deviations of x, y and heading, for runs without ground truth."""
     plots = [_status_strip(track, span)]
     t = track.t - track.t[0]
     for columns, scale, label in (
@@ -71,8 +71,8 @@ def sigma_plots(track: Track, span: Range1d) -> Column:
 def consistency_plots(track: Track, span: Range1d) -> Column:
     """Return each innovation over its predicted sigma, and the mean NIS against its bounds.
 
-    The mean of n squared unit normals should lie between the 2.5 and the 97.5 % quantile of
-    chi-square(n) over n; rejected sightings do not count, which takes a little from it.
+    The mean of n squared unit normals should be between the 2.5 and the 97.5 % quantile of
+    chi-square(n) over n. Rejected sightings do not count, which lowers it a little.
     """
     return _stack([_innovations(track, span), _mean_nis(track, span)])
 
@@ -85,15 +85,15 @@ def chi_square_interval(n: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def windowed_nis(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return spans (w, 2) [s of the drive], numbers of sightings and mean NIS (w,) of windows.
 
-    A window is a share of the drive, and goes on until it has `FEWEST` sightings.
+    A window is a share of the drive, extended until it has `MIN_SIGHTINGS` sightings.
     """
     seen = track.innovations
     t = seen.t[seen.accepted] - track.t[0]
     nis = ((seen.value / seen.sigma) ** 2)[seen.accepted]
-    every = float(track.t[-1] - track.t[0]) / WINDOWS
+    every = float(track.t[-1] - track.t[0]) / NUM_WINDOWS
     starts: list[int] = [0] if t.size else []
-    for row in range(FEWEST, t.size - FEWEST + 1):
-        if row - starts[-1] >= FEWEST and t[row] - t[starts[-1]] >= every:
+    for row in range(MIN_SIGHTINGS, t.size - MIN_SIGHTINGS + 1):
+        if row - starts[-1] >= MIN_SIGHTINGS and t[row] - t[starts[-1]] >= every:
             starts.append(row)
     first = np.array(starts, int)
     number = np.diff(first, append=t.size)
@@ -102,7 +102,7 @@ def windowed_nis(track: Track) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _stack(plots: list[figure]) -> Column:
-    """Return plots one below the other, with the time at the last only."""
+    """Return plots below each other, with a time axis at the last only."""
     for plot in plots[:-1]:
         plot.xaxis.visible = False
     plots[-1].xaxis.axis_label = "time [s]"
@@ -111,7 +111,7 @@ def _stack(plots: list[figure]) -> Column:
 
 
 def _status_strip(track: Track, span: Range1d) -> figure:
-    """Return the status over time as a strip of colour; the longest of each bin shows."""
+    """Return the status over time as a coloured strip; each bin shows its longest status."""
     plot = new_plot(30, "", x_range=span, y_range=Range1d(0, 1))
     plot.yaxis.visible = plot.ygrid.visible = False
     plot.toolbar_location = None
@@ -144,7 +144,7 @@ def _status_strip(track: Track, span: Range1d) -> figure:
 
 
 def _reason(track: Track, status: Status, begin: float, end: float) -> str:
-    """Return the reason first given for a status between two times of the drive [s]."""
+    """Return the first reason of a status between two times of the drive [s]."""
     t = track.t - track.t[0]
     rows = range(*np.searchsorted(t, [begin, end]).tolist())
     return next((track.reason[row] for row in rows if track.status[row] is status), "")
@@ -153,7 +153,7 @@ def _reason(track: Track, status: Status, begin: float, end: float) -> str:
 def _draw_error(
     plot: figure, t: np.ndarray, error: np.ndarray, bound: np.ndarray, unit: str
 ) -> None:
-    """Draw an error in its band; a band far wider than the errors is cut off."""
+    """Draw an error and its band; a band far wider than the errors is cut off."""
     wide = thin(bound)
     plot.varea(_tidy(t[wide]), _tidy(-bound[wide]), _tidy(bound[wide]), color=BLUE, alpha=0.18)
     rows = thin(error)
@@ -162,10 +162,10 @@ def _draw_error(
     line = plot.line("t", "error", source=source, color=INK, line_width=1.2, tags=[THEMED])
     tip = f"@error{{0.000}} {unit}, 3 sigma @bound{{0.000}} {unit}<br>at @t{{0.0}} s"
     add_hover(plot, tip, line, mode="vline")
-    judged = np.isfinite(error)
-    if judged.any():
-        usual = 2.0 * float(np.median(bound[judged]))
-        reach = 1.08 * max(float(np.abs(error[judged]).max()), usual, 1e-6)
+    known = np.isfinite(error)
+    if known.any():
+        usual = 2.0 * float(np.median(bound[known]))
+        reach = 1.08 * max(float(np.abs(error[known]).max()), usual, 1e-6)
         plot.y_range = Range1d(-reach, reach)
 
 
@@ -187,7 +187,7 @@ def _innovations(track: Track, span: Range1d) -> figure:
         (~seen.accepted, "x", MOVED, 7),
     ):
         rows = np.flatnonzero(wanted)
-        rows = rows[thin_dots(np.abs(ratio[rows]), MOST_DOTS)]
+        rows = rows[thin_dots(np.abs(ratio[rows]), MAX_DOTS)]
         columns = {
             "t": _tidy(seen.t[rows] - track.t[0]),
             "shown": _tidy(np.clip(ratio[rows], -reach, reach)),
@@ -212,7 +212,7 @@ def _innovations(track: Track, span: Range1d) -> figure:
 
 
 def _mean_nis(track: Track, span: Range1d) -> figure:
-    """Return the mean NIS of windows of the drive, against the interval where it should be."""
+    """Return the mean NIS of windows of the drive, with its 95 % interval."""
     spans, number, mean = windowed_nis(track)
     low, high = chi_square_interval(number)
     top = max(2.0, 1.1 * float(np.max(mean, initial=0.0)), 1.1 * float(np.max(high, initial=0.0)))
@@ -241,11 +241,11 @@ def _mean_nis(track: Track, span: Range1d) -> figure:
     )
     plot.segment("left", "mean", "right", "mean", color="colour", line_width=2, source=source)
     plot.scatter("middle", "mean", size=5, color="colour", source=source)
-    tip = "mean NIS @mean{0.00} of @number{0,0} sightings<br>should be @low{0.00} to @high{0.00}"
+    tip = "mean NIS @mean{0.00} of @number{0,0} sightings<br>expected: @low{0.00} to @high{0.00}"
     add_hover(plot, tip, band, mode="vline")
     return plot
 
 
 def _tidy(values: np.ndarray) -> np.ndarray:
-    """Return numbers in single precision, half of what doubles take."""
+    """Return numbers in single precision, half the size of doubles."""
     return np.asarray(values, np.float32)

@@ -1,11 +1,11 @@
-// The page of a run: draws Bokeh's plots, and lets the slider move the robot along the track.
+// The page of a run: draws Bokeh's plots, and moves the robot along the track with the slider.
 "use strict";
 (async () => {
   const read = (id) => JSON.parse(document.getElementById(id).textContent);
   const { doc: json, roots } = read("plots");
   const moments = read("moments");
 
-  // Draw every plot into the figure that carries its name.
+  // Draw each plot into the figure with its name.
   Bokeh.set_log_level("warn");
   const targets = {};
   for (const [id, name] of Object.entries(roots)) targets[id] = document.getElementById(`plot-${name}`);
@@ -18,7 +18,7 @@
   const source = (name) => models.find((m) => m.name === name);
   const plots = models.filter((m) => m.type === "Figure");
 
-  // Follow dark and light.
+  // Adapt colours to dark or light mode.
   const dark = matchMedia("(prefers-color-scheme: dark)");
   const paint = () => {
     const style = getComputedStyle(document.documentElement);
@@ -40,13 +40,13 @@
   paint();
   dark.addEventListener("change", paint);
 
-  // A finger that drags over a plot scrolls the page.
+  // On touch screens, dragging over a plot scrolls the page.
   if (matchMedia("(pointer: coarse)").matches) {
     for (const plot of plots) plot.toolbar.tools.forEach((tool) => { if ("overlay" in tool || tool.type === "PanTool") tool.active = false; });
   }
 
   const slider = document.getElementById("moment");
-  const said = document.getElementById("said"), clock = document.getElementById("clock");
+  const state = document.getElementById("state"), clock = document.getElementById("clock");
   const play = document.getElementById("play");
   const cursors = tagged("cursor"), landmarks = source("landmarks");
   const map = plots.find((p) => p.match_aspect);
@@ -58,7 +58,7 @@
     const [c, s] = [Math.cos(heading), Math.sin(heading)];
     return { x: points.map(([u, v]) => x + c * u - s * v), y: points.map(([u, v]) => y + s * u + c * v) };
   };
-  // As large on every screen: the unit is eight pixels.
+  // The same size on every screen: the unit is eight pixels.
   const unit = () => (8 * (map.y_range.end - map.y_range.start)) / map.inner_height;
   const outline = (pose) => (pose ? placed(pose, KITE.map((p) => p.map((v) => unit() * v))) : { x: [], y: [] });
   const axes = ([xx, xy, yy]) => {
@@ -85,10 +85,10 @@
     }
     return data;
   };
-  // Landmarks stand where they were thought to stand then; one not mapped yet is hollow.
+  // Landmarks are drawn as estimated at that time; hollow if not mapped yet.
   const number = new Map(moments.ids.map((id, i) => [id, i]));
   const final = landmarks.data;
-  const colour = (at) => (at && at[2] >= 0 ? moments.colours.moved[at[2]] : moments.colours.unjudged);
+  const colour = (at) => (at && at[2] >= 0 ? moments.colours.moved[at[2]] : moments.colours.untested);
   const landmarksAt = (known) => {
     if (!known) return final;
     const at = final.id.map((id) => known[number.get(id)]);
@@ -111,8 +111,8 @@
       const [a] = axes(moments.cov[i]), turn = (180 / Math.PI) * pose[2];
       parts.push(`at (${pose[0].toFixed(2)}, ${pose[1].toFixed(2)}) m, heading ${turn.toFixed(0)}°, ± ${a.toPrecision(2)} m`);
     }
-    const told = FATES.map(([, word], fate) => [names(seen, fate), word]).filter(([who]) => who.length);
-    parts.push(told.length ? told.map(([who, word]) => `bearings ${word}: ${who.join(", ")}`).join("; ") : "no bearings");
+    const uses = FATES.map(([, use], fate) => [names(seen, fate), use]).filter(([ids]) => ids.length);
+    parts.push(uses.length ? uses.map(([ids, use]) => `bearings ${use}: ${ids.join(", ")}`).join("; ") : "no bearings");
     return parts.join(" · ");
   };
 
@@ -125,12 +125,12 @@
     landmarks.data = landmarksAt(known);
     for (const cursor of cursors) cursor.location = moments.t[i];
     clock.textContent = `${moments.t[i].toFixed(1)} s`;
-    said.textContent = sentence(i);
+    state.textContent = sentence(i);
     slider.value = i;
   };
   slider.addEventListener("input", () => show(Number(slider.value)));
 
-  // A click on a plot over time takes the slider there.
+  // A click on a plot over time sets the slider.
   const nearest = (t) => {
     const after = moments.t.findIndex((u) => u >= t);
     return after < 0 ? moments.t.length - 1 : after;
@@ -155,9 +155,9 @@
     }, 50);
   });
   // report.html#t=84.2 opens at that moment.
-  const asked = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? NaN);
-  show(Number.isNaN(asked) ? Number(slider.value) : nearest(asked));
-  // What was drawn has moved the section that the address names.
+  const start = Number(new URLSearchParams(location.hash.slice(1)).get("t") ?? NaN);
+  show(Number.isNaN(start) ? Number(slider.value) : nearest(start));
+  // Drawing has shifted the section of the address.
   document.getElementById(decodeURIComponent(location.hash.slice(1)))?.scrollIntoView();
   document.documentElement.dataset.drawn = "";
 })();
