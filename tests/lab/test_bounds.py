@@ -1,4 +1,4 @@
-"""The bound against dense information, and against what it must do."""
+"""The bound against dense information, and its properties."""
 
 import math
 
@@ -92,7 +92,7 @@ def test_a_further_landmark_never_grows_the_bound(seed):
     fewer = posterior_bound(poses, twists, dt, marks[:-1], visible[:, :-1], **args)
     more = posterior_bound(poses, twists, dt, marks, visible, **args)
     for small, large in zip(more, fewer, strict=True):
-        # the bound's information spans ten powers of ten: so many digits are left of its inverse
+        # the bound's information spans ten powers of ten: few digits are left of its inverse
         assert np.linalg.eigvalsh(large - small)[0] > -1e-6 * np.trace(large)
 
 
@@ -137,8 +137,8 @@ def test_a_camera_elsewhere_and_a_robot_that_was_carried(mount):
         np.full(2, dt),
         np.ones((3, 6), bool),
     )
-    told = {"mount": mount, "carried": np.array([False, True]), **SIGMAS}
-    bound = posterior_bound(poses, twists, intervals, marks, seen, **told)
+    marked = {"mount": mount, "carried": np.array([False, True]), **SIGMAS}
+    bound = posterior_bound(poses, twists, intervals, marks, seen, **marked)
     assert bound[-1] == pytest.approx(dense[6:9, 6:9], rel=1e-3)
 
 
@@ -149,7 +149,7 @@ def test_a_long_drive_has_a_bound_to_its_end():
     assert bound[500:, 0, 0].max() < 2.0 * bound[100:200, 0, 0].max()
 
 
-def test_a_landmark_known_to_have_moved_tells_nothing_more_by_itself():
+def test_a_landmark_known_to_have_moved_adds_no_information_by_itself():
     poses, _, _, marks, _ = scene()
     bound = RunningBound(marks, **SIGMAS, start_covariance=0.01 * np.eye(3))
     everything = np.ones(len(marks), bool)

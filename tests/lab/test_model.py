@@ -134,5 +134,5 @@ def test_rates_and_jacobians_are_finite_everywhere(polar):
         assert np.all(np.isfinite(np.array(matrix)))
 
 
-def test_the_guard_costs_what_the_docstring_says():
+def test_the_guard_has_the_effect_in_the_docstring():
     assert 1 - guarded_inverse(0.05, PolarModel.guard) * 0.05 == pytest.approx(0.04, abs=0.002)

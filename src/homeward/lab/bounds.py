@@ -1,8 +1,8 @@
-"""Cramer-Rao bounds: how well any estimator can know the pose in a given scenario.
+"""Cramer-Rao bounds: the smallest pose covariance of any estimator in a given scenario.
 
-The posterior bound of Tichavsky, Muravchik and Nehorai (1998), with Jacobians at the truth: the
-information of odometry, bearings, home bearings and start prior on the pose and the landmarks, the
-landmarks marginalised. Home is the origin of the frame and known.
+The posterior bound of Tichavsky, Muravchik and Nehorai (1998), with Jacobians at the true values:
+the information of odometry, bearings, home bearings and start prior on pose and landmarks, with the
+landmarks marginalised. Home is the known origin of the frame.
 """
 
 from __future__ import annotations
@@ -14,28 +14,27 @@ import numpy as np
 from homeward.geometry.frames import Pose, compose
 
 CENTRE = Pose(0.0, 0.0, 0.0)
-AT_ONCE = 128
-"""Stamps whose matrices are held, and inverted, together: 2 MB with 20 landmarks."""
+CHUNK = 128
+"""Number of stamps whose matrices are inverted together: 2 MB with 20 landmarks."""
 
 
 class KnownInputs(TypedDict, total=False):
-    """What is known of a drive, beside where robot and landmarks truly are."""
+    """Noise and prior of a drive."""
 
     bearing_sigma: Required[float]
-    """Of a bearing [rad]."""
+    """Standard deviation of a bearing [rad]."""
     home_sigma: Required[float]
-    """Of a home bearing [rad]."""
+    """Standard deviation of a home bearing [rad]."""
     speed_sigma: Required[float]
     """White noise of the odometry's speed [m/s/sqrt(Hz)]."""
     turn_sigma: Required[float]
-    """And of its turn rate [rad/s/sqrt(Hz)]."""
+    """White noise of the odometry's turn rate [rad/s/sqrt(Hz)]."""
     moved: np.ndarray | None
-    """(q,), bool, landmarks whose home bearings are wrong, known to be so, and left out; none by
-    default."""
+    """(q,), bool, landmarks known to have moved, whose home bearings are not used; default none."""
     start_covariance: np.ndarray | None
-    """(3, 3), of a prior on the first pose, (x, y, heading); without one there is none."""
+    """(3, 3), prior covariance of the first pose (x, y, heading); default no prior."""
     mount: Pose
-    """The camera on the robot, at home too [m, m, rad]; at its centre by default."""
+    """Camera extrinsics on the robot and at home [m, m, rad]; by default at the robot's centre."""
 
 
 def posterior_bound(
@@ -48,7 +47,7 @@ def posterior_bound(
     carried: np.ndarray | None = None,
     **known: Unpack[KnownInputs],
 ) -> np.ndarray:
-    """Return the least covariance of the pose at each time, given everything up to then.
+    """Return the smallest covariance of the pose at each time, given all data up to then.
 
     Parameters
     ----------
@@ -59,14 +58,13 @@ def posterior_bound(
     intervals : ndarray, shape (n - 1,)
         Times between them [s].
     landmarks : ndarray, shape (q, 2)
-        True positions [m]; there is no prior on them.
+        True positions [m], without a prior.
     visible : ndarray, shape (n, q), bool
-        Which are seen when.
+        Whether a landmark is seen at a stamp.
     carried : ndarray, shape (n - 1,), bool, optional
-        Steps on which the robot was carried, so that nothing is known of the motion; none by
-        default.
+        Steps on which the robot is carried and its motion is unknown; none by default.
     **known : KnownInputs
-        Noise, what moved, a start prior, and where the camera sits.
+        Noise, moved landmarks, start prior and camera extrinsics.
 
     Returns
     -------
@@ -75,21 +73,21 @@ def posterior_bound(
     """
     bound = RunningBound(landmarks, **known)
     bounds = [np.empty((0, 3, 3))]
-    for first in range(0, len(poses), AT_ONCE):
-        told = bound.told_by(poses[first : first + AT_ONCE], landmarks, visible[first:])
-        for k, added in enumerate(told, first):
+    for first in range(0, len(poses), CHUNK):
+        information = bound.of_bearings(poses[first : first + CHUNK], landmarks, visible[first:])
+        for k, added in enumerate(information, first):
             if k and carried is not None and carried[k - 1]:
                 bound.carry()
             elif k:
                 bound.drive(poses[k - 1], poses[k], twists[k - 1], float(intervals[k - 1]))
             bound.add(added)
             added[:] = bound.information
-        bounds.append(_of_poses(told))
+        bounds.append(_pose_covariances(information))
     return np.concatenate(bounds)
 
 
 class RunningBound:
-    """The posterior bound as a drive goes on; parameters as those of `posterior_bound`."""
+    """The posterior bound, updated during a drive; parameters as in `posterior_bound`."""
 
     def __init__(self, landmarks: np.ndarray, **known: Unpack[KnownInputs]) -> None:
         self.bearing_sigma, self.mount = known["bearing_sigma"], known.get("mount", CENTRE)
@@ -99,14 +97,14 @@ class RunningBound:
         jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, self.mount)[0, right]
         jacobian[:, :3] = 0.0  # home itself is known
         self.information = jacobian.T @ jacobian / known["home_sigma"] ** 2
-        """On the pose and the landmarks, (3 + 2 q, 3 + 2 q)."""
+        """Information on pose and landmarks, (3 + 2 q, 3 + 2 q)."""
         if start is not None:
             self.information[:3, :3] += np.linalg.inv(start)
 
     def drive(self, before: np.ndarray, after: np.ndarray, twist: np.ndarray, dt: float) -> None:
-        """Carry the information over a motion between poses (3,), by a twist (2,) over `dt` [s].
+        """Propagate the information over a motion between poses (3,), with twist (2,), `dt` [s].
 
-        Its noise may be singular, and zero.
+        The noise may be singular or zero.
         """
         back = np.eye(len(self.information))
         back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
@@ -119,33 +117,35 @@ class RunningBound:
         noise *= np.array(self._sigmas) * np.sqrt(dt)
         pulled = carried @ noise
         left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
-        self.information = 0.5 * (left + left.T)  # what is not symmetric would grow at each step
+        self.information = 0.5 * (left + left.T)  # asymmetry would grow at each step
 
     def see(self, pose: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> None:
         """Add one bearing to each visible landmark (q,), seen from a pose (3,)."""
-        self.add(self.told_by(pose[None], landmarks, visible[None])[0])
+        self.add(self.of_bearings(pose[None], landmarks, visible[None])[0])
 
-    def told_by(self, poses: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> np.ndarray:
+    def of_bearings(
+        self, poses: np.ndarray, landmarks: np.ndarray, visible: np.ndarray
+    ) -> np.ndarray:
         """Return the information in the bearings from each pose, (n, 3 + 2 q, 3 + 2 q)."""
         jacobians = _bearing_jacobians(poses, landmarks, self.mount)
         jacobians *= visible[: len(poses), :, None]
         return np.asarray(jacobians.transpose(0, 2, 1) @ jacobians / self.bearing_sigma**2)
 
     def add(self, information: np.ndarray) -> None:
-        """Add information that is independent of all before."""
+        """Add independent information."""
         self.information = self.information + information
 
     def carry(self) -> None:
-        """Forget the pose: the robot was carried, and nothing is known of how."""
+        """Forget the pose: the robot was carried by an unknown motion."""
         self._forget(slice(0, 3))
 
     def move(self, landmark: int) -> None:
-        """Forget where a landmark stands: it was moved, and that is known."""
+        """Forget the position of a landmark that is known to have moved."""
         self._forget(slice(3 + 2 * landmark, 5 + 2 * landmark))
 
     def covariance(self) -> np.ndarray:
-        """Return the least covariance of the pose now, shape (3, 3); infinite if not fixed."""
-        return np.asarray(_of_poses(self.information[None])[0])
+        """Return the smallest covariance of the pose, (3, 3); infinite if it is not fixed."""
+        return np.asarray(_pose_covariances(self.information[None])[0])
 
     def _forget(self, part: slice) -> None:
         own, cross = self.information[part, part], self.information[part]
@@ -169,8 +169,8 @@ def _bearing_jacobians(poses: np.ndarray, landmarks: np.ndarray, mount: Pose) ->
     return jacobians
 
 
-def _of_poses(information: np.ndarray) -> np.ndarray:
-    """Return covariances of the pose, the landmarks marginalised; infinite where not fixed."""
+def _pose_covariances(information: np.ndarray) -> np.ndarray:
+    """Return covariances of the pose with landmarks marginalised; infinite where not fixed."""
     landmarks, cross = information[:, 3:, 3:], information[:, 3:, :3]
     inverse = np.linalg.pinv(landmarks, 1e-12, hermitian=True)
     own = information[:, :3, :3] - cross.transpose(0, 2, 1) @ inverse @ cross

@@ -1,8 +1,8 @@
-"""The unicycle and its bearings, once, symbolically: every filter and every bound is made of this.
+"""Symbolic model of the unicycle and its bearings, shared by all filters and bounds.
 
-The state is the paper's, X = [R, theta, alpha, beta_1 .. beta_q], the input U = [v, omega]; the
-distances of the landmarks are eliminated by their stored home bearings beta*_i. An augmented state
-carries some of the beta*_i behind it, as constants to be estimated.
+The state is the paper's, X = [R, theta, alpha, beta_1 .. beta_q], the input U = [v, omega]. The
+stored home bearings beta*_i eliminate the distances of the landmarks. An augmented state ends with
+some of the beta*_i, as constants to be estimated.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from homeward.geometry.angles import apply, guarded_inverse, wrap
 from homeward.geometry.frames import Integration, Pose, bearing
 
 POLAR = 3
-"""Entries of the state in front of the bearings: R, theta, alpha."""
+"""Number of states before the bearings: R, theta, alpha."""
 INPUTS = 2
-"""Entries of the input: v, omega."""
+"""Number of inputs: v, omega."""
 
 
 def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) -> Any:
     """Return D*_i, a landmark's distance from home [m], from two bearings and the pose.
 
     `polar` is the robot's R [m], theta, alpha [rad]; `beta` and `stored` are the bearings from the
-    robot and from home [rad]; `guard` is that of `homeward.geometry.angles.guarded_inverse`.
+    robot and from home [rad]; for `guard` see `homeward.geometry.angles.guarded_inverse`.
     """
     R, theta, alpha = polar
     phi = beta + alpha
@@ -34,10 +34,10 @@ def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) ->
 
 
 def home_anchored_bearing(pose: Pose, home: Any, inverse: Any) -> Any:
-    """Return the bearing [rad] of a landmark that stands on its home ray; nothing is singular home.
+    """Return the bearing [rad] of a landmark on its home ray; it is not singular at home.
 
-    `home` is its home bearing beta* [rad], `inverse` its inverse distance from home [1/m]; zero
-    stands for infinitely far.
+    `home` is its home bearing beta* [rad], `inverse` its inverse distance from home [1/m], zero at
+    infinity.
     """
     x = apply("cos", home) - inverse * pose.x
     y = apply("sin", home) - inverse * pose.y
@@ -48,15 +48,16 @@ def home_anchored_bearing(pose: Pose, home: Any, inverse: Any) -> Any:
 class PolarModel:
     """The paper's model of q landmarks, with any of their home bearings as states.
 
-    Singular where R = 0 and where landmark, home and robot are in line; `guard` keeps it finite
-    there: 1/R and 1/(R sin(beta* - theta)) become x / (x^2 + guard^2). The bearing rates are then
-    too small by the share guard^2 / (x^2 + guard^2): 4 % at x = 5 cm with a guard of 1 cm.
+    It is singular where R = 0 and where landmark, home and robot are in line. `guard` keeps it
+    finite there: 1/R and 1/(R sin(beta* - theta)), both 1/x, become x / (x^2 + guard^2). Bearing
+    rates are then too small by the fraction guard^2 / (x^2 + guard^2): 4 % at x = 5 cm with a guard
+    of 1 cm.
     """
 
     q: int
-    """Landmarks."""
+    """Number of landmarks."""
     estimated: tuple[int, ...] = ()
-    """Which home bearings are states (indices)."""
+    """Indices of the home bearings that are states."""
     guard: float = 0.01
     """[m]"""
 
@@ -67,11 +68,11 @@ class PolarModel:
 
     @property
     def bearing_slice(self) -> slice:
-        """Where the bearings stand in the state."""
+        """Position of the bearings in the state."""
         return slice(POLAR, POLAR + self.q)
 
     def home_bearings(self, state: ca.SX, stored: ca.SX) -> ca.SX:
-        """Return all beta*: those that are states from `state`, the others from `stored` (q,)."""
+        """Return all beta* (q,): from `state` where they are estimated, otherwise from `stored`."""
         known = [stored[i] for i in range(self.q)]
         for k, i in enumerate(self.estimated):
             known[i] = state[POLAR + self.q + k]
@@ -81,7 +82,7 @@ class PolarModel:
         """Return dX/dt, shape (n,), with bearings in [rad] and R in [m].
 
         The control is v [m/s], omega [rad/s]; `stored` (q,) are the beta* of home [rad]; `active`
-        (q,) is 1 where a landmark has been seen: the bearings of the others stand still.
+        (q,) is 1 where a landmark has been seen. The bearings of the others are constant.
         """
         R, theta, alpha = state[0], state[1], state[2]
         v, omega = control[0], control[1]
@@ -112,8 +113,7 @@ class Step(NamedTuple):
 
 
 _STAGES: dict[str, tuple[float, tuple[tuple[float, float], ...]]] = {
-    # What each piece counts, and of each stage: how much of dt its slope is carried on, how often
-    # that piece is counted.
+    # The weight of the sum, and for each stage its fraction of dt and its weight in the sum.
     "euler": (1.0, ((1.0, 1.0),)),
     "rk4": (1 / 3, ((0.5, 1.0), (0.5, 2.0), (1.0, 1.0), (0.5, 1.0))),
 }
@@ -156,12 +156,12 @@ def discretise(
 
 
 def _by_rows(f: ca.SX, x: ca.SX) -> ca.SX:
-    """Return df/dx row by row, in reverse: what the entries of a row share is computed once."""
+    """Return df/dx by reverse differentiation of each row, which shares terms between entries."""
     return ca.sparsify(ca.vertcat(*(ca.gradient(f[i], x).T for i in range(f.shape[0]))))
 
 
 def unicycle_rates(pose: ca.SX, control: ca.SX) -> ca.SX:
-    """Return d(x, y, heading)/dt by v [m/s] and omega [rad/s] of the unicycle, singular nowhere."""
+    """Return d(x, y, heading)/dt of the unicycle for v [m/s] and omega [rad/s]; never singular."""
     return ca.vertcat(control[0] * ca.cos(pose[2]), control[0] * ca.sin(pose[2]), control[1])
 
 

@@ -1,4 +1,4 @@
-"""What the bearings of drives tell, simulated and real."""
+"""Observability of simulated and real drives."""
 
 from dataclasses import replace
 

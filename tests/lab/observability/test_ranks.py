@@ -61,7 +61,7 @@ def test_units_and_scales_do_not_change_a_rank():
     assert relative.max() < 1e-9
 
 
-def test_a_rank_that_floats_cannot_tell_is_not_clear():
+def test_a_rank_that_floats_cannot_decide_is_not_clear():
     matrix = np.diag([1.0, 1e-9, 1e-11])
     assert not rank(matrix, np.ones(3)).clear
     assert rank(np.zeros((2, 3)), np.ones(3)).value == 0

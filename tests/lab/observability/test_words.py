@@ -1,4 +1,4 @@
-"""What cannot be told, in words, and worlds that look the same."""
+"""Unobservable directions in words, and indistinguishable worlds."""
 
 import numpy as np
 import pytest
@@ -41,7 +41,7 @@ def said(landmarks, motion="arc", unknown=(), **known):
         ((5, "arc", ("turn-bias",)), []),
         ((5, "arc", ("lag",)), []),
         ((5, "arc", ("camera-yaw",)), []),
-        ((5, "straight", ("turn-scale",)), ["nothing tells the turn rate's scale"]),
+        ((5, "straight", ("turn-scale",)), ["unobservable: the turn rate's scale"]),
         ((2, "arc", ("speed-scale",)), ["circle through", "speed's scale and all distances"]),
     ],
 )
@@ -122,11 +122,11 @@ def test_members_of_other_families_look_the_same_too(q, motion, unknown):
         assert trace.difference < 1e-9
 
 
-def test_nothing_is_traced_where_everything_is_told():
+def test_nothing_is_traced_where_everything_is_observable():
     assert trace_family(make_scene(4)) == []
 
 
-def test_the_usual_motions_have_each_a_verdict():
+def test_seven_of_the_typical_motions_have_freedoms():
     views = observe_motions()
     assert len({v.title for v in views}) == len(views)
     assert sum(bool(v.freedoms) for v in views) == 7
@@ -146,7 +146,7 @@ def test_model_scene_is_where_the_null_space_was_found():
         (41, {}, "1 to 40"),
         (2, {"motion": "flying"}, "flying"),
         (2, {"unknown": ("height",)}, "height"),
-        (1, {"motion": "circle"}, "two"),
+        (1, {"motion": "circle"}, "at least 2"),
     ],
 )
 def test_what_there_is_not(landmarks, options, word):

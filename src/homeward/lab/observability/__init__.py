@@ -1,1 +1,1 @@
-"""What bearings can tell apart, and what not: ranks, null spaces, and their meaning in words."""
+"""Observability from bearings: ranks, null spaces, and their meaning in words."""

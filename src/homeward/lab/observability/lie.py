@@ -1,13 +1,13 @@
 """Rank of the paper's model: the codistribution of Lie derivatives, in floats or in 60 digits.
 
-The model has no drift: dX/dt = v g1(X) + omega g2(X). Its outputs are the bearings, perhaps the
-heading (a compass) and the landmarks' distances from home (a survey). What any choice of v and
-omega can distinguish near a point is the rank of the derivatives of the outputs and of all their
-Lie derivatives along g1 and g2 (Hermann and Krener, 1977). All of it is made from `PolarModel`.
+The model has no drift: dX/dt = v g1(X) + omega g2(X). Its outputs are the bearings and optionally
+the heading (a compass) and the landmarks' distances from home (a survey). The number of directions
+that some v and omega can distinguish near a point is the rank of the gradients of the outputs and
+of all their Lie derivatives along g1 and g2 (Hermann and Krener, 1977).
 
-The paper prints part of that matrix, with wrong signs; rows of the codistribution for landmark i:
-the gradient of beta_i is a unit vector, that of its Lie derivative along v is [J_i, K_i, P_i,
-0 .. Q_i .. 0] over (R, theta, alpha, beta), with phi_i = beta_i + alpha, at v = 1.
+The paper prints part of that matrix, with wrong signs. Its rows for landmark i: the gradient of
+beta_i is a unit vector; the gradient of its Lie derivative along v is [J_i, K_i, P_i, 0 .. Q_i ..
+0] over (R, theta, alpha, beta), with phi_i = beta_i + alpha, at v = 1.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from homeward.lab.observability.ranks import Rank, rank
 
 DIGITS = 60
 ZERO_DIGITS = 30
-"""A pivot below this number of digits counts as zero."""
+"""A pivot smaller than 10 to the minus this, relative to the largest entry, counts as zero."""
 
 _OPERATIONS: dict[int, Callable[..., Any]] = {
     ca.OP_ADD: lambda a, b: a + b,
@@ -47,10 +47,10 @@ _OPERATIONS: dict[int, Callable[..., Any]] = {
 
 
 def evaluate(function: ca.Function, arguments: Sequence[ArrayLike]) -> list[list[Any]]:
-    """Return the output of a function of SX row by row, computed in numbers of `DIGITS` digits.
+    """Return the output of an SX function, row by row, computed with `DIGITS` digits.
 
     The function has one dense output, made of sums, products, quotients, sines, cosines and roots.
-    Its arguments, each (k,), are taken as exact.
+    Its arguments, each (k,), are assumed exact.
     """
     rows, columns = function.size_out(0)
     numbers = [np.asarray(a, float).tolist() for a in arguments]
@@ -93,8 +93,8 @@ def precise_rank(matrix: list[list[Any]]) -> int:
 
 
 POINTS = 5
-"""Number of random points; the rank is that at the best of them."""
-MOST_LANDMARKS = 40
+"""Number of random points; the largest rank among them counts."""
+MAX_LANDMARKS = 40
 
 
 @dataclass(frozen=True)
@@ -108,15 +108,15 @@ class ModelRank:
     """Size of the state, q + 3."""
     rank: int
     order: int
-    """Lie derivatives up to this order were needed; one more adds nothing."""
+    """Highest order of Lie derivatives that adds to the rank."""
     singular_values: np.ndarray
     """(n,), scaled, relative to the largest, at the best point."""
     precise: bool
-    """Whether floats were not precise enough, and the rank was computed in 60 digits."""
+    """Whether the rank needed 60 digits because floats were not precise enough."""
     home: np.ndarray
-    """(3,), home as seen from the robot at that point: x [m], y [m], heading [rad]."""
+    """(3,), pose of home in the robot frame at that point: x [m], y [m], heading [rad]."""
     marks: np.ndarray
-    """(q, 2), the landmarks as seen from the robot there [m]."""
+    """(q, 2), the landmarks in the robot frame there [m]."""
     null: np.ndarray
     """(3 + 2 q, n - rank), unobservable directions, as changes of `home` and `marks`."""
 
@@ -124,7 +124,7 @@ class ModelRank:
 def observe_model(landmarks: int, compass: bool = False, distances: bool = False) -> ModelRank:
     """Return the rank of the codistribution of the paper's model, and its null space.
 
-    A compass measures the heading, too; `distances` are those of the landmarks from home, known.
+    With `compass` the heading is measured, with `distances` the landmarks' distances from home are.
     """
     points = [model_point(landmarks, seed) for seed in range(POINTS)]
     order, found = 0, _ranks(landmarks, compass, distances, 0, points)
@@ -146,8 +146,8 @@ def observe_model(landmarks: int, compass: bool = False, distances: bool = False
 def codistribution(q: int, compass: bool, distances: bool, order: int) -> ca.Function:
     """Return the gradients of the outputs and their Lie derivatives as a function.
 
-    Its inputs are the state (q + 3,) and beta* (q,); its output has a row per derivative, those of
-    order 0 first, each order with all along g1 before all along g2.
+    Its inputs are the state (q + 3,) and beta* (q,). Its output has one row per derivative: order 0
+    first, and in each order the derivatives along g1 before those along g2.
     """
     model = PolarModel(q, guard=0.0)
     state, stored = ca.SX.sym("X", model.n), ca.SX.sym("s", q)
@@ -173,7 +173,7 @@ def _ranks(
     order: int,
     points: list[tuple[np.ndarray, np.ndarray]],
 ) -> tuple[Rank, bool, int]:
-    """Return the greatest rank over the points, whether digits were needed, and at which point."""
+    """Return the largest rank, whether it needed 60 digits, and the index of its point."""
     gradients = codistribution(q, compass, distances, order)
     found = [rank(np.array(gradients(*point))) for point in points]
     k = max(range(len(points)), key=lambda i: (found[i].value, found[i].gap))
@@ -183,15 +183,15 @@ def _ranks(
 
 
 def _settle(floats: Rank, value: int) -> Rank:
-    """Return a rank with its null space cut to what is known of its size."""
+    """Return a rank whose null space is reduced to the size that 60 digits prove."""
     size = floats.singular_values.size
     if value >= floats.value:
         return Rank(value, floats.singular_values, floats.null[:, value - floats.value :])
-    raise ArithmeticError(f"rank {floats.value} of {size} in floats but {value} in all digits")
+    raise ArithmeticError(f"rank {floats.value} of {size} in floats but {value} in {DIGITS} digits")
 
 
 def model_point(q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a random state (q + 3,) and beta* (q,): a robot among landmarks all round home."""
+    """Return a random state (q + 3,) and beta* (q,): a robot among landmarks around home."""
     rng = np.random.default_rng([q, seed])
     angles = 2 * np.pi * (np.arange(q) + rng.uniform(-0.3, 0.3, q)) / q
     away = rng.uniform(1.0, 2.5, q)
@@ -203,7 +203,7 @@ def model_point(q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=32)
 def _robot_chart(q: int) -> ca.Function:
-    """Return (home's pose, the landmarks) as seen from the robot, and their derivatives by X."""
+    """Return home's pose and the landmarks in the robot frame, and their derivatives by X."""
     model = PolarModel(q, guard=0.0)
     state, stored = ca.SX.sym("X", model.n), ca.SX.sym("s", q)
     polar = Polar(state[0], state[1], state[2])
@@ -217,8 +217,8 @@ def _robot_chart(q: int) -> ca.Function:
     return ca.Function("chart", [state, stored], [chart, ca.jacobian(chart, state)])
 
 
-LARGEST = 6
-"""Number of landmarks up to which the table of ranks goes."""
+MAX_ROWS = 6
+"""Largest number of landmarks in the table of ranks."""
 
 
 @dataclass(frozen=True)
@@ -229,35 +229,35 @@ class Entry:
     by: str
     """The variable of the derivative."""
     formula: str
-    """As it should be."""
+    """The correct term."""
     printed_sign: int
-    """-1 where the paper prints it with the wrong sign."""
+    """-1 where the paper prints the wrong sign."""
     value: float
-    """Of the formula at the point."""
+    """The formula at the point."""
     exact: float
-    """Of the model's own derivative there."""
+    """The model's own derivative there."""
 
     @property
     def right(self) -> bool:
-        """Whether the sign that is printed agrees with the model."""
+        """Whether the printed sign agrees with the model."""
         return bool(np.isclose(self.printed_sign * self.value, self.exact, rtol=1e-9))
 
 
 POINT = (0.75, -0.872, 0.349, 1.3)
-"""R [m], theta, alpha [rad] of the paper's start, and a bearing [rad] ..."""
+"""R [m], theta, alpha [rad] of the paper's start, and the bearing [rad] of one landmark."""
 STORED = 0.9
-"""... of a landmark with this home bearing [rad]."""
+"""Home bearing of that landmark [rad]."""
 
 
 def printed_matrix() -> tuple[Entry, ...]:
     """Return the terms of the printed matrix, checked against the derivatives of the model.
 
-    Q_i has two terms; the exact derivative of each is what is left of Q_i without the other.
+    Q_i has two terms; the exact derivative of each is Q_i minus the other.
     """
     R, theta, alpha, beta = POINT
     S, C = np.sin(STORED - beta - alpha), np.cos(STORED - beta - alpha)
     T, TC = np.sin(STORED - theta), np.cos(STORED - theta)
-    # Row 1 is the Lie derivative along g1, which is the drive at v = 1.
+    # Row 1 is the Lie derivative along g1: driving at v = 1.
     J, K, P, Q = np.array(codistribution(1, False, False, 1)(POINT, STORED))[1]
     first, second = -np.cos(beta) * S / (R * T), np.sin(beta) * C / (R * T)
     by_theta = -np.sin(beta) * S * TC / (R * T**2)
@@ -279,17 +279,17 @@ class RankRow:
     landmarks: int
     n: int
     bearings: int
-    """Rank with bearings alone ..."""
+    """Rank with bearings alone."""
     compass: int
-    """... with a compass as well ..."""
+    """Rank with bearings and a compass."""
     distances: int
-    """... and with the landmarks' distances from home instead."""
+    """Rank with bearings and the landmarks' distances from home."""
 
 
 def rank_table() -> tuple[RankRow, ...]:
-    """Return the rank of the codistribution for q = 1 .. `LARGEST` landmarks."""
+    """Return the rank of the codistribution for q = 1 .. `MAX_ROWS` landmarks."""
     known: tuple[dict[str, bool], ...] = ({}, {"compass": True}, {"distances": True})
     return tuple(
         RankRow(q, q + POLAR, *(observe_model(q, **k).rank for k in known))
-        for q in range(1, LARGEST + 1)
+        for q in range(1, MAX_ROWS + 1)
     )

@@ -1,4 +1,4 @@
-"""The rank of a matrix that floats only approximate, its null space, and what spans share."""
+"""Numerical rank and null space of a matrix, and intersections of spans."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import numpy as np
 ZERO = 1e-10
 """Scaled singular values below this share of the largest count as zero."""
 CLEAR = 1e4
-"""The last one counted and the first one not must be apart by this factor."""
+"""Smallest factor between the last singular value counted and the first one not counted."""
 SWEEPS = 3
+"""Number of alternating scalings of rows and columns."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,7 @@ class Rank:
 
     @property
     def gap(self) -> float:
-        """By what factor the last singular value that counts exceeds the first that does not."""
+        """Ratio of the last singular value counted to the first one not counted."""
         if self.value in (0, self.singular_values.size):
             return np.inf
         kept, dropped = self.singular_values[self.value - 1 : self.value + 1]
@@ -41,8 +42,8 @@ class Rank:
 def rank(matrix: np.ndarray, columns: np.ndarray | None = None) -> Rank:
     """Return rank and null space of a matrix (m, n) by its scaled singular values.
 
-    `columns` is the unit of each column; by default rows and columns are scaled in turn until all
-    have norms near one, so that units do not matter.
+    `columns` is the unit of each column. By default rows and columns are scaled alternately until
+    all norms are near one, so that units do not matter.
     """
     scale = np.ones(matrix.shape[1]) if columns is None else columns
     scaled = matrix * scale
@@ -61,12 +62,12 @@ def rank(matrix: np.ndarray, columns: np.ndarray | None = None) -> Rank:
 
 def _norms(matrix: np.ndarray, axis: int) -> np.ndarray:
     norms = np.linalg.norm(matrix, axis=axis)
-    # What is zero but for rounding must not be scaled up.
+    # A row or column of rounding errors must not be scaled up.
     return np.where(norms > ZERO * norms.max(), norms, 1.0)
 
 
 def common(null: np.ndarray, block: np.ndarray, tolerance: float) -> np.ndarray:
-    """Return an orthonormal basis of what two orthonormal bases span in common."""
+    """Return an orthonormal basis of the intersection of the spans of two orthonormal bases."""
     if not null.size or not block.size:
         return np.zeros((len(null), 0))
     u, cosines, _ = np.linalg.svd(null.T @ block)
@@ -74,11 +75,11 @@ def common(null: np.ndarray, block: np.ndarray, tolerance: float) -> np.ndarray:
     return np.asarray(null @ u[:, : int(inside.sum())])
 
 
-def beyond(found: np.ndarray, told: np.ndarray) -> np.ndarray:
-    """Return those directions in the span of `found` that add to the span of `told`."""
-    if not found.size or not told.size:
+def beyond(found: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the directions in the span of `found` that add to the span of `known`."""
+    if not found.size or not known.size:
         return found
-    _, sizes, v = np.linalg.svd(found - told @ (told.T @ found))
+    _, sizes, v = np.linalg.svd(found - known @ (known.T @ found))
     return np.asarray(found @ v[: sizes.size][sizes > 1e-3].T)
 
 

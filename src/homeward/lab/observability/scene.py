@@ -1,8 +1,8 @@
-"""A drive past landmarks, all measurements on it, and their derivatives by all unknowns.
+"""A drive past landmarks: its measurements, and their derivatives by all unknowns.
 
-The robot's path is fixed in the frame: home is one more place in it, from which the stored bearings
-were seen. Unobservable directions are changes of home, landmarks and calibration that leave every
-bearing the same.
+The robot's path is fixed in the frame. Home is an unknown pose in it, from which the home bearings
+were measured. Unobservable directions are changes of home, landmarks and calibration that change no
+bearing.
 """
 
 from __future__ import annotations
@@ -21,57 +21,57 @@ from homeward.lab.observability.ranks import Rank, rank
 
 Calibration = Literal["speed-scale", "turn-scale", "turn-bias", "lag", "camera-yaw"]
 CALIBRATIONS: tuple[Calibration, ...] = get_args(Calibration)
-"""Constants that may be unknown: factors of speed and turn rate [1], bias of the turn rate [rad/s],
-how late bearings are stamped [s], how far the camera is turned on the robot [rad]."""
+"""Constants that may be unknown: scales of speed and yaw rate [1], bias of the yaw rate [rad/s],
+delay of the bearing stamps [s], yaw of the camera on the robot [rad]."""
 UNITS = ("", "", "rad/s", "s", "rad")
-PLAIN = (1.0, 1.0, 0.0, 0.0, 0.0)
-"""Of a calibration that is right."""
+IDEAL = (1.0, 1.0, 0.0, 0.0, 0.0)
+"""Values of a correct calibration."""
 
 
 @dataclass(frozen=True)
 class Scene:
-    """Where everything is; q landmarks, n stamps."""
+    """Poses of robot and home, and landmarks; q landmarks, n stamps."""
 
     names: tuple[str, ...]
-    """(q,), of the landmarks."""
+    """(q,), ids of the landmarks."""
     home: np.ndarray
-    """(3,), its x [m], y [m], heading [rad]."""
+    """(3,), x [m], y [m], heading [rad]."""
     landmarks: np.ndarray
     """(q, 2), [m]."""
     poses: np.ndarray
     """(n, 3), of the camera: x [m], y [m], heading [rad]."""
     visible: np.ndarray
-    """(n, q), bool, which landmark was seen when."""
+    """(n, q), bool, whether a landmark is seen at a stamp."""
     stored: np.ndarray
-    """(q,), bool, which of them home saw."""
+    """(q,), bool, whether it has a home bearing."""
     twists: np.ndarray | None = None
-    """(n - 1, 2), speed [m/s] and turn rate [rad/s] that lead from pose to pose; only needed where
-    something of the calibration is unknown."""
+    """(n - 1, 2), speed [m/s] and yaw rate [rad/s] from pose to pose; needed only where a
+    calibration is unknown."""
     intervals: np.ndarray | None = None
-    """(n - 1,), the times between [s]."""
+    """(n - 1,), between the stamps [s]."""
     unknown: tuple[Calibration, ...] = ()
     compass: bool = False
-    """Whether the heading from home is known."""
+    """Whether the heading relative to home is measured."""
     distances: bool = False
     """Whether the landmarks' distances from home are known."""
     axis: str = "the robot's first heading"
-    """What the x-axis of the frame is, in words."""
+    """The x-axis of the frame in words."""
 
     @cached_property
     def length(self) -> float:
-        """Return a typical distance [m]: the root mean square of home and landmarks."""
+        """Typical distance [m]: root mean square over home and landmarks."""
         everything = np.vstack([self.landmarks, self.home[None, :2]]) - self.poses[0, :2]
         return float(np.sqrt(np.mean(everything**2) * 2)) or 1.0
 
     @property
     def truth(self) -> np.ndarray:
-        """All unknowns as they are: home (3), landmarks (2 q), unknown calibrations."""
-        plain = [PLAIN[CALIBRATIONS.index(name)] for name in self.unknown]
-        return np.concatenate([self.home, self.landmarks.ravel(), plain])
+        """True values of all unknowns: home (3), landmarks (2 q), unknown calibrations (c)."""
+        ideal = [IDEAL[CALIBRATIONS.index(name)] for name in self.unknown]
+        return np.concatenate([self.home, self.landmarks.ravel(), ideal])
 
     @property
     def worth(self) -> np.ndarray:
-        """What a unit of each unknown is worth, so that they compare: lengths by `length`."""
+        """Unit of each unknown that makes them comparable: `length` for lengths."""
         L, q = self.length, len(self.landmarks)
         time = 1.0 if self.intervals is None else float(self.intervals.sum()) or 1.0
         constants = {"turn-bias": 1 / time, "lag": time}
@@ -79,11 +79,11 @@ class Scene:
         return np.array([L, L, 1.0, *[L] * (2 * q), *rest])
 
     def outputs(self, unknowns: np.ndarray) -> np.ndarray:
-        """Return everything that is measured [rad, and m of distances] for given unknowns."""
+        """Return all measurements [rad; distances m] for given unknowns."""
         return self._measure(unknowns)[0]
 
     def jacobian(self) -> np.ndarray:
-        """Return the derivatives of `outputs` at the truth, shape (rows, 3 + 2 q + c)."""
+        """Return the derivatives of `outputs` at the true values, shape (rows, 3 + 2 q + c)."""
         return self._measure(self.truth)[1]
 
     def rank(self) -> Rank:
@@ -95,7 +95,7 @@ class Scene:
         return self.outputs(self.truth)
 
     def compare(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return by how much what is measured differs from the truth, and its Jacobian."""
+        """Return the differences of the measurements from their true values, and the Jacobian."""
         measured, jacobian = self._measure(unknowns)
         difference = measured - self._measured
         angles = len(difference) - (self.distances and len(self.landmarks))
@@ -105,7 +105,7 @@ class Scene:
     def _measure(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         q, size = len(self.landmarks), unknowns.size
         home, marks = unknowns[:POLAR], unknowns[POLAR : POLAR + 2 * q].reshape(q, 2)
-        constants = np.array(PLAIN)
+        constants = np.array(IDEAL)
         which = [CALIBRATIONS.index(name) for name in self.unknown]
         constants[which] = unknowns[POLAR + 2 * q :]
         poses, twists, by_constants = self._path(constants)
@@ -142,7 +142,7 @@ class Scene:
         return np.concatenate(values), np.vstack(blocks)
 
     def _path(self, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return poses (n, 3), the twists that led to them (n, 2), and d(poses)/d(constants)."""
+        """Return poses (n, 3), the true twists before them (n, 2), and d(poses)/d(constants)."""
         n = len(self.poses)
         arrived = np.zeros((n, INPUTS))
         by_constants = np.zeros((n, POLAR, len(CALIBRATIONS)))
@@ -162,22 +162,22 @@ class Scene:
 
 
 def drive(start: Pose, twists: np.ndarray, intervals: np.ndarray) -> np.ndarray:
-    """Return the poses (n, 3) that twists (n - 1, 2) over intervals (n - 1,) [s] lead through."""
+    """Return the poses (n, 3) along a drive of twists (n - 1, 2) over intervals (n - 1,) [s]."""
     poses = [np.array(start, float)]
     for twist, interval in zip(twists, intervals, strict=True):
-        poses.append(np.array(_advance()(poses[-1], PLAIN, twist, interval)[0])[:, 0])
+        poses.append(np.array(_advance()(poses[-1], IDEAL, twist, interval)[0])[:, 0])
     return np.array(poses)
 
 
 def _put_marks(rows: np.ndarray, which: np.ndarray, gradient: np.ndarray) -> None:
-    """Put gradients (k, 2) by landmarks `which` (k,) into rows (k, ...)."""
+    """Write gradients (k, 2) by landmarks `which` (k,) into rows (k, ...)."""
     k = np.arange(which.size)
     rows[k, POLAR + 2 * which], rows[k, POLAR + 2 * which + 1] = gradient.T
 
 
 @lru_cache(maxsize=1)
 def _advance() -> ca.Function:
-    """Return one motion by a mis-calibrated odometry: end, its derivatives, and the true twist."""
+    """Return a step of miscalibrated odometry: end pose, its derivatives, and the true twist."""
     pose, constants = ca.SX.sym("pose", POLAR), ca.SX.sym("c", len(CALIBRATIONS))
     twist, interval = ca.SX.sym("twist", INPUTS), ca.SX.sym("dt")
     true = ca.vertcat(constants[0] * twist[0], constants[1] * twist[1] + constants[2])
@@ -189,7 +189,7 @@ def _advance() -> ca.Function:
 
 @lru_cache(maxsize=256)
 def _sighting(k: int) -> ca.Function:
-    """Return k bearings seen late by a turned camera, and gradients by pose, mark, constants."""
+    """Return k delayed bearings of a rotated camera, and gradients by pose, mark, constants."""
     pose, twist, mark = ca.SX.sym("p", POLAR), ca.SX.sym("u", INPUTS), ca.SX.sym("m", 2)
     constants = ca.SX.sym("c", len(CALIBRATIONS))
     then = discretise(unicycle_rates, pose, twist, -constants[3]).state

@@ -1,4 +1,4 @@
-"""Analysis of a model or a drive: rank, meaning, and worlds that look the same."""
+"""Analysis of a model or a drive: rank, unobservable directions, and indistinguishable worlds."""
 
 from __future__ import annotations
 
@@ -10,35 +10,37 @@ import numpy as np
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between, compose
 from homeward.lab.model import POLAR
-from homeward.lab.observability.lie import MOST_LANDMARKS, ModelRank, observe_model
+from homeward.lab.observability.lie import MAX_LANDMARKS, ModelRank, observe_model
 from homeward.lab.observability.ranks import Rank
 from homeward.lab.observability.scene import CALIBRATIONS, Calibration, Scene, drive
 from homeward.lab.observability.words import Freedom, in_words
 
 STEP = 0.08
-"""From one member to the next home or a landmark moves by this share of the scene's length."""
-MEMBERS = 32
-"""On either side at most."""
+"""Largest change of an unknown from one member to the next, in units of `Scene.worth`."""
+MAX_MEMBERS = 32
+"""Largest number of members on either side."""
 RAYS = 6
 """Number of directions followed where home is free in more than one."""
-NEWTON = 4
-NEARLY = 1e-7
+MAX_NEWTON = 4
+"""Largest number of Newton steps."""
+NEWTON_TOLERANCE = 1e-7
+"""Difference before a Newton step [rad] below which no further one is needed."""
 SAME = 1e-9
-"""Members differ by less than this in every bearing [rad]."""
+"""Members differ by less than this in every measurement [rad, m]."""
 
 
 @dataclass(frozen=True)
 class Trace:
-    """A curve of members, followed from the true one."""
+    """A curve of worlds that produce the same measurements as the true one."""
 
     unknowns: np.ndarray
-    """(k, 3 + 2 q + c), the unknowns of the scene, the truth among them."""
+    """(k, 3 + 2 q + c), the unknowns of each member; the true values are among them."""
     difference: float
-    """The largest difference of anything measured between a member and the truth [rad, m]."""
+    """Largest difference between a measurement of a member and its true value [rad, m]."""
 
     @property
     def homes(self) -> np.ndarray:
-        """(k, 3), home in each: x [m], y [m], heading [rad]."""
+        """(k, 3), home in each member: x [m], y [m], heading [rad]."""
         return self.unknowns[:, :POLAR]
 
     def landmarks(self, q: int) -> np.ndarray:
@@ -47,11 +49,11 @@ class Trace:
 
 
 def trace_family(scene: Scene) -> list[Trace]:
-    """Follow the null space of a scene, and return curves of worlds that look the same.
+    """Return curves of indistinguishable worlds along the null space of a scene.
 
-    There is none when all is observable, one for one free direction, else `RAYS` of them. Each
-    step goes along the local null space, and Newton's method then removes the effect of curvature.
-    A curve ends where a member stops looking the same: at a landmark, say.
+    There is none when everything is observable, one for one free direction, otherwise `RAYS`. Each
+    step goes along the local null space; Newton's method then removes the effect of curvature. A
+    curve ends where a member becomes distinguishable, for example at a landmark.
     """
     null = scene.rank().null / scene.worth[:, None]
     if not null.size:
@@ -60,7 +62,7 @@ def trace_family(scene: Scene) -> list[Trace]:
     if base.shape[1] == 1:
         starts = [base[:, 0]]
     else:
-        # The two directions that move home the most, and those between them.
+        # The two directions that move home the most, and directions between them.
         _, _, v = np.linalg.svd(base[:2])
         angles = np.pi * np.arange(RAYS) / RAYS
         starts = [base @ (np.cos(a) * v[0] + np.sin(a) * v[1]) for a in angles]
@@ -75,23 +77,23 @@ def _both_ways(scene: Scene, direction: np.ndarray) -> Trace:
 
 
 def _follow(scene: Scene, direction: np.ndarray) -> list[np.ndarray]:
-    """Return members one after the other from the truth, the truth itself left out."""
+    """Return members in order from the true world, which is not included."""
     worth, size = scene.worth, scene.rank().null.shape[1]
     now, members = scene.truth, []
     tangents = _split(scene.jacobian() * worth, size)[1]
-    for _ in range(MEMBERS):
+    for _ in range(MAX_MEMBERS):
         direction = tangents.T @ (tangents @ direction)
         reach = float(np.abs(direction).max())
         if reach < 1e-9:
             break
         direction = direction / reach
         now = now + STEP * direction * worth
-        for _ in range(NEWTON):
+        for _ in range(MAX_NEWTON):
             off, jacobian = scene.compare(now)
             across, tangents = _split(jacobian * worth, size)
             now = now - worth * (across @ off)
-            if np.abs(off).max() < NEARLY:
-                break  # the step just taken squares this
+            if np.abs(off).max() < NEWTON_TOLERANCE:
+                break  # convergence is quadratic
         if not np.abs(scene.compare(now)[0]).max() < SAME:
             break
         members.append(now)
@@ -99,8 +101,8 @@ def _follow(scene: Scene, direction: np.ndarray) -> list[np.ndarray]:
 
 
 def _split(jacobian: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pseudo-inverse across the null space of a given size, and that space's basis."""
-    # By eigenvectors of the small normal matrix: Newton's method takes out what that loses.
+    """Return the pseudo-inverse outside a null space of a given size, and a basis of that space."""
+    # The normal matrix is small and loses digits, which Newton's method recovers.
     values, vectors = np.linalg.eigh(jacobian.T @ jacobian)
     kept = vectors[:, size:]
     return kept @ (kept.T @ jacobian.T / values[size:, None]), vectors[:, :size].T
@@ -109,7 +111,7 @@ def _split(jacobian: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
 Motion = Literal["arc", "straight", "towards", "spot", "still", "circle"]
 MOTIONS: dict[Motion, str] = {
     "arc": "an arc",
-    "straight": "straight on",
+    "straight": "straight ahead",
     "towards": "straight towards L1",
     "spot": "turning on the spot",
     "still": "standing still",
@@ -121,9 +123,9 @@ DURATION = 12.0
 SPEED = 0.2
 """[m/s]"""
 GOLDEN = np.pi * (3 - np.sqrt(5))
-"""Turning by this angle again and again [rad], no two landmarks come in line."""
+"""Angle between successive landmarks [rad], with which no two are in line."""
 START = Pose(0.9, -0.6, 0.4)
-"""Of the robot, from home."""
+"""Start pose of the robot in the home frame."""
 
 
 def make_scene(
@@ -133,10 +135,10 @@ def make_scene(
     compass: bool = False,
     distances: bool = False,
 ) -> Scene:
-    """Return a drive of 12 s past landmarks that are all seen all the time, and by home.
+    """Return a drive of 12 s with all landmarks in view at every stamp and at home.
 
-    They stand at generic places 1.5 to 3 m from home; for the motion "circle", all on one circle
-    with it. `unknown`, `compass` and `distances` are those of `Scene`.
+    Landmarks are at generic places 1.5 to 3 m from home; for the motion "circle", on one circle
+    with home. `unknown`, `compass` and `distances` are those of `Scene`.
     """
     marks = _on_a_circle(landmarks) if motion == "circle" else _around(landmarks)
     if motion == "towards":
@@ -145,7 +147,7 @@ def make_scene(
     twists = np.zeros((STEPS, 2))
     twists[:, 0] = 0.0 if motion in ("spot", "still") else SPEED
     if motion in ("arc", "circle", "spot"):
-        # The turn rate changes, lest its scale and its bias look the same.
+        # At a constant yaw rate, its scale and its bias could not be distinguished.
         twists[:, 1] = np.linspace(0.15, 0.45, STEPS)
     intervals = np.full(STEPS, DURATION / STEPS)
     home = between(START, Pose(0.0, 0.0, 0.0))
@@ -158,14 +160,14 @@ def make_scene(
 
 
 def _around(q: int) -> np.ndarray:
-    """Return q generic places around home, shape (q, 2)."""
+    """Return q generic places around home, shape (q, 2) [m]."""
     i = np.arange(q)
     far = 1.5 + 1.5 * ((0.618034 * i + 0.3) % 1.0)
     return np.stack([far * np.cos(GOLDEN * i + 0.7), far * np.sin(GOLDEN * i + 0.7)], axis=1)
 
 
 def _on_a_circle(q: int) -> np.ndarray:
-    """Return q places on a circle that passes through home, shape (q, 2)."""
+    """Return q places on a circle through home, shape (q, 2) [m]."""
     angle = 0.8 + 2 * np.pi * (np.arange(q) + 1) / (q + 1.5)
     centre = 1.6 * np.array([np.cos(0.8), np.sin(0.8)])
     return np.asarray(-1.6 * np.stack([np.cos(angle), np.sin(angle)], axis=1) + centre)
@@ -173,32 +175,32 @@ def _on_a_circle(q: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class SceneView:
-    """What all bearings of one drive past landmarks determine."""
+    """Observability of one drive past landmarks."""
 
     title: str
     scene: Scene
     found: Rank
-    """Of everything measured by all unknowns: home (3), landmarks (2 q), calibration."""
+    """Rank of the derivatives of all measurements by all unknowns."""
     freedoms: tuple[Freedom, ...]
     """Unobservable directions, in words."""
 
     @property
     def unknowns(self) -> int:
-        """How many there are."""
+        """Number of unknowns: home (3), landmarks (2 q), calibrations."""
         return len(self.scene.truth)
 
 
 @dataclass(frozen=True)
 class ModelView:
-    """The paper's question for q landmarks, with a drive that shows the answer."""
+    """Observability of the paper's model with q landmarks, and an example drive."""
 
     model: ModelRank | None
-    """Rank of the Lie derivatives, where any drive was asked for; they know no calibration."""
+    """Rank of the Lie derivatives, over all motions; None for one motion or with calibrations."""
     freedoms: tuple[Freedom, ...]
     """Unobservable directions, in words."""
     drive: SceneView
     family: tuple[Trace, ...]
-    """Other worlds in which every bearing of that drive is the same."""
+    """Other worlds with the same measurements on that drive."""
 
 
 def observe(
@@ -209,33 +211,33 @@ def observe(
     motion: Motion | None = None,
     unknown: tuple[Calibration, ...] = (),
 ) -> ModelView:
-    """Return what bearings to q landmarks determine: numbers, words and a family of worlds.
+    """Return the observability from bearings to q landmarks: ranks, words and equivalent worlds.
 
     Parameters
     ----------
     landmarks : int
-        q, from 1 to `MOST_LANDMARKS`.
+        q, from 1 to `MAX_LANDMARKS`.
     compass, distances : bool
-        Whether the heading, and the landmarks' distances from home, are known.
+        Whether the heading and the landmarks' distances from home are measured.
     motion : str, optional
-        One of `MOTIONS`; by default any motion, for which Lie derivatives answer, shown on an arc.
+        One of `MOTIONS`; by default all motions (Lie derivatives), with an arc as the example.
     unknown : tuple of str
-        Which of `CALIBRATIONS` are unknown too.
+        Unknown `CALIBRATIONS`.
 
     Raises
     ------
     InputError
-        For a number of landmarks, a motion or a calibration that there is not.
+        When the number of landmarks is out of range, or a motion or calibration does not exist.
     """
-    if not 1 <= landmarks <= MOST_LANDMARKS:
-        raise InputError(f"landmarks must be from 1 to {MOST_LANDMARKS}, not {landmarks}")
+    if not 1 <= landmarks <= MAX_LANDMARKS:
+        raise InputError(f"landmarks must be from 1 to {MAX_LANDMARKS}, not {landmarks}")
     if motion is not None and motion not in MOTIONS:
-        raise InputError(f"no motion {motion!r}; there are: {', '.join(MOTIONS)}")
+        raise InputError(f"no motion {motion!r}; choose from: {', '.join(MOTIONS)}")
     for name in unknown:
         if name not in CALIBRATIONS:
-            raise InputError(f"nothing called {name!r}; there are: {', '.join(CALIBRATIONS)}")
+            raise InputError(f"no calibration {name!r}; choose from: {', '.join(CALIBRATIONS)}")
     if motion == "circle" and landmarks < 2:
-        raise InputError("a circle through home and its landmarks needs two of them")
+        raise InputError("the motion circle needs at least 2 landmarks")
     unknown = tuple(sorted(set(unknown), key=CALIBRATIONS.index))
     scene = make_scene(landmarks, motion or "arc", unknown, compass, distances)
     drive = observe_scene(_title(landmarks, motion or "arc", unknown), scene)
@@ -247,14 +249,14 @@ def observe(
 
 
 def observe_scene(title: str, scene: Scene) -> SceneView:
-    """Return rank and meaning of a scene."""
+    """Return the observability of a scene."""
     found = scene.rank()
     return SceneView(title, scene, found, tuple(in_words(scene, found.null)))
 
 
 def observe_motions() -> tuple[SceneView, ...]:
-    """Return the views of the usual motions and unknown calibrations, one after the other."""
-    asked: list[tuple[int, Motion, tuple[Calibration, ...]]] = [
+    """Return the views of typical motions and unknown calibrations."""
+    cases: list[tuple[int, Motion, tuple[Calibration, ...]]] = [
         (2, "arc", ()),
         (3, "arc", ()),
         (4, "straight", ()),
@@ -268,23 +270,17 @@ def observe_motions() -> tuple[SceneView, ...]:
     ]
     return tuple(
         observe_scene(_title(q, motion, unknown), make_scene(q, motion, unknown))
-        for q, motion, unknown in asked
+        for q, motion, unknown in cases
     )
 
 
 def model_scene(model: ModelRank) -> Scene:
-    """Return the place at which a model's null space was found, as a scene of one pose."""
+    """Return the point of a model's null space as a scene with one pose."""
     q = model.landmarks
     names = tuple(f"L{i + 1}" for i in range(q))
+    visible, stored = np.ones((1, q), bool), np.ones(q, bool)
     return Scene(
-        *(
-            names,
-            model.home,
-            model.marks,
-            np.zeros((1, 3)),
-            np.ones((1, q), bool),
-            np.ones(q, bool),
-        ),
+        *(names, model.home, model.marks, np.zeros((1, 3)), visible, stored),
         compass=model.compass,
         distances=model.distances,
         axis="the robot's heading",
@@ -293,5 +289,5 @@ def model_scene(model: ModelRank) -> Scene:
 
 def _title(q: int, motion: Motion, unknown: tuple[Calibration, ...]) -> str:
     text = f"{q} landmark{'' if q == 1 else 's'}, {MOTIONS[motion]}"
-    told = ", ".join(name.replace("-", " ") for name in unknown)
-    return f"{text}; unknown: {told}" if told else text
+    names = ", ".join(name.replace("-", " ") for name in unknown)
+    return f"{text}; unknown: {names}" if names else text

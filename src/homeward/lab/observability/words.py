@@ -1,7 +1,7 @@
-"""Null spaces in words: each direction is compared with what home, landmarks and scale can do.
+"""Null spaces in words: each direction is compared with known motions of home, landmarks and scale.
 
-A sentence is only used for a direction that was verified to lie in the family that it names; a
-direction in no family is described by its largest components, with their units.
+A sentence is used only for a direction that lies in the family that it names. Any other direction
+is described by its largest components, with their units.
 """
 
 from __future__ import annotations
@@ -16,12 +16,12 @@ from homeward.lab.model import POLAR
 from homeward.lab.observability.ranks import beyond, common, orthonormal
 from homeward.lab.observability.scene import CALIBRATIONS, UNITS, Scene
 
-ON_IT = 1e-4
-"""A landmark lies on a line, or on a circle, when it is off by less than this [1]."""
+ON_CURVE = 1e-4
+"""Largest relative distance of a landmark on a line or a circle."""
 
 
 def freedom_of_home(scene: Scene, moves: np.ndarray) -> str:
-    """Say how home moves, given (3, k) directions of its pose."""
+    """Describe the freedom of home, given (3, k) directions of its pose."""
     place = np.linalg.svd(moves[:2] / scene.length, compute_uv=False)
     dims = int((place > 1e-6).sum())
     if moves.shape[1] == POLAR:
@@ -31,33 +31,33 @@ def freedom_of_home(scene: Scene, moves: np.ndarray) -> str:
     if dims == 2:
         seen = scene.stored.nonzero()[0]
         name = f"{scene.names[seen[0]]} appears" if seen.size == 1 else "its landmarks appear"
-        return f"home may lie anywhere, facing so that {name} under the stored bearing"
+        return f"home may lie anywhere, facing so that {name} at the stored bearing"
     along = moves[:, int(np.argmax(np.hypot(*moves[:2])))]
     direction = along[:2] / np.hypot(*along[:2])
     return _curve(scene, direction, float(along[2]))
 
 
 def _curve(scene: Scene, direction: np.ndarray, turn: float) -> str:
-    """Say along which curve home moves in a direction (2,): circle, line, or else its bearing."""
+    """Describe the curve along which home moves in a direction (2,): line, circle, or bearing."""
     home = scene.home[:2]
     stored = np.flatnonzero(scene.stored)
     marks = scene.landmarks[stored]
     away = marks - home
     far = np.maximum(np.hypot(*away.T), 1e-12)
     ahead = np.abs(direction[0] * away[:, 1] - direction[1] * away[:, 0]) / far
-    if ahead.size and ahead.max() < ON_IT and abs(turn) * scene.length < ON_IT:
+    if ahead.size and ahead.max() < ON_CURVE and abs(turn) * scene.length < ON_CURVE:
         return (
             f"home may lie anywhere on the line through itself and {names(scene, stored)},"
-            " on this side of it"
+            " on this side"
         )
     across = np.abs(away @ direction) / far
-    if stored.size == 1 and across[0] < ON_IT:
+    if stored.size == 1 and across[0] < ON_CURVE:
         return f"home may lie anywhere on a circle around {scene.names[stored[0]]}"
     centre = _tangent_circle(home, direction, marks)
     if stored.size >= 2 and centre is not None:
         return (
             f"home may lie anywhere on the circle through itself, {names(scene, stored)}"
-            " (on its arc between them), turning as it goes"
+            " (on its arc between them), with a heading that changes along it"
         )
     angle = np.degrees(np.arctan2(direction[1], direction[0]))
     return f"home slides in the direction {angle:.0f}° from {scene.axis}"
@@ -66,25 +66,25 @@ def _curve(scene: Scene, direction: np.ndarray, turn: float) -> str:
 def _tangent_circle(
     home: np.ndarray, direction: np.ndarray, marks: np.ndarray
 ) -> np.ndarray | None:
-    """Return the centre of the circle that touches `direction` at home and holds all marks."""
+    """Return the centre of the circle tangent to `direction` at home that contains all marks."""
     normal = np.array([-direction[1], direction[0]])
     away = marks - home
     across = away @ normal
     if len(marks) < 2 or np.abs(across).min() < 1e-9:
         return None
     radii = (away**2).sum(axis=1) / (2 * across)
-    if np.ptp(radii) > ON_IT * np.abs(radii).min():
+    if np.ptp(radii) > ON_CURVE * np.abs(radii).min():
         return None
     return np.asarray(home + radii[0] * normal)
 
 
 def slide_of_home(scene: Scene, move: np.ndarray) -> str:
-    """Say how home moves in one direction, in metres and degrees."""
+    """Describe how home moves in one direction, in metres and degrees."""
     far, turn = float(np.hypot(*move[:2])), np.degrees(move[2])
     if far < 1e-9:
         return "home turns"
     towards = np.degrees(np.arctan2(move[1], move[0]))
-    turning = "" if abs(turn / far) < 0.01 else f", turning by {turn / far:.1f}° a metre,"
+    turning = "" if abs(turn / far) < 0.01 else f", turning by {turn / far:.1f}° per metre,"
     return f"home slides in the direction {towards:.0f}° from {scene.axis}{turning}"
 
 
@@ -110,30 +110,31 @@ class Freedom:
 
 
 def in_words(scene: Scene, null: np.ndarray, tolerance: float = ANGLE) -> list[Freedom]:
-    """Return what directions of the unknowns of a scene mean, most telling first.
+    """Return the meaning of directions of the unknowns of a scene, the motion of home first.
 
-    Directions `null` (3 + 2 q + c, k) are independent, in the units of the unknowns; those of the
-    result together span them. A direction lies in a family when the sine of the angle between them
-    is below the tolerance.
+    Directions `null` (3 + 2 q + c, k) are independent, in the units of the unknowns; the directions
+    of the result span the same space. A direction lies in a family when the sine of the angle
+    between them is below the tolerance.
     """
     whole = orthonormal(null / scene.worth[:, None])
-    told = whole[:, :0]
+    described = whole[:, :0]
     freedoms: list[Freedom] = []
     for family in FAMILIES:
         block = family.block(scene)
-        found = beyond(common(whole, block, tolerance), told)
+        found = beyond(common(whole, block, tolerance), described)
         for words, directions in family.describe(scene, found) if found.size else []:
             freedoms.append(Freedom(words, directions * scene.worth[:, None]))
-            told = orthonormal(np.hstack([told, directions]))
+            described = orthonormal(np.hstack([described, directions]))
     freedoms += [
-        Freedom(_components(scene, v), (v * scene.worth)[:, None]) for v in beyond(whole, told).T
+        Freedom(_components(scene, v), (v * scene.worth)[:, None])
+        for v in beyond(whole, described).T
     ]
     home = scene.worth[:POLAR, None]
     return sorted(freedoms, key=lambda f: np.abs(f.directions[:POLAR] / home).max() <= 1e-6)
 
 
 Described = list[tuple[str, np.ndarray]]
-"""Words, and the directions that they are said of."""
+"""Sentences, each with its directions."""
 
 
 def _home_alone(scene: Scene, found: np.ndarray) -> Described:
@@ -143,19 +144,19 @@ def _home_alone(scene: Scene, found: np.ndarray) -> Described:
 
 
 def _home_anywhere(scene: Scene, found: np.ndarray) -> Described:
-    """Home is free altogether, since landmarks may slide along their lines of sight."""
+    """Home may have any pose, because landmarks may slide along their lines of sight."""
     if np.linalg.matrix_rank(found[:POLAR], tol=1e-6) < POLAR:
         return []
     _, _, v = np.linalg.svd(found[:POLAR])
     words = (
-        "home may lie anywhere as seen from the robot, facing any way: nothing is known of"
-        " the landmarks' distances, which make up for it"
+        "home may lie anywhere as seen from the robot, facing any way: the distances of the"
+        " landmarks are unknown and can compensate"
     )
     return [(words, orthonormal(found @ v[:POLAR].T))]
 
 
 def _growth(scene: Scene) -> np.ndarray:
-    """Return the direction in which everything grows, and the speed with it."""
+    """Return the direction in which all distances and the speed grow together."""
     grow = np.zeros(len(scene.worth))
     grow[:2] = scene.home[:2] - scene.poses[0, :2]
     marks = slice(POLAR, POLAR + 2 * len(scene.landmarks))
@@ -166,23 +167,23 @@ def _growth(scene: Scene) -> np.ndarray:
 
 
 def _scale(scene: Scene, found: np.ndarray) -> Described:
-    """Everything grows."""
+    """All distances grow together."""
     scaled = "speed-scale" in scene.unknown
     what = "the speed's scale and all distances" if scaled else "all distances"
-    words = f"{what} may grow or shrink together by any factor: nothing tells how large it is"
+    words = f"{what} may grow or shrink together by any factor: the scale is unobservable"
     return [(words, found)]
 
 
 def _calibration(scene: Scene, found: np.ndarray) -> Described:
-    """Something of the calibration changes, and nothing else does."""
+    """Only calibrations change."""
     first = POLAR + 2 * len(scene.landmarks)
     alone = np.abs(found[first:]).max(axis=1) > SHARE
     names = [_plain(name) for name, is_in in zip(scene.unknown, alone, strict=True) if is_in]
-    return [(f"nothing tells {listing(names)}", found)]
+    return [(f"unobservable: {listing(names)}", found)]
 
 
 def _landmarks_alone(scene: Scene, found: np.ndarray) -> Described:
-    """Single landmarks that move while everything else stays."""
+    """Single landmarks move while everything else stays."""
     alike: dict[str, list[int]] = {}
     for i in range(len(scene.landmarks)):
         own = common(found, _mark_block(scene, i), ANGLE)
@@ -201,7 +202,7 @@ def _mark_block(scene: Scene, i: int) -> np.ndarray:
 
 
 def _mark_words(scene: Scene, i: int, found: np.ndarray) -> str:
-    """Say where landmark i may lie."""
+    """Describe where landmark i may lie."""
     if found.shape[1] == 2:
         return "may lie anywhere"
     move = found[POLAR + 2 * i : POLAR + 2 * i + 2, 0]
@@ -251,7 +252,7 @@ def _components(scene: Scene, v: np.ndarray) -> str:
 
 
 def _plain(name: str) -> str:
-    """Return a calibration's name as one says it."""
+    """Return a calibration's name with its article."""
     return {"speed-scale": "the speed's scale", "turn-scale": "the turn rate's scale"}.get(
         name, "the " + name.replace("-", " ")
     )
@@ -268,7 +269,7 @@ def _home_and_sight_block(scene: Scene) -> np.ndarray:
 
 
 def _sight(scene: Scene, i: int) -> np.ndarray:
-    """Return the unit vector from where the robot saw landmark i, on average, to it."""
+    """Return the unit vector to landmark i from the mean position where the robot saw it."""
     rows = scene.visible[:, i]
     origin = scene.poses[rows if rows.any() else slice(None), :2].mean(axis=0)
     away = scene.landmarks[i] - origin
@@ -282,7 +283,7 @@ class Family:
     block: Callable[[Scene], np.ndarray]
     """Returns orthonormal directions that span the family."""
     describe: Callable[[Scene, np.ndarray], Described]
-    """Says what directions in it mean; nothing when it cannot."""
+    """Returns the meaning of directions in it; empty where the family does not apply."""
 
 
 FAMILIES = (
