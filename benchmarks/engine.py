@@ -131,14 +131,14 @@ def stepped(peer, scene: Scene, k: int) -> np.ndarray:
 def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
     """Time single runs: a call a sample, and a whole run in a call."""
     program = NativeProgram(filter_program(EKF))
-    values, advance = program.variables, program.part("advance")
+    values = program.variables
     for name, value in given(scene, EKF).items():
         values[name][...] = value
     control, bearings, mask, state = (values[k] for k in ("control", "bearings", "mask", "state"))
 
     def online(k: int) -> np.ndarray:
         control[:], bearings[:], mask[:] = scene.control[k], scene.bearings[k], scene.mask[k]
-        advance()
+        program.do()
         return state.copy()
 
     peers = one_by_one(scene)

@@ -22,7 +22,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.lab.bounds import posterior_bound
-from homeward.lab.engine.export.source import project
+from homeward.lab.engine.export.source import exported_files
 from homeward.lab.filters.settings import FilterSettings
 from homeward.lab.simulation.scenario import Moved
 from homeward.lab.simulation.simulate import PAPER_HOMING, Simulation, simulate
@@ -65,7 +65,7 @@ def scene(q: int, moved: int, seed: int) -> Simulation:
 
 def export(folder: Path, q: int, single: bool, settings: FilterSettings | None = None) -> None:
     """Write the library."""
-    for name, text in project(q, settings or FilterSettings(), single).items():
+    for name, text in exported_files(q, settings or FilterSettings(), single).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
 
@@ -104,7 +104,7 @@ class Samples(NamedTuple):
 def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Samples:
     """Return a drive; with the resection solved so often, and the EKF begun again from it."""
     estimator = make_estimator("ekf", drive)
-    tuning, ids = estimator._carrier.tuning, list(drive.home)
+    tuning, ids = estimator._backend.tuning, list(drive.home)
     sigmas = [b.sigma for b in drive.home.values()]
     home_sigma = tuning.bearing_sigma if np.isnan(sigmas).any() else float(np.mean(sigmas))
     yaw, density = drive.settings.sensor.yaw, np.sqrt(tuning.input_density)

@@ -27,11 +27,11 @@ def export(
     """
     from homeward.io.settings import validated
     from homeward.io.writing import check_output, whole_folder
-    from homeward.lab.engine.export.source import MARKER, most_work, project
+    from homeward.lab.engine.export.source import MARKER, exported_files, max_cost
     from homeward.lab.filters.settings import FilterSettings
 
     settings = validated(FilterSettings, key_values(changes or []))
-    files = project(landmarks, settings, precision == "float")
+    files = exported_files(landmarks, settings, precision == "float")
     check_output(out, MARKER)
     with whole_folder(out, MARKER, merge=True) as scratch:
         for name, text in files.items():
@@ -40,6 +40,6 @@ def export(
     say(f"{estimator} of {landmarks} landmarks in {precision}s: {out / 'src'}")
     rows = [
         (k, f"{w.arithmetic:,}", f"{w.functions:,}")
-        for k, w in most_work(landmarks, settings).items()
+        for k, w in max_cost(landmarks, settings).items()
     ]
     table([("maximum per call", "+ - * /", "libm calls"), *rows], left=1)

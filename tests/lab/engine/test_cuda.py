@@ -1,5 +1,4 @@
-"""The GPU's kernel: compiled without a GPU, run as C++ beside the processor's, and where there is
-a GPU, on it."""
+"""The GPU's kernel: compiled without a GPU, compared as C++ with the processor's, run on a GPU."""
 
 import ctypes
 import shutil
@@ -188,7 +187,7 @@ def test_the_kernel_compiles_without_a_gpu(single, monkeypatch, tmp_path):
 
 def test_what_the_gpu_cannot_do_is_said(monkeypatch):
     job = homing_job(monkeypatch, KINDS["ekf"], history=("innovation",))
-    with pytest.raises(CudaError, match="keeps no innovation"):
+    with pytest.raises(CudaError, match="cannot return innovation"):
         cuda_source(job, single=False)
     plain = replace(job.program, separable=None)
     with pytest.raises(CudaError, match="the paper's filters"):
@@ -197,9 +196,9 @@ def test_what_the_gpu_cannot_do_is_said(monkeypatch):
 
 @pytest.mark.skipif(has_gpu(), reason="there is a GPU")
 def test_without_a_gpu_the_reason_is_one_line():
-    with pytest.raises(HomewardError) as told:
+    with pytest.raises(HomewardError) as caught:
         run_homing(KINDS["ekf"], loop(KINDS["ekf"]), runs=RUNS, steps=2, engine="cuda")
-    assert "\n" not in str(told.value)
+    assert "\n" not in str(caught.value)
 
 
 @needs_gpu

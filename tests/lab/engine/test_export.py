@@ -22,7 +22,7 @@ from benchmarks.mcu import (
     samples,
     scene,
 )
-from homeward.lab.engine.export.source import FUNCTIONS, most_work
+from homeward.lab.engine.export.source import FUNCTIONS, max_cost
 from homeward.lab.filters.settings import FilterSettings
 
 HERE = Path(__file__).parent
@@ -101,32 +101,16 @@ def test_the_printed_work_is_what_is_done(tmp_path, q):
         "instructions(uint32_t since) { return since + (uint32_t)arithmetic; }",
     ).replace("stack(void) { return 0; }", "stack(void) { return (uint32_t)functions; }")
     (tmp_path / "replay.cpp").write_text(replay)
-    subprocess.run(
-        [
-            "c++",
-            "-std=c++20",
-            "-w",
-            "-O1",
-            "-I",
-            source,
-            "-I",
-            HERE,
-            tmp_path / "replay.cpp",
-            "-x",
-            "c++",
-            source / "homeward_ekf.c",
-            "-o",
-            tmp_path / "replay",
-        ],
-        check=True,
-    )
+    files = [tmp_path / "replay.cpp", "-x", "c++", source / "homeward_ekf.c"]
+    folders = ["-I", source, "-I", HERE, "-o", tmp_path / "replay"]
+    subprocess.run(["c++", "-std=c++20", "-w", "-O1", *folders, *files], check=True)
     drive = scene(q, 0, seed=3).drive
     marks = " ".join(f"{i} {0.1 * i} 0" for i in range(q))
     head = samples(drive).text.splitlines()[0]
     lines = [head, "o 0 0.1 0", f"b 0 {q} {marks}", "o 50000 0.1 0", f"b 100000 {q} {marks}"]
     found = replayed([tmp_path / "replay"], "\n".join([*lines, "o 90000000 0.1 0"]))
     counted = [tuple(map(int, row[:2])) for row in found.numbers]
-    most = most_work(q, FilterSettings())
+    most = max_cost(q, FilterSettings())
     assert counted[2] == most["odometry"]
     assert counted[3] == most["bearings"]
     assert counted[4] == most["odometry, longest"]
@@ -145,40 +129,21 @@ def test_a_moved_landmark_is_left_out(tmp_path, q, moved):
 
 def test_an_export(tmp_path):
     out = tmp_path / "out"
-    answer = done(
-        call(
-            "export", "ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null"
-        )
-    )
-    assert "at most" in answer.stdout
-    assert {p.name for p in out.iterdir()} == {
-        *("library.json", "library.properties", "src", "examples"),
-    }
+    words = "export", "ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null"
+    assert "at most" in done(call(*words)).stdout
+    names = {p.name for p in out.iterdir()}
+    assert names == {"library.json", "library.properties", "src", "examples"}
     assert "gate = INFINITY" in (out / "src" / "homeward_ekf.c").read_text()
     done(call("export", "ekf", "--landmarks", 7, "--out", out))
     files = [out / "src" / "homeward_ekf.c", out / "examples" / "cortex_m4f" / "main.c"]
     exe = tmp_path / "main"
-    subprocess.run(
-        [
-            "cc",
-            "-std=c99",
-            "-Wall",
-            "-Wextra",
-            "-Werror",
-            "-I",
-            out / "src",
-            *files,
-            "-lm",
-            "-o",
-            exe,
-        ],
-        check=True,
-    )
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-I", out / "src"]
+    subprocess.run(["cc", *flags, *files, "-lm", "-o", exe], check=True)
     assert subprocess.run([exe]).returncode == 0
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (["ekf", "--landmarks", "0"], "1 to 32 landmarks, not 0"),
         (["ekf", "--landmarks", "33"], "1 to 32 landmarks, not 33"),
@@ -188,10 +153,10 @@ def test_an_export(tmp_path):
         (["ekf", "--landmarks", "7", "--target", "rust"], "rust"),
     ],
 )
-def test_what_cannot_be_exported_is_said(tmp_path, words, said):
+def test_what_cannot_be_exported_is_said(tmp_path, words, message):
     answer = call("export", *words, "--out", tmp_path / "out")
     assert answer.exit_code == 2
-    assert said in answer.output
+    assert message in answer.output
     assert not (tmp_path / "out").exists()
 
 

@@ -11,7 +11,7 @@ from homeward.drives.settings import DriveSettings, Mount, Sensor, Start
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose, from_polar
-from homeward.lab.engine.estimators.runner import LARGEST
+from homeward.lab.engine.estimators.runner import MAX_BELIEF
 from homeward.reasons import Rejection
 from homeward.registry import NEED_START, make_estimator
 
@@ -130,7 +130,7 @@ def test_late_and_broken_samples_are_counted_and_change_nothing():
     }
 
 
-def test_the_gate_rejects_a_wrong_sighting_and_says_so():
+def test_the_gate_rejects_a_wrong_sighting_and_reports_it():
     drive, landmarks, pose = make_drive()
     results = {}
     for gate in (0.999, None):
@@ -177,7 +177,7 @@ def test_a_belief_that_diverges_is_not_taken():
     drive, _, _ = make_drive()
     estimator = make_estimator("ekf", drive)
     estimator.odometry(0.0, 1e300, 0.0)
-    assert np.all(np.abs(estimator.estimate(0.5).pose) < LARGEST)
+    assert np.all(np.abs(estimator.estimate(0.5).pose) < MAX_BELIEF)
     estimator.odometry(0.5, 0.1, 0.0)
     assert estimator.counts.rejected[Rejection.DIVERGED] >= 1
 
@@ -256,12 +256,12 @@ def test_one_landmark_is_enough_to_run(name):
 
 def test_a_sigma_that_is_no_number_leaves_the_usual_one():
     drive, landmarks, pose = make_drive()
-    told, left = make_estimator("ekf", drive), make_estimator("ekf", drive)
-    for estimator, sigmas in ((told, {"L0": math.inf, "L1": math.nan, "L2": -1.0}), (left, None)):
+    given, left = make_estimator("ekf", drive), make_estimator("ekf", drive)
+    for estimator, sigmas in ((given, {"L0": math.inf, "L1": math.nan, "L2": -1.0}), (left, None)):
         for t in (0.0, 0.1):
             estimate = estimator.bearings(t, look(pose, landmarks), sigmas)
         assert estimator.counts.used == 14
-    assert told.estimate(0.1).pose == left.estimate(0.1).pose == estimate.pose
+    assert given.estimate(0.1).pose == left.estimate(0.1).pose == estimate.pose
 
 
 def test_an_update_that_diverges_is_counted_and_not_used():

@@ -5,11 +5,10 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.geometry.frames import Pose, bearing
+from homeward.geometry.frames import Pose, bearing, to_polar
+from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
 from homeward.lab.filters.invariant import (
-    CartesianPrior,
     InvariantFilter,
-    SensorNoise,
     error_between,
     motion_function,
     moved,
@@ -30,7 +29,8 @@ def numeric(f, x, step=1e-6):
 def make(pose=(0.6, -0.5, 0.3), seed=2, inverse_sigma=0.5):
     landmarks, _, _, stored = scene(Q, seed)
     prior = CartesianPrior(
-        Pose(*pose), np.diag([0.05, 0.04, 0.1]) ** 2, stored, np.full(Q, 0.01), 0.5, inverse_sigma
+        *(to_polar(Pose(*pose)), np.array([0.05, 0.05, 0.1])),
+        *(stored, np.full(Q, 0.01), 0.5, inverse_sigma),
     )
     return InvariantFilter(prior, NOISE), landmarks
 
@@ -84,7 +84,8 @@ def test_on_the_truth_it_is_the_ordinary_ekf():
     )
     state = np.r_[belief.pose, home, 1 / distances]
     belief.covariance[3 + Q :, 3 + Q :] = 0.3**2 * np.eye(Q)
-    P = np.diag(np.r_[0.05, 0.04, 0.1, np.full(Q, 0.01), np.full(Q, 0.3)] ** 2)
+    P = np.diag(np.r_[np.zeros(3), np.full(Q, 0.01), np.full(Q, 0.3)] ** 2)
+    P[:3, :3] = own.pose(belief)[1]
 
     def drive(x, u):
         return np.asarray(motion_function()(x, u, 0.1)[0])[:, 0]
@@ -134,7 +135,9 @@ def test_a_sighting_outside_the_gate_changes_nothing():
     own, landmarks = make(inverse_sigma=0.01)
     strict = InvariantFilter(own.prior, SensorNoise(DENSITY, SIGMA, 9.0))
     belief = strict.start()
-    after, out = strict.update(belief, {0: float(bearing(own.prior.pose, *landmarks[0])) + 2.0}, {})
+    after, out = strict.update(
+        belief, {0: float(bearing(Pose(*belief.pose), *landmarks[0])) + 2.0}, {}
+    )
     assert out["accepted"].sum() == 0
     assert np.array_equal(after.pose, belief.pose)
     assert np.array_equal(after.active, np.zeros(Q))

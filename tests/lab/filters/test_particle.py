@@ -6,8 +6,8 @@ from lab.model_by_hand import scene
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, bearing, to_polar
-from homeward.lab.filters.invariant import SensorNoise
-from homeward.lab.filters.particle import ParticleFilter, ParticlePrior, _sight
+from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
+from homeward.lab.filters.particle import ParticleFilter, _sight
 from homeward.lab.model import home_anchored_bearing
 
 Q, SIGMA = 3, 0.1
@@ -15,10 +15,10 @@ DENSITY = np.array([0.05**2, 0.1**2])
 
 
 def make(particles=20_000, known=True, sigmas=(0.3, 0.5, 0.5), gate=np.inf, outliers=1e-9, seed=0):
-    """Return a filter whose landmarks all stand two metres from home, which it knows or not."""
+    """Return a filter whose landmarks are two metres from home, `known` to it or not."""
     home = np.array([0.2, 2.4, -1.9])
-    prior = ParticlePrior(
-        Polar(0.7, -0.5, 0.4), np.array(sigmas), home, np.full(Q, 1e-6 if known else 0.01), 0.5
+    prior = CartesianPrior(
+        Polar(0.7, -0.5, 0.4), np.array(sigmas), home, np.full(Q, 1e-6 if known else 0.01), 0.5, 0.5
     )
     own = ParticleFilter(prior, SensorNoise(DENSITY, SIGMA, gate), particles, outliers, seed)
     belief = own.start()
@@ -49,7 +49,7 @@ def test_it_has_the_posterior_that_a_grid_has():
     np.testing.assert_allclose((covariance - spread) / np.outer(sigma, sigma), 0.0, atol=0.05)
 
 
-def test_motion_spreads_as_its_noise_says():
+def test_motion_spreads_with_its_noise():
     own, belief, _ = make(sigmas=(1e-9, 1e-9, 1e-9))
     after = own.predict(belief, 0.5, (0.4, 0.0))
     along = after.pose[0] * np.cos(0.4) + after.pose[1] * np.sin(0.4)
@@ -81,12 +81,11 @@ def test_the_same_belief_draws_the_same_and_another_seed_something_else():
 def test_a_start_that_is_hardly_known_is_found():
     landmarks, _, _, stored = scene(7, 3)
     true = Pose(-0.5, 0.6, 1.0)
-    prior = ParticlePrior(
+    prior = CartesianPrior(
         Polar(*np.add(to_polar(true), [0.3, 0.5, -0.6])),
         np.array([0.3, 0.6, 0.6]),
         stored,
-        np.full(7, 0.01),
-        0.5,
+        *(np.full(7, 0.01), 0.5, 0.5),
     )
     own = ParticleFilter(prior, SensorNoise(DENSITY / 25, 0.05, 11.0), 2000, 0.01)
     belief, rng, pose = own.start(), np.random.default_rng(1), np.array(true)

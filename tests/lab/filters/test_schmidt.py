@@ -4,13 +4,8 @@ import numpy as np
 from lab.model_by_hand import scene
 from test_steps import DT, drive
 
-from homeward.lab.engine.program.stages import BELIEF, Interpreter
-from homeward.lab.filters.ekf import (
-    ExtendedKalmanFilter,
-    SchmidtFilter,
-    predict_function,
-    update_function,
-)
+from homeward.lab.engine.program.stages import BELIEF, Machine, filter_program
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, SchmidtFilter
 from homeward.lab.model import PolarModel
 
 Q = 5
@@ -19,29 +14,22 @@ Q = 5
 def run(kind, sigma, steps=200, each=None):
     """Drive with all landmarks in sight, and call `each(before, after, variance)` at updates."""
     _, polar, _, stored = scene(Q, 4)
-    n, parameters = kind.model.n, len(kind.model.estimated)
-    predict, update = Interpreter(predict_function(kind)), Interpreter(update_function(kind))
-    belief = {"active": np.zeros(Q), "integral": np.zeros(0)}
-    belief["state"] = np.r_[polar, np.zeros(Q), stored[list(kind.model.estimated)]]
-    belief["covariance"] = np.diag(
+    parameters = len(kind.model.estimated)
+    steps_of, variance = Machine(filter_program(kind)), 0.03**2
+    given = {"state": np.r_[polar, np.zeros(Q), stored[list(kind.model.estimated)]]}
+    given["covariance"] = np.diag(
         np.r_[0.05, 0.1, 0.1, np.ones(Q), np.full(parameters, sigma)] ** 2
     )
-    predict.inputs["stored"][:], predict.inputs["dt"][:] = stored, DT
-    predict.inputs["input_covariance"][...] = np.diag([0.01**2, 0.02**2])
-    update.inputs["gate"][:], update.inputs["minimum_visible"][:] = np.inf, 1
-    update.inputs["variance"][:] = variance = 0.03**2
-    assert n == belief["state"].size
+    given |= {"stored": stored, "dt": DT, "input_covariance": np.diag([0.01**2, 0.02**2])}
+    given |= {"gate": np.inf, "minimum_visible": 1, "variance": variance, "mask": 1.0}
+    belief = steps_of.variables
+    for name, value in given.items():
+        belief[name][...] = value
     for u, y, _ in drive(Q, steps, 4):
-        for name in BELIEF:
-            predict.inputs[name][...] = belief[name]
-        predict.inputs["control"][:] = u
-        predict()
-        before = {name: predict.outputs[name].copy() for name in BELIEF}
-        for name in BELIEF:
-            update.inputs[name][...] = before[name]
-        update.inputs["bearings"][:], update.inputs["mask"][:] = y, 1.0
-        update()
-        belief = {name: update.outputs[name].copy() for name in BELIEF}
+        belief["control"][:], belief["bearings"][:] = u, y
+        steps_of.do("predict")
+        before = {name: belief[name].copy() for name in BELIEF}
+        steps_of.do("update")
         if each is not None and before["active"].all():
             each(before, belief, variance)
     return belief

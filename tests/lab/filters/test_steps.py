@@ -7,22 +7,15 @@ from numpy_oracle import Oracle
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
-from homeward.lab.engine.estimators.runner import filter_kernels
-from homeward.lab.engine.program.stages import (
-    BELIEF,
-    GenericPredict,
-    GenericUpdate,
-    Interpreter,
-    UnscentedPredict,
-)
+from homeward.lab.engine.estimators.runner import filter_machine
+from homeward.lab.engine.program import stages
+from homeward.lab.engine.program.stages import BELIEF, Machine, Program, filter_parts
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
     SchmidtFilter,
     UnscentedFilter,
     augmented_ekf,
-    predict_function,
-    update_function,
 )
 from homeward.lab.model import PolarModel
 
@@ -40,7 +33,7 @@ def kinds(q):
 
 
 def drive(q, steps, seed):
-    """A robot on a weaving path some way off home; what it commands and what it sees."""
+    """Yield commands, bearings and masks of a robot on a weaving path near home."""
     landmarks, polar, _, stored = scene(q, seed)
     rng = np.random.default_rng(seed)
     pose = np.array(from_polar(polar))
@@ -63,12 +56,15 @@ def start(kind, q, seed):
     return x, P, stored
 
 
-def run(kind, predict, update, q, steps, seed, gate, minimum):
+def machine(kind, max_unrolled=48):
+    return Machine(Program(filter_parts(kind, max_unrolled)))
+
+
+def run(kind, steps_of, q, steps, seed, gate, minimum):
+    """Return the largest difference between a machine and the oracle over a run."""
     x, P, stored = start(kind, q, seed)
-    n = kind.model.n
+    n, given = kind.model.n, steps_of.variables
     oracle = Oracle(kind.model, stored, x.copy(), P.copy(), method=kind.integration)
-    belief = {"state": x, "covariance": P, "active": np.zeros(q)}
-    belief["integral"] = np.zeros(n if kind.integral else 0)
     Q, walk = np.diag([0.01**2, 0.02**2]), np.zeros(n)
     walk[3 + q :] = 1e-7
     r = np.random.default_rng(seed).uniform(0.02, 0.04, q) ** 2
@@ -77,33 +73,27 @@ def run(kind, predict, update, q, steps, seed, gate, minimum):
         rng = np.random.default_rng(seed + 1)
         oracle.Pi = 1e-3 * (np.eye(n) + 0.1 * rng.normal(size=(n, n)))
         oracle.M = 1e-3 * rng.normal(size=(n, q))
-        predict.inputs["proportional"][...] = oracle.Pi
-        update.inputs["integral_gain"][...] = oracle.M
+        given["proportional"][...], given["integral_gain"][...] = oracle.Pi, oracle.M
+    constant = {"state": x, "covariance": P, "active": 0, "integral": 0, "dt": DT, "stored": stored}
+    constant |= {"input_covariance": Q, "state_variance": walk, "variance": r}
+    constant |= {"gate": gate, "minimum_visible": minimum}
+    for name, value in constant.items():
+        given[name][...] = value
     worst = 0.0
     for u, y, mask in drive(q, steps, seed):
         oracle.predict(u, DT, Q, walk)
         oracle.update(y, mask, r, gate, minimum)
-        given = predict.inputs
-        for name in BELIEF:
-            given[name][...] = belief[name]
-        given["control"][:], given["dt"][:], given["stored"][:] = u, DT, stored
-        given["input_covariance"][...], given["state_variance"][:] = Q, walk
-        predict()
-        given = update.inputs
-        for name in BELIEF:
-            given[name][...] = predict.outputs[name]
-        given["bearings"][:], given["mask"][:], given["variance"][:] = y * mask, mask, r
-        given["gate"][:], given["minimum_visible"][:] = gate, minimum
-        update()
-        belief = {name: update.outputs[name].copy() for name in BELIEF}
+        given["control"][:], given["bearings"][:], given["mask"][:] = u, y * mask, mask
+        steps_of.do("predict")
+        steps_of.do("update")
         worst = max(
             worst,
-            np.abs(belief["state"] - oracle.x).max(),
-            np.abs(belief["covariance"] - oracle.P).max(),
+            np.abs(given["state"] - oracle.x).max(),
+            np.abs(given["covariance"] - oracle.P).max(),
         )
-        assert np.array_equal(belief["covariance"], belief["covariance"].T)
-        assert np.array_equal(belief["active"], oracle.active)
-    assert np.linalg.norm(belief["state"][:3]) < 100
+        assert np.array_equal(given["covariance"], given["covariance"].T)
+        assert np.array_equal(given["active"], oracle.active)
+    assert np.linalg.norm(given["state"][:3]) < 100
     return worst
 
 
@@ -111,56 +101,43 @@ def run(kind, predict, update, q, steps, seed, gate, minimum):
 @pytest.mark.parametrize(("q", "seed"), [(7, 1), (20, 2)])
 def test_steps_agree_with_the_oracle(name, q, seed):
     kind = kinds(q)[name]
-    kernels = Interpreter(predict_function(kind)), Interpreter(update_function(kind))
-    assert run(kind, *kernels, q, 2400, seed, np.inf, 1) < 1e-9
+    assert run(kind, machine(kind), q, 2400, seed, np.inf, 1) < 1e-9
 
 
+@pytest.mark.parametrize("max_unrolled", [0, 48])
 @pytest.mark.parametrize("name", kinds(3))
-def test_steps_with_gate_and_minimum_agree_with_the_oracle(name):
+def test_steps_with_gate_and_minimum_agree_with_the_oracle(name, max_unrolled):
     kind = kinds(7)[name]
-    kernels = Interpreter(predict_function(kind)), Interpreter(update_function(kind))
-    assert run(kind, *kernels, 7, 1000, 3, 3.0, 3) < 1e-9
-
-
-@pytest.mark.parametrize("name", kinds(3))
-def test_generic_kernels_agree_with_the_oracle(name):
-    kind = kinds(7)[name]
-    assert run(kind, GenericPredict(kind), GenericUpdate(kind), 7, 600, 4, 6.0, 2) < 1e-9
+    assert run(kind, machine(kind, max_unrolled), 7, 1000, 3, 3.0, 3) < 1e-9
 
 
 @pytest.mark.parametrize(
     "kind", [UnscentedFilter(PolarModel(7)), SchmidtFilter(PolarModel(7, (1, 4)))]
 )
-def test_generic_kernels_of_the_peers_agree_with_their_symbolic_steps(kind):
-    generic = GenericPredict if isinstance(kind, SchmidtFilter) else UnscentedPredict
-    pairs = [
-        (Interpreter(predict_function(kind)), generic(kind)),
-        (Interpreter(update_function(kind)), GenericUpdate(kind)),
-    ]
+def test_generic_steps_of_the_peers_agree_with_their_symbolic_steps(kind):
+    symbolic, generic = machine(kind), machine(kind, 0)
     x, P, stored = start(kind, 7, 5)
-    belief = {"state": x, "covariance": P, "active": np.zeros(7), "integral": np.zeros(0)}
+    given = {"state": x, "covariance": P, "dt": DT, "stored": stored, "state_variance": 1e-6}
+    given |= {"input_covariance": np.diag([0.01**2, 0.02**2])}
+    given |= {"variance": 1e-3, "gate": 9.0, "minimum_visible": 1.0}
     for u, y, mask in drive(7, 300, 5):
-        given = {"control": u, "dt": DT, "stored": stored, "state_variance": 1e-6}
-        given |= {"input_covariance": np.diag([0.01**2, 0.02**2]), "bearings": y, "mask": mask}
-        given |= {"variance": 1e-3, "gate": 9.0, "minimum_visible": 1.0}
-        for kernels in pairs:
-            for kernel in kernels:
-                for name in kernel.inputs.keys() & (given | belief).keys():
-                    kernel.inputs[name][...] = (given | belief)[name]
-                kernel()
-            for name, found in kernels[0].outputs.items():
-                np.testing.assert_allclose(kernels[1].outputs[name], found, atol=1e-9)
-            belief = {name: kernels[0].outputs[name].copy() for name in BELIEF}
+        given |= {"control": u, "bearings": y, "mask": mask}
+        for steps in (symbolic, generic):
+            for name, value in given.items():
+                steps.variables[name][...] = value
+            steps.do()
+        for name, found in symbolic.variables.items():
+            np.testing.assert_allclose(generic.variables[name], found, atol=1e-9)
+        given = {name: symbolic.variables[name].copy() for name in BELIEF}
 
 
 @pytest.mark.parametrize(
     "kind", [UnscentedFilter(PolarModel(60)), SchmidtFilter(PolarModel(60, (1, 4)))]
 )
-def test_peers_with_many_landmarks_run_by_the_generic_kernels(kind):
+def test_peers_with_many_landmarks_run_by_the_generic_steps(kind, monkeypatch):
     """Unrolled, their steps would take minutes to build, and with hundreds all memory."""
-    kernels = filter_kernels(kind)
-    assert isinstance(kernels.predict, (GenericPredict, UnscentedPredict))
-    assert isinstance(kernels.update, GenericUpdate)
+    monkeypatch.setattr(stages, "predict_function", None)
+    filter_machine(kind).do()
 
 
 def test_augmented_filter_refuses_parameters_that_are_no_landmarks():

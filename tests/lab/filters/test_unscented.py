@@ -5,39 +5,20 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.lab.engine.program.stages import BELIEF, Interpreter
-from homeward.lab.filters.ekf import (
-    ExtendedKalmanFilter,
-    UnscentedFilter,
-    cholesky,
-    predict_function,
-    update_function,
-)
+from homeward.lab.engine.program.stages import Machine, filter_program
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, UnscentedFilter, cholesky
 from homeward.lab.model import PolarModel
 
 Q, DT = 5, 0.2
 
 
-def stepper(kind, stored, control, input_covariance, walk=0.0):
-    kernel = Interpreter(predict_function(kind))
-    kernel.inputs["stored"][:], kernel.inputs["dt"][:] = stored, DT
-    kernel.inputs["control"][:] = control
-    kernel.inputs["input_covariance"][...] = input_covariance
-    kernel.inputs["state_variance"][:] = walk
-
-    def step(belief):
-        for name in BELIEF:
-            kernel.inputs[name][...] = belief[name]
-        kernel()
-        return {name: kernel.outputs[name].copy() for name in BELIEF}
-
-    return step
-
-
-def belief_of(state, covariance, active=1.0):
-    nothing = np.zeros(0)
-    full = np.full(len(state) - 3, active)
-    return {"state": state, "covariance": covariance, "active": full, "integral": nothing}
+def machine(kind, stored, control, input_covariance, walk=0.0):
+    """Return the steps of a filter with every landmark seen before."""
+    steps = Machine(filter_program(kind))
+    given = {"stored": stored, "dt": DT, "control": control, "input_covariance": input_covariance}
+    for name, value in (given | {"state_variance": walk, "active": 1.0}).items():
+        steps.variables[name][...] = value
+    return steps
 
 
 def random_covariance(n, sigma, seed=0):
@@ -56,18 +37,14 @@ def test_turning_on_the_spot_is_linear_and_the_ukf_is_the_kalman_filter():
     noise = np.diag([0.0, 0.3**2])
     beliefs = []
     for kind in (UnscentedFilter(PolarModel(Q)), ExtendedKalmanFilter(PolarModel(Q))):
-        belief, step = belief_of(x, P), stepper(kind, stored, [0.0, 0.7], noise, 1e-4)
-        update = Interpreter(update_function(kind))
+        steps = machine(kind, stored, [0.0, 0.7], noise, 1e-4)
+        given = steps.variables
+        given["state"][:], given["covariance"][...] = x, P
+        given["mask"][:], given["variance"][:], given["gate"][:] = 1.0, 0.05**2, np.inf
         for k in range(20):
-            belief = step(belief)
-            for name in BELIEF:
-                update.inputs[name][...] = belief[name]
-            update.inputs["bearings"][:] = x[3:] - 0.14 * (k + 1)
-            update.inputs["mask"][:], update.inputs["variance"][:] = 1.0, 0.05**2
-            update.inputs["gate"][:] = np.inf
-            update()
-            belief = {name: update.outputs[name].copy() for name in BELIEF}
-        beliefs.append(belief)
+            given["bearings"][:] = x[3:] - 0.14 * (k + 1)
+            steps.do()
+        beliefs.append(given)
     for name in ("state", "covariance"):
         np.testing.assert_allclose(beliefs[0][name], beliefs[1][name], atol=1e-12)
 
@@ -77,20 +54,20 @@ def test_moments_of_a_curved_step_are_nearer_the_samples_than_those_of_the_ekf()
     x[0] = 1.0
     P = np.diag(np.r_[0.05, 0.3, 0.5, np.full(Q, 0.02)] ** 2)
     noise, control = np.diag([0.3**2, 0.5**2]), [1.0, 0.8]
-    one = Interpreter(predict_function(ExtendedKalmanFilter(PolarModel(Q, guard=1e-3))))
-    one.inputs["stored"][:], one.inputs["dt"][:], one.inputs["active"][:] = stored, DT, 1.0
+    one = machine(ExtendedKalmanFilter(PolarModel(Q, guard=1e-3)), stored, control, noise)
     rng, moved = np.random.default_rng(1), []
     for _ in range(20_000):
-        one.inputs["state"][:] = rng.multivariate_normal(x, P)
-        one.inputs["control"][:] = rng.multivariate_normal(control, noise)
-        one()
-        moved.append(one.outputs["state"][:3].copy())
+        one.variables["state"][:] = rng.multivariate_normal(x, P)
+        one.variables["control"][:] = rng.multivariate_normal(control, noise)
+        one.do("predict")
+        moved.append(one.variables["state"][:3].copy())
     mean, spread = np.mean(moved, axis=0), np.cov(np.transpose(moved))
     off = {}
     for kind in (UnscentedFilter, ExtendedKalmanFilter):
-        step = stepper(kind(PolarModel(Q, guard=1e-3)), stored, control, noise)
-        found = step(belief_of(x, P))
-        difference = found["state"][:3] - mean
+        steps = machine(kind(PolarModel(Q, guard=1e-3)), stored, control, noise)
+        steps.variables["state"][:], steps.variables["covariance"][...] = x, P
+        steps.do("predict")
+        difference = steps.variables["state"][:3] - mean
         off[kind] = difference @ np.linalg.solve(spread, difference)
     # The mean of 20,000 samples is itself off by about 3 / 20,000 on this scale.
     assert off[UnscentedFilter] < 0.001

@@ -8,18 +8,15 @@ from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, advance, bearing, from_polar
 from homeward.lab.engine.batch.homing import homing_program
-from homeward.lab.engine.program.stages import BELIEF, Interpreter, Machine
+from homeward.lab.engine.program.stages import BELIEF, Machine, filter_program
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
     augmented_ekf,
-    predict_function,
-    update_function,
 )
 from homeward.lab.model import PolarModel
 
 Q, DT, SPEED = 5, 0.05, 0.125
-SHARED = ("stored", "input_covariance", "state_variance", "variance", "gate", "minimum_visible")
 
 
 @pytest.mark.parametrize(
@@ -35,7 +32,7 @@ def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
     landmarks, polar, _, stored = scene(Q, 8)
     rng = np.random.default_rng(8)
     loop = Machine(homing_program(kind, homing))
-    predict, update = Interpreter(predict_function(kind)), Interpreter(update_function(kind))
+    alone = Machine(filter_program(kind))
     given, pose, n = loop.variables, from_polar(polar), kind.model.n
 
     given["pose"][:], given["landmarks"][...] = pose, landmarks
@@ -48,13 +45,8 @@ def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
     given["variance"][:], given["gate"][:], given["minimum_visible"][:] = 1e-3, 9.0, 2
     if kind.integral:
         given["proportional"][...], given["integral_gain"][...] = 1e-3 * np.eye(n), 0.1
-        predict.inputs["proportional"][...] = given["proportional"]
-        update.inputs["integral_gain"][...] = given["integral_gain"]
-    for kernel in (predict, update):
-        for name in SHARED:
-            if name in kernel.inputs:
-                kernel.inputs[name][...] = given[name]
-    predict.inputs["dt"][:] = DT
+    for name in alone.variables:
+        alone.variables[name][...] = given[name]
 
     for _ in range(60):
         given["mask"][:] = rng.random(Q) < 0.7
@@ -64,14 +56,9 @@ def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
         command = homing(Polar(*given["state"][:3]), SPEED)
         pose = advance(pose, type(command)(*np.add(command, given["disturbance"])), DT)
         seen = np.array([bearing(pose, *mark) for mark in landmarks]) + given["noise"]
-        for name in BELIEF:
-            predict.inputs[name][...] = given[name]
-        predict.inputs["control"][:] = command
-        predict()
-        for name in BELIEF:
-            update.inputs[name][...] = predict.outputs[name]
-        update.inputs["bearings"][:], update.inputs["mask"][:] = seen, given["mask"]
-        update()
+        alone.variables["control"][:], alone.variables["bearings"][:] = command, seen
+        alone.variables["mask"][:] = given["mask"]
+        alone.do()
 
         loop.do()
         np.testing.assert_allclose(given["control"], command, atol=1e-15)
@@ -79,6 +66,6 @@ def test_the_loop_is_law_truth_measurement_and_filter_in_turn(kind):
         assert np.hypot(here.x - pose.x, here.y - pose.y) < 1e-9
         assert abs(wrap(here.heading - pose.heading)) < 1e-9
         for name in BELIEF:
-            np.testing.assert_allclose(given[name], update.outputs[name], atol=1e-8)
+            np.testing.assert_allclose(given[name], alone.variables[name], atol=1e-8)
         pose = here
     assert np.linalg.norm(given["pose"][:2]) < 0.6

@@ -1,1 +1,1 @@
-"""The paper's three filters as symbolic steps, one estimator a file."""
+"""The paper's three filters and their peers."""

@@ -16,21 +16,21 @@ from homeward.lab.model import INPUTS, POLAR, PolarModel, Step, discretise
 
 @dataclass(frozen=True)
 class Belief:
-    """All that a filter carries from step to step."""
+    """Variables that a filter carries from step to step."""
 
     state: ca.SX
-    """(n,), of `homeward.lab.model.PolarModel`."""
+    """(n,), state of `homeward.lab.model.PolarModel`."""
     covariance: ca.SX
     """(n, n), exactly symmetric."""
     active: ca.SX
-    """(q,), 1 once a landmark has been seen, else 0."""
+    """(q,), 1 once a landmark has been seen, otherwise 0."""
     integral: ca.SX
     """(n,), kappa of the PI-EKF; empty in the other filters."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """Parameters of a predicting step."""
+    """Parameters of a prediction."""
 
     control: ca.SX
     """(2,), v [m/s] and omega [rad/s] over the step."""
@@ -41,32 +41,32 @@ class Prediction:
     input_covariance: ca.SX
     """(2, 2), Q of the input over this step."""
     state_variance: ca.SX
-    """(n,), added to the diagonal over this step: Qd of an A-EKF's parameters, for one."""
+    """(n,), added to the diagonal over this step, for example Qd of the A-EKF's parameters."""
     proportional: ca.SX
     """(n, n), Pi of the PI-EKF over this step; empty in the other filters."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """Parameters of an updating step."""
+    """Parameters of an update."""
 
     bearings: ca.SX
-    """(q,) [rad]; any finite number where nothing was seen."""
+    """(q,) [rad]; any finite number for a landmark out of view."""
     mask: ca.SX
-    """(q,), 1 where a landmark is seen, else 0."""
+    """(q,), 1 where a landmark is seen, otherwise 0."""
     variance: ca.SX
     """(q,) [rad^2]"""
     gate: ca.SX
-    """(1,), the largest innovation^2 / variance accepted; infinity accepts everything."""
+    """(1,), largest accepted innovation^2 / variance; infinity accepts everything."""
     minimum_visible: ca.SX
-    """(1,), with fewer landmarks in sight the step does nothing (the paper's p)."""
+    """(1,), with fewer landmarks in view the step does nothing (the paper's p)."""
     integral_gain: ca.SX
     """(n, q), M of the PI-EKF; empty in the other filters."""
 
 
 @dataclass(frozen=True)
 class Updated:
-    """What an updating step returns."""
+    """Result of an update."""
 
     belief: Belief
     innovation: ca.SX
@@ -74,14 +74,14 @@ class Updated:
     innovation_variance: ca.SX
     """(q,) [rad^2]"""
     accepted: ca.SX
-    """(q,), 1 where the innovation passed the gate and was used."""
+    """(q,), 1 where the innovation passed the gate and was used, otherwise 0."""
 
 
 Part = TypeVar("Part", Belief, Prediction, Measurement)
 
 
 def shapes(model: PolarModel, integral: bool) -> dict[str, tuple[int, ...]]:
-    """Return the shape of each variable that goes into a step, by the name of its field."""
+    """Return the shape of each input of a step by the name of its field."""
     n, q, k = model.n, model.q, model.n if integral else 0
     sizes: dict[str, tuple[int, ...]] = {"covariance": (n, n), "input_covariance": (INPUTS, INPUTS)}
     sizes |= {"integral": (k,), "proportional": (k, k), "integral_gain": (k, q if integral else 0)}
@@ -91,7 +91,7 @@ def shapes(model: PolarModel, integral: bool) -> dict[str, tuple[int, ...]]:
 
 
 def symbols(part: type[Part], model: PolarModel, integral: bool) -> Part:
-    """Return fresh symbols for a part of what goes into a step."""
+    """Return new symbols for some inputs of a step."""
     sizes = shapes(model, integral)
     return part(*(ca.SX.sym(f.name, *sizes[f.name]) for f in fields(part)))
 
@@ -100,24 +100,24 @@ def symbols(part: type[Part], model: PolarModel, integral: bool) -> Part:
 class ExtendedKalmanFilter:
     """The paper's EKF as two symbolic steps.
 
-    The augmented filter is the same on a model some of whose home bearings are states; the
+    The augmented filter is the same filter on a model with home bearings as states. The
     proportional-integral filter adds its correction to both steps.
     """
 
     model: PolarModel
     integration: Integration = "rk4"
     integral: ClassVar[bool] = False
-    """Whether the belief carries an integral of innovations."""
+    """Whether the belief has an integral of innovations."""
     separable: ClassVar[bool] = True
-    """Whether it takes landmarks one by one, as loops in place of symbols do."""
+    """Whether loops over single landmarks can replace the symbols of all."""
 
     @property
     def considered(self) -> slice:
-        """States that are uncertain, and never updated; none."""
+        """States that are uncertain but never updated; none here."""
         return slice(self.model.n, self.model.n)
 
     def propagate(self, belief: Belief, prediction: Prediction) -> Step:
-        """Return the mean after a step and its Jacobians: F, G and Gu."""
+        """Return the state after a step and its Jacobians: F, G and Gu."""
 
         def rates(state: ca.SX, control: ca.SX) -> ca.SX:
             return self.model.rates(state, control, prediction.stored, belief.active)
@@ -125,9 +125,9 @@ class ExtendedKalmanFilter:
         return discretise(rates, belief.state, prediction.control, prediction.dt, self.integration)
 
     def predict(self, belief: Belief, prediction: Prediction) -> Belief:
-        """Carry the belief over one step: P <- G P G' + Gu Q Gu' + diag(state_variance)."""
+        """Predict over one step: P <- G P G' + Gu Q Gu' + diag(state_variance)."""
         step = self.propagate(belief, prediction)
-        # Of a symmetric matrix one triangle is read: half of what compiled code loads.
+        # Reading one triangle of the symmetric matrix halves the loads of compiled code.
         covariance = (
             step.by_state @ mirror(belief.covariance) @ step.by_state.T
             + step.by_input @ prediction.input_covariance @ step.by_input.T
@@ -138,8 +138,8 @@ class ExtendedKalmanFilter:
     def update(self, belief: Belief, seen: Measurement) -> Updated:
         """Update with the visible bearings, one after the other.
 
-        Innovations and the gate are taken from the belief before any update of this stamp. A
-        landmark seen for the first time enters with beta = y and the variance of y.
+        Innovations and gate use the belief before any update of this stamp. A landmark seen for the
+        first time enters with beta = y and the variance of y.
         """
         q = self.model.q
         state, covariance = belief.state, mirror(belief.covariance)
@@ -155,7 +155,7 @@ class ExtendedKalmanFilter:
         before = state
         for i in range(q):
             j = POLAR + i
-            # H only picks rows, so this is the remainder of the joint innovation.
+            # H only selects rows, so this is the remainder of the joint innovation.
             remainder = innovation[i] - (state[j] - before[j])
             gain = covariance[:, j] * (accepted[i] / (covariance[j, j] + seen.variance[i]))
             loss = gain @ covariance[j, :]
@@ -168,7 +168,7 @@ class ExtendedKalmanFilter:
     def _enter(
         self, state: ca.SX, covariance: ca.SX, entering: ca.SX, seen: Measurement
     ) -> tuple[ca.SX, ca.SX]:
-        """Put landmarks seen for the first time into the state, uncorrelated with the rest."""
+        """Insert landmarks seen for the first time, uncorrelated with the other states."""
         rest = self.model.n - POLAR - self.model.q
         keep = 1 - ca.vertcat(ca.SX.zeros(POLAR), entering, ca.SX.zeros(rest))
         fresh = ca.vertcat(ca.SX.zeros(POLAR), entering * seen.bearings, ca.SX.zeros(rest))
@@ -187,12 +187,11 @@ def augmented_ekf(
     integration: Integration = "rk4",
     guard: float = PolarModel.guard,
 ) -> ExtendedKalmanFilter:
-    """Return the paper's A-EKF: an EKF whose state carries the parameters theta_p behind it.
+    """Return the paper's A-EKF: an EKF whose state ends with the parameters theta_p.
 
-    They are the home bearings beta* of the landmarks `estimated` out of q, None: of all. They walk
-    at random with covariance Qd, which is given to each step in the last entries of
-    `state_variance`; P is block-diagonal at the start. Raises `ValueError` if an index is repeated
-    or is no landmark.
+    These are the home bearings beta* of the landmarks `estimated`, by default of all q. They follow
+    a random walk with covariance Qd, which is the end of `state_variance` in each step. P is
+    block-diagonal at the start. Raises `ValueError` if an index is repeated or is no landmark.
     """
     chosen = tuple(range(q)) if estimated is None else tuple(estimated)
     if len(set(chosen)) != len(chosen) or not all(0 <= i < q for i in chosen):
@@ -204,14 +203,14 @@ def augmented_ekf(
 class ProportionalIntegralFilter(ExtendedKalmanFilter):
     """The paper's PI-EKF: predict with F(X, U) + Pi kappa, kappa <- kappa + M e.
 
-    e is the innovation of this stamp, zero in the rows that are not visible, that were rejected,
-    or that have just entered; it steers the predictions that follow.
+    e is the innovation of this stamp: zero in rows that are not visible, rejected or seen for the
+    first time. It corrects the following predictions.
     """
 
     integral: ClassVar[bool] = True
 
     def propagate(self, belief: Belief, prediction: Prediction) -> Step:
-        """Return the step of the mean, corrected by Pi kappa, and its Jacobians."""
+        """Return the state after a step, corrected by Pi kappa, and its Jacobians."""
         step = super().propagate(belief, prediction)
         return step._replace(state=step.state + prediction.proportional @ belief.integral)
 
@@ -225,11 +224,11 @@ class ProportionalIntegralFilter(ExtendedKalmanFilter):
 
 @dataclass(frozen=True)
 class SchmidtFilter(ExtendedKalmanFilter):
-    """The EKF with doubtful home bearings as "consider" parameters.
+    """The EKF with uncertain home bearings as "consider" parameters.
 
-    They stand in the state of the augmented model with a gain of zero: what is stored of them is
-    never changed, nor is their variance, but their correlation with the rest is carried along. So
-    the gate opens and the pose widens by as much as a wrong home bearing could do.
+    They are states of the augmented model with a gain of zero: their values and variances never
+    change, but their correlations with the other states are propagated. Gate and pose covariance
+    thus include the effect of wrong home bearings.
 
     References
     ----------
@@ -269,7 +268,7 @@ def update_function(kind: ExtendedKalmanFilter) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
-    """Return belief x prediction -> state, by_state, by_input: what grows linearly with q."""
+    """Return belief x prediction -> state, by_state, by_input; its size is linear in q."""
     belief = symbols(Belief, kind.model, kind.integral)
     prediction = symbols(Prediction, kind.model, kind.integral)
     step = kind.propagate(belief, prediction)
@@ -279,22 +278,22 @@ def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
 def named_function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
     """Return a dense function of named symbols; its outputs' names get the suffix ``_out``."""
     dense = [ca.densify(v) for v in outputs.values()]
-    # An output may carry the name of an input: CasADi wants the two apart.
+    # An output may have the name of an input, which CasADi does not allow.
     named = [f"{k}_out" for k in outputs]
     return ca.Function(name, list(inputs.values()), dense, list(inputs), named)
 
 
-LEAST_PIVOT = 1e-18
-"""A smaller variance, given the rest, counts as none: it has no sigma points of its own."""
+MIN_PIVOT = 1e-18
+"""A conditional variance below this counts as zero and has no sigma points."""
 
 
 @dataclass(frozen=True)
 class UnscentedFilter(ExtendedKalmanFilter):
-    """The UKF on the paper's model; its update is Kalman's, since that model measures states.
+    """The UKF on the paper's model. Its measurements are states, so its update is Kalman's.
 
-    State and input together, N numbers, are spread over 2 N points of equal weight, at sqrt(N)
-    standard deviations along the columns of the root of their covariance. That is kappa = 0, the
-    narrowest spread at which no weight is negative, and no covariance can become indefinite.
+    State and input together, N numbers, have 2 N sigma points of equal weight, at sqrt(N) standard
+    deviations along the columns of the root of their covariance. This is kappa = 0, the narrowest
+    spread without negative weights, so that no covariance can become indefinite.
 
     References
     ----------
@@ -304,7 +303,7 @@ class UnscentedFilter(ExtendedKalmanFilter):
     separable: ClassVar[bool] = False
 
     def predict(self, belief: Belief, prediction: Prediction) -> Belief:
-        """Carry the sigma points over one step; state_variance is added to what they become."""
+        """Propagate the sigma points over one step, and add state_variance to their covariance."""
         n = self.model.n
         size = n + INPUTS
         spread = ca.sqrt(size) * ca.diagcat(
@@ -329,17 +328,17 @@ class UnscentedFilter(ExtendedKalmanFilter):
 
 
 def cholesky(matrix: ca.SX) -> ca.SX:
-    """Return L, lower triangular, with L L' the matrix; a direction without variance is left out.
+    """Return the lower triangular L with L L' = matrix, zero in directions without variance.
 
-    The matrix (n, n) is symmetric and at least positive semidefinite.
+    The matrix (n, n) is symmetric and positive semidefinite.
     """
     n = matrix.shape[0]
     root = ca.SX.zeros(n, n)
     for j in range(n):
         pivot = matrix[j, j] - ca.sumsqr(root[j, :j])
-        there = pivot > LEAST_PIVOT
+        there = pivot > MIN_PIVOT
         root[j, j] = ca.sqrt(there * pivot)
-        inverse = there / ca.sqrt(ca.fmax(pivot, LEAST_PIVOT))
+        inverse = there / ca.sqrt(ca.fmax(pivot, MIN_PIVOT))
         for i in range(j + 1, n):
             root[i, j] = inverse * (matrix[i, j] - ca.dot(root[i, :j], root[j, :j]))
     return root

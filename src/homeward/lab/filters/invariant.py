@@ -1,4 +1,4 @@
-"""The invariant EKF in Cartesian form: an error that does not depend on the state, and no pole."""
+"""The invariant EKF in Cartesian form: its error does not depend on the state, and has no pole."""
 
 from __future__ import annotations
 
@@ -9,58 +9,29 @@ import casadi as ca
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose
-from homeward.lab.filters.carrier import (
+from homeward.geometry.frames import Pose, from_polar, polar_covariance_to_pose
+from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
-    Held,
     LandmarkBelief,
+    MaybeTwist,
     Outputs,
-    nothing_said,
+    empty_outputs,
 )
-from homeward.lab.filters.settings import Engine
+from homeward.lab.filters.cartesian import CartesianFilter
 from homeward.lab.model import INPUTS, discretise, home_anchored_bearing, unicycle_rates
 
 POSE = 3
-"""Entries of the error in front of the landmarks: x, y, heading."""
-ITERATIONS = 5
-"""Of an update, at most."""
-SMALL = 1e-4
-"""An update that changes by less in its numbers (m, rad, 1/m) has converged."""
-
-
-@dataclass(frozen=True)
-class CartesianPrior:
-    """All that the filter is given before the drive; q landmarks."""
-
-    pose: Pose
-    covariance: np.ndarray
-    """(3, 3), of x [m], y [m], heading [rad]."""
-    home: np.ndarray
-    """(q,), beta* as home stored them [rad]."""
-    home_sigma: np.ndarray
-    """(q,) [rad]"""
-    inverse_distance: float
-    """Of a landmark from home, expected [1/m]."""
-    inverse_sigma: float
-    """Its standard deviation [1/m]."""
-
-
-@dataclass(frozen=True)
-class SensorNoise:
-    """What is believed of odometry and camera."""
-
-    input_density: np.ndarray
-    """(2,), of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
-    bearing_sigma: float
-    """Of a bearing that comes without one [rad]."""
-    gate: float
-    """Largest innovation^2 / variance accepted."""
+"""Number of error entries before the landmarks: x, y, heading."""
+MAX_ITERATIONS = 5
+"""Largest number of iterations of an update."""
+TOLERANCE = 1e-4
+"""An update has converged when no entry (m, rad, 1/m) changes by more."""
 
 
 @dataclass(frozen=True)
 class CartesianBelief:
-    """A pose, and of each landmark its home bearing and its inverse distance from home."""
+    """Pose, and home bearing and inverse distance from home of each landmark."""
 
     pose: np.ndarray
     """(3,), x [m], y [m], heading [rad]."""
@@ -69,20 +40,20 @@ class CartesianBelief:
     inverse: np.ndarray
     """(q,) [1/m]"""
     covariance: np.ndarray
-    """(3 + 2 q, 3 + 2 q), of the error: of the pose, of `home`, of `inverse`."""
+    """(3 + 2 q, 3 + 2 q), of the errors of the pose, of `home` and of `inverse`."""
     active: np.ndarray
-    """(q,), 1 once a landmark has been seen, else 0."""
+    """(q,), 1 once a landmark has been seen, otherwise 0."""
 
 
 def moved(pose: ca.SX, error: ca.SX) -> ca.SX:
-    """Return the pose that is off by a right-invariant error: turned about home, then shifted."""
+    """Return the pose after a right-invariant error: a rotation about home, then a translation."""
     c, s = ca.cos(error[2]), ca.sin(error[2])
     x = c * pose[0] - s * pose[1] + error[0]
     return ca.vertcat(x, s * pose[0] + c * pose[1] + error[1], pose[2] + error[2])
 
 
 def error_between(true: ca.SX, pose: ca.SX) -> ca.SX:
-    """Return the error by which `moved` takes a pose to the true one."""
+    """Return the error with which `moved` maps a pose to the true one."""
     turn = true[2] - pose[2]
     c, s = ca.cos(turn), ca.sin(turn)
     x = true[0] - c * pose[0] + s * pose[1]
@@ -91,7 +62,7 @@ def error_between(true: ca.SX, pose: ca.SX) -> ca.SX:
 
 @lru_cache(maxsize=1)
 def motion_function() -> ca.Function:
-    """Return pose, control, dt -> pose after it, and its error's Jacobian by the input (3, 2)."""
+    """Return pose, control, dt -> next pose, and the Jacobian of its error by the input (3, 2)."""
     pose, control, dt = ca.SX.sym("pose", POSE), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
     off = ca.SX.sym("off", INPUTS)
     after = discretise(unicycle_rates, pose, control, dt).state
@@ -116,14 +87,14 @@ def sight_function(q: int) -> ca.Function:
     return one.map("sight", "serial", q, [0], [])
 
 
-class InvariantFilter:
-    """The right-invariant EKF on SE(2), as a `homeward.lab.filters.carrier.FilterBackend`.
+class InvariantFilter(CartesianFilter):
+    """The right-invariant EKF on SE(2), as a `homeward.lab.filters.backend.FilterBackend`.
 
-    The error of the pose is that motion of the whole plane that takes the estimate to the truth.
-    Odometry moves both alike, so that the error stays what it was, exactly and wherever the robot
-    is: the prediction's Jacobian is the identity. Landmarks stand at their home bearing and at an
-    inverse distance from home, which may be zero, so that one is known from its first sighting on
-    and nothing is singular at home; these two have ordinary errors.
+    The error of the pose is the motion of the whole plane that maps the estimate to the true pose.
+    Odometry moves both by the same motion, so the error stays constant, exactly and at any pose:
+    the Jacobian of a prediction is the identity. A landmark has a home bearing and an inverse
+    distance from home, with ordinary errors. The inverse distance may be zero, so a landmark can be
+    used from its first sighting on, and nothing is singular at home.
 
     References
     ----------
@@ -132,28 +103,23 @@ class InvariantFilter:
     SLAM", IEEE Trans. Robotics 24(5), 2008.
     """
 
-    engine: Engine = "interpreter"
-    notes: tuple[str, ...] = ()
-    diverged = 0
-
-    def __init__(self, prior: CartesianPrior, noise: SensorNoise, minimum_visible: int = 1) -> None:
-        self.prior, self.noise, self.minimum_visible = prior, noise, minimum_visible
-        self.stored = prior.home
-
     def start(self) -> CartesianBelief:
         """Return the belief of the prior."""
-        prior, q = self.prior, self.stored.size
-        turning = np.eye(POSE)  # of the error by the pose
-        turning[:2, 2] = prior.pose.y, -prior.pose.x
+        prior, q, pose = self.prior, self.stored.size, from_polar(self.prior.polar)
+        spread = polar_covariance_to_pose(prior.polar, np.diag(prior.sigmas**2))
+        by_pose = np.eye(POSE)  # derivative of the error
+        by_pose[:2, 2] = pose.y, -pose.x
         covariance = np.diag(
             np.r_[np.zeros(POSE), prior.home_sigma**2, np.full(q, prior.inverse_sigma**2)]
         )
-        covariance[:POSE, :POSE] = turning @ prior.covariance @ turning.T
+        covariance[:POSE, :POSE] = by_pose @ spread @ by_pose.T
         inverse = np.full(q, prior.inverse_distance)
-        return CartesianBelief(np.array(prior.pose), prior.home, inverse, covariance, np.zeros(q))
+        return CartesianBelief(np.array(pose), prior.home, inverse, covariance, np.zeros(q))
 
-    def predict(self, belief: CartesianBelief, interval: float, twist: Held) -> CartesianBelief:
-        """Return the belief `interval` [s] later; only the noise of the input is added."""
+    def predict(
+        self, belief: CartesianBelief, interval: float, twist: MaybeTwist
+    ) -> CartesianBelief:
+        """Return the belief `interval` [s] later, with the noise of the input added."""
         if interval <= 0.0:
             return belief
         density = self.noise.input_density if twist else np.full(INPUTS, LOST_SIGMA**2)
@@ -166,14 +132,12 @@ class InvariantFilter:
     def update(
         self, belief: CartesianBelief, seen: Angles, sigmas: Angles
     ) -> tuple[CartesianBelief, Outputs]:
-        """Return the belief after one stamp, and what the step said of each landmark."""
-        out = nothing_said(self.stored.size)
+        """Return the belief after one stamp, and the outputs of the update."""
+        out = empty_outputs(self.stored.size)
         if len(seen) < max(self.minimum_visible, 1):
             return belief, out
-        rows = np.array(list(seen))
-        measured = np.array(list(seen.values()))
-        own = np.array([sigmas.get(i, self.noise.bearing_sigma) for i in seen])
-        innovation, H = self._look(belief, rows, measured)
+        rows, measured, own = self.sighted(seen, sigmas)
+        innovation, H = self._innovations(belief, rows, measured)
         S = H @ belief.covariance @ H.T + np.diag(own**2)
         inside = innovation**2 <= self.noise.gate * np.diag(S)
         out["innovation"][rows], out["innovation_variance"][rows] = innovation, np.diag(S)
@@ -185,14 +149,14 @@ class InvariantFilter:
     def _correct(
         self, belief: CartesianBelief, rows: np.ndarray, measured: np.ndarray, own: np.ndarray
     ) -> CartesianBelief:
-        """Return the most probable belief, by Gauss-Newton: a first sight is far from linear."""
+        """Return the most probable belief by Gauss-Newton: first sightings are far from linear."""
         P, error = belief.covariance, np.zeros(len(belief.covariance))
-        for _ in range(ITERATIONS):
-            innovation, H = self._look(self._moved(belief, error), rows, measured)
+        for _ in range(MAX_ITERATIONS):
+            innovation, H = self._innovations(self._moved(belief, error), rows, measured)
             S = H @ P @ H.T + np.diag(own**2)
             gain = np.linalg.solve(S, H @ P).T
             before, error = error, gain @ (innovation + H @ error)
-            if np.abs(error - before).max() < SMALL:
+            if np.abs(error - before).max() < TOLERANCE:
                 break
         covariance = P - gain @ S @ gain.T
         return replace(self._moved(belief, error), covariance=(covariance + covariance.T) / 2)
@@ -200,22 +164,22 @@ class InvariantFilter:
     def pose(self, belief: CartesianBelief) -> tuple[Pose, np.ndarray]:
         """Return the pose and its covariance (3, 3)."""
         x, y, heading = belief.pose.tolist()
-        turning = np.eye(POSE)  # of the pose by the error
-        turning[:2, 2] = -y, x
-        covariance = turning @ belief.covariance[:POSE, :POSE] @ turning.T
+        by_error = np.eye(POSE)  # derivative of the pose
+        by_error[:2, 2] = -y, x
+        covariance = by_error @ belief.covariance[:POSE, :POSE] @ by_error.T
         return Pose(x, y, float(wrap(heading))), covariance
 
     def landmarks(self, belief: CartesianBelief) -> LandmarkBelief:
-        """Return what is known of the landmarks; one may lie beyond infinity, at less than zero."""
+        """Return the estimates of the landmarks; an inverse distance may be negative."""
         q = self.stored.size
         sigma = np.sqrt(np.diag(belief.covariance)[POSE + q :])
         with np.errstate(divide="ignore"):
             return LandmarkBelief(wrap(belief.home), 1 / belief.inverse, sigma / belief.inverse**2)
 
-    def _look(
+    def _innovations(
         self, belief: CartesianBelief, rows: np.ndarray, measured: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the innovations of some landmarks, and the bearings' Jacobian by the error."""
+        """Return the innovations of some landmarks, and the Jacobian of bearings by the error."""
         q = self.stored.size
         sight = sight_function(q)
         bearings, slopes = sight(belief.pose, belief.home[None], belief.inverse[None])

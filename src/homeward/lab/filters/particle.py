@@ -1,4 +1,4 @@
-"""The particle filter: poses as samples, each with a map of its own; for a start hardly known."""
+"""The particle filter: pose samples, each with its own map; for a poorly known start."""
 
 from __future__ import annotations
 
@@ -9,42 +9,26 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, Twist, advance, from_polar
-from homeward.lab.filters.carrier import (
+from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
-    Held,
     LandmarkBelief,
+    MaybeTwist,
     Outputs,
-    nothing_said,
+    empty_outputs,
 )
-from homeward.lab.filters.invariant import SensorNoise
-from homeward.lab.filters.settings import Engine
+from homeward.lab.filters.cartesian import CartesianFilter, CartesianPrior, SensorNoise
 from homeward.lab.model import home_anchored_bearing
 
 
 @dataclass(frozen=True)
-class ParticlePrior:
-    """All that the filter is given before the drive; q landmarks."""
-
-    polar: Polar
-    sigmas: np.ndarray
-    """(3,), of R [m], theta, alpha [rad]."""
-    home: np.ndarray
-    """(q,), beta* as home stored them [rad]."""
-    home_sigma: np.ndarray
-    """(q,) [rad]"""
-    inverse_distance: float
-    """Of a landmark from home, expected [1/m], and its standard deviation."""
-
-
-@dataclass(frozen=True)
 class Particles:
-    """N poses with weights, and a Gaussian on every landmark for each of them."""
+    """N weighted poses, each with a Gaussian for every landmark."""
 
     pose: np.ndarray
     """(3, N), x [m], y [m], heading [rad]."""
     weight: np.ndarray
-    """(N,), their sum is one."""
+    """(N,), normalised to a sum of one."""
     mark: np.ndarray
     """(2, N, q), home bearing [rad] and inverse distance from home [1/m]."""
     spread: np.ndarray
@@ -52,16 +36,15 @@ class Particles:
     active: np.ndarray
     """(q,), 1 once a landmark has been seen, else 0."""
     draws: int
-    """How often chance was asked; the same belief always draws the same."""
+    """Number of random draws so far; the same belief always draws the same numbers."""
 
 
-class ParticleFilter:
-    """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.carrier.FilterBackend`.
+class ParticleFilter(CartesianFilter):
+    """The Rao-Blackwellised particle filter, as a `homeward.lab.filters.backend.FilterBackend`.
 
-    Given the path, landmarks are independent of each other: each particle is a path, with an EKF of
-    two numbers for each landmark. A bearing is right or, with the small probability `outliers`,
-    arbitrary, so that one wrong landmark does not end the particles that are right. Beyond the gate
-    of the noise a sighting counts as wrong.
+    Given the path, landmarks are independent: each particle is a path with a two-state EKF for each
+    landmark. A bearing is an outlier with the small probability `outliers`, so that one wrong
+    landmark does not remove correct particles. A sighting outside the gate changes no landmark.
 
     References
     ----------
@@ -69,22 +52,17 @@ class ParticleFilter:
     Filter and Smoother for Non-Gaussian Nonlinear State Space Models", 1996 (systematic).
     """
 
-    engine: Engine = "interpreter"
-    notes: tuple[str, ...] = ()
-    diverged = 0
-
     def __init__(
         self,
-        prior: ParticlePrior,
+        prior: CartesianPrior,
         noise: SensorNoise,
         particles: int,
         outliers: float,
         seed: int = 0,
         minimum_visible: int = 1,
     ) -> None:
-        self.prior, self.noise, self.minimum_visible = prior, noise, minimum_visible
-        self.stored, self._outliers = prior.home, outliers
-        self._number, self._seed = particles, seed
+        super().__init__(prior, noise, minimum_visible)
+        self._outliers, self._number, self._seed = outliers, particles, seed
 
     def start(self) -> Particles:
         """Return particles drawn from the prior."""
@@ -93,13 +71,13 @@ class ParticleFilter:
         mark = np.empty((2, *size))
         mark[0], mark[1] = prior.home, prior.inverse_distance
         spread = np.zeros((2, 2, *size))
-        spread[0, 0], spread[1, 1] = prior.home_sigma**2, prior.inverse_distance**2
+        spread[0, 0], spread[1, 1] = prior.home_sigma**2, prior.inverse_sigma**2
         even = np.full(self._number, 1 / self._number)
         pose = np.array(from_polar(Polar(*drawn)))
         return Particles(pose, even, mark, spread, np.zeros(self.stored.size), 1)
 
-    def predict(self, belief: Particles, interval: float, twist: Held) -> Particles:
-        """Return the belief `interval` [s] later: every particle has a motion of its own."""
+    def predict(self, belief: Particles, interval: float, twist: MaybeTwist) -> Particles:
+        """Return the belief `interval` [s] later: every particle draws its own noise."""
         if interval <= 0.0:
             return belief
         density = self.noise.input_density if twist else np.full(2, LOST_SIGMA**2)
@@ -109,15 +87,14 @@ class ParticleFilter:
         return replace(belief, pose=pose, draws=belief.draws + 1)
 
     def update(self, belief: Particles, seen: Angles, sigmas: Angles) -> tuple[Particles, Outputs]:
-        """Return the belief after one stamp, and what all particles together say of it."""
-        out = nothing_said(self.stored.size)
+        """Return the belief after one stamp, and the outputs averaged over the particles."""
+        out = empty_outputs(self.stored.size)
         if len(seen) < max(self.minimum_visible, 1):
             return belief, out
-        rows = np.array(list(seen))
-        own = np.array([sigmas.get(i, self.noise.bearing_sigma) for i in seen])
+        rows, measured, own = self.sighted(seen, sigmas)
         mark, spread = belief.mark[:, :, rows], belief.spread[:, :, :, rows]
         expected, slope = _sight(belief.pose, mark)
-        innovation = wrap(np.array(list(seen.values())) - expected)
+        innovation = wrap(measured - expected)
         across = np.einsum("ijnk,jnk->ink", spread, slope)
         variance = np.einsum("ink,ink->nk", across, slope) + own**2
         right = np.exp(-0.5 * innovation**2 / variance) / np.sqrt(2 * np.pi * variance)
@@ -147,7 +124,7 @@ class ParticleFilter:
         return Pose(float(w @ x), float(w @ y), mean), (off * w) @ off.T
 
     def landmarks(self, belief: Particles) -> LandmarkBelief:
-        """Return mean and spread over all particles."""
+        """Return mean and standard deviation over all particles."""
         w = belief.weight
         home, inverse = (w @ m for m in belief.mark)
         variance = w @ (belief.spread[1, 1] + (belief.mark[1] - inverse) ** 2)
@@ -155,7 +132,7 @@ class ParticleFilter:
             return LandmarkBelief(wrap(home), 1 / inverse, np.sqrt(variance) / inverse**2)
 
     def _resampled(self, belief: Particles) -> Particles:
-        """Draw particles by their weights, where fewer than half of them count."""
+        """Resample where the effective number of particles is at most half of them."""
         number = self._number
         if 1 / np.sum(belief.weight**2) > number / 2:
             return belief
@@ -178,7 +155,7 @@ class ParticleFilter:
 
 
 def _sight(pose: np.ndarray, mark: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return bearings (N, k) of landmarks (2, N, k), and their slopes by these two (2, N, k)."""
+    """Return bearings (N, k) of landmarks (2, N, k), and their derivatives (2, N, k)."""
     x, y, heading = (p[:, None] for p in pose)
     home, inverse = mark
     c, s = np.cos(home), np.sin(home)

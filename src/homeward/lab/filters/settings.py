@@ -12,28 +12,28 @@ from homeward.geometry.frames import Integration
 from homeward.io.keys import Strict
 
 Engine = Literal["auto", "interpreter", "native"]
-"""What executes a filter. auto: compiled code where that is at hand, or where there is a compiler
-and the run pays for using it; else the interpreter."""
+"""Executor of a filter. auto: compiled code where it is cached, or where a compiler exists and the
+run is long enough to pay for compiling; otherwise the interpreter."""
 DEFAULT_BEARING_SIGMA = 0.02
 DEFAULT_SPEED_SIGMA = 0.05
 DEFAULT_TURN_SIGMA = 0.05
-"""Where neither settings nor drive say one; units as in `FilterSettings`."""
+"""Used where neither settings nor drive specify one; units as in `FilterSettings`."""
 Matrix = tuple[tuple[Finite, ...], ...]
 
 
 class NoiseSettings(Strict):
-    """What all filters take; None where the drive's own figure (or a default) counts."""
+    """Settings of all filters."""
 
     bearing_sigma: Positive | None = None
-    """Of a bearing without a sigma of its own [rad]; None: the drive's, else 0.02."""
+    """Standard deviation of a bearing without its own [rad]; None: the drive's, otherwise 0.02."""
     speed_sigma: Positive | None = None
-    """White noise of the speed [m/s/sqrt(Hz)]; None: the drive's, else 0.05."""
+    """White noise of the speed [m/s/sqrt(Hz)]; None: the drive's, otherwise 0.05."""
     turn_sigma: Positive | None = None
-    """White noise of the turn rate [rad/s/sqrt(Hz)]; None: the drive's, else 0.05."""
+    """White noise of the turn rate [rad/s/sqrt(Hz)]; None: the drive's, otherwise 0.05."""
     gate: Annotated[float, Field(gt=0, lt=1)] | None = 0.999
-    """Share of right sightings that the chi-square gate lets pass; None: no gate."""
+    """Fraction of correct sightings that pass the chi-square gate; None: no gate."""
     minimum_visible: Annotated[int, Field(ge=1)] = 1
-    """Fewer landmarks in sight than this, and a stamp is not used (the paper's p >= 2)."""
+    """A stamp with fewer landmarks in view is not used (the paper's p >= 2)."""
 
     @property
     def gate_threshold(self) -> float:
@@ -42,64 +42,64 @@ class NoiseSettings(Strict):
 
 
 class FilterSettings(NoiseSettings):
-    """What the filters in the paper's state take besides."""
+    """Settings of the filters in the paper's state."""
 
     bearing_walk: NonNegative = 0.05
-    """White noise of the bearing states [rad/sqrt(s)], for what their covariance leaves out: the
-    rates divide by distances that are themselves estimated, and a landmark's distance is good for
-    little when it enters. The default stands for rates wrong by 0.05 rad/s for a second."""
+    """White noise of the bearing states [rad/sqrt(s)], for an error that their covariance does not
+    contain: the rates divide by estimated distances, which are poor for a new landmark. The default
+    covers an error of the rates of 0.05 rad/s for one second."""
     integration: Integration = "rk4"
     guard: NonNegative = 0.01
-    """Keeps the model finite at home and in line with a landmark [m]."""
+    """Keeps the model finite at home and where robot, home and a landmark are in line [m]."""
     engine: Engine = "auto"
-    """See `Engine`; results agree to about 1e-9."""
+    """See `Engine`; results of the engines agree to about 1e-9."""
 
 
 class CartesianSettings(NoiseSettings):
-    """What the filters in Cartesian form take besides."""
+    """Settings of the filters in Cartesian form."""
 
     home_sigma: Positive | None = None
-    """Of a home bearing without a sigma of its own [rad]; None: as a bearing."""
+    """Standard deviation of a home bearing without its own [rad]; None: as for a bearing."""
     nearest: Positive = 1.0
-    """Landmarks are mostly farther from home [m]: the inverse of their distance is expected at half
-    its inverse, give or take as much."""
+    """Distance from home beyond which most landmarks are [m]. The prior of the inverse distance has
+    mean and standard deviation 1 / (2 nearest)."""
 
 
 class AugmentedSettings(FilterSettings):
-    """What the A-EKF takes besides."""
+    """Settings of the A-EKF."""
 
     parameters: Literal["all"] | tuple[str, ...] = "all"
     """Landmarks whose home bearings are estimated."""
     parameter_sigma: Positive = 0.2
-    """Their standard deviation at the start [rad]."""
+    """Standard deviation of the estimated home bearings at the start [rad]."""
     parameter_walk: NonNegative = 0.002
-    """Their random walk, sqrt(Qd) per second [rad/sqrt(s)]."""
+    """Random walk of the estimated home bearings, sqrt(Qd) per second [rad/sqrt(s)]."""
 
 
 class SchmidtSettings(FilterSettings):
-    """What the consider filter takes besides."""
+    """Settings of the consider filter."""
 
     doubtful: Literal["all"] | tuple[str, ...] = "all"
     """Landmarks whose home bearings may be wrong."""
     doubt_sigma: Positive = 0.2
-    """How wrong, one standard deviation [rad]."""
+    """Standard deviation of their error [rad]."""
 
 
 class ProportionalIntegralSettings(FilterSettings):
-    """What the PI-EKF takes besides; its state is (R, theta, alpha, beta_1 .. beta_q)."""
+    """Settings of the PI-EKF; its state is (R, theta, alpha, beta_1 .. beta_q)."""
 
     proportional: Finite | Matrix = 0.05
-    """Pi: a number times the identity (with R counted in cm, as printed), or n x n in SI."""
+    """Pi: a number times the identity (with R in cm, as printed), or n x n in SI units."""
     integral_gain: Finite | Matrix = 1.0
-    """M: every entry, or n x q."""
+    """M: one number for every entry, or n x q."""
     sample_time: Positive = 0.05
-    """The step that Pi is meant for [s]; a longer or shorter one scales it."""
+    """Step to which Pi refers [s]; it is scaled to the actual step."""
 
 
 class ParticleSettings(CartesianSettings):
-    """What the particle filter takes besides."""
+    """Settings of the particle filter."""
 
     particles: Annotated[int, Field(ge=10, le=1_000_000)] = 1000
     outliers: Annotated[float, Field(gt=0, lt=1)] = 0.01
-    """Share of sightings that may be anything."""
+    """Fraction of sightings that are outliers."""
     seed: Annotated[int, Field(ge=0)] = 0

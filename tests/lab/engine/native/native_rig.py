@@ -1,4 +1,4 @@
-"""The machine's compiler, without which its tests are skipped, and what it compiles at once."""
+"""The machine's compiler, without which its tests are skipped, and a program to compile."""
 
 import casadi as ca
 import pytest
@@ -20,8 +20,8 @@ def toy(value=2.0):
 
 
 def answer(program):
-    """What it says of x = 0.5."""
+    """Return y at x = 0.5."""
     native = NativeProgram(program)
     native.variables["x"][:] = 0.5
-    native.part("part")()
+    native.do("part")
     return float(native.variables["y"][0])

@@ -62,7 +62,7 @@ def test_a_cache_that_cannot_be_trusted_is_not_used(cache, harm, tmp_path, monke
     assert "not kept" in native.library.notes[0]
     assert "\n" not in native.library.notes[0]
     native.variables["x"][:] = 0.5
-    native.part("part")()
+    native.do("part")
     assert native.variables["y"][0] == pytest.approx(2 * np.sin(0.5), abs=1e-15)
     assert not list(tmp_path.rglob("*.so"))
 

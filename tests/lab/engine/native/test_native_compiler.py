@@ -11,7 +11,7 @@ import pytest
 from native_rig import COMPILER, answer, toy
 from test_steps import run
 
-from homeward.lab.engine.estimators.runner import filter_kernels
+from homeward.lab.engine.estimators.runner import filter_machine
 from homeward.lab.engine.native.source import choose
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import PolarModel
@@ -84,7 +84,7 @@ def test_where_the_system_has_no_compiler_a_package_may_bring_one(cache, tmp_pat
     package.mkdir()
     (package / "__init__.py").touch()
     zig = package / "zig"
-    # Its first word is cc; what stands in for it needs the system's assembler.
+    # Its first word is cc; the substitute needs the system's assembler.
     zig.write_text(f'#!/bin/sh\nshift\nPATH={os.environ["PATH"]} exec {REAL} "$@"\n')
     zig.chmod(0o755)
     monkeypatch.syspath_prepend(tmp_path)
@@ -118,28 +118,28 @@ def test_a_wheel_may_be_of_another_machine(zig, cache, tmp_path, monkeypatch):
         answer(toy())
 
 
-def test_without_a_compiler_the_interpreter_runs_and_says_so(cache, tmp_path, monkeypatch):
+def test_without_a_compiler_the_interpreter_runs_with_a_note(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setattr(compiler, "find_spec", lambda name: None)
     kind = ExtendedKalmanFilter(PolarModel(3))
-    asked = filter_kernels(kind, "native")
+    asked = filter_machine(kind, "native")
     assert asked.engine == "interpreter"
     assert len(asked.notes) == 1
     assert "no C compiler found" in asked.notes[0]
-    assert filter_kernels(kind, "auto", steps=10**8).notes == asked.notes
+    assert filter_machine(kind, "auto", steps=10**8).notes == asked.notes
     # A short run would not have been compiled anyway.
-    assert filter_kernels(kind, "auto", steps=100).notes == ()
-    assert run(kind, asked.predict, asked.update, 3, 50, 1, np.inf, 1) < 1e-9
+    assert filter_machine(kind, "auto", steps=100).notes == ()
+    assert run(kind, asked, 3, 50, 1, np.inf, 1) < 1e-9
 
 
 def test_auto_compiles_where_it_pays_and_uses_what_is_there(cache):
     kind = ExtendedKalmanFilter(PolarModel(3))
-    assert filter_kernels(kind, "auto", steps=100).engine == "interpreter"
+    assert filter_machine(kind, "auto", steps=100).engine == "interpreter"
     assert not cache.exists()
-    assert filter_kernels(kind, "auto", steps=10**7).engine == "native"
-    assert filter_kernels(kind, "auto", steps=1).engine == "native"
-    assert filter_kernels(kind, "interpreter", steps=10**7).engine == "interpreter"
+    assert filter_machine(kind, "auto", steps=10**7).engine == "native"
+    assert filter_machine(kind, "auto", steps=1).engine == "native"
+    assert filter_machine(kind, "interpreter", steps=10**7).engine == "interpreter"
 
 
 def test_the_choice_passes_other_errors_on():

@@ -17,13 +17,13 @@ from homeward.native import library
 Q = 3
 
 
-@pytest.mark.parametrize("unrolled_up_to", [0, 48])
+@pytest.mark.parametrize("max_unrolled", [0, 48])
 @pytest.mark.parametrize("name", ["ekf", "a-ekf, one", "pi-ekf"])
-def test_compiled_steps_agree_with_the_oracle(name, unrolled_up_to):
+def test_compiled_steps_agree_with_the_oracle(name, max_unrolled):
     kind = kinds(Q)[name]
-    native = NativeProgram(Program(filter_parts(kind, unrolled_up_to)))
-    assert run(kind, native.part("predict"), native.part("update"), Q, 600, 1, np.inf, 1) < 1e-9
-    assert run(kind, native.part("predict"), native.part("update"), Q, 600, 4, 6.0, 2) < 1e-9
+    native = NativeProgram(Program(filter_parts(kind, max_unrolled)))
+    assert run(kind, native, Q, 600, 1, np.inf, 1) < 1e-9
+    assert run(kind, native, Q, 600, 4, 6.0, 2) < 1e-9
 
 
 def every_operation():
@@ -47,7 +47,7 @@ def test_every_operation_is_the_interpreters():
     native = NativeProgram(Program({"part": (Symbolic(f),)}))
     for x, y, z in rows:
         native.variables["x"][:], native.variables["y"][:] = x, y
-        native.part("part")()
+        native.do("part")
         assert np.allclose(native.variables["z"], z, rtol=1e-14, atol=1e-15, equal_nan=True)
 
 
@@ -65,19 +65,7 @@ def test_every_operation_in_lanes_is_the_interpreters(width, monkeypatch):
     start = [
         given_values(k, np.array([r[i] for r in rows]), (9,), count) for i, k in enumerate("xy")
     ]
-    nothing = dict.fromkeys(("series", "draws", "guarded", "sums", "history"), ())
-    job = Job(
-        program=program,
-        extra={},
-        runs=count,
-        steps=0,
-        first_run=0,
-        seed=0,
-        start=tuple(start),
-        final=("z",),
-        stop=None,
-        **nothing,
-    )
+    job = Job(program, count, 0, tuple(start), series=(), final=("z",), history=(), guarded=())
     z = execute(job, "native", 1).final["z"]
     assert np.allclose(z, [r[2] for r in rows], rtol=1e-14, atol=1e-15, equal_nan=True)
     lanes = library.load(source_of(program, False).text).lanes
@@ -91,7 +79,7 @@ def test_circular_functions_are_right_to_the_last_digits():
     rng = np.random.default_rng(0)
     for scale in (1e-8, 1.0, 10.0, 1e4, 9e5, 1e7, 1e15):
         native.variables["x"][:] = angles = rng.uniform(-scale, scale, 200)
-        native.part("part")()
+        native.do("part")
         assert np.allclose(native.variables["s"], np.sin(angles), rtol=4e-16, atol=2e-16)
         assert np.allclose(native.variables["c"], np.cos(angles), rtol=4e-16, atol=2e-16)
 

@@ -1,1 +1,1 @@
-"""Many runs at once: the same program in every lane and thread."""
+"""Batches: many runs of the same program at once, in lanes and threads."""

@@ -1,4 +1,4 @@
-"""Batches by the chosen engine; and a filter over recorded runs, many at once."""
+"""Execution of batches by the chosen engine, and filters over many recorded runs at once."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 
 BatchEngine = Engine | Literal["cuda"]
-"""What executes a batch; cuda: an NVIDIA GPU, for which nothing else stands in."""
+"""Executor of a batch. cuda: an NVIDIA GPU, without fallback."""
 Precision = Literal["double", "single"]
-"""Of a GPU. single: about ten times as fast; a run that rounding may have spoilt is computed again
-in doubles, and the others differ from doubles in the fifth digit or so."""
+"""Precision on a GPU. single is about ten times as fast: a run that rounding may have spoilt is
+computed again in doubles; the others differ from doubles in about the fifth digit."""
 
 SAVED_S = 1e-4
-"""What compiled code saves in each step of each run [s]."""
+"""Time that compiled code saves in each step of each run [s]."""
 SLOWER = "which takes 50 to 500 times as long"
 
 
@@ -36,8 +36,8 @@ def execute(
 ) -> Result:
     """Run a job; the result depends neither on threads nor on the size of the batch.
 
-    None stands for as many threads as this process may use. Engines other than cuda compute in
-    doubles. Raises `CudaError` when a GPU is asked for and there is none, or it cannot do the job.
+    By default it uses all available threads. Engines other than cuda compute in doubles. Raises
+    `CudaError` when cuda is requested without a GPU, or the GPU cannot run the job.
     """
     if engine == "cuda":
         return shaped(job, cuda.execute(job, single=precision == "single"))
@@ -59,7 +59,7 @@ def execute(
 
 
 def available_threads() -> int:
-    """Return how many processors this process may use."""
+    """Return the number of processors that this process may use."""
     try:
         return len(os.sched_getaffinity(0))
     except AttributeError:
@@ -79,22 +79,22 @@ def run_recorded(
     threads: int | None = None,
     precision: Precision = "double",
 ) -> Result:
-    """Run a filter over what was recorded: at each step, predict and then update.
+    """Run a filter over recorded inputs: at each step, predict and then update.
 
     Parameters
     ----------
     kind : ExtendedKalmanFilter
         The filter.
     given : mapping of str to array_like
-        What does not change, and the belief at the start, by the names of
-        `homeward.lab.filters.ekf` (state, covariance, active, stored, dt, ...): one value for
-        all runs, or with a leading axis of runs. What is in neither mapping is zero.
+        Constants and the initial belief, by the names of `homeward.lab.filters.ekf` (state,
+        covariance, active, stored, dt, ...): one value for all runs, or with a leading axis of
+        runs. Variables in neither mapping are zero.
     series : mapping of str to array_like
-        What changes from step to step (control, bearings, mask, ...): (steps, ...) for all runs, or
-        (runs, steps, ...). Where a bearing is NaN or its mask 0, nothing was seen; without a mask,
-        every other bearing was. A step without any only predicts.
+        Inputs of each step (control, bearings, mask, ...): (steps, ...) for all runs, or
+        (runs, steps, ...). A landmark is out of view where its bearing is NaN or its mask 0. A step
+        without bearings only predicts.
     runs, steps : int
-        Their numbers.
+        Number of runs, and of steps in each.
     final, history : sequence of str
         Variables to return at the end, and at every sample; the first sample is the start.
     engine, threads, precision
@@ -103,9 +103,9 @@ def run_recorded(
     Raises
     ------
     ValueError
-        For a name that the filter does not have, or a shape that does not fit.
+        For an unknown variable or a wrong shape.
     """
-    program, series = filter_program(kind), _seen(series)
+    program, series = filter_program(kind), _with_mask(series)
     known = program.shapes
     for name in (*given, *series, *final, *history):
         if name not in known:
@@ -116,8 +116,8 @@ def run_recorded(
     return execute(job, engine, threads, precision)
 
 
-def _seen(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
-    """Return the series with a mask, and with a number for every bearing."""
+def _with_mask(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:
+    """Return the series with a mask, and with finite bearings."""
     if "bearings" not in series:
         return dict(series)
     bearings = np.asarray(series["bearings"], float)

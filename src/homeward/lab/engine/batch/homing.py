@@ -1,4 +1,4 @@
-"""Closed loops, many at once: truth, measurement, control law and filter, with all noise drawn."""
+"""Batches of closed loops: motion, measurement, control law and filter, with random noise."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ DRAWS = (
     Draw("disturbance", "disturbance_sigma", True, 1),
     Draw("mask", "visibility", False, 2),
 )
-"""What is drawn at every step: noise of the bearings, of the twist, and what is in sight."""
+"""Random variables of every step: noise of bearings and twist, and the landmarks in view."""
 
 
 @lru_cache(maxsize=64)
 def world_function(n: int, q: int, law: Law) -> ca.Function:
-    """Return what the world does in one sample, as a function of what the filter believes.
+    """Return one sample of the world as a function of the filter's state.
 
-    The law acts on the estimate; the truth moves by the commanded twist and its disturbance, on the
-    Cartesian unicycle, which is singular nowhere; then the camera looks.
+    The law acts on the estimate. The robot moves with the commanded twist and its disturbance, as a
+    Cartesian unicycle, which is never singular; then the camera measures the bearings.
 
-    Its inputs are ``state`` (n,) of the filter, ``pose`` (3,), the true x [m], y [m] and heading
-    [rad], ``landmarks`` (q, 2) [m] in the home frame, ``speed`` [m/s], ``disturbance`` (2,) of the
-    twist, ``noise`` (q,) of the bearings [rad] and ``dt`` [s]; its outputs are ``control`` (2,),
-    ``pose`` and ``bearings`` (q,).
+    Inputs are ``state`` (n,) of the filter, ``pose`` (3,), the true x [m], y [m] and heading [rad],
+    ``landmarks`` (q, 2) [m] in the home frame, ``speed`` [m/s], ``disturbance`` (2,) of the twist,
+    ``noise`` (q,) of the bearings [rad] and ``dt`` [s]. Outputs are ``control`` (2,), ``pose`` and
+    ``bearings`` (q,).
     """
     state, pose, landmarks = ca.SX.sym("state", n), ca.SX.sym("pose", 3), ca.SX.sym("marks", q, 2)
     speed, disturbance = ca.SX.sym("speed"), ca.SX.sym("disturbance", 2)
@@ -55,12 +55,12 @@ def world_function(n: int, q: int, law: Law) -> ca.Function:
 
 @lru_cache(maxsize=64)
 def score_function(n: int) -> ca.Function:
-    """Return how far off a belief is, as a function.
+    """Return the error of a belief as a function.
 
-    Its inputs are ``pose`` (3,), ``state`` (n,), ``covariance`` (n, n) and ``stop_radius`` [m]; its
-    outputs ``error`` (3,), estimate minus truth of R [m], theta, alpha [rad], ``squared_error``
-    (3,), ``nees``, of (x, y, heading), and ``arrived``, 1 where the estimated R is below the stop
-    radius. An estimate with R below zero counts as the same place said with a positive R.
+    Inputs are ``pose`` (3,), ``state`` (n,), ``covariance`` (n, n) and ``stop_radius`` [m]. Outputs
+    are ``error`` (3,), estimated minus true R [m], theta, alpha [rad], ``squared_error`` (3,),
+    ``nees`` of (x, y, heading), and ``arrived``, 1 where the estimated R is below the stop radius.
+    An estimate with negative R is the same place as one with positive R in the opposite direction.
     """
     pose, state = ca.SX.sym("pose", 3), ca.SX.sym("state", n)
     covariance, radius = ca.SX.sym("covariance", n, n), ca.SX.sym("stop_radius")
@@ -70,8 +70,8 @@ def score_function(n: int) -> ca.Function:
         wrap(theta + ca.pi * (R < 0) - ca.atan2(pose[1], pose[0])),
         wrap(alpha - pose[2]),
     )
-    # The error of x and y along and across the estimated direction, in the filter's own terms:
-    # the Jacobian of (x, y, heading) by (R, theta, alpha) is a rotation times diag(1, R, 1).
+    # The error of (x, y) along and across the estimated direction, in the units of the state: the
+    # Jacobian of (x, y, heading) by (R, theta, alpha) is a rotation times diag(1, R, 1).
     along, across = ca.cos(theta), ca.sin(theta)
     dx, dy = R * along - pose[0], R * across - pose[1]
     own = ca.vertcat(along * dx + across * dy, (along * dy - across * dx) / R, error[2])
@@ -95,7 +95,7 @@ def _inverse3(m: ca.SX) -> ca.SX:
 
 @lru_cache(maxsize=64)
 def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
-    """Return one sample of a filter in the loop that it closes."""
+    """Return one sample of a closed loop."""
     n, q = kind.model.n, kind.model.q
     world = {"world": (Symbolic(world_function(n, q, law)),)}
     parts = world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)}
@@ -104,7 +104,7 @@ def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
 
 
 class HomingResult(Result):
-    """What came out of many closed loops; arrays run over the runs. Samples include the start."""
+    """Results of many closed loops, one entry per run; samples include the start."""
 
     @property
     def reached(self) -> np.ndarray:
@@ -160,38 +160,37 @@ def run_homing(
     threads: int | None = None,
     precision: Precision = "double",
 ) -> HomingResult:
-    """Run a filter in the loop that it closes, many times.
+    """Run a filter in closed loop, many times.
 
-    Each run observes its start, then advances and observes again until the estimated R is below
-    the stop radius, the belief diverges, or `steps` samples have been advanced. Run number
-    ``first_run + i`` has the same noise whatever the batch, the filter, the engine or the threads.
+    Each run scores its start, then advances and scores again until the estimated R is below the
+    stop radius, the belief diverges, or `steps` samples are done. The noise of run ``first_run +
+    i`` does not depend on batch, filter, engine or threads.
 
     Parameters
     ----------
     kind : ExtendedKalmanFilter
         The filter.
     given : mapping of str to array_like
-        What does not change from step to step, for all runs at once or with a leading axis of
-        runs. By the names of `homeward.lab.filters.ekf`: the first belief (state, covariance;
-        active is zero unless given) and the filter's parameters (dt, stored, input_covariance,
-        state_variance, variance, gate, minimum_visible and, with an integral, proportional and
-        integral_gain). And of the world: ``pose`` (3,), the true x [m], y [m], heading [rad] at the
-        start; ``landmarks`` (q, 2) [m] in the home frame; ``speed`` [m/s]; ``stop_radius`` [m];
-        ``bearing_sigma`` (q,) or a number [rad]; ``disturbance_sigma`` (2,) of the twist, every
-        sample [m/s, rad/s]; ``visibility`` (q,) or a number, the chance that a landmark is in
-        sight. The last two default to zeros and ones. What moved is where `stored` is not the
-        direction of `landmarks`.
+        Constants, for all runs or with a leading axis of runs. By the names of
+        `homeward.lab.filters.ekf`: the initial belief (state, covariance; active is zero by
+        default) and the filter's parameters (dt, stored, input_covariance, state_variance,
+        variance, gate, minimum_visible and, with an integral, proportional and integral_gain). For
+        the world: ``pose`` (3,), the true x [m], y [m], heading [rad] at the start; ``landmarks``
+        (q, 2) [m] in the home frame; ``speed`` [m/s]; ``stop_radius`` [m]; ``bearing_sigma`` (q,)
+        or a number [rad]; ``disturbance_sigma`` (2,) of the twist in every sample [m/s, rad/s];
+        ``visibility`` (q,) or a number, the probability that a landmark is in view. The last two
+        default to zeros and ones. Landmarks whose direction is not `stored` have moved.
     runs, steps : int
-        Their numbers.
+        Number of runs, and largest number of steps in each.
     seed : int
-        Of all noise, in [0, 2^64).
+        Seed of all noise, in [0, 2^64).
     first_run : int
-        Number of the first run in the noise.
+        Number of the first run, which selects its noise.
     law : callable
         The control law, on symbols; the paper's homing law by default.
     series : mapping of str to array_like, optional
-        Values in place of what would be drawn (noise, disturbance, mask): (steps, ...) for all
-        runs, or (runs, steps, ...).
+        Values in place of random ones (noise, disturbance, mask): (steps, ...) for all runs, or
+        (runs, steps, ...).
     history : sequence of str
         Variables to return at every sample: pose, state, covariance, error, nees, control, ...
     engine, threads, precision
@@ -200,7 +199,7 @@ def run_homing(
     Raises
     ------
     ValueError
-        For a name that the loop does not have, or a shape that does not fit.
+        For an unknown variable or a wrong shape.
     """
     program, q = homing_program(kind, law), kind.model.q
     extra = {"bearing_sigma": q, "disturbance_sigma": 2, "visibility": q}
@@ -220,7 +219,7 @@ def run_homing(
         seed=seed,
         start=start,
         series=tuple(given_values(k, v, shapes[k], runs, steps) for k, v in series.items()),
-        draws=_needed(start, series),
+        draws=_required_draws(start, series),
         sums=("squared_error", "nees"),
         final=("pose", "state"),
         history=tuple(history),
@@ -229,8 +228,8 @@ def run_homing(
     return HomingResult(**vars(execute(job, engine, threads, precision)))
 
 
-def _needed(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
-    """Return the draws that are not given and whose scale is not zero."""
+def _required_draws(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:
+    """Return the draws that `series` does not give and whose scale is not zero."""
     scales = {g.name: g.values for g in start}
     return tuple(
         d for d in DRAWS if d.name not in series and np.any(scales.get(d.scale, np.zeros(1)))

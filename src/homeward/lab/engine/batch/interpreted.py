@@ -1,8 +1,7 @@
-"""A batch by the interpreter, run after run: slow, and what the native engine is held against.
+"""Batches by the interpreter, run after run: slow, and the reference for the native engine.
 
-Its noise is that of `native/noise.h`, number for number: Philox4x32-10 with the seed as its key;
-its counter is the pair of numbers drawn, the stream, the step and the run, so that no draw depends
-on another.
+The noise equals that of `native/noise.h`: Philox4x32-10 with the seed as its key. The counter is
+the pair of numbers, the stream, the step and the run, so that no draw depends on another.
 
 References
 ----------
@@ -13,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.lab.engine.batch.job import LARGEST, Job, Result
+from homeward.lab.engine.batch.job import MAX_BELIEF, Job, Result
 from homeward.lab.engine.program.stages import OBSERVE, Machine
 
 _LOW = np.uint64(0xFFFFFFFF)
@@ -53,11 +52,11 @@ def normals(seed: int, run: int, step: int, stream: int, size: int) -> np.ndarra
 
 
 class _Batch:
-    """A job, and the machine on which its runs are computed one after the other."""
+    """A job, and the machine that computes its runs one after the other."""
 
     def __init__(self, job: Job) -> None:
         self._job, self._machine = job, Machine(job.program, job.extra)
-        self._now = self._machine.flat
+        self._now = {k: v.reshape(-1, order="F") for k, v in self._machine.variables.items()}
 
     def run(self, run: int, result: Result) -> None:
         job = self._job
@@ -73,9 +72,9 @@ class _Batch:
             self._machine.do()
 
     def _ended(self, run: int, k: int, result: Result) -> bool:
-        """Keep a sample, and say whether the run ends with it."""
+        """Store a sample; return whether the run ends with it."""
         job, now = self._job, self._now
-        if not sum(float(np.abs(now[name]).sum()) for name in job.guarded) < LARGEST:
+        if not sum(float(np.abs(now[name]).sum()) for name in job.guarded) < MAX_BELIEF:
             result.diverged[run] = 1
             return True
         result.samples[run] = k + 1

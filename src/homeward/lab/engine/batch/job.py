@@ -1,4 +1,4 @@
-"""What a batch computes, and what comes out of it, whichever engine executes it."""
+"""Jobs of a batch and their results, for all engines."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numpy.typing import ArrayLike
 
 from homeward.lab.engine.program.stages import Program
 
-LARGEST = 1e9
-"""A run has diverged when the numbers in its belief (m, rad, or their squares) add up to more."""
+MAX_BELIEF = 1e9
+"""A run has diverged when the absolute values in its belief (m, rad, squares) sum to more."""
 
 
 @dataclass(frozen=True)
 class Draw:
-    """A variable that is drawn anew at every step."""
+    """A random variable of every step."""
 
     name: str
     scale: str
-    """The variable that holds its standard deviation, or the probability of a 1."""
+    """Name of the variable with its standard deviation, or the probability of a 1."""
     normal: bool
-    """Else it is 1 or 0."""
+    """Whether it is normal; otherwise it is 1 or 0."""
     stream: int
-    """Its own number: no draw depends on another."""
+    """Number of its independent random stream."""
 
 
 @dataclass(frozen=True)
@@ -38,12 +38,12 @@ class Given:
 
 @dataclass(frozen=True)
 class Job:
-    """Runs of a program that differ in what they are given and in their noise."""
+    """Runs of a program that differ in their given values and their noise."""
 
     program: Program
     runs: int
     steps: int
-    """Largest number of advances of a run; its samples are one more."""
+    """Largest number of advances of a run, which has one more sample."""
     start: tuple[Given, ...]
     series: tuple[Given, ...]
     final: tuple[str, ...]
@@ -51,18 +51,18 @@ class Job:
     extra: Mapping[str, int] = field(default_factory=dict)
     """Variables that no stage has, with their sizes."""
     first_run: int = 0
-    """Number of the first run in the noise."""
+    """Number of the first run, which selects its noise."""
     seed: int = 0
     draws: tuple[Draw, ...] = ()
     guarded: tuple[str, ...] = ("state", "covariance")
-    """Variables that end a run as diverged when they are too large; see `LARGEST`."""
+    """Variables whose size ends a run as diverged; see `MAX_BELIEF`."""
     sums: tuple[str, ...] = ()
     stop: str | None = None
     """A variable that ends a run where it is not 0."""
 
     def __post_init__(self) -> None:
         if self.runs < 1 or self.steps < 0:
-            raise ValueError(f"{self.runs} runs of {self.steps} steps are none")
+            raise ValueError(f"runs must be at least 1 and steps 0, not {self.runs}, {self.steps}")
         if not (0 <= self.seed < 2**64 and 0 <= self.first_run < 2**63 - self.runs):
             raise ValueError("seed and first_run must be in [0, 2^64) and [0, 2^63)")
 
@@ -73,32 +73,32 @@ class Job:
 
 @dataclass
 class Result:
-    """What came out of a batch; arrays run over its runs. A run's samples include its start."""
+    """Results of a batch, one entry per run. The samples of a run include its start."""
 
     samples: np.ndarray
-    """(runs,), int: samples observed before the run ended or diverged."""
+    """(runs,), int: number of samples before the run ended or diverged."""
     stopped: np.ndarray
-    """(runs,), bool: ended by the program's own word."""
+    """(runs,), bool: ended by the job's variable `stop`."""
     diverged: np.ndarray
-    """(runs,), bool: the belief became too large or no number; its last good sample is kept."""
+    """(runs,), bool: the belief became too large or NaN; results are of the last good sample."""
     sums: dict[str, np.ndarray]
-    """(runs, entries), over a run's samples."""
+    """(runs, entries), sums over a run's samples."""
     final: dict[str, np.ndarray]
     """(runs, *shape), at a run's last sample."""
     history: dict[str, np.ndarray]
     """(runs, steps + 1, *shape), NaN after a run's last sample."""
     engine: str = ""
-    """What executed it: native, interpreter or cuda."""
+    """Executor: native, interpreter or cuda."""
     notes: tuple[str, ...] = ()
-    """What the user must know of that, each a sentence."""
+    """Sentences about the executor for the user."""
     seconds: float = 0.0
-    """Of a GPU's time [s]."""
+    """Time on a GPU [s]."""
     again: int = 0
-    """Runs that a GPU computed again in doubles."""
+    """Number of runs that a GPU computed again in doubles."""
 
 
 def empty_result(job: Job) -> Result:
-    """Return a result to be filled; matrices are flat as yet."""
+    """Return an empty result with flat matrices."""
     return Result(
         samples=np.zeros(job.runs, np.int64),
         stopped=np.zeros(job.runs, np.uint8),
@@ -110,7 +110,7 @@ def empty_result(job: Job) -> Result:
 
 
 def shaped(job: Job, result: Result) -> Result:
-    """Give flat matrices their shape, and flags their type."""
+    """Return a result with matrices in shape and flags as bool."""
     result.stopped, result.diverged = result.stopped.astype(bool), result.diverged.astype(bool)
     for kept in (result.final, result.history):
         for name, flat in kept.items():
@@ -123,10 +123,10 @@ def shaped(job: Job, result: Result) -> Result:
 def given_values(
     name: str, value: ArrayLike, shape: tuple[int, ...], runs: int, steps: int | None = None
 ) -> Given:
-    """Return a variable's values, for all runs at once or for each: at the start, or at every step.
+    """Return a variable's values at the start, or at every step where `steps` is given.
 
-    They are of its `shape`, (1,) for a number, or broadcast to it, behind an axis of steps, if any;
-    or behind one of runs before that. Raises `ValueError` when the shape fits neither.
+    `value` broadcasts to ([runs,] [steps,] *shape), without the last axis for a number of `shape`
+    (1,). Raises `ValueError` when it does not.
     """
     array = np.asarray(value, float)
     inner = () if shape == (1,) else shape
@@ -142,7 +142,7 @@ def given_values(
 
 
 def _broadcast(name: str, array: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    if array.shape == shape:  # as most are; a long drive is over before NumPy has broadcast ten
+    if array.shape == shape:  # the usual case; broadcasting costs more than a short run
         return array
     try:
         return np.broadcast_to(array, shape)

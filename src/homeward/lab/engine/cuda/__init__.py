@@ -1,1 +1,1 @@
-"""The batch engine on an NVIDIA GPU: one group of threads a run, compiled when it is needed."""
+"""Batches on an NVIDIA GPU: one group of threads per run, compiled at run time."""

@@ -1,4 +1,4 @@
-/* One sample: draw, move, look; predict; update. */
+/* One sample: draw, move, measure; predict; update. */
       const long long number = job.first + run;
       Bits seen = 0;
 #include "shared"
@@ -105,7 +105,7 @@
         SYNC();
       }
 
-      /* Innovations, gate and entering, as of before any update of this stamp */
+      /* Innovations, gate and new landmarks, from the belief before any update of this stamp */
 #if Q > 32
       const int in_sight = __popcll(seen);
 #else

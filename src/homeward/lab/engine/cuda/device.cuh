@@ -1,5 +1,5 @@
-/* What generated code calls: REAL arithmetic, and the generator of native/noise.h, a number at a
- * time. Doubles draw the CPU's own numbers; floats take the leading 32 of their 52 bits. */
+/* Functions for generated code: REAL arithmetic, and the generator of native/noise.h, one number at
+ * a time. Doubles draw the CPU's numbers; floats use the leading 32 of their 52 bits. */
 #define v_set(x) ((REAL)(x))
 #define v_lt(a, b) ((REAL)((a) < (b)))
 #define v_le(a, b) ((REAL)((a) <= (b)))
@@ -18,7 +18,7 @@
 #define v_sqrt sqrtf
 INLINE REAL v_inverse(REAL x) { return __fdividef(1.0f, x); }
 
-/* Angles are brought near zero first: the fast functions are good there alone. */
+/* Angles are reduced to near zero, where alone the fast functions are accurate. */
 INLINE void turn(REAL x, REAL *sine, REAL *cosine) {
   const REAL turns = rintf(x * (REAL)(1.0 / TWO_PI));
   x = fmaf(-turns, 6.28125f, x);
@@ -34,7 +34,7 @@ INLINE void turn(REAL x, REAL *sine, REAL *cosine) {
 INLINE REAL v_inverse(REAL x) { return 1.0 / x; }
 
 /* The kernels of fdlibm after a reduction by Cody and Waite, as in native/lanes.h. Coefficients in
- * constant memory are operands; written out, each would be moved into a register at every use. */
+ * constant memory are operands; literals would be moved into a register at every use. */
 static __constant__ double of_turn[] = {
     0.63661977236758134308,     1.57079632673412561417e+00, 6.07710050630396597660e-11,
     2.02226624879595063154e-21, 1.58969099521155010221e-10, -2.50507602534068634195e-08,
@@ -62,8 +62,8 @@ INLINE void turn(REAL x, REAL *sine, REAL *cosine) {
 }
 #endif
 
-/* atan of a ratio in [0, 1] by a polynomial of least largest error (1e-8) or, in doubles, the rational function of Cephes;
- * the octant is put right afterwards, without a branch. */
+/* atan of a ratio in [0, 1] by a minimax polynomial (error 1e-8) or, in doubles, the rational
+ * function of Cephes; the octant is corrected afterwards, without a branch. */
 #ifndef SINGLE
 static __constant__ double of_atan[] = {
     -8.750608600031904122785e-1, -1.615753718733365076637e1, -7.500855792314704667340e1,
@@ -103,7 +103,7 @@ struct Words {
   unsigned a, b, c, d;
 };
 
-/* `keys`: of each round, made of the seed once and for all. */
+/* `keys`: keys of each round, computed from the seed in advance. */
 INLINE Words philox(const unsigned *keys, long long run, long long step, unsigned place) {
   Words w = {place, (unsigned)step, (unsigned)run, (unsigned)((unsigned long long)run >> 32)};
 #pragma unroll

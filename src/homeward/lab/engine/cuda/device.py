@@ -1,4 +1,4 @@
-"""An NVIDIA GPU through its driver: code compiled at run time, memory, launches."""
+"""Access to an NVIDIA GPU through its driver: compilation at run time, memory, launches."""
 
 from __future__ import annotations
 
@@ -16,18 +16,15 @@ from homeward.io.writing import scratch_folder
 from homeward.native.cache import Cache, default_folder, key_of
 
 FLOATS = ("--ftz=true", "--prec-div=false", "--prec-sqrt=false")
-"""How floats are computed; doubles are not concerned."""
+"""Options for the arithmetic of floats; they do not affect doubles."""
 
 
 class CudaError(HomewardError):
-    """Why a job cannot run on a GPU, in one line."""
+    """A job cannot run on a GPU; the message is one line."""
 
 
 def bindings() -> tuple[ModuleType, ModuleType]:
-    """Return the driver's and the compiler's Python modules.
-
-    Raises `InputError` when they are not installed.
-    """
+    """Return the Python modules of driver and compiler; `InputError` if not installed."""
     try:
         from cuda.bindings import driver, nvrtc
     except ImportError:
@@ -36,7 +33,7 @@ def bindings() -> tuple[ModuleType, ModuleType]:
 
 
 def compiled(text: str, architecture: str) -> bytes:
-    """Return the machine code of a CUDA C++ source for an architecture as ``sm_90``, without a GPU.
+    """Return the machine code of CUDA C++ for an architecture such as ``sm_90``; needs no GPU.
 
     Raises `CudaError` when there is no compiler, or it fails.
     """
@@ -57,7 +54,7 @@ def compiled(text: str, architecture: str) -> bytes:
         if result != nvrtc.nvrtcResult.NVRTC_SUCCESS:
             log = bytearray(_checked(nvrtc.nvrtcGetProgramLogSize(program)))
             _checked(nvrtc.nvrtcGetProgramLog(program, log))
-            lines = log.decode(errors="replace").strip("\0\n ").splitlines() or ["it says nothing"]
+            lines = log.decode(errors="replace").strip("\0\n ").splitlines() or ["no message"]
             raise CudaError(f"NVRTC failed: {lines[0]}")
         code = bytearray(_checked(nvrtc.nvrtcGetCUBINSize(program)))
         _checked(nvrtc.nvrtcGetCUBIN(program, code))
@@ -72,15 +69,15 @@ def compiled(text: str, architecture: str) -> bytes:
 
 
 def _checked(answer: tuple[Any, ...]) -> Any:
-    """Return what a call of the driver or the compiler answers; `CudaError` when it says no."""
+    """Return the result of a call of driver or compiler; `CudaError` when it failed."""
     error, *values = answer
     if int(error) != 0:
-        raise CudaError(f"CUDA says {error.name}")
+        raise CudaError(f"CUDA failed: {error.name}")
     return values[0] if len(values) == 1 else tuple(values)
 
 
 class CudaKernel(NamedTuple):
-    """A function on the GPU, and how many of its blocks run at once."""
+    """A function on the GPU, and the number of its blocks that run at once."""
 
     function: Any
     threads: int
@@ -114,11 +111,11 @@ class Gpu:
         self.architecture = f"sm_{major}{minor}"
 
     def use(self) -> None:
-        """Make it this thread's."""
+        """Make it the current device of this thread."""
         _checked(self._driver.cuCtxSetCurrent(self._context))
 
     def free_bytes(self) -> int:
-        """Return how much of its memory nobody uses."""
+        """Return its free memory."""
         return int(_checked(self._driver.cuMemGetInfo())[0])
 
     @contextmanager
@@ -131,9 +128,9 @@ class Gpu:
             arrays.free()
 
     def launch(self, kernel: CudaKernel, argument: ctypes.Structure, groups: int) -> float:
-        """Run a kernel on one argument, and return the seconds that it took.
+        """Run a kernel on one argument, and return its time [s].
 
-        Its threads fetch their work themselves; more blocks than `groups` would have nothing to do.
+        Threads fetch their own work; there is none for more blocks than `groups`.
         """
         driver = self._driver
         pointers = (ctypes.c_void_p * 1)(ctypes.addressof(argument))
@@ -161,33 +158,33 @@ class Gpu:
 
 
 class Arrays:
-    """Memory of the GPU, freed at once."""
+    """Memory of the GPU that is freed together."""
 
     def __init__(self, driver: ModuleType) -> None:
         self._driver = driver
         self._pointers: list[int] = []
 
     def put(self, array: np.ndarray) -> int:
-        """Copy an array there, and return where it is."""
+        """Copy an array to the GPU, and return its address."""
         pointer = self._allocate(array)
         if array.nbytes:
             _checked(self._driver.cuMemcpyHtoD(pointer, array.ctypes.data, array.nbytes))
         return pointer
 
     def blank(self, array: np.ndarray) -> int:
-        """Return memory for an array: NaN, or zeros for integers."""
+        """Return the address of memory for an array, filled with NaN, or zeros for integers."""
         pointer = self._allocate(array)
         byte = 0xFF if array.dtype.kind == "f" else 0
         _checked(self._driver.cuMemsetD8(pointer, byte, max(array.nbytes, 1)))
         return pointer
 
     def fetch(self, pointer: int, array: np.ndarray) -> None:
-        """Copy what is there into an array."""
+        """Copy from an address on the GPU into an array."""
         if array.nbytes:
             _checked(self._driver.cuMemcpyDtoH(array.ctypes.data, pointer, array.nbytes))
 
     def free(self) -> None:
-        """Give the memory back."""
+        """Free the memory."""
         while self._pointers:
             self._driver.cuMemFree(self._pointers.pop())
 
@@ -198,13 +195,13 @@ class Arrays:
 
 @lru_cache(maxsize=1)
 def gpu() -> Gpu:
-    """Return the GPU, the same one for all; `CudaError` when there is none."""
+    """Return the GPU, always the same object; `CudaError` when there is none."""
     return Gpu()
 
 
 @lru_cache(maxsize=16)
 def loaded_kernel(device: Gpu, text: str, threads: int, shared: int) -> CudaKernel:
-    """Compile and load ``homeward_batch`` for blocks of `threads` that share a number of bytes."""
+    """Compile and load ``homeward_batch`` for blocks of `threads` with `shared` bytes of memory."""
     driver, _ = bindings()
     module = _checked(driver.cuModuleLoadData(compiled(text, device.architecture)))
     function = _checked(driver.cuModuleGetFunction(module, b"homeward_batch"))

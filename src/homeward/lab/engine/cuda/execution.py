@@ -1,4 +1,4 @@
-"""A batch on a GPU: chunks that fit its memory, and doubles where floats did not do."""
+"""Execution of a batch on a GPU: chunks that fit its memory, and doubles where floats fail."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from homeward.lab.engine.cuda.device import Gpu, gpu, loaded_kernel
 from homeward.lab.engine.cuda.source import BLOCK, CudaSource, cuda_source
 
 SHARE = 0.8
-"""Of the GPU's free memory that a chunk of runs may take."""
+"""Fraction of the GPU's free memory for a chunk of runs."""
 
 
 def execute(job: Job, single: bool) -> Result:
-    """Run a job on the GPU; its program must know its filter (`Separable`).
+    """Run a job, whose program must be `Separable`, on the GPU.
 
-    With `single` it computes in floats, and again in doubles those runs that rounding may have
-    spoilt: where a variance became negative, or the belief too large. Raises `CudaError` when there
-    is no GPU, or the kernel cannot do the job.
+    With `single` it computes in floats, and again in doubles where rounding may have spoilt a run:
+    a variance became negative, or the belief too large. Raises `CudaError` when there is no GPU, or
+    the kernel cannot run the job.
     """
     device = gpu()
     device.use()
@@ -41,7 +41,7 @@ def _bytes_per_run(job: Job, result: Result) -> int:
 
 
 def outputs_of(result: Result) -> dict[str, np.ndarray]:
-    """Return the arrays that the kernel fills, by the names of its pointers."""
+    """Return the output arrays by the names of the kernel's pointers."""
     arrays = {k: getattr(result, k) for k in ("samples", "stopped", "diverged")}
     for what, kept in (("sum", result.sums), ("final", result.final), ("history", result.history)):
         arrays |= {f"{what}_{name}": array for name, array in kept.items()}
@@ -54,8 +54,8 @@ def _execute_chunk(device: Gpu, job: Job, result: Result, runs: range, single: b
         job,
         runs=len(runs),
         first_run=job.first_run + runs.start,
-        start=tuple(_some(g, runs) for g in job.start),
-        series=tuple(_some(g, runs) for g in job.series),
+        start=tuple(_runs_of(g, runs) for g in job.start),
+        series=tuple(_runs_of(g, runs) for g in job.series),
     )
     outputs = {k: a[runs.start : runs.stop] for k, a in outputs_of(result).items()}
     doubtful, again = np.zeros(len(runs), np.uint8), np.zeros(0, np.int64)
@@ -86,13 +86,13 @@ def _execute_chunk(device: Gpu, job: Job, result: Result, runs: range, single: b
             kept[runs.start + run, outputs["samples"][run] :] = np.nan
 
 
-def _some(given: Given, runs: range) -> Given:
+def _runs_of(given: Given, runs: range) -> Given:
     values = given.values if len(given.values) == 1 else given.values[runs.start : runs.stop]
     return Given(given.name, np.ascontiguousarray(values))
 
 
 def argument_of(job: Job, code: CudaSource, places: dict[str, int]) -> Any:
-    """Return the structure that the kernel takes."""
+    """Return the argument structure of the kernel."""
     number = ctypes.c_float if code.constants.dtype == np.float32 else ctypes.c_double
     fields = [*code.fields, ("c", number * code.constants.size)]
     argument = type("_Argument", (ctypes.Structure,), {"_fields_": fields})()
@@ -112,7 +112,7 @@ def argument_of(job: Job, code: CudaSource, places: dict[str, int]) -> Any:
 
 
 def _keys(seed: int) -> Any:
-    """Return Philox's keys, two for each of its ten rounds."""
+    """Return the keys of Philox, two for each of its ten rounds."""
     keys = [
         (half + k * step) % 2**32
         for k in range(10)

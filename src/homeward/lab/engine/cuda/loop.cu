@@ -1,7 +1,7 @@
-/* Many runs of a filter, in a loop that it closes or over what was recorded. GROUP threads carry a
- * run; when it ends they fetch the next. The covariance is stored once, as a lower triangle, in the
- * order pose, estimated home bearings, bearings: so a row of the transition has no entry behind its
- * own, and rows are predicted in place from the last to the first. */
+/* Many runs of a filter, in closed loop or over recorded inputs. GROUP threads compute a run; when
+ * it ends they fetch the next. The covariance is stored as a lower triangle in the order pose,
+ * estimated home bearings, bearings: then a row of the transition ends at its diagonal, and rows are
+ * predicted in place from the last to the first. */
 #define PACK(i, j) ((i) * ((i) + 1) / 2 + (j))
 #define PACKED PACK(N, 0)
 #define HEAD (3 + R)
@@ -11,7 +11,7 @@
 #define BETA(i) X(HEAD + (i))
 #define OUTER(k) ((k) < 3 ? (k) : (k) < HEAD ? (k) + Q : (k) - R)
 #define INNER(k) ((k) < 3 ? (k) : (k) < 3 + Q ? (k) + R : (k) - Q)
-/* Of each landmark: its row of G by the pose and by itself, of Gu, its sighting and innovation. */
+/* For each landmark: its row of G by the pose and by itself, of Gu, its sighting and innovation. */
 #define G(i, c) T(i, c)
 #define OWN(i) T(i, 3)
 #define U(i, c) T(i, 4 + (c))
@@ -43,7 +43,7 @@ typedef unsigned Bits;
 #endif
 #define BIT(bits, i) ((unsigned)((bits) >> (i)) & 1u)
 
-/* Which estimated home bearing is a landmark's; -1: none. */
+/* Index of a landmark's estimated home bearing; -1: none. */
 __device__ constexpr int parameter_of[Q] = PARAMETERS;
 
 #if GROUP > 1
@@ -128,8 +128,8 @@ extern "C" __global__ void __launch_bounds__(BLOCK, BLOCKS) homeward_batch(
       k++;
     }
 #include "total"
-    if (!(total < LARGEST)) {
-      /* Again, up to the sample before, whose figures are those that are kept. */
+    if (!(total < MAX_BELIEF)) {
+      /* Repeats the run up to the sample before, whose results are kept. */
       lost = k > 0 && !lost;
       begins = true;
       until = k - 1;

@@ -1,4 +1,4 @@
-"""The CUDA C++ of a job: a filter in its loop, one run carried by a group of threads.
+"""CUDA C++ of a job: a filter in its loop, with a group of threads per run.
 
 A template is filled with the lines of the job: draws, world, filter, score, and outputs.
 """
@@ -13,7 +13,7 @@ from importlib.resources import files
 import casadi as ca
 import numpy as np
 
-from homeward.lab.engine.batch.job import LARGEST, Job
+from homeward.lab.engine.batch.job import MAX_BELIEF, Job
 from homeward.lab.engine.cuda.device import CudaError
 from homeward.lab.engine.native.emit import Split, emit_split, split_step
 from homeward.lab.engine.program.stages import Separable
@@ -22,7 +22,7 @@ from homeward.lab.model import POLAR
 
 
 def parts_of(job: Job, loop: Separable) -> dict[str, list[str]]:
-    """Return the lines that the template asks for."""
+    """Return the lines for each include of the template."""
     before, own = _draws(job)
     shared = ["REAL ahead[3], by_state[9], by_input[6];", *before]
     if loop.world is None:
@@ -38,15 +38,15 @@ def parts_of(job: Job, loop: Separable) -> dict[str, list[str]]:
     return {
         "shared": shared + step.shared,
         "own": own + step.own,
-        "observe": observe + sums + _kept(job, "history"),
-        "finish": _kept(job, "final") + _finished_sums(job),
+        "observe": observe + sums + _stored(job, "history"),
+        "finish": _stored(job, "final") + _finished_sums(job),
         "advance": template("advance.cu").splitlines(),
         "total": template("total.cu").splitlines(),
     }
 
 
 def _draws(job: Job) -> tuple[list[str], list[str]]:
-    """Return the lines of what is drawn: once, and for each landmark."""
+    """Return the lines of random draws: shared, and for each landmark."""
     drawn = {d.name: d.stream << 16 for d in job.draws}
     words = "philox(job.keys, number, k, {} + {})"
     before, own = ["REAL pair[2], chance[2];"], []
@@ -75,7 +75,7 @@ _EVEN = "if (GROUP > 1 || i % 2 == 0)"  # one draw gives two numbers
 
 
 def _world(function: ca.Function) -> Split:
-    """Return what the world does, for one landmark."""
+    """Return the lines of the world for one landmark."""
     own = ("noise", "READ_LANDMARKS(i)", "READ_LANDMARKS(Q + i)")
 
     def place(name: str, entry: int) -> str:
@@ -91,14 +91,14 @@ def _world(function: ca.Function) -> Split:
 
 
 def _place(name: str, entry: int) -> str:
-    """Return where a variable stands that belongs to no landmark."""
+    """Return the place of a variable that belongs to no landmark."""
     if name in ("pose", "control", "disturbance"):
         return f"{name}[{entry}]"
     return f"READ_{name.upper()}({entry})"
 
 
 def _score(function: ca.Function) -> list[str]:
-    """Return how far off the belief is."""
+    """Return the lines of the errors of the belief."""
 
     def place(name: str, entry: int) -> str:
         if name == "covariance":
@@ -130,13 +130,10 @@ def _finished_sums(job: Job) -> list[str]:
 
 
 def summed(job: Job) -> list[str]:
-    """Return the C++ of all that is summed over a run.
-
-    Raises `CudaError` for a variable that is no score.
-    """
+    """Return the C++ of all sums over a run; `CudaError` for a variable that is not a score."""
     for name in job.sums:
         if name not in _SCORED:
-            raise CudaError(f"the GPU sums no {name}")
+            raise CudaError(f"the GPU cannot sum {name}")
     return [e for name in job.sums for e in _entries(name)]
 
 
@@ -145,10 +142,10 @@ def _entries(name: str) -> list[str]:
     return [name] if size == 1 else [f"{name}[{k}]" for k in range(size)]
 
 
-def _kept(job: Job, what: str) -> list[str]:
-    """Return the lines that keep variables: at the end (``final``) or always (``history``).
+def _stored(job: Job, what: str) -> list[str]:
+    """Return the lines that store variables at the end (``final``) or always (``history``).
 
-    Raises `CudaError` for a variable that the kernel does not hold at the end of a sample.
+    Raises `CudaError` for a variable that the kernel does not have at the end of a sample.
     """
     rest = {
         "state": "for (int i = 3 + LANE; i < N; i += GROUP) to[i] = X(INNER(i));",
@@ -163,7 +160,7 @@ def _kept(job: Job, what: str) -> list[str]:
     lines = []
     for name in job.final if what == "final" else job.history:
         if name not in first and name not in rest:
-            raise CudaError(f"the GPU keeps no {name}")
+            raise CudaError(f"the GPU cannot return {name}")
         row = "run" if what == "final" else "(run * (job.steps + 1) + k)"
         lines.append(f"{{ double *const to = job.{what}_{name} + {row} * {job.size(name)};")
         lines += [f"if (LANE == 0) to[{i}] = {e};" for i, e in enumerate(first.get(name, []))]
@@ -178,7 +175,7 @@ def template(name: str) -> str:
 
 @dataclass
 class Variables:
-    """Where the kernel finds each variable that it does not compute."""
+    """Places of the variables that the kernel reads but does not compute."""
 
     job: Job
     fields: list[tuple[str, type]] = field(default_factory=list)
@@ -187,12 +184,12 @@ class Variables:
     slots: int = 0
 
     def slot(self, name: str, size: int) -> None:
-        """Give a run memory of its own."""
+        """Reserve memory for each run."""
         self.defines.append(f"#define AT_{name.upper()} {self.slots}")
         self.slots += size
 
     def read(self, name: str, kept: bool = False) -> None:
-        """Define how a variable is read; `kept`: often, and so from the run's own memory."""
+        """Define how a variable is read; `kept`: from the run's own memory, which is faster."""
         macro = f"#define READ_{name.upper()}(i)"
         series = {g.name: g.values for g in self.job.series}
         start = {g.name: g.values for g in self.job.start}
@@ -219,17 +216,17 @@ class Variables:
             self.defines.append(f"{macro} {given}")
 
 
-MOST_LANDMARKS = 64
-"""Number of bits of the word for the landmarks in sight."""
-MOST_CONSTANTS_BYTES = 30_000
-"""A kernel takes little more than this as its argument."""
-ONE_THREAD_BYTES = 960
-"""Of a covariance: up to here one thread carries a run, its covariance in registers or near them
-(15 states in floats on an H100: 1.8 thousand million steps/s; with four threads a run 0.46)."""
-FEW_STATES = 11
-"""Up to here floats leave registers for twice as many threads at a time."""
+MAX_LANDMARKS = 64
+"""Number of bits of the word for the landmarks in view."""
+MAX_CONSTANTS_BYTES = 30_000
+"""Size limit of constants; the argument of a kernel can be little larger."""
+MAX_ONE_THREAD_BYTES = 960
+"""Up to this size of a covariance, one thread computes a run, with the covariance mostly in
+registers (15 states in floats on an H100: 1.8e9 steps/s; with four threads a run 0.46e9)."""
+MAX_FEW_STATES = 11
+"""Up to here, floats leave enough registers for twice as many threads."""
 BLOCK = 128
-"""Threads of a block."""
+"""Number of threads of a block."""
 
 
 @dataclass
@@ -238,13 +235,13 @@ class CudaSource:
 
     text: str
     fields: list[tuple[str, type]]
-    """Of the structure that the kernel takes, but for its constants."""
+    """Fields of the argument structure before its constants."""
     constants: np.ndarray
-    """Of the job, which stand behind those fields."""
+    """Constants of the job, at the end of the structure."""
     shared: int
-    """Bytes of a block's shared memory."""
+    """Shared memory of a block [bytes]."""
     group: int
-    """Threads a run."""
+    """Number of threads per run."""
 
 
 _READ = (
@@ -257,18 +254,19 @@ _KEPT = ("landmarks", "stored")
 
 
 def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
-    """Return the CUDA C++ of a job of a program that knows its filter.
+    """Return the CUDA C++ of a job, whose program must be `Separable`.
 
-    Numbers are floats (`single`) or doubles. `group` is how many threads carry a run, a power of
-    two up to 32; None: what suits the state. Raises `CudaError` for what the kernel cannot do.
+    Numbers are floats (`single`) or doubles. `group` is the number of threads per run, a power of
+    two up to 32; by default it depends on the size of the state. Raises `CudaError` when the kernel
+    cannot run the job.
     """
     loop = job.program.separable
-    if loop is None or loop.kind.model.q > MOST_LANDMARKS:
-        raise CudaError(f"the GPU runs the paper's filters with up to {MOST_LANDMARKS} landmarks")
+    if loop is None or loop.kind.model.q > MAX_LANDMARKS:
+        raise CudaError(f"the GPU runs the paper's filters with up to {MAX_LANDMARKS} landmarks")
     kind = loop.kind
     n, q, r = kind.model.n, kind.model.q, len(kind.model.estimated)
     size = 4 if single else 8
-    group = group or _threads_a_run(n, size)
+    group = group or _threads_per_run(n, size)
     variables = Variables(job)
     variables.slot("X", r + q)
     temporary = 7 + (r > 0)
@@ -296,19 +294,19 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
     fields += [("keys", ctypes.c_uint32 * 20)]
     fields += [(k, ctypes.c_void_p) for k in (*outputs, *kept)] + variables.fields
     constants = np.concatenate([*variables.constants, np.zeros(1)])
-    if constants.size * size > MOST_CONSTANTS_BYTES:
-        raise CudaError(f"{constants.size} numbers that all runs share are too many for the GPU")
+    if constants.size * size > MAX_CONSTANTS_BYTES:
+        raise CudaError(f"{constants.size} constants shared by all runs are too many for the GPU")
     defines = {
         "N": n,
         "Q": q,
         "R": r,
         "GROUP": group,
         "BLOCK": BLOCK,
-        "BLOCKS": 1 if group > 1 else 4 if single and n <= FEW_STATES else 2,
+        "BLOCKS": 1 if group > 1 else 4 if single and n <= MAX_FEW_STATES else 2,
         "STRIDE": BLOCK if group == 1 else 1,
         "SLOTS": slots,
         "TEMP": temporary,
-        "LARGEST": f"((REAL){LARGEST!r})",
+        "MAX_BELIEF": f"((REAL){MAX_BELIEF!r})",
         "SUMS": max(len(summed(job)), 1),
         "STOP": "false" if job.stop is None else f"({job.stop} != (REAL)0)",
         "PARAMETERS": "{" + ", ".join(str(_parameter(kind, i)) for i in range(q)) + "}",
@@ -338,8 +336,8 @@ def cuda_source(job: Job, single: bool, group: int | None = None) -> CudaSource:
     )
 
 
-def _threads_a_run(n: int, size: int) -> int:
-    if n * (n + 1) // 2 * size <= ONE_THREAD_BYTES:
+def _threads_per_run(n: int, size: int) -> int:
+    if n * (n + 1) // 2 * size <= MAX_ONE_THREAD_BYTES:
         return 1
     return size if n <= 32 else 4 * size
 

@@ -1,1 +1,1 @@
-"""Filters that run one drive: the online estimators of the library."""
+"""The filters as online estimators."""

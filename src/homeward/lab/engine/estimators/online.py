@@ -1,4 +1,4 @@
-"""A filter that runs: twists and sightings in by their stamps, an `Estimate` out."""
+"""A filter as an online estimator: twists and sightings in, an `Estimate` out."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ from homeward.estimator import (
 )
 from homeward.geometry.angles import wrap
 from homeward.io.naming import natural
-from homeward.lab.filters.carrier import FilterBackend
+from homeward.lab.filters.backend import FilterBackend
 from homeward.lab.filters.settings import Engine
 from homeward.odometry.validity import TwistValidity
 from homeward.reasons import Reason, Rejection, too_few_agree
 
 RECENT = 20
-"""Number of the last sightings that decide whether most are rejected."""
+"""Number of last sightings among which the rejected ones are counted."""
 
 
 class OnlineFilter:
     """A filter with a start prior as an `homeward.estimator.Estimator`.
 
-    Its name is the word for it in commands and files. Landmarks are in the order of the states;
-    sightings of others are counted and left out. `camera_yaw` is added to every bearing to make it
-    one from the robot's heading [rad]; notes are assumptions to report to the user.
+    `name` is its name in commands and files. `landmarks` are in the order of the states; sightings
+    of other landmarks are counted and not used. `camera_yaw` [rad] is added to every bearing, which
+    then refers to the robot's heading. `notes` are assumptions to report to the user.
     """
 
     def __init__(
         self,
         name: str,
-        carrier: FilterBackend,
+        backend: FilterBackend,
         landmarks: Sequence[str],
         camera_yaw: float,
         notes: tuple[str, ...] = (),
     ) -> None:
-        self._carrier = carrier
-        self.name, self.notes, self.counts = name, notes + carrier.notes, Counts()
+        self._backend = backend
+        self.name, self.notes, self.counts = name, notes + backend.notes, Counts()
         self._turn = threading.RLock()
         self._ids = list(landmarks)
         self._index = {landmark: i for i, landmark in enumerate(self._ids)}
         self._camera_yaw = camera_yaw
-        self._belief = self._carrier.start()
+        self._belief = self._backend.start()
         self._sightings = np.zeros(len(self._ids), dtype=int)
         self._t = math.nan
         self._twist: tuple[float, float] | None = None
@@ -65,8 +65,8 @@ class OnlineFilter:
 
     @property
     def engine(self) -> Engine:
-        """What executes it: native or interpreter."""
-        return self._carrier.engine
+        """Executor: native or interpreter."""
+        return self._backend.engine
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -74,21 +74,21 @@ class OnlineFilter:
         return tuple(self._ids)
 
     @property
-    def carrier(self) -> FilterBackend:
-        """What its belief is, and its steps."""
-        return self._carrier
+    def backend(self) -> FilterBackend:
+        """Representation of the belief, and its steps."""
+        return self._backend
 
-    def adopt(self, belief: Any, t: float, sightings: np.ndarray) -> None:
-        """Take over what the same filter, run elsewhere, had come to at `t` [s].
+    def restore(self, belief: Any, t: float, sightings: np.ndarray) -> None:
+        """Set the belief at `t` [s] of the same filter, run elsewhere.
 
-        `sightings` (q,) are how many of each landmark it used.
+        `sightings` (q,) is the number of sightings used of each landmark.
         """
         self._belief, self._t, self._sightings = belief, t, sightings
         self.counts.used = int(sightings.sum())
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist that holds from `t` [s] on: `v` [m/s], `omega` [rad/s]; NaN: unknown."""
+        """Add a twist that is valid from `t` [s] on: `v` [m/s], `omega` [rad/s]; NaN: unknown."""
         unknown = math.isnan(v) and math.isnan(omega)
         if not (math.isfinite(t) and (unknown or (math.isfinite(v) and math.isfinite(omega)))):
             self.counts.reject(Rejection.BAD_ODOMETRY)
@@ -108,7 +108,7 @@ class OnlineFilter:
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Take all sightings of stamp `t` [s] as one update; see `homeward.estimator`."""
+        """Add all sightings of stamp `t` [s] as one update; see `homeward.estimator`."""
         if not math.isfinite(t) or t < self._t:
             late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
             self.counts.reject(late, len(sightings))
@@ -120,9 +120,9 @@ class OnlineFilter:
             for k, s in (sigmas or {}).items()
             if k in self._index and 0 < s < math.inf
         }
-        before, diverged = self._belief.active, self._carrier.diverged
-        self._belief, out = self._carrier.update(self._belief, seen, own)
-        lost = self._carrier.diverged - diverged
+        before, diverged = self._belief.active, self._backend.diverged
+        self._belief, out = self._backend.update(self._belief, seen, own)
+        lost = self._backend.diverged - diverged
         self.counts.reject(Rejection.DIVERGED, lost)
         innovations = self._innovations(seen, before, out)
         used = ((out["accepted"] > 0) | (self._belief.active > before)) & (not lost)
@@ -136,7 +136,7 @@ class OnlineFilter:
 
     @guarded
     def estimate(self, t: float) -> Estimate:
-        """Predict to `t` [s], not before the last sample, and change nothing."""
+        """Predict to `t` [s], or to the last sample if it is later; the belief does not change."""
         if math.isnan(self._t):
             return Estimate(t, Status.WAITING, Reason.NO_SAMPLES.words)
         now = max(t, self._t) if math.isfinite(t) else self._t
@@ -144,9 +144,9 @@ class OnlineFilter:
 
     @guarded
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Return where each landmark must stand, as far as the belief says."""
-        belief, stored = self._belief, self._carrier.stored
-        home, distances, sigmas = self._carrier.landmarks(belief)
+        """Return the estimates of the landmarks."""
+        belief, stored = self._belief, self._backend.stored
+        home, distances, sigmas = self._backend.landmarks(belief)
         known = []
         for i, landmark in enumerate(self._ids):
             entry: dict[str, Any] = {"home_bearing_stored": float(wrap(stored[i]))}
@@ -161,18 +161,18 @@ class OnlineFilter:
         return sorted(known, key=lambda m: natural(m.landmark))
 
     def _advance(self, t: float) -> None:
-        """Carry the belief to `t` [s]; with the first sample time begins."""
+        """Predict the belief to `t` [s]; time starts with the first sample."""
         if math.isnan(self._t):
             self._t = t
-        before = self._carrier.diverged
+        before = self._backend.diverged
         self._belief, self._t = self._predicted(t), t
-        self.counts.reject(Rejection.DIVERGED, self._carrier.diverged - before)
+        self.counts.reject(Rejection.DIVERGED, self._backend.diverged - before)
 
     def _predicted(self, t: float) -> Any:
-        """Carry the belief to `t`: by the twist while it holds, then by its absence."""
+        """Predict the belief to `t`: with the twist while it is valid, then without one."""
         held = min(max(self._twist_t + self._hold.seconds, self._t), t)
-        belief = self._carrier.predict(self._belief, held - self._t, self._twist)
-        return self._carrier.predict(belief, t - held, None)
+        belief = self._backend.predict(self._belief, held - self._t, self._twist)
+        return self._backend.predict(belief, t - held, None)
 
     def _usable(self, sightings: Mapping[str, float]) -> dict[int, float]:
         """Return the sightings of known landmarks by index, from the robot's heading [rad]."""
@@ -189,8 +189,8 @@ class OnlineFilter:
     def _innovations(
         self, seen: Mapping[int, float], active: np.ndarray, out: Mapping[str, np.ndarray]
     ) -> tuple[Innovation, ...]:
-        """Return those of the landmarks that had been seen before, and count what was left out."""
-        if len(seen) < self._carrier.minimum_visible:
+        """Return the innovations of landmarks seen before, and count rejected sightings."""
+        if len(seen) < self._backend.minimum_visible:
             self.counts.reject(Rejection.TOO_FEW, len(seen))
             return ()
         innovations = tuple(
@@ -208,15 +208,15 @@ class OnlineFilter:
 
     def _estimate(self, t: float, belief: Any, innovations: tuple[Innovation, ...]) -> Estimate:
         status, reason = self._status(t)
-        return Estimate(t, status, reason, *self._carrier.pose(belief), innovations)
+        return Estimate(t, status, reason, *self._backend.pose(belief), innovations)
 
     def _status(self, t: float) -> tuple[Status, str]:
         agreeing = int(self._agrees.sum())
         age, silent = t - self._last_seen, t - self._twist_t
         if math.isinf(age):
-            return Status.UNVERIFIED, "start prior and odometry alone: no landmark of home seen yet"
+            return Status.UNVERIFIED, "start prior and odometry only: no landmark of home seen yet"
         if silent > self._hold.seconds:
-            return Status.UNVERIFIED, "no odometry: only its uncertainty grows"
+            return Status.UNVERIFIED, "no odometry: the pose is kept and its uncertainty grows"
         if 2 * sum(self._recent) < len(self._recent):
             return Status.UNVERIFIED, f"most of the last {len(self._recent)} sightings do not fit"
         if agreeing < MIN_AGREEING:

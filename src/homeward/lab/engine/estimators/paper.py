@@ -1,7 +1,7 @@
-"""The paper's three filters and their peers, ready to run: home and robot, put into numbers.
+"""Constructors of the paper's three filters and their peers.
 
-The settings of a filter come first, then what is known of the robot, then defaults. A peer is made
-of a `FilterConfig`, and raises `InputError` where home is empty or there is no start prior.
+A filter's own settings take precedence over the drive's, and these over defaults. A peer is made
+from a `FilterConfig`, and raises `InputError` where home is empty or there is no start prior.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from homeward.drives.known import Home, known_home, known_robot, known_settings
 from homeward.drives.settings import DriveSettings, Robot, Start
 from homeward.errors import InputError, needs_start_prior
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.lab.engine.estimators.adaptive import AdaptiveRunner
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
-from homeward.lab.filters.carrier import FilterBackend
+from homeward.lab.filters.backend import FilterBackend
+from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
@@ -30,8 +30,8 @@ from homeward.lab.filters.ekf import (
     UnscentedFilter,
     augmented_ekf,
 )
-from homeward.lab.filters.invariant import CartesianPrior, InvariantFilter, SensorNoise
-from homeward.lab.filters.particle import ParticleFilter, ParticlePrior
+from homeward.lab.filters.invariant import InvariantFilter
+from homeward.lab.filters.particle import ParticleFilter
 from homeward.lab.filters.settings import (
     DEFAULT_BEARING_SIGMA,
     DEFAULT_SPEED_SIGMA,
@@ -52,29 +52,29 @@ Settings = TypeVar("Settings", bound=NoiseSettings, covariant=True)
 
 @dataclass(frozen=True)
 class FilterConfig(Generic[Settings]):
-    """What a filter is given about home and robot."""
+    """Home, robot and settings of a filter."""
 
     name: str
-    """Of the filter."""
+    """Name of the filter."""
     home: Mapping[str, HomeBearing]
-    """What home saw, by landmark; q of them."""
+    """Home bearings of q landmarks."""
     known: DriveSettings
     settings: Settings
     samples: int
-    """How many are coming, as far as that is known: many are worth compiling for."""
+    """Number of samples to come, 0 where unknown; many samples pay for compiling."""
 
     @property
     def start(self) -> Start:
         """The start prior; `InputError` where there is none, or home is empty."""
         if not self.home:
-            raise InputError(f"home saw no landmark, so {self.name} has nothing to go by")
+            raise InputError(f"home saw no landmark: {self.name} needs home bearings")
         if self.known.start is None:
             raise needs_start_prior(self.name)
         return self.known.start
 
     @property
     def start_sigmas(self) -> np.ndarray:
-        """The deviations of its R [m], theta, alpha [rad]: (3,)."""
+        """Standard deviations of its R [m], theta, alpha [rad]: (3,)."""
         start = self.start
         return np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
 
@@ -86,22 +86,22 @@ class FilterConfig(Generic[Settings]):
 
     @property
     def bearing_sigma(self) -> float:
-        """The deviation of a bearing that comes without one [rad]."""
+        """Standard deviation of a bearing without its own [rad]."""
         known = self.known.sensor.bearing_sigma
-        return first(self.settings.bearing_sigma, known, DEFAULT_BEARING_SIGMA)
+        return first_given(self.settings.bearing_sigma, known, DEFAULT_BEARING_SIGMA)
 
     @property
     def input_density(self) -> np.ndarray:
         """Variance densities of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz], (2,)."""
         own, known = self.settings, self.known.odometry
-        speed = first(own.speed_sigma, known.speed_sigma, DEFAULT_SPEED_SIGMA)
-        turn = first(own.turn_sigma, known.turn_sigma, DEFAULT_TURN_SIGMA)
+        speed = first_given(own.speed_sigma, known.speed_sigma, DEFAULT_SPEED_SIGMA)
+        turn = first_given(own.turn_sigma, known.turn_sigma, DEFAULT_TURN_SIGMA)
         return np.square([speed, turn])
 
-    def places(self, key: str, chosen: Literal["all"] | tuple[str, ...]) -> tuple[int, ...]:
-        """Return where in the state the landmarks stand that a setting names.
+    def indices(self, key: str, chosen: Literal["all"] | tuple[str, ...]) -> tuple[int, ...]:
+        """Return the indices of the landmarks that a setting names.
 
-        Raises `InputError` when one is named twice, or home has no bearing of it.
+        Raises `InputError` when a landmark is named twice or has no home bearing.
         """
         ids = list(self.home)
         named = ids if chosen == "all" else list(chosen)
@@ -112,7 +112,7 @@ class FilterConfig(Generic[Settings]):
         return tuple(ids.index(i) for i in named)
 
     def model(self: FilterConfig[FilterSettings], estimated: tuple[int, ...] = ()) -> PolarModel:
-        """Return the paper's model of the landmarks, some of whose home bearings are states."""
+        """Return the paper's model with some home bearings as states."""
         return PolarModel(len(self.home), estimated, self.settings.guard)
 
     def runner(
@@ -123,8 +123,9 @@ class FilterConfig(Generic[Settings]):
         parameter_density: float = 0.0,
         proportional: np.ndarray | None = None,
         integral_gain: np.ndarray | None = None,
+        make: type[FilterRunner] = FilterRunner,
     ) -> FilterRunner:
-        """Return a filter in the paper's state with all its numbers; errors as of `start`."""
+        """Return a filter in the paper's state with its tuning; errors as of `start`."""
         q, parameters = kind.model.q, np.ones(len(kind.model.estimated))
         walk, nothing = self.settings.bearing_walk**2, np.zeros((0, 0))
         before = [np.square(self.start_sigmas), np.ones(q), parameter_variance * parameters]
@@ -141,38 +142,38 @@ class FilterConfig(Generic[Settings]):
             proportional=nothing if proportional is None else proportional,
             integral_gain=nothing if integral_gain is None else integral_gain,
         )
-        return FilterRunner(kind, tuning, self.settings.engine, self.samples)
+        return make(kind, tuning, self.settings.engine, self.samples)
 
     def filter(
         self: FilterConfig[FilterSettings], kind: ExtendedKalmanFilter, **numbers: Any
     ) -> OnlineFilter:
-        """Return a filter in the paper's state, ready to run; `numbers` are those of `runner`."""
+        """Return a filter in the paper's state as an estimator; `numbers` as for `runner`."""
         return self.online(self.runner(kind, **numbers))
 
-    def online(self, carrier: FilterBackend) -> OnlineFilter:
-        """Return what carries a belief as an estimator."""
+    def online(self, backend: FilterBackend) -> OnlineFilter:
+        """Return a backend as an estimator."""
         yaw = self.known.sensor.yaw
-        return OnlineFilter(self.name, carrier, list(self.home), yaw, tuple(self._notes()))
+        return OnlineFilter(self.name, backend, list(self.home), yaw, tuple(self._notes()))
 
     def _notes(self) -> list[str]:
-        """Say which assumptions of the paper are not met."""
+        """Return the assumptions of the paper that are not met."""
         mounts = self.known.sensor, self.known.home_mount
         off, notes = max(math.hypot(mount.x, mount.y) for mount in mounts), []
         if off > 0:
             notes.append(
-                f"{self.name} takes the camera to be at the robot's centre; here it is "
-                f"{off:.2f} m from it, which bends every bearing."
+                f"{self.name} assumes the camera at the robot's centre; here it is {off:.2f} m "
+                "away, which biases every bearing."
             )
         if self.name == "pi-ekf":
             notes.append(
-                "pi-ekf integrates innovations for ever, as printed; on long drives that winds up "
-                "(integral_gain=0 leaves the EKF)."
+                "pi-ekf never forgets its integral of innovations, as in the paper; on long drives "
+                "it winds up (integral_gain=0 gives the EKF)."
             )
         return notes
 
 
-def first(*values: float | None) -> float:
-    """Return the first of some values that is one."""
+def first_given(*values: float | None) -> float:
+    """Return the first value that is not None."""
     return next(v for v in values if v is not None)
 
 
@@ -191,18 +192,18 @@ def ekf(
     Parameters
     ----------
     home : dict of str to float or HomeBearing
-        What the camera saw at home, by landmark [rad]; deviations are not used.
+        Home bearings by landmark [rad]; their sigmas are not used.
     settings : FilterSettings or dict, optional
-        Everything else.
+        Settings of the filter.
     samples : int
-        How many are coming, as far as that is known: many are worth compiling for.
+        Number of samples to come, 0 where unknown; many samples pay for compiling.
     **robot : Robot
-        What is known of the robot: `start`, which is needed, `sensor`, `home_sensor`, `odometry`.
+        The robot: `start`, which is required, `sensor`, `home_sensor`, `odometry`.
 
     Raises
     ------
     InputError
-        When something of it cannot be used, home is empty, or there is no start prior.
+        When a value is invalid, home is empty, or there is no start prior.
     """
     config = _config("ekf", home, known_settings(FilterSettings, settings), robot, samples)
     return config.filter(ExtendedKalmanFilter(config.model(), config.settings.integration))
@@ -218,7 +219,7 @@ def a_ekf(
     """Return the paper's A-EKF; parameters and errors as of `ekf`."""
     config = _config("a-ekf", home, known_settings(AugmentedSettings, settings), robot, samples)
     own, q = config.settings, len(config.home)
-    indices = config.places("parameters", own.parameters)
+    indices = config.indices("parameters", own.parameters)
     return config.filter(
         augmented_ekf(q, indices, own.integration, own.guard),
         parameter_variance=own.parameter_sigma**2,
@@ -238,7 +239,7 @@ def pi_ekf(
     config = _config("pi-ekf", home, checked, robot, samples)
     own, model = config.settings, config.model()
     n, q = model.n, model.q
-    # The paper counts R in cm: one unit of an innovation moves it by cm, not by m.
+    # The paper's R is in cm: one unit of an innovation moves it by 1 cm, not 1 m.
     scale = np.diag([0.01, *[1.0] * (n - 1)])
     pi = _matrix("proportional", own.proportional, (n, n), scale)
     return config.filter(
@@ -265,15 +266,15 @@ def _matrix(
 
 
 def adaptive(config: FilterConfig[FilterSettings]) -> OnlineFilter:
-    """Return the EKF that identifies its noise."""
+    """Return the EKF that estimates its noise."""
     kind = ExtendedKalmanFilter(config.model(), config.settings.integration)
-    return config.online(AdaptiveRunner(config.runner(kind)))
+    return config.filter(kind, make=AdaptiveRunner)
 
 
 def schmidt(config: FilterConfig[SchmidtSettings]) -> OnlineFilter:
-    """Return the EKF that considers doubtful home bearings."""
+    """Return the EKF that considers uncertain home bearings."""
     own = config.settings
-    kind = SchmidtFilter(config.model(config.places("doubtful", own.doubtful)), own.integration)
+    kind = SchmidtFilter(config.model(config.indices("doubtful", own.doubtful)), own.integration)
     return config.filter(kind, parameter_variance=own.doubt_sigma**2)
 
 
@@ -284,35 +285,28 @@ def ukf(config: FilterConfig[FilterSettings]) -> OnlineFilter:
 
 def invariant(config: FilterConfig[CartesianSettings]) -> OnlineFilter:
     """Return the invariant EKF."""
-    start, expected = config.start, 1 / (2 * config.settings.nearest)
-    spread = np.diag(np.square(config.start_sigmas))
-    prior = CartesianPrior(
-        from_polar(start.polar),
-        polar_covariance_to_pose(start.polar, spread),
-        *(config.stored, _home_sigma(config), expected, expected),
-    )
     return config.online(
-        InvariantFilter(prior, _sensor_noise(config), config.settings.minimum_visible)
+        InvariantFilter(*_prior_and_noise(config), config.settings.minimum_visible)
     )
 
 
 def particle(config: FilterConfig[ParticleSettings]) -> OnlineFilter:
     """Return the particle filter."""
-    own, landmarks = config.settings, (config.stored, _home_sigma(config))
-    prior = ParticlePrior(
-        config.start.polar, config.start_sigmas, *landmarks, 1 / (2 * own.nearest)
-    )
-    noise, chance = _sensor_noise(config), (own.particles, own.outliers, own.seed)
-    return config.online(ParticleFilter(prior, noise, *chance, own.minimum_visible))
+    own = config.settings
+    prior, noise = _prior_and_noise(config)
+    sampling = own.particles, own.outliers, own.seed
+    return config.online(ParticleFilter(prior, noise, *sampling, own.minimum_visible))
 
 
-def _home_sigma(config: FilterConfig[CartesianSettings]) -> np.ndarray:
-    own = np.array([b.sigma for b in config.home.values()])
-    return np.where(own > 0, own, first(config.settings.home_sigma, config.bearing_sigma))
-
-
-def _sensor_noise(config: FilterConfig[CartesianSettings]) -> SensorNoise:
-    return SensorNoise(config.input_density, config.bearing_sigma, config.settings.gate_threshold)
+def _prior_and_noise(
+    config: FilterConfig[CartesianSettings],
+) -> tuple[CartesianPrior, SensorNoise]:
+    own, expected = config.settings, 1 / (2 * config.settings.nearest)
+    sigmas = np.array([b.sigma for b in config.home.values()])
+    sigmas = np.where(sigmas > 0, sigmas, first_given(own.home_sigma, config.bearing_sigma))
+    landmarks = config.stored, sigmas, expected, expected
+    prior = CartesianPrior(config.start.polar, config.start_sigmas, *landmarks)
+    return prior, SensorNoise(config.input_density, config.bearing_sigma, own.gate_threshold)
 
 
 PEERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
@@ -325,7 +319,7 @@ PEERS: dict[str, Callable[[FilterConfig[Any]], OnlineFilter]] = {
 
 
 def filter_for(name: str, drive: Drive, settings: Any) -> OnlineFilter:
-    """Return a filter by its name for a drive; for many samples it is worth compiling."""
+    """Return a filter by its name for a drive."""
     samples = drive.odometry.t.size + drive.sightings.t.size
     if name in PEERS:
         home = known_home(drive.home)

@@ -1,59 +1,46 @@
-"""A filter's belief carried through time by its kernels, compiled or not: numbers, no answers."""
+"""The backend of filters in the paper's state: beliefs as arrays, steps compiled or interpreted."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
-from homeward.lab.engine.batch.job import LARGEST
+from homeward.lab.engine.batch.job import MAX_BELIEF
 from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
 from homeward.lab.engine.program.stages import (
     BELIEF,
-    COMPILES_UP_TO,
-    Kernel,
+    MAX_COMPILED_STATES,
+    Machine,
+    Program,
     filter_parts,
     filter_program,
 )
-from homeward.lab.filters.carrier import LOST_SIGMA, Angles, Held, LandmarkBelief, Outputs
+from homeward.lab.filters.backend import LOST_SIGMA, Angles, LandmarkBelief, MaybeTwist, Outputs
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel, landmark_distance
 
-LONGEST_STEP_S = 0.1
+MAX_STEP_S = 0.1
 """A longer interval is predicted in several steps."""
-MOST_STEPS = 1000
-"""But in no more than these, however long the gap."""
-
-
-UNROLLED_UP_TO = 48
-"""States: up to here an unrolled step is built within half a second and runs faster."""
+MAX_STEPS = 1000
+"""Largest number of steps, however long the gap."""
+MAX_UNROLLED_STATES = 48
+"""Up to here an unrolled step is built within half a second and runs faster."""
 SAVED_S = 20e-6
 """What compiled code saves in each step [s]."""
 WRITING_S = 60.0
-"""For more states than that, `auto` wants to save as much [s]: writing the C alone takes long."""
+"""For more states than that, `auto` compiles only to save as much [s]: writing the C takes long."""
 SLOWER = "which takes up to twice as long"
 
 
-class FilterKernels(NamedTuple):
-    """A filter's two steps, ready to run."""
-
-    predict: Kernel
-    update: Kernel
-    engine: Engine
-    """What executes them: native or interpreter."""
-    notes: tuple[str, ...]
-    """What the user must know of that, each a sentence."""
-
-
-def filter_kernels(
+def filter_machine(
     kind: ExtendedKalmanFilter, engine: Engine = "auto", steps: int = 0
-) -> FilterKernels:
-    """Return the kernels of a filter; `steps` is the number to come, as far as it is known."""
+) -> Machine | NativeProgram:
+    """Return a filter's steps, ready to run; `steps` is the number to come, 0 where unknown."""
 
     def native() -> NativeProgram:
         return NativeProgram(filter_program(kind))
@@ -62,22 +49,18 @@ def filter_kernels(
         return source_of(filter_program(kind), single=True)
 
     saved = SAVED_S * steps
-    if not kind.separable and kind.model.n > COMPILES_UP_TO:
+    if not kind.separable and kind.model.n > MAX_COMPILED_STATES:
         engine = "interpreter"  # there are no loops in C for it
-    if engine == "auto" and kind.model.n > UNROLLED_UP_TO and saved < WRITING_S:
+    if engine == "auto" and kind.model.n > MAX_UNROLLED_STATES and saved < WRITING_S:
         engine = "interpreter"
     program, notes = choose(engine, saved, source, native, SLOWER)
-    if program is not None:
-        notes = program.library.notes
-        return FilterKernels(program.part("predict"), program.part("update"), "native", notes)
-    predict, update = (part[0].kernel() for part in filter_parts(kind, UNROLLED_UP_TO).values())
-    return FilterKernels(predict, update, "interpreter", notes)
+    return program or Machine(Program(filter_parts(kind, MAX_UNROLLED_STATES)), notes=notes)
 
 
 class Numbers:
-    """A belief in numbers: views of one piece of memory; see `homeward.lab.filters.ekf`.
+    """A numerical `homeward.lab.filters.ekf.Belief`: views of one piece of memory.
 
-    `memory` has the entries in that order, matrices column-major, of n states and q landmarks.
+    `memory` has its fields in order, matrices column-major, for n states and q landmarks.
     """
 
     __slots__ = ("active", "covariance", "integral", "memory", "state")
@@ -91,24 +74,24 @@ class Numbers:
 
 @dataclass(frozen=True)
 class Tuning:
-    """The numbers of a filter, as arrays in its own order of states (n) and landmarks (q)."""
+    """Prior and noise of a filter, in its order of states (n) and landmarks (q)."""
 
     polar: Polar
     """Start prior: R [m], theta, alpha [rad]."""
     variance: np.ndarray
-    """(n,), of the start prior: R, theta, alpha, bearings (any), parameters."""
+    """(n,), variances of the start prior: R, theta, alpha, bearings (any), parameters."""
     stored: np.ndarray
     """(q,), beta* in the robot's home frame [rad]."""
     bearing_sigma: float
-    """Of a bearing that comes without one [rad]."""
+    """Standard deviation of a bearing without its own [rad]."""
     input_density: np.ndarray
     """(2,), variance density of speed [(m/s)^2/Hz] and turn rate [(rad/s)^2/Hz]."""
     state_density: np.ndarray
     """(n,), variance per second added to the states."""
     gate: float
-    """Largest innovation^2 / variance accepted."""
+    """Largest accepted innovation^2 / variance."""
     minimum_visible: int
-    """Fewer landmarks in sight, and a stamp is not used."""
+    """A stamp with fewer landmarks in view is not used."""
     proportional: np.ndarray
     """Pi per second, (n, n); empty unless the filter has an integral."""
     integral_gain: np.ndarray
@@ -116,17 +99,17 @@ class Tuning:
 
 
 def in_steps(interval: float) -> list[float]:
-    """Return the equal steps [s] in which an interval is predicted; none unless it is positive."""
+    """Return the equal steps [s] of the prediction of an interval; none if it is not positive."""
     if interval <= 0.0:
         return []
-    steps = min(math.ceil(interval / LONGEST_STEP_S), MOST_STEPS)
+    steps = min(math.ceil(interval / MAX_STEP_S), MAX_STEPS)
     return [interval / steps] * steps
 
 
 class FilterRunner:
-    """A `homeward.lab.filters.carrier.FilterBackend` of beliefs in the paper's state, kept finite.
+    """A `homeward.lab.filters.backend.FilterBackend` in the paper's state.
 
-    So many `steps` are coming, as far as that is known.
+    A step whose result diverges is dropped. `steps` is the number to come, 0 where unknown.
     """
 
     def __init__(
@@ -135,19 +118,22 @@ class FilterRunner:
         self.kind, self.tuning = kind, tuning
         self.stored, self.minimum_visible = tuning.stored, tuning.minimum_visible
         self.diverged = 0
-        """Steps that were left out because their result had diverged."""
-        self._predict, self._update, self.engine, self.notes = filter_kernels(kind, engine, steps)
-        self._size = sum(self._predict.inputs[name].size for name in BELIEF)
+        """Number of steps dropped because their result diverged."""
+        self._machine = filter_machine(kind, engine, steps)
+        self.engine, self.notes = self._machine.engine, self._machine.notes
+        self._variables = variables = self._machine.variables
+        self._size = sum(variables[name].size for name in BELIEF)
+        """The belief comes first in the machine's memory."""
         self._step: tuple[float, bool] | None = None
-        self._predict.inputs["stored"][:] = tuning.stored
-        self._update.inputs["gate"][:] = tuning.gate
-        self._update.inputs["minimum_visible"][:] = tuning.minimum_visible
-        gain = self._update.inputs["integral_gain"]
-        # Of one landmark, CasADi's column is a flat vector.
+        variables["stored"][:] = tuning.stored
+        variables["gate"][:] = tuning.gate
+        variables["minimum_visible"][:] = tuning.minimum_visible
+        gain = variables["integral_gain"]
+        # For one landmark, CasADi's column is a flat vector.
         gain[...] = tuning.integral_gain.reshape(gain.shape)
 
     def retune(self, tuning: Tuning) -> None:
-        """Believe other sigmas from now on; the rest of the tuning must be the same."""
+        """Set other sigmas; the rest of the tuning must be the same."""
         self.tuning, self._step = tuning, None
 
     def start(self) -> Numbers:
@@ -159,13 +145,11 @@ class FilterRunner:
         np.fill_diagonal(belief.covariance, tuning.variance)
         return belief
 
-    def predict(self, belief: Numbers, interval: float, twist: Held) -> Numbers:
-        """Return the belief `interval` [s] later; the same unless that is positive."""
+    def predict(self, belief: Numbers, interval: float, twist: MaybeTwist) -> Numbers:
+        """Return the belief `interval` [s] later, or the same if that is not positive."""
         for step in in_steps(interval):
             self._set_step(step, twist)
-            self._predict.given[: self._size] = belief.memory
-            self._predict()
-            belief = self._sane(self._predict.found, belief)
+            belief = self._after("predict", belief)
         return belief
 
     def pose(self, belief: Numbers) -> tuple[Pose, np.ndarray]:
@@ -175,10 +159,9 @@ class FilterRunner:
         return from_polar(polar), covariance
 
     def landmarks(self, belief: Numbers) -> LandmarkBelief:
-        """Return where each landmark must stand, by the paper's relation for D*_i.
+        """Return the estimates of the landmarks from the paper's relation for D*_i.
 
-        Where that comes out negative, as it can for bearings nearly in line with home, it says
-        nothing of place and distance.
+        A negative D*_i, possible where bearings are nearly in line with home, means unknown.
         """
         model, state, stored = self.kind.model, belief.state, self.stored
         jacobian = _distance_jacobian(model, state, stored)
@@ -189,9 +172,9 @@ class FilterRunner:
             np.sqrt(np.maximum(variances, 0.0)),
         )
 
-    def _set_step(self, dt: float, twist: Held) -> None:
-        """Set what a prediction depends on besides the belief."""
-        given, tuning = self._predict.inputs, self.tuning
+    def _set_step(self, dt: float, twist: MaybeTwist) -> None:
+        """Set the inputs of a prediction."""
+        given, tuning = self._variables, self.tuning
         given["control"][:] = twist or (0.0, 0.0)
         if (dt, twist is None) == self._step:
             return
@@ -203,29 +186,30 @@ class FilterRunner:
         given["proportional"][...] = tuning.proportional * dt
 
     def update(self, belief: Numbers, seen: Angles, sigmas: Angles) -> tuple[Numbers, Outputs]:
-        """Return the belief after the sightings of one stamp, and what the step said of them."""
-        given = self._update.inputs
-        self._update.given[: self._size] = belief.memory
+        """Return the belief after the sightings of one stamp, and the outputs of the update."""
+        given = self._variables
         given["mask"][:] = given["bearings"][:] = 0.0
         given["variance"][:] = self.tuning.bearing_sigma**2
         for i, beta in seen.items():
             given["mask"][i], given["bearings"][i] = 1.0, beta
         for i, sigma in sigmas.items():
             given["variance"][i] = sigma * sigma  # infinite where ** would raise
-        self._update()
-        return self._sane(self._update.found, belief), self._update.outputs
+        return self._after("update", belief), given
 
-    def _sane(self, found: np.ndarray, before: Numbers) -> Numbers:
-        """Return a copy of the new belief, or the old one where the new one has diverged."""
-        memory = found[: self._size].copy()
-        if np.abs(memory).max() < LARGEST:  # else, with such a number in it, it has diverged
+    def _after(self, part: str, before: Numbers) -> Numbers:
+        """Return a copy of the belief after a step, or the old one where the step diverged."""
+        pool = self._machine.pool
+        pool[: self._size] = before.memory
+        self._machine.do(part)
+        memory = pool[: self._size].copy()
+        if np.abs(memory).max() < MAX_BELIEF:  # false for NaN, too
             return Numbers(self.kind.model.n, self.kind.model.q, memory)
         self.diverged += 1
         return before
 
 
 def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Return beta* of all landmarks, from the state where they are estimated: (q,) [rad]."""
+    """Return beta* of all landmarks (q,) [rad], from the state where they are estimated."""
     home = stored.astype(state.dtype)
     home[list(model.estimated)] = state[POLAR + model.q :]
     return home
@@ -238,7 +222,7 @@ def _distances(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.n
 
 
 def _distance_jacobian(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Differentiate D*_i by the state with complex steps: (q, n)."""
+    """Return the derivatives of D*_i by the state (q, n), from complex steps."""
     step = 1e-30
     columns = []
     for j in range(model.n):

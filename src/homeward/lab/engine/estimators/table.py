@@ -1,4 +1,4 @@
-"""Filters by name, each with the model of its settings and what makes it for a drive."""
+"""Table of filters: name, settings model, and a function that makes the filter for a drive."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""An exported filter: templates of C with the symbolic source put in, the folder, and its work.
+"""Export of a filter as a C library: templates filled with the symbolic source, and its cost.
 
-The folder is that of a library, as Arduino and PlatformIO lay one out. The formulas of the largest
-number of operations of a call follow templates/homeward_ekf.c; a test compiles that with numbers
-that count.
+The folder has the layout of an Arduino or PlatformIO library. The formulas for the largest number
+of operations of a call follow templates/homeward_ekf.c; a test compiles that with a number type
+that counts operations.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ import casadi as ca
 from homeward.errors import InputError
 from homeward.estimator import MIN_AGREEING
 from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
-from homeward.lab.engine.batch.job import LARGEST
+from homeward.lab.engine.batch.job import MAX_BELIEF
 from homeward.lab.engine.native.emit import Split, emit_split, split_step
-from homeward.lab.filters.carrier import LOST_SIGMA
+from homeward.lab.filters.backend import LOST_SIGMA
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
 from homeward.lab.filters.settings import (
     DEFAULT_BEARING_SIGMA,
@@ -37,7 +37,7 @@ from homeward.lab.model import INPUTS, POLAR, PolarModel, discretise, true_beari
 
 MARKER = "library.properties"
 """The file that marks an earlier export."""
-MOST_LANDMARKS = 32
+MAX_LANDMARKS = 32
 """Number of bits of the word for the landmarks seen so far."""
 _FILES = {
     "examples/cortex_m4f/main.c": "main.c",
@@ -48,31 +48,31 @@ _FILES = {
     MARKER: MARKER,
 }
 FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
-"""All that is called of libm, before the suffix of floats."""
+"""Functions used from libm, without the suffix of floats."""
 STRETCHES = 16
-"""Short stretches of the drive, whose sightings the resection keeps; each a twelfth of the way home
-long, so that they are more than that way together."""
+"""Number of short stretches of the drive whose sightings the resection uses. Each is a twelfth of
+the distance to home, so together they are longer than that distance."""
 GATE = 0.999
-"""Share of right home bearings that agree with the right place of home."""
+"""Fraction of correct home bearings that agree with the correct place of home."""
 CHANCE = 0.1
-"""A home bearing counts as evidence where a wrong one agrees with no larger probability."""
+"""A home bearing is evidence only where a wrong one agrees with at most this probability."""
 
 
-def project(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
-    """Return all files of an exported EKF of q landmarks, by their place in the folder.
+def exported_files(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
+    """Return all files of an exported EKF of q landmarks by their path in the folder.
 
-    Its defaults are the settings; numbers are floats (`single`) or doubles. Raises `InputError` for
-    a number of landmarks that it cannot have.
+    The settings become its defaults; numbers are floats (`single`) or doubles. Raises `InputError`
+    when q is out of range.
     """
-    if not 1 <= q <= MOST_LANDMARKS:
-        raise InputError(f"an exported filter has 1 to {MOST_LANDMARKS} landmarks, not {q}")
+    if not 1 <= q <= MAX_LANDMARKS:
+        raise InputError(f"an exported filter has 1 to {MAX_LANDMARKS} landmarks, not {q}")
     values = {"version": version("homeward"), "landmarks": q}
     texts = {f"src/{k}": text for k, text in sources(q, settings, single).items()}
-    return texts | {place: filled(name, values) for place, name in _FILES.items()}
+    return texts | {place: filled_template(name, values) for place, name in _FILES.items()}
 
 
-def filled(name: str, values: Mapping[str, object]) -> str:
-    """Return a template of this folder with its ``$name`` replaced."""
+def filled_template(name: str, values: Mapping[str, object]) -> str:
+    """Return a template with each ``$name`` replaced."""
     text = (
         files("homeward.lab.engine.export").joinpath("templates", name).read_text(encoding="utf-8")
     )
@@ -82,8 +82,8 @@ def filled(name: str, values: Mapping[str, object]) -> str:
 def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
     """Return the header and the source of an EKF of q landmarks, by file name.
 
-    Of the settings guard and integration are compiled in, the others are defaults of the C. Numbers
-    are floats (`single`) or doubles.
+    The settings guard and integration are compiled in; the others become defaults in C. Numbers are
+    floats (`single`) or doubles.
     """
     kind = ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
     step = step_lines(kind)
@@ -95,7 +95,7 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "f": f,
         "functions": ", ".join(k + f for k in FUNCTIONS),
         "lost_variance": LOST_SIGMA**2,
-        "largest": LARGEST,
+        "largest": MAX_BELIEF,
         "shared": _indented(step.shared, 2),
         "own": _indented(step.own, 4),
         "defaults": _indented(_defaults(settings), 2),
@@ -107,11 +107,11 @@ def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
         "largest_determinant": 1e30,
     }
     values |= {k: _indented(block_lines(k), 4 if k == "restart" else 2) for k in BLOCKS}
-    return {k: filled(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
+    return {k: filled_template(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
 
 
 def step_lines(kind: ExtendedKalmanFilter) -> Split:
-    """Return the propagation of one landmark and of what all share."""
+    """Return the propagation of one landmark, split into shared and own lines."""
     return split_step(kind, lambda name, entry: "dt" if name == "dt" else f"{name}[{entry}]")
 
 
@@ -119,7 +119,7 @@ def _pose() -> ca.Function:
     """Return the pose and its covariance to first order, from those of the polar state."""
     x, covariance = ca.SX.sym("x", POLAR), ca.SX.sym("covariance", 6)
     pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
-    carried = _carried(pose, x, covariance)
+    carried = _propagated(pose, x, covariance)
     return named_function(
         "block",
         {"x": x, "state_covariance": covariance},
@@ -131,7 +131,7 @@ def _restart() -> ca.Function:
     """Return the polar state and its covariance to first order, from those of the pose."""
     pose, covariance = ca.SX.sym("pose", 3), ca.SX.sym("covariance", 6)
     polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
-    carried = _carried(polar, pose, covariance)
+    carried = _propagated(polar, pose, covariance)
     return named_function(
         "block",
         {"pose": pose, "pose_covariance": covariance},
@@ -139,7 +139,7 @@ def _restart() -> ca.Function:
     )
 
 
-def _look() -> ca.Function:
+def _bearing() -> ca.Function:
     pose, mark = ca.SX.sym("pose", 3), ca.SX.sym("mark", 2)
     seen = true_bearings(pose, mark.T)
     return named_function(
@@ -149,7 +149,7 @@ def _look() -> ca.Function:
     )
 
 
-def _relative() -> ca.Function:
+def _relative_pose() -> ca.Function:
     home, place = ca.SX.sym("home", 3), ca.SX.sym("place", 3)
     pose = ca.vertcat(*between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(place))))
     return named_function(
@@ -157,7 +157,7 @@ def _relative() -> ca.Function:
     )
 
 
-def _reckon() -> ca.Function:
+def _dead_reckoning() -> ca.Function:
     x, control, dt = ca.SX.sym("x", 3), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
     covariance, density = ca.SX.sym("covariance", 6), ca.SX.sym("density", INPUTS)
     step = discretise(unicycle_rates, x, control, dt)
@@ -173,11 +173,11 @@ def _reckon() -> ca.Function:
 BLOCKS: dict[str, Callable[[], ca.Function]] = {
     "pose": _pose,
     "restart": _restart,
-    "look": _look,
-    "relative": _relative,
-    "reckon": _reckon,
+    "look": _bearing,
+    "relative": _relative_pose,
+    "reckon": _dead_reckoning,
 }
-"""Blocks of the template that belong to no landmark; their variables are named as in the C."""
+"""Blocks of the template that belong to no landmark; their variables have the names in C."""
 
 
 def block_lines(name: str) -> list[str]:
@@ -204,8 +204,8 @@ def _lower(full: ca.SX) -> ca.SX:
     return ca.vertcat(*(full[i, j] for i in range(3) for j in range(i + 1)))
 
 
-def _carried(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
-    """Return a covariance carried through a function, to first order."""
+def _propagated(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
+    """Return a covariance propagated through a function, to first order."""
     jacobian = ca.jacobian(out, by)
     return _lower(jacobian @ _full(covariance) @ jacobian.T)
 
@@ -219,11 +219,11 @@ def _defaults(settings: FilterSettings) -> list[str]:
         "gate": settings.gate_threshold,
     }
     values["home_sigma"] = values["bearing_sigma"]
-    lines = [f"settings->{k} = {emitted(v)};" for k, v in values.items()]
+    lines = [f"settings->{k} = {c_number(v)};" for k, v in values.items()]
     return [*lines, f"settings->minimum_visible = {settings.minimum_visible}U;"]
 
 
-def emitted(value: float) -> str:
+def c_number(value: float) -> str:
     """Return a number as C."""
     return "INFINITY" if math.isinf(value) else f"(REAL){value!r}"
 
@@ -232,8 +232,8 @@ def _indented(lines: list[str], width: int) -> str:
     return textwrap.indent("\n".join(lines), " " * width)
 
 
-MOST_STEPS = 11
-"""Of one call, however long the gap: a second in steps of 0.1 s, and the rest in one."""
+MAX_STEPS = 11
+"""Largest number of steps of a call: one second in steps of 0.1 s, and the rest in one step."""
 
 
 class Cost(NamedTuple):
@@ -245,19 +245,19 @@ class Cost(NamedTuple):
     """Calls of libm."""
 
     def __add__(self, other: Cost) -> Cost:  # type: ignore[override]
-        """Return both together."""
+        """Return the sum of two costs."""
         return Cost(self[0] + other[0], self[1] + other[1])
 
     def __rmul__(self, times: int) -> Cost:  # type: ignore[override]
-        """Return a multiple of it."""
+        """Return a multiple of a cost."""
         return Cost(times * self[0], times * self[1])
 
 
 WRAP = Cost(4, 1)
 
 
-def of_lines(lines: Iterable[str]) -> Cost:
-    """Return the work of generated lines."""
+def cost_of(lines: Iterable[str]) -> Cost:
+    """Return the cost of generated lines."""
     text = "\n".join(lines)
     arithmetic = len(re.findall(r" [-+*/] |v_inverse", text))
     return Cost(
@@ -265,33 +265,33 @@ def of_lines(lines: Iterable[str]) -> Cost:
     )
 
 
-def most_work(q: int, settings: FilterSettings) -> dict[str, Cost]:
-    """Return what the functions of an exported EKF of `q` landmarks compute at most.
+def max_cost(q: int, settings: FilterSettings) -> dict[str, Cost]:
+    """Return the largest cost of each function of an exported EKF of `q` landmarks.
 
-    ``odometry`` and ``bearings`` with one step of prediction, as at rates of 10 Hz and more;
-    ``odometry, longest`` after any gap; ``solve`` of the resection.
+    ``odometry`` and ``bearings`` are for one prediction step, as at rates of 10 Hz and more;
+    ``odometry, longest`` is for any gap; ``solve`` is the resection.
     """
     step = step_lines(
         ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
     )
     n, clock = q + 3, Cost(5, 0)
     predict = (
-        of_lines(step.shared) + q * of_lines(step.own) + Cost(124 + 51 * q + 9 * q * n - 18 * q, 0)
+        cost_of(step.shared) + q * cost_of(step.own) + Cost(124 + 51 * q + 9 * q * n - 18 * q, 0)
     )
     update = q * (Cost(12, 0) + 2 * WRAP + Cost(n * n + 4 * n, 0))
     return {
         "odometry": clock + predict,
-        "odometry, longest": clock + MOST_STEPS * predict,
+        "odometry, longest": clock + MAX_STEPS * predict,
         "bearings": clock + predict + update,
         "solve": _solve(q),
     }
 
 
 def _solve(q: int) -> Cost:
-    look, relative = (of_lines(block_lines(k)) for k in ("look", "relative"))
+    look, relative = (cost_of(block_lines(k)) for k in ("look", "relative"))
     misfit = look + Cost(11, 0) + WRAP
     astray = relative + Cost(3, 0) + WRAP
-    judged = astray + Cost(27, 0) + q * (misfit + Cost(3, 0))
+    tested = astray + Cost(27, 0) + q * (misfit + Cost(3, 0))
     inverted, solved = Cost(29, 0), Cost(14, 0)
 
     def refined(marks: int) -> Cost:
@@ -300,7 +300,7 @@ def _solve(q: int) -> Cost:
     meeting = STRETCHES * Cost(21, 2) + solved + Cost(12, 0)
     nearer = STRETCHES * (look + Cost(15, 0) + WRAP) + solved + Cost(2, 0)
     located = meeting + 9 * nearer + Cost(6, 0)
-    search = judged + comb(q, 3) * (3 * refined(3) + judged)
-    rounds = 4 * (judged + 4 * refined(q)) + judged
+    search = tested + comb(q, 3) * (3 * refined(3) + tested)
+    rounds = 4 * (tested + 4 * refined(q)) + tested
     answer = relative + Cost(94, 0) + q * (misfit + Cost(1, 0))
     return inverted + q * located + search + rounds + answer

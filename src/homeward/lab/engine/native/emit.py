@@ -1,12 +1,12 @@
 """C from a symbolic function: straight-line code on a pool of variables, or split by landmark.
 
-CasADi's own generator writes scalars; this one writes the same instructions for doubles and for
-vectors with one run a lane (`lanes.h`), and finds the sines and cosines that can be computed
+CasADi's own generator writes scalars. This one writes the same instructions for doubles and for
+vectors with one run per lane (`lanes.h`), and groups sines and cosines that can be computed
 together.
 
-The model is separable: a landmark's row of the step depends on the robot and on that landmark
-alone. So the function of one landmark is split by what it reads: values that no landmark enters are
-computed once, in front of the loop over the landmarks; the others are its body.
+The model is separable: a landmark's row of the step depends only on the robot and that landmark. So
+the function of one landmark is split: values that depend on no landmark are computed once, before
+the loop over the landmarks; the others are its body.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from homeward.lab.model import POLAR, PolarModel
 
 
 class Node(NamedTuple):
-    """One value: an operation, and numbers of the nodes that it takes (or what a leaf holds)."""
+    """One value: an operation and the indices of its arguments, or the contents of a leaf."""
 
     op: int
     args: tuple[int | float, ...]
@@ -59,20 +59,17 @@ _COMMUTATIVE = (ca.OP_ADD, ca.OP_MUL)
 
 
 class Code:
-    """The values of a symbolic function of SX, none of them twice.
-
-    Raises `NotImplementedError` for an operation that no model needed so far.
-    """
+    """The distinct values of an SX function; `NotImplementedError` for an unsupported operation."""
 
     def __init__(self, function: ca.Function) -> None:
         self.nodes: list[Node] = []
         self.outputs: list[tuple[int, int, int]] = []
-        """(which output, which entry of it, node)"""
+        """(output, entry, node)"""
         self._numbers: dict[Node, int] = {}
         self._read(function)
 
     def is_zero(self, node: int) -> bool:
-        """OnProgress whether a node is the constant zero."""
+        """Return whether a node is the constant zero."""
         return self.nodes[node] == Node(ca.OP_CONST, (0.0,))
 
     def _read(self, function: ca.Function) -> None:
@@ -88,7 +85,7 @@ class Code:
                 work[out[0]] = self._number(op, tuple(given))
             elif op in FORMS or op in CIRCULAR:
                 args = tuple(work[i] for i in given)
-                # One argument is all that a unary operation has, however it is listed.
+                # CasADi may list the argument of a unary operation twice.
                 args = args if "{1}" in FORMS.get(op, "") else args[:1]
                 work[out[0]] = self._operation(op, args)
             else:
@@ -96,7 +93,7 @@ class Code:
 
     def _operation(self, op: int, args: tuple[int, ...]) -> int:
         if op == ca.OP_DIV and self.nodes[args[1]].op != ca.OP_CONST:
-            # Most divisors divide several numbers, and a division costs as much as ten products.
+            # Most divisors are used several times, and a division costs as much as ten products.
             return self._operation(ca.OP_MUL, (args[0], self._number(ca.OP_INV, (args[1],))))
         return self._number(op, tuple(sorted(args)) if op in _COMMUTATIVE else args)
 
@@ -108,7 +105,7 @@ class Code:
         return self._numbers[node]
 
     def levels(self) -> list[int]:
-        """Return of each node how many sines and cosines stand one behind the other before it."""
+        """Return for each node the largest number of sines and cosines on a path to it."""
         level: list[int] = []
         for op, args in self.nodes:
             if op in (ca.OP_CONST, ca.OP_INPUT):
@@ -121,9 +118,9 @@ class Code:
 def emit(name: str, function: ca.Function, places: Mapping[str, int]) -> str:
     """Return a C function ``static void name(V *p)`` that reads and writes a pool of variables.
 
-    The function of SX is dense, with named inputs and outputs; a suffix ``_out`` is dropped from
-    the latter. Each variable starts in the pool at its place. Everything is read before anything is
-    written, so an output may stand where an input stood.
+    The SX function is dense, with named inputs and outputs; a suffix ``_out`` of outputs is
+    dropped. `places` has the start of each variable in the pool. All reads come before all writes,
+    so an output may overwrite an input.
     """
     code = Code(function)
     inputs = [places[function.name_in(i)] for i in range(function.n_in())]
@@ -135,7 +132,7 @@ def emit(name: str, function: ca.Function, places: Mapping[str, int]) -> str:
 
 
 def _body(code: Code, inputs: list[int]) -> list[str]:
-    """Return the lines of all nodes: level by level, all circular functions of one together."""
+    """Return the lines of all nodes by level, with all sines and cosines of a level together."""
     levels = code.levels()
     plain: dict[int, list[str]] = {}
     circular: dict[int, dict[int, dict[int, int]]] = {}
@@ -163,7 +160,7 @@ def _line(number: int, op: int, args: tuple[int | float, ...], inputs: list[int]
 
 
 def _circular(level: int, angles: Mapping[int, Mapping[int, int]]) -> list[str]:
-    """Return the lines of sines and cosines whose angles are all known, computed together."""
+    """Return the lines of the sines and cosines of one level."""
     if not angles:
         return []
     taken, count = ", ".join(f"t{a}" for a in angles), len(angles)
@@ -180,7 +177,7 @@ def _circular(level: int, angles: Mapping[int, Mapping[int, int]]) -> list[str]:
 
 
 Place = Callable[[str, int], str]
-"""From a variable and the number of its entry to the C that holds it."""
+"""Maps a variable and the index of its entry to its C expression."""
 _SUMS = (ca.OP_ADD, ca.OP_SUB)
 
 
@@ -190,7 +187,7 @@ class Split(NamedTuple):
     shared: list[str]
     """Computed once."""
     own: list[str]
-    """Computed for each landmark; they read what is shared."""
+    """Computed for each landmark, after the shared lines."""
 
 
 def emit_split(
@@ -200,23 +197,23 @@ def emit_split(
     own: Collection[str],
     wanted: Callable[[str, int], str],
 ) -> Split:
-    """Return a function of one landmark as C, which CUDA C++ is, too.
+    """Return a function of one landmark as C that is also valid CUDA C++.
 
-    The function is as for `emit`; its names get a letter as prefix. `place` returns where an entry
-    of an input is read, `wanted` where one of an output goes (empty: nowhere); `own` are the places
-    that belong to one landmark.
+    The function is as for `emit`; `prefix` is a letter for its names. `place` maps an entry of an
+    input to C, `wanted` an entry of an output (empty: not stored); `own` are the places that belong
+    to one landmark.
     """
     writer = _Writer(function, prefix, place, own)
     stores: tuple[list[str], list[str]] = [], []
     for output, entry, node in writer.code.outputs:
         if to := wanted(function.name_out(output).removesuffix("_out"), entry):
             stores[writer.value(node)].append(f"{to} = {prefix}{node};")
-    # Everything is read before anything is written: an output may stand where an input stood.
+    # All reads come before all writes, because an output may overwrite an input.
     return Split(writer.shared + stores[0], writer.own + stores[1])
 
 
 def split_step(kind: ExtendedKalmanFilter, place: Place) -> Split:
-    """Return the propagation of the state and its Jacobians, for landmark ``i`` of any number.
+    """Return the propagation of the state and its Jacobians for landmark ``i``.
 
     It reads ``x[3]``, ``control[2]``, ``BETA(i)``, ``STORED(i)`` (where home bearings are states,
     `STORED_STATE`), ``ACTIVE(i)`` and other inputs at their `place`, and writes ``ahead[3]``,
@@ -254,7 +251,7 @@ _OF_LANDMARK = ("G(i, 0)", "G(i, 1)", "G(i, 2)", "OWN(i)", "BY_STORED(i)")
 
 
 class _Writer:
-    """Writes the values of a function when they are first needed."""
+    """Writes the values of a function on first use."""
 
     def __init__(
         self, function: ca.Function, prefix: str, place: Place, own: Collection[str]
@@ -268,7 +265,7 @@ class _Writer:
         self._expanded = _expanded(self.code)
 
     def value(self, number: int) -> bool:
-        """Write a node; return whether it belongs to one landmark."""
+        """Write a node; return whether it depends on a landmark."""
         if number in self._written:
             return self._written[number]
         node = self.code.nodes[number]
@@ -282,7 +279,7 @@ class _Writer:
             own = self._circular(angle)
             form = f"{'sin' if node.op == ca.OP_SIN else 'cos'}_{self._p}{angle}"
         else:
-            owns = [self.value(int(a)) for a in node.args]  # all of them are written
+            owns = [self.value(int(a)) for a in node.args]  # a list, so that all are written
             own = any(owns)
             form = FORMS[node.op].format(*(f"{self._p}{a}" for a in node.args))
         self._line(own, f"const REAL {self._p}{number} = {form};")
@@ -290,7 +287,7 @@ class _Writer:
         return own
 
     def _circular(self, angle: int) -> bool:
-        """Write sine and cosine of an angle, from those of its parts where that is cheaper."""
+        """Write sine and cosine of an angle, from those of its terms where that is cheaper."""
         if angle in self._turned:
             return self._turned[angle]
         sine, cosine = (f"{f}_{self._p}{angle}" for f in ("sin", "cos"))
@@ -313,10 +310,10 @@ class _Writer:
 
 
 def _expanded(code: Code) -> set[int]:
-    """Return the angles whose sines and cosines follow from those of the angles they are sums of.
+    """Return the sums whose sines and cosines are computed from those of their terms.
 
-    A state and a state that has moved on (an input plus a product) are angles in their own right;
-    sums and differences of those are many, the angles in them few.
+    The terms are states and propagated states (an input plus a product). There are many sums and
+    differences but few terms.
     """
 
     def leaf(node: Node) -> bool:

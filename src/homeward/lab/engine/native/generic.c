@@ -1,5 +1,5 @@
-/* Covariance and update of many landmarks, where unrolled code grows too fast. G is dense in
- * memory, but only the entries of its pattern are ever read. */
+/* Covariance and update of many landmarks, where unrolled code would be too large. G is dense in
+ * memory, but only the entries of its pattern are read. */
 
 static void generic_predict(V *p) {
   V *P = p + COVARIANCE, *A = p + SCRATCH, *B = A + N * N;
@@ -62,7 +62,7 @@ static void generic_update(V *p) {
     for (int k = 0; k < N; k++)
       for (int m = 0; m < N; m++) P[k * N + m] -= (column[k] * column[m]) * share;
   }
-  // Some compilers fuse multiplication and subtraction in a loop's body, but not in its rest.
+  // Some compilers fuse multiply-subtract in a loop's body, but not in its remainder.
   for (int k = 0; k < N; k++)
     for (int m = 0; m < k; m++) P[m * N + k] = P[k * N + m];
 #ifdef INTEGRAL

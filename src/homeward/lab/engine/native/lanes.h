@@ -1,8 +1,8 @@
-/* Vectors of doubles as wide as the machine's registers, and the few functions that steps need on
- * them. V is what a program computes with: a whole vector, one run a lane, or one double.
+/* Vectors of doubles as wide as the machine's registers, and the functions that steps need on them.
+ * V is the number type of a program: a whole vector with one run per lane, or one double.
  *
- * sin, cos and log use the kernels of fdlibm, atan2 the rational function of Cephes; each is right
- * to about one unit in the last place. */
+ * sin, cos and log use the kernels of fdlibm, atan2 the rational function of Cephes; the error of
+ * each is about one unit in the last place. */
 #ifdef SINGLE
 /* Packing straight-line code of doubles into vectors costs gcc more moves than it saves. */
 #pragma GCC optimize("no-tree-slp-vectorize")
@@ -18,7 +18,7 @@
 #elif defined(__AVX__)
 #define WIDTH 4
 #else
-#define WIDTH 2 /* NEON, SSE2, or whatever the compiler makes of it */
+#define WIDTH 2 /* NEON, SSE2, or emulated by the compiler */
 #endif
 #endif
 
@@ -56,7 +56,7 @@ INLINE W w_ceil(W x) {
 }
 INLINE W w_floor(W x) { return -w_ceil(-x); }
 
-/* Of angles that are not far. */
+/* For angles near zero; see w_is_far. */
 INLINE void w_sincos(W x, W *sine, W *cosine) {
   W shifted = x * 0.63661977236758134308 + ROUNDER;
   W turns = shifted - ROUNDER;
@@ -99,7 +99,7 @@ INLINE W w_atan2(W y, W x) {
   return w_sign_of(y, a);
 }
 
-/* Of normal, positive numbers. */
+/* For normal, positive numbers. */
 INLINE W w_log(W x) {
   WI bits = (WI)x + (0x3ff0000000000000 - 0x3fe6a09e667f3bcd);
   W e = (W)(((WU)bits >> 52) | 0x4330000000000000) - (4503599627370496.0 + 1023.0);

@@ -1,4 +1,4 @@
-/* Many runs of a program: start, then observe and advance until a run stops, diverges or ends. */
+/* Many runs of a program: start, then score and advance until a run stops, diverges or ends. */
 
 typedef struct {
   int64_t place, size;
@@ -52,9 +52,9 @@ static void draw(const Job *job, WU number, int64_t step, V *p) {
     }
 }
 
-/* 1 in the lanes in which the guarded numbers are too large, or none. */
+/* 1 in lanes where the guarded numbers are too large or NaN. */
 static V lost(const Job *job, const V *p) {
-  V sum[8] = {0}; /* an addition takes four cycles, and two begin in each */
+  V sum[8] = {0}; /* hides the latency of additions */
   for (const Kept *k = job->guarded; k < job->guarded + job->n_guarded; k++) {
     int64_t i = 0;
     for (; i + 8 <= k->size; i += 8)
@@ -73,7 +73,7 @@ static void keep(const Kept *kept, int64_t count, int64_t run, int lane, int64_t
   }
 }
 
-/* LANES runs side by side, from number `first` on; those past `end` only fill lanes. */
+/* LANES runs in lanes, from number `first` on; runs past `end` only fill lanes. */
 static void together(const Job *job, int64_t first, int64_t end, V *p) {
   int64_t run[LANES];
   int going[LANES], left = 0;
@@ -111,7 +111,7 @@ static void together(const Job *job, int64_t first, int64_t end, V *p) {
 
 int32_t homeward_lanes(void) { return LANES; }
 
-/* Runs `begin` to `end` of a job; threads may share one between them. 1 where memory lacks. */
+/* Runs `begin` to `end` of a job, which several threads may share. Returns 1 without memory. */
 int32_t homeward_batch(const Job *job, int64_t begin, int64_t end) {
   V *p = aligned_alloc(64, (POOL * sizeof(V) + 63) / 64 * 64);
   if (!p) return 1;

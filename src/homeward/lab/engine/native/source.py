@@ -1,4 +1,4 @@
-"""C of a program, its kernels, and whether compiled code is used at all."""
+"""C source of a program, the compiled program, and the choice between it and the interpreter."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from homeward.native.library import Library, is_kept, load
 
 @lru_cache(maxsize=64)
 def source_of(program: Program, single: bool, extra: tuple[tuple[str, int], ...] = ()) -> Source:
-    """Return a program's source, the same object for the same program; see `Source`."""
+    """Return a program's `Source`, the same object for the same program."""
     return Source(program, single, dict(extra))
 
 
 class Source:
-    """A program in C: for one run on doubles (`single`), or as many as the machine has lanes.
+    """A program in C: for one run on doubles (`single`), or for one run per lane.
 
     `extra` are variables that no stage has, with their sizes.
     """
 
     def __init__(self, program: Program, single: bool, extra: dict[str, int]) -> None:
         self.places: dict[str, int] = {}
-        """Where in the pool each variable starts."""
+        """Start of each variable in the pool."""
         self.size = 0
-        """Of the pool."""
+        """Size of the pool."""
         for name in program.shapes:
             self._place(name, program.size(name))
         for name, size in extra.items():
@@ -78,7 +78,7 @@ class Source:
         return "generic_update"
 
     def _generic(self, kind: ExtendedKalmanFilter, propagate: ca.Function) -> str:
-        """Return the generic functions for a filter, with its propagation in front."""
+        """Return the generic functions for a filter, after its propagation."""
         n, q = kind.model.n, kind.model.q
         for name, size in (("by_state", n * n), ("by_input", 2 * n), ("scratch", 2 * n * n)):
             self._place(name, size)
@@ -99,7 +99,7 @@ class Source:
 
 
 def _pattern(propagate: ca.Function, n: int) -> list[list[int]]:
-    """Return of each row of G the columns whose entries are not zero in every case."""
+    """Return for each row of G the columns that are not always zero."""
     code = Code(propagate)
     which = propagate.name_out().index("by_state_out")
     rows: list[list[int]] = [[] for _ in range(n)]
@@ -114,47 +114,40 @@ def _template(name: str) -> str:
 
 
 class NativeProgram:
-    """A compiled program for one run, and the memory of its variables.
+    """A program compiled for one run, in place of a `Machine`.
 
     Raises `NativeError` when it cannot be compiled.
     """
 
+    engine: Engine = "native"
+
     def __init__(self, program: Program) -> None:
         source = source_of(program, single=True)
         self.library: Library = load(source.text)
+        self.notes = self.library.notes
         self.pool = np.zeros(source.size)
         self.variables = {
             name: self._view(source.places[name], shape) for name, shape in program.shapes.items()
         }
         """Views of the pool by name; matrices are column-major."""
         self._address = ctypes.c_void_p(self.pool.ctypes.data)
+        self._functions: dict[str, Any] = {}
+        for part in (*program.parts, "advance"):
+            function = getattr(self.library.functions, f"homeward_{part}")
+            function.argtypes, function.restype = (ctypes.c_void_p,), None
+            self._functions[part] = function
 
-    def part(self, name: str) -> NativeKernel:
-        """Return a part as a kernel; all kernels share the program's variables."""
-        return NativeKernel(self, getattr(self.library.functions, f"homeward_{name}"))
+    def do(self, part: str = "advance") -> None:
+        """Execute a part of the program; by default all but `OBSERVE`."""
+        self._functions[part](self._address)
 
     def _view(self, place: int, shape: tuple[int, ...]) -> np.ndarray:
         size = int(np.prod(shape))
         return self.pool[place : place + size].reshape(shape, order="F")
 
 
-class NativeKernel:
-    """A part of a `NativeProgram` (a `Kernel`): what it reads and writes are the same arrays."""
-
-    def __init__(self, program: NativeProgram, function: Any) -> None:
-        self._program = program  # the arrays live as long as their kernel
-        self.inputs = self.outputs = program.variables
-        self.given = self.found = program.pool
-        function.argtypes, function.restype = (ctypes.c_void_p,), None
-        self._function, self._address = function, program._address
-
-    def __call__(self) -> None:
-        """Compute the outputs from the inputs."""
-        self._function(self._address)
-
-
 COMPILING_S = 25e-6
-"""What compiling takes for each character of C [s]."""
+"""Compile time per character of C [s]."""
 
 T = TypeVar("T")
 
@@ -166,10 +159,10 @@ def choose(
     native: Callable[[], T],
     slower: str,
 ) -> tuple[T | None, tuple[str, ...]]:
-    """Return what `native` compiles, or None where the interpreter is to run; and notes to show.
+    """Return the result of `native`, or None for the interpreter; and notes for the user.
 
-    A note says why there is no compiled code although it was wanted, and with `slower` what that
-    costs. `saved` is about what compiled code will save in this run [s]; `source` writes the C.
+    A note gives the reason why compiled code is not available, with `slower` as the consequence.
+    `saved` is the time that compiled code saves in this run [s]; `source` writes the C.
     """
     if engine == "interpreter":
         return None, ()
@@ -178,18 +171,18 @@ def choose(
             return None, ()
         return native(), ()
     except NativeError as error:
-        if engine == "auto" and not _worth_a_word(saved):
+        if engine == "auto" and not _is_long(saved):
             return None, ()
         return None, (f"No compiled code ({error}): the interpreter runs instead, {slower}.",)
 
 
 def _pays(saved: float, source: Callable[[], Source]) -> bool:
-    """OnProgress whether compiling pays, or has been paid for before."""
-    if not (_worth_a_word(saved) or any(default_folder().glob("*.so"))):
+    """Return whether compiling pays, or the compiled code is cached."""
+    if not (_is_long(saved) or any(default_folder().glob("*.so"))):
         return False
     text = source().text
     return saved > COMPILING_S * len(text) or is_kept(text)
 
 
-def _worth_a_word(saved: float) -> bool:
+def _is_long(saved: float) -> bool:
     return saved > 1.0

@@ -1,1 +1,1 @@
-"""What a filter is to the engine: its kernel, its stages, and what interprets it."""
+"""Programs: stages on named variables, and their interpreter."""

@@ -195,7 +195,7 @@ def _alike(
     if engine == "interpreter":
         return None
     # Imported here alone: whoever studies the localiser needs nothing symbolic.
-    from homeward.lab.engine.estimators.side_by_side import batch_kind
+    from homeward.lab.engine.estimators.batched_online import batch_kind
 
     kind = batch_kind(estimator)
     return None if kind is None else (kind, engine)
@@ -207,11 +207,11 @@ def _side_by_side(
     block: StudyBlock,
     runs: int,
 ) -> Iterator[tuple[int, int, Found | Exception]]:
-    from homeward.lab.engine.estimators.side_by_side import run_side_by_side
+    from homeward.lab.engine.estimators.batched_online import run_batched
 
     began = time.process_time()
     drives, filters = [e[3] for e in entries], [e[4] for e in entries]
-    tracks = _tried(lambda: run_side_by_side(drives, filters, engine, block.case.runs / runs))
+    tracks = _tried(lambda: run_batched(drives, filters, engine, block.case.runs / runs))
     seconds: Found = {"seconds": (time.process_time() - began) / len(entries)}
     alone = [None] * len(entries) if isinstance(tracks, Exception) else tracks
     for (j, run, trial, drive, own), track in zip(entries, alone, strict=True):

@@ -1,6 +1,6 @@
 /* SPDX-License-Identifier: BSD-3-Clause; copyright: the homeward developers */
 /* See homeward_ekf.h. The blocks between "generated" and "end" come from the symbolic source, split
- * into what all landmarks share and what each adds; what is around them are loops. */
+ * into lines shared by all landmarks and lines of each; the loops around them are written by hand. */
 #include "homeward_ekf.h"
 
 #include <math.h>
@@ -11,9 +11,9 @@ typedef homeward_real REAL;
 
 #define Q HOMEWARD_LANDMARKS
 #define N HOMEWARD_STATES
-#define HOLD_US 1000000U        /* a twist holds so long */
+#define HOLD_US 1000000U        /* validity of a twist */
 #define LONGEST_STEP_US 100000U /* a longer interval is predicted in several steps */
-#define LOST_VARIANCE ((REAL)$lost_variance) /* of speed and turn rate a second, without odometry */
+#define LOST_VARIANCE ((REAL)$lost_variance) /* density of speed and turn rate without odometry */
 #define LARGEST ((REAL)$largest) /* a belief with a larger number in it has diverged */
 
 static void turn(REAL angle, REAL *sine, REAL *cosine) {
@@ -29,7 +29,7 @@ static REAL v_atan2(REAL y, REAL x) { return atan2$f(y, x); }
 
 static REAL v_sqrt(REAL x) { return sqrt$f(x); }
 
-static bool is_small(REAL x) { return (x < LARGEST) && (x > -LARGEST); } /* no NaN is */
+static bool is_small(REAL x) { return (x < LARGEST) && (x > -LARGEST); } /* false for NaN */
 
 static REAL wrapped(REAL angle) {
   const REAL two_pi = (REAL)6.28318530717958647693, pi = (REAL)3.14159265358979323846;
@@ -38,7 +38,7 @@ static REAL wrapped(REAL angle) {
 
 static bool bit(uint32_t bits, size_t i) { return ((bits >> i) & 1U) != 0U; }
 
-/* Where row i, column j of a lower triangle stands. */
+/* Index of row i, column j in a lower triangle. */
 static size_t at(size_t i, size_t j) { return ((i * (i + 1U)) / 2U) + j; }
 
 static size_t either(size_t i, size_t j) { return (i > j) ? at(i, j) : at(j, i); }
@@ -58,7 +58,7 @@ static bool is_late(const homeward_clock *clock, homeward_time t) {
   return clock->begun && ((t - clock->now) > (UINT32_MAX / 2U));
 }
 
-/* The time up to a stamp: that in which the twist holds, in steps, and that without odometry. */
+/* The time up to a stamp: steps while the twist is valid, and the rest without odometry. */
 typedef struct {
   uint32_t steps;
   REAL dt;
@@ -89,7 +89,7 @@ static void densities(const homeward_settings *settings, REAL density[2]) {
   density[1] = settings->turn_sigma * settings->turn_sigma;
 }
 
-/* Sort what is seen at a stamp by landmark; return which are. */
+/* Sorts the sightings of a stamp by landmark; returns the landmarks seen. */
 static uint32_t sorted(const homeward_settings *settings, const homeward_sighting *seen,
                        uint8_t count, REAL y[Q], REAL variance[Q]) {
   uint32_t mask = 0;
@@ -116,7 +116,7 @@ static uint32_t ones(uint32_t bits) {
   return count;
 }
 
-/* Of each landmark: its row of the transition, by the pose and itself, and by the input. */
+/* For each landmark: its row of the transition, by the pose and itself, and by the input. */
 typedef struct {
   REAL by_pose[3];
   REAL own;
@@ -192,7 +192,7 @@ static void predict(const homeward_settings *settings, homeward_belief *belief,
   }
 }
 
-/* One step, or none where the result would be no belief. */
+/* One step, dropped where the result diverges. */
 static homeward_status step(homeward_ekf *ekf, const REAL control[2], const REAL density[2],
                             REAL dt) {
   const homeward_belief before = ekf->belief;
@@ -202,8 +202,8 @@ static homeward_status step(homeward_ekf *ekf, const REAL control[2], const REAL
   return HOMEWARD_DIVERGED;
 }
 
-/* Carry the belief to a stamp: by the twist while it holds, then by its absence, which moves nothing,
- * so that one step does for any time. */
+/* Predicts the belief to a stamp: with the twist while it is valid, then at rest without odometry,
+ * where one step is exact for any time. */
 static homeward_status advance(homeward_ekf *ekf, homeward_time t) {
   const interval ahead = advanced(&ekf->clock, t);
   homeward_status status = HOMEWARD_OK, found = HOMEWARD_OK;
@@ -221,8 +221,8 @@ static homeward_status advance(homeward_ekf *ekf, homeward_time t) {
   return status;
 }
 
-/* Innovations and gate as of before any update of this stamp, then one landmark after the other. A
- * landmark seen for the first time enters with beta = y and the variance of y. */
+/* Innovations and gate use the belief before any update of this stamp; then one landmark after the
+ * other. A landmark seen for the first time enters with beta = y and the variance of y. */
 static void update(const homeward_settings *settings, homeward_belief *belief, uint32_t seen,
                    const REAL y[Q], const REAL variance[Q], uint32_t *accepted) {
   REAL *const x = belief->state;
@@ -322,11 +322,11 @@ $pose
 /* -- Resection ----------------------------------------------------------------------------------- */
 
 #define STRETCHES HOMEWARD_STRETCHES
-#define AGREEING ${agreeing}U                   /* fewer do not fix home and check it */
-#define CHANCE ((REAL)${largest_misfit})        /* [rad]: a wrong bearing agrees with chance $chance */
+#define AGREEING ${agreeing}U                   /* fewer cannot determine and check home */
+#define CHANCE ((REAL)${largest_misfit})        /* [rad]: a wrong bearing agrees with probability $chance */
 #define GN_MARK 8U  /* Gauss-Newton steps for a landmark, */
 #define GN_MINIMAL 3U /* for home from three landmarks, */
-#define GN_ALL 4U  /* and from all that agree, as often as these are chosen: */
+#define GN_ALL 4U  /* and from all that agree, in each round of choosing them: */
 #define ROUNDS 4U
 
 /* The bearing of a landmark from a pose, and its derivatives. */
@@ -337,7 +337,7 @@ $look
   /* end */
 }
 
-/* The robot's pose in the home frame, were home where it is not in that of dead reckoning. */
+/* The robot's pose in the home frame, for a pose of home in the frame of dead reckoning. */
 static void relative(const REAL home[3], const REAL place[3], REAL pose[3], REAL by_home[9]) {
   /* generated */
 $relative
@@ -372,13 +372,13 @@ static bool inverted(const REAL m[6], REAL inverse[6]) {
   return found;
 }
 
-/* A landmark where its rays meet best, and its covariance. */
+/* A landmark at the best intersection of its rays, and its covariance. */
 typedef struct {
   REAL mark[2];
   REAL covariance[3];
 } landmark_place;
 
-/* a x = b of two rows, a symmetric; false where the rays are as good as parallel. */
+/* Solves a x = b of two rows, a symmetric; false where the rays are nearly parallel. */
 static bool solved(const REAL a[3], const REAL b[2], REAL x[2]) {
   const REAL determinant = (a[0] * a[2]) - (a[1] * a[1]), trace = a[0] + a[2];
   const bool found = determinant > (trace * trace * (REAL)1e-5);
@@ -393,7 +393,7 @@ static bool located(const homeward_resection *resection, size_t i, landmark_plac
   REAL a[3] = {0, 0, 0}, b[2] = {0, 0}, ahead[2] = {0, 0}, push[2] = {0, 0};
   REAL *const mark = place->mark;
   bool found;
-  for (size_t k = 0; k < STRETCHES; k++) { /* the lines' nearest point, all weighed alike */
+  for (size_t k = 0; k < STRETCHES; k++) { /* nearest point to all lines, with equal weights */
     const homeward_ray *const ray = &resection->rays[k][i];
     REAL sine, cosine, across;
     turn(ray->direction, &sine, &cosine);
@@ -447,16 +447,16 @@ static bool located(const homeward_resection *resection, size_t i, landmark_plac
   return found;
 }
 
-/* All that a place of home is judged by. */
+/* The evidence for a place of home. */
 typedef struct {
   const homeward_resection *resection;
   landmark_place places[Q];
   uint32_t located;
   REAL prior[6];   /* inverse of the covariance of dead reckoning */
-  REAL variance;   /* of a home bearing, and of dead reckoning's turns in all stretches */
+  REAL variance;   /* of a home bearing, and of the rotation of dead reckoning in all stretches */
 } problem;
 
-/* How far a home bearing is from where home would see its landmark. */
+/* Difference between a home bearing and the direction of its landmark from home. */
 static REAL misfit(const problem *given, size_t i, const REAL home[3], REAL by_home[3],
                    REAL *variance) {
   const landmark_place *const place = &given->places[i];
@@ -468,7 +468,7 @@ static REAL misfit(const problem *given, size_t i, const REAL home[3], REAL by_h
   return wrapped(given->resection->settings.stored[i] - seen);
 }
 
-/* How far the robot would be from where dead reckoning has it. */
+/* Difference between the robot's pose and dead reckoning. */
 static void astray(const problem *given, const REAL home[3], REAL by_home[9], REAL off[3]) {
   const REAL *const place = given->resection->place;
   relative(home, place, off, by_home);
@@ -476,7 +476,7 @@ static void astray(const problem *given, const REAL home[3], REAL by_home[9], RE
   off[2] = wrapped(off[2]);
 }
 
-/* What a place of home leaves unexplained, and which landmarks agree with it. */
+/* The cost of a place of home, and the landmarks that agree with it. */
 static REAL judged(const problem *given, const REAL home[3], uint32_t *agree) {
   const REAL gate = (REAL)$resection_gate;
   REAL by_home[9], off[3], score = 0;
@@ -533,7 +533,7 @@ static bool refined(const problem *given, uint32_t chosen, uint32_t steps, REAL 
   return found;
 }
 
-/* The place of home that three landmarks and dead reckoning give, and that explains most. */
+/* The best place of home from three landmarks and dead reckoning. */
 static void best_of_three(const problem *given, REAL home[3]) {
   uint32_t agree;
   REAL least = judged(given, home, &agree);
@@ -583,7 +583,7 @@ static void reckon(homeward_resection *resection, homeward_time t) {
     resection->travelled += length * ahead.dt;
     resection->lasted += ahead.dt;
   }
-  if (ahead.lost > 0) { /* what was seen before hangs together with nothing that follows */
+  if (ahead.lost > 0) { /* older sightings have no known relation to later ones */
     const REAL still[2] = {0, 0}, lost[2] = {LOST_VARIANCE, LOST_VARIANCE};
     dead_reckon(resection, still, lost, ahead.lost);
     (void)memset(resection->rays, 0, sizeof resection->rays);
@@ -617,7 +617,7 @@ homeward_status homeward_resection_bearings(homeward_resection *resection, homew
     reckon(resection, t);
     mask = sorted(&resection->settings, seen, count, y, variance);
     if (resection->travelled >= resection->spacing) {
-      /* Of what has lasted, the oldest stretch goes. */
+      /* The oldest stretch is dropped from the duration. */
       if (resection->stretches >= STRETCHES) {
         resection->lasted -= resection->lasted / (REAL)STRETCHES;
       }

@@ -1,4 +1,4 @@
-// Reads odometry and bearings as text from the serial port, and writes the pose: lines such as
+// Reads odometry and bearings as text from the serial port and writes the pose. Input lines:
 //   o 0.125 0.02        v [m/s], omega [rad/s]
 //   b 3 0.512           landmark 3 at 0.512 rad
 //   e                   end of a stamp's bearings: update, and print x, y, heading

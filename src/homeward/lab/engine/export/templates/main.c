@@ -1,13 +1,13 @@
-/* A robot drives an arc among $landmarks landmarks, one of which was moved since home was stored. Put
- * your own odometry and camera where the simulated ones are. Returns 0 where the moved one was
- * found out and the pose is right to 5 cm. */
+/* A robot drives an arc among $landmarks landmarks, one of which moved after home was stored. Replace
+ * the simulated odometry and camera by your own. Returns 0 if the moved landmark is detected and the
+ * position error is below 5 cm. */
 #include <math.h>
 
 #include "homeward_ekf.h"
 
 #define MOVED 1U
 
-static homeward_ekf ekf; /* static: nothing of it need fit a stack */
+static homeward_ekf ekf; /* static, so that it needs no stack */
 static homeward_resection resection;
 
 static double direction(uint8_t landmark) { return 6.283185307 * landmark / HOMEWARD_LANDMARKS; }

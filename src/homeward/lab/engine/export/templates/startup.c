@@ -1,4 +1,4 @@
-/* What a Cortex-M4F needs before main: a vector table, and its floating-point unit switched on. */
+/* Start of a Cortex-M4F: a vector table, and the floating-point unit switched on. */
 #include <stdint.h>
 
 extern uint32_t stack_top;

@@ -1,8 +1,8 @@
-"""Filters over recorded drives as they run online, side by side in the lanes of a batch.
+"""Online filters over recorded drives, many at once in the lanes of a batch.
 
-A drive becomes a timetable: predictions of so many seconds by a twist, some of them ended by the
-bearings of a stamp. It is the same for every filter, so what an `OnlineFilter` does one sample
-after another, compiled loops do for many of them at once, to the last digits.
+A drive becomes a timetable of predictions, each with a duration, a twist and perhaps the bearings
+of a stamp at its end. Compiled loops then run many filters at once with the results of
+`OnlineFilter`, to the last digits.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, in_steps
 from homeward.lab.engine.native.source import choose
 from homeward.lab.engine.program.stages import BELIEF, Program, Symbolic, filter_parts
-from homeward.lab.filters.carrier import LOST_SIGMA
+from homeward.lab.filters.backend import LOST_SIGMA
 from homeward.lab.filters.ekf import (
     UPDATE_OUTPUTS,
     ExtendedKalmanFilter,
@@ -38,20 +38,20 @@ from homeward.odometry.validity import TwistValidity
 from homeward.track import BEARINGS, ODOMETRY, Innovations, Track, grid_times, in_order
 
 SAME_S = 1e-9
-"""Stamps that differ by less are one, written in two ways [s]."""
+"""Stamps that differ by less are the same stamp [s]."""
 Step = tuple[float, float, float, bool]
-"""A prediction: how long [s], v [m/s], omega [rad/s], and whether there was no odometry."""
+"""A prediction: duration [s], v [m/s], omega [rad/s], and whether there was no odometry."""
 
 
 class Timetable:
-    """Input of a drive for a filter whose states are the landmarks `ids`, step by step."""
+    """Steps of a drive for a filter whose states are the landmarks `ids`."""
 
     def __init__(self, drive: Drive, ids: Sequence[str]) -> None:
         self.steps: list[Step] = []
         self.t: list[float] = []
-        """Of the rows of the track [s]."""
+        """Times of the rows of the track [s]."""
         self.rows: list[tuple[int, list[Step]]] = []
-        """The number of the sample before each row, and the steps from there to it."""
+        """For each row, the index of the sample before it and the steps from there to it."""
         self._stamps: list[tuple[float, int, dict[int, float], dict[int, float]]] = []
         self._now, self._twist, self._twist_t = math.nan, (math.nan, math.nan), -math.inf
         self._hold = TwistValidity()
@@ -60,30 +60,30 @@ class Timetable:
         self._read(drive)
         shape = len(self.steps), len(ids)
         self.bearings, self.mask = np.zeros((2, *shape))
-        """(steps, q) [rad], and 1 where there is one, taken at the end of each step."""
+        """(steps, q) each: bearings [rad] at the end of each step, and 1 where there is one."""
         self.sigma = np.full(shape, math.nan)
-        """(steps, q), of those that have one of their own [rad]."""
+        """(steps, q), standard deviations of bearings that have their own [rad]."""
         self.stamp = np.full(len(self.steps), math.nan)
-        """(steps,), when they were taken [s]."""
+        """(steps,), stamps of the bearings [s]."""
         for t, k, seen, sigmas in self._stamps:
             self.stamp[k], self.mask[k, list(seen)] = t, 1.0
             self.bearings[k, list(seen)] = list(seen.values())
             self.sigma[k, list(sigmas)] = list(sigmas.values())
 
     def _read(self, drive: Drive) -> None:
-        """Take what `homeward.track.run` would feed, in its order."""
+        """Add the samples in the order of `homeward.track.run`."""
         o, sightings = drive.odometry, drive.sightings.stamps()
         twists = zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
         stamps = np.unique(drive.sightings.t)
         grid = grid_times(drive.span, stamps)
-        # A grid point and an odometry stamp that mean one time are one.
+        # A grid point moves to an odometry stamp at the same time.
         after = np.append(o.t, math.inf)[np.searchsorted(o.t, grid - SAME_S)]
         snapped = np.where(after - grid < SAME_S, after, grid)
         times = zip(grid.tolist(), snapped.tolist(), strict=True)
         for kind in in_order(o.t, stamps, snapped):
             if kind == ODOMETRY:
                 t, v, omega = next(twists)
-                self._go(t)
+                self._advance(t)
                 if math.isfinite(v) and math.isfinite(omega):
                     self._twist, self._twist_t = (v, omega), t
                     self._hold.add(t)
@@ -91,35 +91,37 @@ class Timetable:
                     self._twist_t = -math.inf
             elif kind == BEARINGS:
                 t, seen, sigmas = next(sightings)
-                self._go(t)
-                self._look(t, seen, sigmas)
+                self._advance(t)
+                self._add_bearings(t, seen, sigmas)
                 self._row(t, [])
             else:
                 t, same = next(times)
-                self._row(t, self._way(same))
+                self._row(t, self._steps_to(same))
 
     @property
     def end(self) -> float:
         """Stamp of the last sample [s]."""
         return self._now
 
-    def _row(self, t: float, way: list[Step]) -> None:
+    def _row(self, t: float, steps: list[Step]) -> None:
         self.t.append(t)
-        self.rows.append((len(self.steps), way))
+        self.rows.append((len(self.steps), steps))
 
-    def _way(self, t: float) -> list[Step]:
-        """Return the steps from now to `t` [s], as `OnlineFilter` takes them."""
+    def _steps_to(self, t: float) -> list[Step]:
+        """Return the steps from now to `t` [s], equal to those of `OnlineFilter`."""
         if math.isnan(self._now):
             return []
         held = min(max(self._twist_t + self._hold.seconds, self._now), t)
         driven = [(dt, *self._twist, False) for dt in in_steps(held - self._now)]
         return driven + [(dt, 0.0, 0.0, True) for dt in in_steps(t - held)]
 
-    def _go(self, t: float) -> None:
-        self.steps += self._way(t)
+    def _advance(self, t: float) -> None:
+        self.steps += self._steps_to(t)
         self._now = t
 
-    def _look(self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float]) -> None:
+    def _add_bearings(
+        self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float]
+    ) -> None:
         known = {
             self._index[i]: float(wrap(value + self._yaw))
             for i, value in seen.items()
@@ -131,49 +133,49 @@ class Timetable:
         self._stamps.append((t, len(self.steps) - 1, known, own))
 
 
-AT_ONCE = 2**24
-"""So many numbers of the samples of some runs are held at once; 128 MB."""
+MAX_NUMBERS = 2**24
+"""Largest number of doubles of all samples of the runs of a batch: 128 MB."""
 SAVED_S = 5e-4
-"""What a step costs in Python, sample after sample, and not side by side [s]."""
-KEPT = (*BELIEF, *UPDATE_OUTPUTS)
+"""Time of a step in Python that a batch saves [s]."""
+HISTORY = (*BELIEF, *UPDATE_OUTPUTS)
 
 
 def batch_kind(estimator: object) -> ExtendedKalmanFilter | None:
-    """Return what kind of filter an estimator is; None where it does not run side by side."""
-    if type(estimator) is not OnlineFilter or type(estimator.carrier) is not FilterRunner:
+    """Return the kind of an estimator's filter; None where it cannot run in a batch."""
+    if type(estimator) is not OnlineFilter or type(estimator.backend) is not FilterRunner:
         return None
-    return estimator.carrier.kind
+    return estimator.backend.kind
 
 
 def _runner(estimator: OnlineFilter) -> FilterRunner:
-    assert isinstance(estimator.carrier, FilterRunner)
-    return estimator.carrier
+    assert isinstance(estimator.backend, FilterRunner)
+    return estimator.backend
 
 
-def run_side_by_side(
+def run_batched(
     drives: Sequence[Drive],
     estimators: Sequence[OnlineFilter],
     engine: Engine = "auto",
     more: float = 1.0,
 ) -> list[Track | None]:
-    """Run filters of one kind, each over its drive, and leave them where `homeward.track.run` does.
+    """Run filters of one kind, each over its drive, with the result of `homeward.track.run`.
 
     Parameters
     ----------
     drives : sequence of Drive
-        One for each filter; one object where several run over one.
+        One for each filter; filters over the same drive share one object.
     estimators : sequence of OnlineFilter
-        Fresh ones of one `batch_kind`; used up.
+        New filters of one `batch_kind`, which end in the state after their drive.
     engine : {"auto", "interpreter", "native"}
         With auto, compiled code runs where that pays.
     more : float
-        This work and all that is to come, as a multiple of this: what compiling pays for.
+        All work to come as a multiple of this call, which decides whether compiling pays.
 
     Returns
     -------
     list of Track or None
-        Rows and innovations alone. None for a filter that has to run by itself: nothing compiled
-        is available, or its belief diverged.
+        Only rows and innovations. None for a filter that must run on its own: no compiled code is
+        available, or its belief diverged.
     """
     ids = [tuple(e.ids) for e in estimators]
     differ = {(id(d), i): d for d, i in zip(drives, ids, strict=True)}
@@ -182,8 +184,8 @@ def run_side_by_side(
     longest = max(len(table.steps) for table in own)
     kind = batch_kind(estimators[0])
     assert kind is not None
-    numbers = (longest + 1) * sum(online_program(kind).size(name) for name in KEPT)
-    chunk = max(2, AT_ONCE // numbers)
+    numbers = (longest + 1) * sum(online_program(kind).size(name) for name in HISTORY)
+    chunk = max(2, MAX_NUMBERS // numbers)
     tracks: list[Track | None] = []
     for first in range(0, len(own), chunk):
         part = slice(first, first + chunk)
@@ -193,21 +195,21 @@ def run_side_by_side(
 
 @lru_cache(maxsize=64)
 def online_program(kind: ExtendedKalmanFilter) -> Program:
-    """Return a filter whose noise is given as densities: pace, predict, update."""
-    asked = symbols(Prediction, kind.model, kind.integral)
+    """Return a filter whose noise is given as densities: scale, predict, update."""
+    step = symbols(Prediction, kind.model, kind.integral)
     lost, density = ca.SX.sym("lost"), ca.SX.sym("input_density", 2)
-    walk = ca.SX.sym("state_density", asked.state_variance.shape)
-    gain = ca.SX.sym("proportional_density", asked.proportional.shape)
-    noise = ca.if_else(lost, ca.DM([LOST_SIGMA**2] * 2), density) / ca.fmax(asked.dt, SAME_S)
-    inputs = {"dt": asked.dt, "lost": lost, "input_density": density}
+    walk = ca.SX.sym("state_density", step.state_variance.shape)
+    gain = ca.SX.sym("proportional_density", step.proportional.shape)
+    noise = ca.if_else(lost, ca.DM([LOST_SIGMA**2] * 2), density) / ca.fmax(step.dt, SAME_S)
+    inputs = {"dt": step.dt, "lost": lost, "input_density": density}
     inputs |= {"state_density": walk, "proportional_density": gain}
     outputs = {
-        "input_covariance": ca.diag(ca.if_else(asked.dt > 0, noise, 0.0)),
-        "state_variance": walk * asked.dt,
-        "proportional": gain * asked.dt,
+        "input_covariance": ca.diag(ca.if_else(step.dt > 0, noise, 0.0)),
+        "state_variance": walk * step.dt,
+        "proportional": gain * step.dt,
     }
-    pace = named_function("pace", inputs, outputs)
-    return Program({"pace": (Symbolic(pace),)} | filter_parts(kind))
+    scale = named_function("scale", inputs, outputs)
+    return Program({"scale": (Symbolic(scale),)} | filter_parts(kind))
 
 
 def _tracks(
@@ -219,19 +221,19 @@ def _tracks(
 ) -> list[Track | None]:
     runners = [_runner(e) for e in estimators]
     starts = [runner.start() for runner in runners]
-    begun = {name: np.array([getattr(s, name) for s in starts]) for name in BELIEF}
-    found = _carry(kind, runners, begun, [t.steps for t in tables], tables, engine, more)
+    beliefs = {name: np.array([getattr(s, name) for s in starts]) for name in BELIEF}
+    found = _histories(kind, runners, beliefs, [t.steps for t in tables], tables, engine, more)
     if found is None:
         return [None] * len(tables)
     tracks: list[Track | None] = []
     for r, (table, estimator) in enumerate(zip(tables, estimators, strict=True)):
-        kept = {name: found[name][r, : len(table.steps) + 1] for name in KEPT}
-        rows = _rows(kind, runners[r], table, kept, engine)
-        tracks.append(None if rows is None else _track(table, estimator, kept, *rows))
+        history = {name: found[name][r, : len(table.steps) + 1] for name in HISTORY}
+        rows = _rows(kind, runners[r], table, history, engine)
+        tracks.append(None if rows is None else _track(table, estimator, history, *rows))
     return tracks
 
 
-def _carry(
+def _histories(
     kind: ExtendedKalmanFilter,
     runners: Sequence[FilterRunner],
     beliefs: Mapping[str, np.ndarray],
@@ -240,11 +242,11 @@ def _carry(
     engine: Engine,
     more: float,
 ) -> dict[str, np.ndarray] | None:
-    """Return `KEPT` at every sample, (runs, steps + 1, ...); None where nothing compiled runs.
+    """Return `HISTORY` at every sample, (runs, steps + 1, ...); None without compiled code.
 
-    Without timetables nothing is seen.
+    Without timetables there are no bearings.
     """
-    # Lanes and a run alone differ in their last digits: nobody runs alone.
+    # A single run differs from lanes in its last digits, so there are at least 2 runs.
     pick = np.arange(max(2, len(runners))) % len(runners)
     program, longest = online_program(kind), max(len(s) for s in steps)
     q, runs = kind.model.q, pick.size
@@ -253,7 +255,7 @@ def _carry(
     tunings = [runner.tuning for runner in runners]
     variance = np.empty(bearings.shape)
     for r, own in enumerate(steps):
-        table[r, : len(own)] = np.reshape(own, (-1, 4))  # none at all has no columns, either
+        table[r, : len(own)] = np.reshape(own, (-1, 4))  # `own` may be empty
         variance[r] = tunings[r].bearing_sigma ** 2
         if tables:
             seen, k = tables[r], len(own)
@@ -275,7 +277,7 @@ def _carry(
 
     at_start = tuple(given(k, v) for k, v in start.items())
     at_steps = tuple(given(k, v, longest) for k, v in series.items())
-    job = Job(program, runs, longest, at_start, at_steps, final=(), history=KEPT)
+    job = Job(program, runs, longest, at_start, at_steps, final=(), history=HISTORY)
     saved = more * SAVED_S * runs * longest
     result, _ = choose(
         engine, saved, lambda: compiled.source(job), lambda: execute(job, "native", 1), SLOWER
@@ -287,42 +289,42 @@ def _rows(
     kind: ExtendedKalmanFilter,
     runner: FilterRunner,
     table: Timetable,
-    kept: Mapping[str, np.ndarray],
+    history: Mapping[str, np.ndarray],
     engine: Engine,
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return states (rows, n) and covariances (rows, n, n); None where the belief diverged."""
     before = np.array([k for k, _ in table.rows], int)
-    state, covariance = kept["state"][before], kept["covariance"][before]
-    ahead = [i for i, (_, way) in enumerate(table.rows) if way]
+    state, covariance = history["state"][before], history["covariance"][before]
+    ahead = [i for i, (_, steps) in enumerate(table.rows) if steps]
     if ahead:
-        # Between samples the filter predicts, and forgets it.
-        begun = {name: kept[name][before[ahead]] for name in BELIEF}
-        ways = [table.rows[i][1] for i in ahead]
-        found = _carry(kind, [runner] * len(ahead), begun, ways, (), engine, math.inf)
+        # Rows between samples are predictions that the filter does not keep.
+        beliefs = {name: history[name][before[ahead]] for name in BELIEF}
+        steps = [table.rows[i][1] for i in ahead]
+        found = _histories(kind, [runner] * len(ahead), beliefs, steps, (), engine, math.inf)
         if found is None:
             return None
-        last = np.array([len(way) for way in ways])
+        last = np.array([len(s) for s in steps])
         here = np.arange(len(ahead))
         state[ahead] = found["state"][here, last]
         covariance[ahead] = found["covariance"][here, last]
-    sound = np.isfinite(kept["state"]).all() and np.isfinite(state).all()
-    return (state, covariance) if sound else None
+    finite = np.isfinite(history["state"]).all() and np.isfinite(state).all()
+    return (state, covariance) if finite else None
 
 
 def _track(
     table: Timetable,
     estimator: OnlineFilter,
-    kept: Mapping[str, np.ndarray],
+    history: Mapping[str, np.ndarray],
     state: np.ndarray,
     covariance: np.ndarray,
 ) -> Track:
-    """Return the track of one filter, and let it have got there."""
+    """Return the track of one filter, and set the filter to its end."""
     runner, ids = _runner(estimator), np.array(estimator.ids)
     q, n = len(ids), state.shape[1]
-    before, after, accepted = kept["active"][:-1], kept["active"][1:], kept["accepted"][1:] > 0
-    memory = np.concatenate([kept[name][-1].ravel(order="F") for name in BELIEF])
-    sightings = (accepted | (after > before)).sum(axis=0)
-    estimator.adopt(Numbers(n, q, memory), table.end, sightings)
+    before, after = history["active"][:-1], history["active"][1:]
+    memory = np.concatenate([history[name][-1].ravel(order="F") for name in BELIEF])
+    sightings = ((history["accepted"][1:] > 0) | (after > before)).sum(axis=0)
+    estimator.restore(Numbers(n, q, memory), table.end, sightings)
     enough = table.mask.sum(axis=1, keepdims=True) >= runner.minimum_visible
     step, landmark = np.nonzero((table.mask > 0) & enough & (before > 0))
     at = step + 1, landmark
@@ -340,9 +342,9 @@ def _track(
         innovations=Innovations(
             t=table.stamp[step],
             landmark=ids[landmark],
-            value=kept["innovation"][at],
-            sigma=np.sqrt(np.maximum(kept["innovation_variance"][at], 0.0)),
-            accepted=kept["accepted"][at] > 0,
+            value=history["innovation"][at],
+            sigma=np.sqrt(np.maximum(history["innovation_variance"][at], 0.0)),
+            accepted=history["accepted"][at] > 0,
         ),
         update_seconds=np.empty(0),
         run_seconds=0.0,

@@ -1,4 +1,4 @@
-"""Filters side by side over recorded drives against the same filters sample after sample."""
+"""Filters in batches over recorded drives, compared with the same filters sample by sample."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.drives.drive import HomeBearing
-from homeward.lab.engine.estimators.side_by_side import batch_kind, run_side_by_side
+from homeward.lab.engine.estimators.batched_online import batch_kind, run_batched
 from homeward.lab.simulation.simulate import changed_scenario, load_scenario, simulate
 from homeward.native.compiler import NativeError, find_compiler
 from homeward.registry import make_estimator
@@ -55,10 +55,10 @@ def assert_equal(track, alone, atol=1e-9):
 
 @pytest.mark.parametrize("name", ["ekf", "a-ekf", "pi-ekf", "schmidt", "ukf"])
 @pytest.mark.parametrize("drive", [driven(), troubled()], ids=["plain", "troubled"])
-def test_side_by_side_is_sample_after_sample(name, drive):
+def test_a_batch_equals_sample_after_sample(name, drive):
     other = replace(drive, sightings=drive.sightings.rows(drive.sightings.t < 3.0))
     drives = [drive, other, drive]
-    tracks = run_side_by_side(drives, [make_estimator(name, d) for d in drives], "native")
+    tracks = run_batched(drives, [make_estimator(name, d) for d in drives], "native")
     for d, track in zip(drives, tracks, strict=True):
         assert_equal(track, run(d, make_estimator(name, d)))
 
@@ -68,26 +68,24 @@ def test_a_drive_that_is_over_at_once_is_run_too(others):
     first = driven().odometry.rows(np.arange(1))
     over = replace(driven(), odometry=first, sightings=driven().sightings.rows(np.arange(0)))
     drives = [over, over, *[driven()] * others]
-    tracks = run_side_by_side(drives, [make_estimator("ekf", d) for d in drives], "native")
+    tracks = run_batched(drives, [make_estimator("ekf", d) for d in drives], "native")
     assert_equal(tracks[0], run(over, make_estimator("ekf", over)))
 
 
 def test_a_filter_is_the_same_in_any_company():
     drives = [driven(seed) for seed in range(5)]
-    all_of_them = run_side_by_side(drives, [make_estimator("ekf", d) for d in drives], "native")
-    alone = run_side_by_side(drives[2:3], [make_estimator("ekf", drives[2])], "native")
+    all_of_them = run_batched(drives, [make_estimator("ekf", d) for d in drives], "native")
+    alone = run_batched(drives[2:3], [make_estimator("ekf", drives[2])], "native")
     np.testing.assert_array_equal(all_of_them[2].covariance, alone[0].covariance)
     np.testing.assert_array_equal(all_of_them[2].x, alone[0].x)
 
 
 def test_settings_differ_from_filter_to_filter():
     drive = driven()
-    told = [{"proportional": p, "integral_gain": m} for p in (0.0, 0.1) for m in (0.01, 0.5)]
-    told += [{"bearing_sigma": 0.1, "gate": None, "minimum_visible": 3}]
-    tracks = run_side_by_side(
-        [drive] * 5, [make_estimator("pi-ekf", drive, t) for t in told], "native"
-    )
-    for settings, track in zip(told, tracks, strict=True):
+    each = [{"proportional": p, "integral_gain": m} for p in (0.0, 0.1) for m in (0.01, 0.5)]
+    each += [{"bearing_sigma": 0.1, "gate": None, "minimum_visible": 3}]
+    tracks = run_batched([drive] * 5, [make_estimator("pi-ekf", drive, t) for t in each], "native")
+    for settings, track in zip(each, tracks, strict=True):
         assert_equal(track, run(drive, make_estimator("pi-ekf", drive, settings)))
 
 
@@ -95,7 +93,7 @@ def test_one_that_diverges_is_left_to_itself():
     drive = driven()
     wild = make_estimator("pi-ekf", drive, {"proportional": 1e13})
     tame = make_estimator("pi-ekf", drive)
-    tracks = run_side_by_side([drive, drive], [wild, tame], "native")
+    tracks = run_batched([drive, drive], [wild, tame], "native")
     assert tracks[0] is None
     assert_equal(tracks[1], run(drive, make_estimator("pi-ekf", drive)))
 

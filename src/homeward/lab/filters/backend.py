@@ -1,4 +1,4 @@
-"""What carries a belief through a drive, whatever the belief is made of."""
+"""Interface of the filters: predictions and updates that turn one belief into the next."""
 
 from __future__ import annotations
 
@@ -13,64 +13,67 @@ from homeward.lab.filters.settings import Engine
 LOST_SIGMA = 0.5
 """White noise of speed [m/s/sqrt(Hz)] and turn rate [rad/s/sqrt(Hz)] without odometry."""
 
-Held = tuple[float, float] | None
-"""What a robot drives by: v [m/s] and omega [rad/s]; None: nobody knows."""
+MaybeTwist = tuple[float, float] | None
+"""v [m/s] and omega [rad/s]; None where the motion is unknown."""
 Angles = Mapping[int, float]
-"""By the landmarks' indices [rad]."""
+"""Angles [rad] by the index of the landmark."""
 Outputs = Mapping[str, np.ndarray]
 """Of an update, (q,) each: innovation [rad], innovation_variance [rad^2], accepted (0 or 1)."""
 
 
-def nothing_said(q: int) -> dict[str, np.ndarray]:
+def empty_outputs(q: int) -> dict[str, np.ndarray]:
     """Return the `Outputs` of an update that compared no landmark."""
     return {name: np.zeros(q) for name in ("innovation", "innovation_variance", "accepted")}
 
 
 class LandmarkBelief(NamedTuple):
-    """What a belief says of the landmarks; all have shape (q,)."""
+    """Estimates of the landmarks; all have shape (q,)."""
 
     home: np.ndarray
-    """Home bearings as they must be [rad]."""
+    """Estimated home bearings [rad]."""
     distance: np.ndarray
-    """From home [m]; negative or infinite where nothing is said of it."""
+    """Distance from home [m]; negative or infinite where it is unknown."""
     sigma_distance: np.ndarray
-    """[m]"""
+    """Standard deviation of the distance [m]."""
 
 
 class FilterBackend(Protocol):
-    """Makes new beliefs of old ones; a belief is never changed, and knows which are `active`."""
+    """Computes new beliefs from old ones, which it never changes.
+
+    A belief has an attribute `active`, (q,), 1 where the landmark has been seen.
+    """
 
     engine: Engine
     """What executes it: native or interpreter."""
     notes: tuple[str, ...]
-    """What the user must know of that, each a sentence."""
+    """Sentences about the engine for the user."""
     minimum_visible: int
-    """Fewer landmarks in sight, and a stamp is not used."""
+    """A stamp with fewer landmarks in view is not used."""
     stored: np.ndarray
     """(q,), beta* in the robot's home frame [rad]."""
 
     @property
     def diverged(self) -> int:
-        """Steps that were left out because their result had diverged."""
+        """Number of steps dropped because their result diverged."""
 
     def start(self) -> Any:
         """Return the belief of the start prior, before any landmark is seen."""
 
-    def predict(self, belief: Any, interval: float, twist: Held) -> Any:
+    def predict(self, belief: Any, interval: float, twist: MaybeTwist) -> Any:
         """Return the belief `interval` [s] later.
 
-        Without a twist the robot stands, with the noise `LOST_SIGMA`.
+        Without a twist the robot is assumed at rest, with noise `LOST_SIGMA`.
         """
 
     def update(self, belief: Any, seen: Angles, sigmas: Angles) -> tuple[Any, Outputs]:
-        """Return the belief after the sightings of one stamp, and what the step said of them.
+        """Return the belief after the sightings of one stamp, and the outputs of the update.
 
         `seen` has the bearing of each landmark from the robot's heading, `sigmas` the standard
-        deviation of those that have one of their own.
+        deviations of sightings that have their own.
         """
 
     def pose(self, belief: Any) -> tuple[Pose, np.ndarray]:
         """Return the pose in the home frame and its covariance (3, 3): x, y [m], heading [rad]."""
 
     def landmarks(self, belief: Any) -> LandmarkBelief:
-        """Return what is known of the landmarks."""
+        """Return the estimates of the landmarks."""
