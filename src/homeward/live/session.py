@@ -88,7 +88,7 @@ class Session:
         return len(self._queue)
 
     def watch(self, keep: Callable[[msg.Input | msg.Output], None]) -> None:
-        """OnProgress `keep` each message in the order in which it is processed, and each answer."""
+        """Give `keep` each message in the order in which it is processed, and each answer."""
         self._keepers.append(keep)
 
     def receive(self, message: msg.Input, now: float, sender: object = None) -> None:

@@ -36,7 +36,7 @@ class Library(NamedTuple):
 
 
 def is_kept(source: str) -> bool:
-    """OnProgress whether the compiled code of a source is at hand, without compiling.
+    """Return whether the compiled code of a source is at hand, without compiling.
 
     Raises
     ------

@@ -141,7 +141,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> Any:
-        """OnProgress the robot to stand, if it was driving home, and listen no more."""
+        """Command the robot to stand, if it was driving home, and listen no more."""
         if self._live.driving:
             self._live.receive(msg.Cancel(), time.monotonic())
             self._tick()

@@ -51,7 +51,7 @@ class BlockStore:
             self._claim(tree, marker)
 
     def __contains__(self, name: str) -> bool:
-        """OnProgress whether a block is finished and whole."""
+        """Return whether a block is finished and whole."""
         return self._read(name) is not None
 
     def save(self, name: str, arrays: Arrays) -> None:
