@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from homeward.native.program import Program
-
 # The same examples every time: a change is judged by itself, not by the day's dice.
 settings.register_profile("repeatable", derandomize=True)
 settings.load_profile("repeatable")
@@ -20,6 +18,9 @@ settings.load_profile("repeatable")
 # that tests start compiles the package, and each worker rewrites the assertions of every test.
 sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+# NumPy reads it when it is imported: for the matrices of tests, more threads take 10 times the CPU
+# time. Workers and processes that tests start inherit it.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 INTERPRETER = (
     "cli/test_first_minutes",
@@ -140,6 +141,7 @@ def _own_cache(tmp_path_factory) -> None:
 @pytest.fixture
 def both(monkeypatch):
     """A function that calls another one compiled, then with NumPy, and returns both answers."""
+    from homeward.native.program import Program
 
     def call(function, *arguments):
         native = function(*arguments)
