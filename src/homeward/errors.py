@@ -60,7 +60,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 
 _EXTRAS = {
-    **dict.fromkeys(("casadi", "mpmath"), ("the paper's filters, and symbolic models,", "filters")),
+    "casadi": ("the paper's filters, and symbolic models,", "filters"),
     **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
     **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),

@@ -13,7 +13,10 @@ from homeward.runs.single_run import RunSettings, prepare
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (("--landmarks", 2), ["4 of the 5", "circle through itself, L1 and L2", "same to"]),
+        (
+            ("--landmarks", 2),
+            ["4 of the 5", "circle through itself, L1 and L2", "bearings to"],
+        ),
         (("--landmarks", 2, "--compass"), ["5 of the 5", "Nothing is left open"]),
         (
             ("--landmarks", 5, "--unknown", "speed-scale"),

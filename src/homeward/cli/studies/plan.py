@@ -178,10 +178,9 @@ def _numbers(view: ModelView) -> str:
             f" {found.gap:.0e}"
         )
     m = view.model
-    how = "60 digits" if m.precise else "scaled singular values"
     return (
-        f"rank {m.rank} of {m.n}, from Lie derivatives up to order {m.order} ({how}; smallest"
-        f" nonzero {m.singular_values[m.rank - 1]:.1e} of the largest)"
+        f"rank {m.rank} of {m.n}, from Lie derivatives up to order {m.order} (scaled singular"
+        f" values; smallest nonzero {m.singular_values[m.rank - 1]:.1e} of the largest)"
     )
 
 

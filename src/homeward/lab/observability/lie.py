@@ -1,4 +1,4 @@
-"""Rank of the paper's model: the codistribution of Lie derivatives, in floats or in 60 digits.
+"""Rank of the paper's model from the codistribution of Lie derivatives.
 
 The model has no drift: dX/dt = v g1(X) + omega g2(X). Its outputs are the bearings and optionally
 the heading (a compass) and the landmarks' distances from home (a survey). The number of directions
@@ -12,85 +12,15 @@ beta_i is a unit vector; the gradient of its Lie derivative along v is [J_i, K_i
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import casadi as ca
-import mpmath
 import numpy as np
-from numpy.typing import ArrayLike
 
 from homeward.geometry.frames import Polar, Pose, compose, from_polar, inverse
 from homeward.lab.model import INPUTS, POLAR, PolarModel, landmark_distance
 from homeward.lab.observability.ranks import Rank, rank
-
-DIGITS = 60
-ZERO_DIGITS = 30
-"""A pivot smaller than 10 to the minus this, relative to the largest entry, counts as zero."""
-
-_OPERATIONS: dict[int, Callable[..., Any]] = {
-    ca.OP_ADD: lambda a, b: a + b,
-    ca.OP_SUB: lambda a, b: a - b,
-    ca.OP_MUL: lambda a, b: a * b,
-    ca.OP_DIV: lambda a, b: a / b,
-    ca.OP_NEG: lambda a, _: -a,
-    ca.OP_SQ: lambda a, _: a * a,
-    ca.OP_TWICE: lambda a, _: 2 * a,
-    ca.OP_INV: lambda a, _: 1 / a,
-    ca.OP_SIN: lambda a, _: mpmath.sin(a),
-    ca.OP_COS: lambda a, _: mpmath.cos(a),
-    ca.OP_SQRT: lambda a, _: mpmath.sqrt(a),
-    ca.OP_ASSIGN: lambda a, _: a,
-}
-
-
-def evaluate(function: ca.Function, arguments: Sequence[ArrayLike]) -> list[list[Any]]:
-    """Return the output of an SX function, row by row, computed with `DIGITS` digits.
-
-    The function has one dense output, made of sums, products, quotients, sines, cosines and roots.
-    Its arguments, each (k,), are assumed exact.
-    """
-    rows, columns = function.size_out(0)
-    numbers = [np.asarray(a, float).tolist() for a in arguments]
-    work: dict[int, Any] = {}
-    out: list[Any] = [mpmath.mpf(0)] * (rows * columns)
-    with mpmath.workdps(DIGITS):
-        for k in range(function.n_instructions()):
-            kind = function.instruction_id(k)
-            sources, targets = function.instruction_input(k), function.instruction_output(k)
-            if kind == ca.OP_CONST:
-                work[targets[0]] = mpmath.mpf(function.instruction_constant(k))
-            elif kind == ca.OP_INPUT:
-                work[targets[0]] = mpmath.mpf(numbers[sources[0]][sources[1]])
-            elif kind == ca.OP_OUTPUT:
-                out[targets[1]] = work[sources[0]]
-            else:
-                first, last = work[sources[0]], work[sources[-1]]
-                work[targets[0]] = _OPERATIONS[kind](first, last)
-    return [out[row::rows] for row in range(rows)]
-
-
-def precise_rank(matrix: list[list[Any]]) -> int:
-    """Return the rank by elimination with full pivoting; rows must be of similar size."""
-    with mpmath.workdps(DIGITS):
-        rest = [list(row) for row in matrix]
-        limit = mpmath.mpf(10) ** -ZERO_DIGITS * max(abs(v) for row in rest for v in row)
-        found = 0
-        while rest:
-            size, i, j = max(
-                (abs(v), i, j) for i, row in enumerate(rest) for j, v in enumerate(row)
-            )
-            if size <= limit:
-                break
-            found += 1
-            pivot = rest.pop(i)
-            for row in rest:
-                factor = row[j] / pivot[j]
-                row[:] = [a - factor * b for a, b in zip(row, pivot, strict=True)]
-        return found
-
 
 POINTS = 5
 """Number of random points; the largest rank among them counts."""
@@ -111,8 +41,6 @@ class ModelRank:
     """Highest order of Lie derivatives that adds to the rank."""
     singular_values: np.ndarray
     """(n,), scaled, relative to the largest, at the best point."""
-    precise: bool
-    """Whether the rank needed 60 digits because floats were not precise enough."""
     home: np.ndarray
     """(3,), pose of home in the robot frame at that point: x [m], y [m], heading [rad]."""
     marks: np.ndarray
@@ -133,13 +61,13 @@ def observe_model(landmarks: int, compass: bool = False, distances: bool = False
         if further[0].value == found[0].value:
             break
         order, found = order + 1, further
-    best, precise, k = found
+    best, k = found
     state, stored = points[k]
     to_robot = _robot_chart(landmarks)
     chart, by_state = (np.array(m) for m in to_robot(state, stored))
     model = landmarks, compass, distances, landmarks + POLAR
     seen = chart[:POLAR, 0], chart[POLAR:, 0].reshape(-1, 2), by_state @ best.null
-    return ModelRank(*model, best.value, order, best.singular_values, precise, *seen)
+    return ModelRank(*model, best.value, order, best.singular_values, *seen)
 
 
 @lru_cache(maxsize=32)
@@ -172,22 +100,14 @@ def _ranks(
     distances: bool,
     order: int,
     points: list[tuple[np.ndarray, np.ndarray]],
-) -> tuple[Rank, bool, int]:
-    """Return the largest rank, whether it needed 60 digits, and the index of its point."""
+) -> tuple[Rank, int]:
+    """Return the largest rank and the index of its point; `ArithmeticError` if it is unclear."""
     gradients = codistribution(q, compass, distances, order)
     found = [rank(np.array(gradients(*point))) for point in points]
     k = max(range(len(points)), key=lambda i: (found[i].value, found[i].gap))
-    if found[k].clear:
-        return found[k], False, k
-    return _settle(found[k], precise_rank(evaluate(gradients, points[k]))), True, k
-
-
-def _settle(floats: Rank, value: int) -> Rank:
-    """Return a rank whose null space is reduced to the size that 60 digits prove."""
-    size = floats.singular_values.size
-    if value >= floats.value:
-        return Rank(value, floats.singular_values, floats.null[:, value - floats.value :])
-    raise ArithmeticError(f"rank {floats.value} of {size} in floats but {value} in {DIGITS} digits")
+    if not found[k].clear:
+        raise ArithmeticError(f"the rank for {q} landmarks is not clear in floats")
+    return found[k], k
 
 
 def model_point(q: int, seed: int) -> tuple[np.ndarray, np.ndarray]:

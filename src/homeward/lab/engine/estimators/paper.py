@@ -173,7 +173,7 @@ class FilterConfig(Generic[Settings]):
 
 
 def first_given(*values: float | None) -> float:
-    """Return the first_given value that is not None."""
+    """Return the first value that is not None."""
     return next(v for v in values if v is not None)
 
 

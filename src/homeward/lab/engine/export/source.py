@@ -1,4 +1,4 @@
-"""Export of a filter as a C library: templates filled_template with the symbolic source, and its cost.
+"""Export of a filter as a C library: templates filled with the symbolic source, and its cost.
 
 The folder has the layout of an Arduino or PlatformIO library. The formulas for the largest number
 of operations of a call follow templates/homeward_ekf.c; a test compiles that with a number type
