@@ -59,7 +59,6 @@ PENDING = (
     "docs/understand/consistency.md",
     "docs/understand/leaderboard.md",
     "src/homeward/__init__.py",
-    "src/homeward/control/",
     "src/homeward/data/",
     "src/homeward/drives/",
     "src/homeward/errors.py",

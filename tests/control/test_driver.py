@@ -50,7 +50,7 @@ def test_it_arrives_within_the_radius_from_any_pose_within_all_limits(turn_rate,
     assert v.min() >= 0.0
     assert v.max() <= limits.speed + SLACK
     assert np.abs(omega).max() <= turn_rate + SLACK
-    # The last command is to stand, at once.
+    # The last command stops the robot at once.
     assert np.abs(np.diff(v[:-1], prepend=0.0)).max(initial=0.0) <= limits.acceleration * DT + SLACK
     turns = np.abs(np.diff(omega[:-1], prepend=0.0)).max(initial=0.0)
     assert turns <= limits.turn_acceleration * DT + SLACK
@@ -128,16 +128,16 @@ def test_the_simulator_and_a_live_session_command_the_same_for_the_same_estimate
     session.receive(GoHome(), 0.0)
     list(session.process())  # refused, for there is no home: the goal is set by hand
     session._refused, session.localisation.goal = "", goal
-    told = {}
-    session.belief = lambda now: told["belief"]
+    command = {}
+    session.belief = lambda now: command["belief"]
     session.faults = session._blind = lambda now: ()
     pose, commands = Pose(-1.0, 0.4, 2.5), []
     for k in range(2000):
         t = k * DT
         status = Status.UNVERIFIED if 100 <= k < 200 or k % 97 == 1 else Status.LOCALISED
         noisy = Pose(*(np.array(pose) + rng.normal(0.0, 0.005, 3)).tolist())
-        told["belief"] = belief(noisy, status)
-        live, twist = session.tick(t), simulated.twist(t, told["belief"])
+        command["belief"] = belief(noisy, status)
+        live, twist = session.tick(t), simulated.twist(t, command["belief"])
         if twist is None:
             assert live.state == "arrived"
             break

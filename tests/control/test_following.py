@@ -22,11 +22,11 @@ DT = 0.05
 CORNERS = np.array([[0.0, 0.0], [3.0, 0.0], [3.0, 2.0], [0.0, 2.0]])
 
 
-def drive(follower, pose, seconds, t=0.0, **told):
+def drive(follower, pose, seconds, t=0.0, **commands):
     """Follow exactly; return times, poses and twists."""
     rows = []
-    while not follower.over and t < seconds:
-        twist = follower.twist(t, pose, **told)
+    while not follower.is_over and t < seconds:
+        twist = follower.twist(t, pose, **commands)
         rows.append((t, *pose, *twist))
         pose, t = advance(pose, twist, DT), t + DT
         pose = pose._replace(heading=math.remainder(pose.heading, 2 * math.pi))
@@ -58,14 +58,14 @@ def test_from_anywhere_to_the_end_within_the_bounds(turn_rate):
         assert np.abs(omega).max() <= turn_rate + 1e-12
 
 
-@pytest.mark.parametrize("beside", [0.3, -0.2])
-def test_beside_a_straight_path_the_error_falls_as_the_linear_law_says(beside):
+@pytest.mark.parametrize("offset", [0.3, -0.2])
+def test_next_to_a_straight_path_the_error_falls_as_in_the_linear_model(offset):
     v, last = 0.3, LOOKAHEAD / 0.3
     follower = Follower(Path(np.array([[0.0, 0.0], [20.0, 0.0]])), v, 9.0)
-    rows, _ = drive(follower, Pose(0.5, 0.1 * beside, 0.0), 8 * last)
+    rows, _ = drive(follower, Pose(0.5, 0.1 * offset, 0.0), 8 * last)
     t, y = rows[:, 0], rows[:, 2]
-    linear = 0.1 * beside * np.exp(-t / last) * (np.cos(t / last) + np.sin(t / last))
-    np.testing.assert_allclose(y, linear, atol=0.06 * abs(0.1 * beside))
+    linear = 0.1 * offset * np.exp(-t / last) * (np.cos(t / last) + np.sin(t / last))
+    np.testing.assert_allclose(y, linear, atol=0.06 * abs(0.1 * offset))
 
 
 def test_along_a_circle_there_is_no_lasting_error():
@@ -116,7 +116,7 @@ def test_the_entry_is_the_closest_point_within_what_is_asked_for():
     assert 1.5 < entered < 1.5 + LOOKAHEAD  # at the nearest point, not at the beginning
 
 
-def test_a_round_trip_begins_anew_where_it_ended():
+def test_a_round_trip_begins_again_where_it_ended():
     path = Path(np.vstack([CORNERS, [[0.0, 0.0]]]))
     follower = Follower(path, 0.4, 1.0)
     rows, _ = drive(follower, Pose(0.05, 0.05, -math.pi / 2), 120.0)
@@ -128,7 +128,7 @@ def test_way_points_are_visited_in_turn_each_for_its_time():
     stops = [(1, 0.0, 2.0, "a"), (2, None, 5.0, "b"), (3, math.pi, 0.0, "c")]
     follower, waited = Follower(Path(CORNERS, stops), 0.4, 1.0), {}
     t, pose = 0.0, Pose(0.0, 0.0, 0.0)
-    while not follower.over:
+    while not follower.is_over:
         twist = follower.twist(t, pose)
         if follower.state is PathState.STOPPED and twist == STAND:
             waited[follower.reason] = waited.get(follower.reason, 0.0) + DT
@@ -161,7 +161,7 @@ def test_waiting_at_a_way_point_takes_no_pose():
     assert follower.twist(3 * PATIENCE_S + 1.5, there) != STAND
 
 
-def test_without_a_sure_pose_it_coasts_for_so_long_then_stands_and_goes_on():
+def test_without_a_sure_pose_it_coasts_then_stops_and_goes_on():
     follower = Follower(Path(CORNERS), 0.4, 1.0)
     assert follower.twist(0.0, None, sure=False) == STAND  # never knew where it is
     assert follower.state is PathState.HELD
@@ -172,7 +172,7 @@ def test_without_a_sure_pose_it_coasts_for_so_long_then_stands_and_goes_on():
     assert follower.twist(COAST_S + 0.3, Pose(1.2, 0.0, 0.0)).v > 0
 
 
-def test_blocked_it_says_so_waits_and_gives_up():
+def test_blocked_it_gives_the_reason_waits_and_gives_up():
     follower, pose = Follower(Path(CORNERS), 0.4, 1.0), Pose(0.0, 0.0, 0.0)
     assert follower.twist(0.0, pose).v > 0
     assert follower.twist(0.1, pose, blocked=True) == STAND
@@ -180,20 +180,20 @@ def test_blocked_it_says_so_waits_and_gives_up():
     assert follower.twist(10.0, pose).v > 0  # free again
     follower.twist(11.0, Pose(0.4, 0.0, 0.0))
     for t in np.arange(12.0, 12.5 + PATIENCE_S, 0.5).tolist():
-        assert not follower.over
+        assert not follower.is_over
         follower.twist(t, Pose(0.4, 0.0, 0.0), blocked=True)
     follower.twist(13.0 + PATIENCE_S, Pose(0.4, 0.0, 0.0), blocked=True)
     assert follower.state is PathState.FAILED
-    assert "blocked; got nowhere for 30 s" in follower.reason
+    assert "blocked; no progress for 30 s" in follower.reason
 
 
-def test_stuck_without_being_told_it_tries_again_and_gives_up():
+def test_stuck_without_an_obstacle_it_tries_again_and_gives_up():
     follower, pose, driven, t = Follower(Path(CORNERS), 0.4, 1.0), Pose(0.0, 0.0, 0.0), [], 0.0
-    while not follower.over and t < 200.0:
+    while not follower.is_over and t < 200.0:
         driven.append(follower.twist(t, pose).v > 0)
         t += DT
     assert follower.state is PathState.FAILED
-    assert "did not get on" in follower.reason
+    assert "did not move" in follower.reason
     assert PATIENCE_S < t < PATIENCE_S + 2 * RETRY_S
     tries = np.sum(np.diff(np.array(driven, int)) == 1)
     assert tries >= 3

@@ -9,10 +9,10 @@ import pytest
 from homeward.control.laws import (
     LAWS,
     average_landmark_vector,
+    home_vector,
     homing,
     squared_angles,
     steer,
-    way_home,
 )
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, Pose, advance
@@ -58,7 +58,7 @@ def test_steering_never_raises_the_cost_and_ends_at_home_however_tight_its_bound
         pose, before = Pose(*start), math.inf
         for _ in range(3600):
             seen = dict(enumerate(directions(np.array(pose[:2])).tolist()))
-            way = way_home(slope, seen, dict(enumerate(HOME.tolist())), 1.5)
+            way = home_vector(slope, seen, dict(enumerate(HOME.tolist())), 1.5)
             twist = steer(*way, pose.heading, 0.1, most)
             assert 0 <= twist.v <= 0.1
             assert abs(twist.omega) <= most
@@ -74,19 +74,19 @@ def test_the_way_home_is_about_as_long_as_it_is_near_home():
     x = np.array([0.05, -0.08])
     seen = np.arctan2(*(marks - x).T[::-1])
     for slope in TERMS:
-        way = way_home(slope, dict(enumerate(seen)), dict(enumerate(ring)), 1.5)
+        way = home_vector(slope, dict(enumerate(seen)), dict(enumerate(ring)), 1.5)
         np.testing.assert_allclose(way, -x, atol=0.01)
 
 
 def test_without_two_landmarks_of_home_there_is_no_way():
-    assert way_home(average_landmark_vector, {"a": 1.0, "c": 2.0}, {"b": 1.0}, 1.5) is None
+    assert home_vector(average_landmark_vector, {"a": 1.0, "c": 2.0}, {"b": 1.0}, 1.5) is None
 
 
 def test_the_way_is_about_right_where_few_landmarks_are_in_sight_on_one_side():
     marks = 1.5 * np.array([[np.cos(a), np.sin(a)] for a in (0.0, 0.3, 0.7)])
     x = np.array([0.06, 0.03])
     seen = np.arctan2(*(marks - x).T[::-1])
-    way = way_home(squared_angles, dict(enumerate(seen)), {0: 0.0, 1: 0.3, 2: 0.7}, 1.5)
+    way = home_vector(squared_angles, dict(enumerate(seen)), {0: 0.0, 1: 0.3, 2: 0.7}, 1.5)
     assert math.hypot(*way) == pytest.approx(math.hypot(*x), rel=0.15)
 
 

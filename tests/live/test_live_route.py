@@ -157,7 +157,7 @@ def test_who_gets_nowhere_gives_up_and_says_why(school):
     rig.until(lambda r: r.player.ending)
     assert rig.player.ending.state == "failed"
     assert rig.player.ending.reason == (
-        "given up: blocked: an obstacle nearer than 0.3 m; got nowhere for 30 s"
+        "given up: blocked: an obstacle nearer than 0.3 m; no progress for 30 s"
     )
 
 

@@ -1,8 +1,7 @@
-"""Goals of a drive: a point, home by bearings alone, a route, or a turn on the spot.
+"""Goals of a drive: a point, home from bearings alone, a route, or a turn on the spot.
 
-A goal makes a `GoalController`, which is asked at every tick, also while something hinders the
-robot, for a `ControlOutput`. Limits of acceleration, and giving up, are those of
-`homeward.control.driver`.
+A goal creates a `GoalController`, which returns a `ControlOutput` at every tick, also while driving
+is prevented. `homeward.control.driver` limits accelerations and gives up after a time.
 """
 
 from __future__ import annotations
@@ -17,43 +16,43 @@ import numpy as np
 
 from homeward.control import following
 from homeward.control.following import STAND
-from homeward.control.laws import Slope, homing, steer, way_home
+from homeward.control.laws import BearingLaw, home_vector, homing, steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, to_polar
 
-ROUND = 1.05 * math.tau
-"""Odometry that nobody calibrated may turn by 5 % less than it says [rad]."""
-RATE = 0.5
-"""A camera of 60 degrees at 15 Hz sees each landmark thirty times then [rad/s]."""
-UNSEEN: Mapping[str, float] = MappingProxyType({})
+FULL_TURN = 1.05 * math.tau
+"""Rotation by uncalibrated odometry, which may report 5 % too much [rad]."""
+TURN_RATE = 0.5
+"""At this rate a camera of 60 degrees and 15 Hz sees each landmark 30 times [rad/s]."""
+NO_SIGHTINGS: Mapping[str, float] = MappingProxyType({})
 
 
 class GoalState(enum.Enum):
     """State of a drive."""
 
     IDLE = "idle"
-    """Nobody sent the robot anywhere, or that is over."""
+    """No goal, or cancelled."""
     DRIVING = "driving"
     HELD = "held"
-    """Standing, for a reason; it goes on by itself."""
+    """Stopped for a reason, and continues when that is gone."""
     ARRIVED = "arrived"
     TURNED = "turned"
-    """Once round, where home is stored by a turn."""
+    """Turned once on the spot, to store home."""
     FAILED = "failed"
 
 
 class Belief(NamedTuple):
-    """Estimate by which a robot is driven."""
+    """Estimate from which a robot is driven."""
 
     status: Status
     pose: Pose | None
-    """In the frame of home, or of the place's first one."""
+    """In the frame of home, or of the place's first home."""
     covariance: np.ndarray | None
     """(3, 3)"""
-    seen: Mapping[str, float] = UNSEEN
-    """Id to direction [rad] in the frame of the pose, of the landmarks seen last."""
+    seen: Mapping[str, float] = NO_SIGHTINGS
+    """Direction [rad] in the frame of the pose, of each landmark in the last frame."""
 
 
 class ControlOutput(NamedTuple):
@@ -63,29 +62,29 @@ class ControlOutput(NamedTuple):
     reason: str
     twist: Twist = STAND
     is_lost: bool = False
-    """Whether the robot stands because its pose is not good enough."""
+    """Whether the robot is stopped because its pose is not good enough."""
 
 
 class GoalController(NamedTuple):
     """Controller of one drive to a goal."""
 
     patience: float
-    """After standing for so long it has failed [s]."""
+    """Maximum duration of a stop before the drive fails [s]."""
     step: Callable[[float, Belief, str], ControlOutput]
-    """Output at a time [s]; with a hindrance, in words, the robot must stand."""
+    """Output at a time [s]; if a hindrance is given, in words, the robot must stop."""
     by_odometry: bool = False
-    """Whether odometry alone suffices: the belief's pose may lie in any frame."""
+    """Whether odometry alone suffices: the belief's pose may be in any frame."""
 
 
 class Goal(Protocol):
-    """Where the robot is sent."""
+    """Goal of a drive."""
 
     def controller(self, limits: Limits) -> GoalController:
-        """Return the controller of a drive there, from wherever the robot is."""
+        """Return the controller of a drive to the goal, from any pose."""
 
 
 class PointGoal(NamedTuple):
-    """A point to drive to, by a law on the pose.
+    """Point to drive to, by a homing law that uses the pose.
 
     The default law is `homeward.control.laws.steer`. With the paper's, the speed is constant.
     """
@@ -95,11 +94,11 @@ class PointGoal(NamedTuple):
     """In the frame of the belief [m]."""
     y: float
     standoff: float = 0.0
-    """As near as it is to come [m]."""
+    """Distance from the point at which to stop [m]."""
     law: Literal["lyapunov", "paper"] = "lyapunov"
 
     def controller(self, limits: Limits) -> GoalController:
-        """Return the controller of a drive there."""
+        """Return the controller of a drive to the goal."""
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             if hindrance or belief.pose is None:
@@ -108,63 +107,63 @@ class PointGoal(NamedTuple):
             distance = math.hypot(dx, dy)
             left = max(distance - self.standoff, 0.0)
             if left < limits.radius:
-                return _there(f"{distance:.3f} m from {self.name}", self.name, belief.status)
-            heading, most = belief.pose.heading, limits.turn_rate
+                return _at_goal(f"{distance:.3f} m from {self.name}", self.name, belief.status)
+            heading, limit = belief.pose.heading, limits.turn_rate
             if self.law == "paper":
                 v, omega = map(float, homing(to_polar(Pose(-dx, -dy, heading)), limits.speed))
-                twist = Twist(v, max(-most, min(most, omega)))
+                twist = Twist(v, max(-limit, min(limit, omega)))
             else:
                 share = left / distance
-                twist = steer(share * dx, share * dy, heading, limits.speed, most)
+                twist = steer(share * dx, share * dy, heading, limits.speed, limit)
             return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)
 
 
 class BearingGoal(NamedTuple):
-    """Home, by bearings and a compass (the heading of the pose) alone; no memory."""
+    """Home, from bearings and a compass (the heading of the pose) alone, without memory."""
 
-    slope: Slope
-    """Of `homeward.control.laws.LAWS`."""
+    law: BearingLaw
+    """From `homeward.control.laws.LAWS`."""
     home: Mapping[str, float]
-    """Id to home bearing [rad]."""
+    """Home bearing [rad] of each landmark."""
     distance: float
-    """Of landmarks from home, about [m]."""
+    """Approximate distance of landmarks from home [m]."""
 
     def controller(self, limits: Limits) -> GoalController:
-        """Return the controller of a drive there."""
+        """Return the controller of a drive to the goal."""
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             if hindrance or belief.pose is None:
                 return ControlOutput(GoalState.HELD, hindrance)
-            way = way_home(self.slope, belief.seen, self.home, self.distance)
+            way = home_vector(self.law, belief.seen, self.home, self.distance)
             if way is None:
-                why = "fewer than two landmarks of home in view"
+                why = "fewer than two landmarks with a home bearing in view"
                 return ControlOutput(GoalState.HELD, why, is_lost=True)
             if math.hypot(*way) < limits.radius:
-                return _there("home, by bearings", "home", belief.status)
+                return _at_goal("home, from bearings", "home", belief.status)
             twist = steer(*way, belief.pose.heading, limits.speed, limits.turn_rate)
             return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)
 
 
-def _there(words: str, name: str, status: Status) -> ControlOutput:
-    """Return the output within the radius: only a robot that is localised has arrived."""
+def _at_goal(words: str, name: str, status: Status) -> ControlOutput:
+    """Return the output within the radius; only a localised robot has arrived."""
     if status is Status.LOCALISED:
         return ControlOutput(GoalState.ARRIVED, words)
     return ControlOutput(GoalState.HELD, f"at {name}, but {status.value}", is_lost=True)
 
 
 class RouteGoal(NamedTuple):
-    """A route to drive along, by `homeward.control.following`."""
+    """Route to follow, by `homeward.control.following`."""
 
     name: str
     path: following.Path
     """In the frame of the belief."""
 
     def controller(self, limits: Limits) -> GoalController:
-        """Return the controller of a drive along it; the `Follower` decides when it has failed."""
+        """Return the controller of a drive along the route; the `Follower` decides on failure."""
         follower = following.Follower(self.path, limits.speed, limits.turn_rate)
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
@@ -192,22 +191,22 @@ class RouteGoal(NamedTuple):
         return GoalController(math.inf, step)
 
     def _stop(self, follower: following.Follower) -> str:
-        """Return the stop that is made, in words."""
+        """Return the name of the current stop."""
         if follower.reason:
             return f"way point {follower.reason}"
         last = follower.stop == len(self.path.stops) - 1
-        return "the end" if last else "a turn of the way"
+        return "the end" if last else "a corner of the path"
 
 
 class TurnGoal(NamedTuple):
-    """One turn on the spot, so that a camera that sees a part of home sees all of it.
+    """One turn on the spot, so that a narrow camera sees all landmarks at home.
 
-    By odometry alone: the pose of the belief is that of the robot in its odometry frame.
+    Uses odometry alone: the pose of the belief is in the odometry frame.
     """
 
     def controller(self, limits: Limits) -> GoalController:
         """Return the controller of the turn."""
-        left, last = ROUND, math.nan
+        left, last = FULL_TURN, math.nan
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             nonlocal left, last
@@ -218,7 +217,9 @@ class TurnGoal(NamedTuple):
                 left -= float(wrap(heading - last))
             last = heading
             if left <= 0.0:
-                return ControlOutput(GoalState.TURNED, "once round")
-            return ControlOutput(GoalState.DRIVING, "", Twist(0.0, min(RATE, limits.turn_rate)))
+                return ControlOutput(GoalState.TURNED, "turned once round")
+            return ControlOutput(
+                GoalState.DRIVING, "", Twist(0.0, min(TURN_RATE, limits.turn_rate))
+            )
 
         return GoalController(limits.patience, step, by_odometry=True)

@@ -1,4 +1,4 @@
-"""Homing laws by name: which way home is, from a pose or from bearings alone, and how to steer."""
+"""Homing laws by name: the home vector from a pose or from bearings alone, and steering."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from homeward.plugins import LAWS as GROUP
 from homeward.plugins import fault, load
 
 STOP_RADIUS = 0.05
-"""Home counts as reached within this distance [m]; the paper does not say."""
-Slope = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""From the directions of landmarks now and at home (k,) [rad], both in the home frame, to the way
-home (2,): minus the gradient of a cost."""
+"""Home is reached within this distance [m]; the paper does not specify it."""
+BearingLaw = Callable[[np.ndarray, np.ndarray], np.ndarray]
+"""Function from the directions of landmarks now and at home (k,) [rad], both in the home frame, to
+the direction of home (2,), minus the gradient of a cost."""
 
 
 def average_landmark_vector(now: np.ndarray, home: np.ndarray) -> np.ndarray:
-    """Return the sum of the unit vectors to the landmarks now, less that at home.
+    """Return the sum of the unit vectors to the landmarks now, minus that at home.
 
-    That is minus the gradient of sum_i r_i (1 - cos d_i), r_i the distance of landmark i and d_i
-    the angle between its directions now and at home, although no distance is known. Each term is
-    a norm less a linear function of the robot's place: the cost is convex, and zero at home alone
-    once two landmarks and home are not in line.
+    This is minus the gradient of sum_i r_i (1 - cos d_i), where r_i is the distance of landmark i
+    and d_i the angle between its directions now and at home; it needs no distance. Each term is a
+    norm minus a linear function of the robot's position, so the cost is convex. It is zero only
+    at home if two landmarks and home are not collinear.
 
     References
     ----------
@@ -40,12 +40,12 @@ def average_landmark_vector(now: np.ndarray, home: np.ndarray) -> np.ndarray:
 
 
 def squared_angles(now: np.ndarray, home: np.ndarray) -> np.ndarray:
-    """Return minus the gradient of sum_i r_i d_i^2 / 2, by bearings alone.
+    """Return minus the gradient of sum_i r_i d_i^2 / 2, from bearings alone.
 
     With home at the origin, the robot at x and landmark i at distance D_i from home, the gradient
     times x is sum_i d_i^2 / 2 (r_i - D_i cos d_i) + D_i d_i sin d_i. Each term is at least
-    D_i d_i (sin d_i - d_i cos d_i / 2), which is positive unless d_i is zero: the cost grows on
-    every ray from home, and has no minimum but home.
+    D_i d_i (sin d_i - d_i cos d_i / 2), which is positive unless d_i is zero: the cost increases
+    along every ray from home, and home is its only minimum.
 
     References
     ----------
@@ -58,66 +58,63 @@ def squared_angles(now: np.ndarray, home: np.ndarray) -> np.ndarray:
     return np.array([(d**2 / 2 * c + d * s).sum(), (d**2 / 2 * s - d * c).sum()])
 
 
-LAWS: dict[str, Slope | None] = {
+LAWS: dict[str, BearingLaw | None] = {
     "paper": None,
     "lyapunov": None,
     "alv": average_landmark_vector,
     "tron": squared_angles,
 }
-"""Each name with what it makes of bearings; None: it needs a pose."""
+"""Function of bearings of each law; None: the law needs a pose."""
 
 
-def law_named(name: str) -> Slope | None:
-    """Return what a law makes of bearings; of other packages, too, see `homeward.plugins.load`.
+def law_named(name: str) -> BearingLaw | None:
+    """Return the function of bearings of a law, built-in or a plugin (`homeward.plugins.load`).
 
-    Raises
-    ------
-    InputError
-        When there is no law of that name, or what makes it cannot be called.
+    `InputError` if there is no law of that name, or it is not callable.
     """
-    return LAWS[name] if name in LAWS else cast(Slope, load(GROUP, name, LAWS))
+    return LAWS[name] if name in LAWS else cast(BearingLaw, load(GROUP, name, LAWS))
 
 
-def way_home(
-    slope: Slope, seen: Mapping[str, float], home: Mapping[str, float], distance: float
+def home_vector(
+    law: BearingLaw, seen: Mapping[str, float], home: Mapping[str, float], distance: float
 ) -> tuple[float, float] | None:
-    """Return about where home is from the robot, x, y [m] in the home frame.
+    """Return the approximate vector from the robot to home, x, y [m] in the home frame.
 
-    Its direction is that of `slope`. Its length is that of a Gauss-Newton step, as if all landmarks
-    were at one distance: about right near home, whichever of them are in sight.
+    Its direction is that of the law. Its length is that of a Gauss-Newton step with all landmarks
+    at one distance, which is accurate near home for any subset of the landmarks.
 
     Parameters
     ----------
-    slope : callable
-        Of `LAWS`.
+    law : callable
+        From `LAWS`.
     seen : mapping of str to float
-        Id to direction in the home frame [rad]: bearing plus heading.
+        Direction of each landmark in the home frame [rad]: bearing plus heading.
     home : mapping of str to float
-        Id to home bearing [rad].
+        Home bearing of each landmark [rad].
     distance : float
-        Of landmarks [m], about.
+        Approximate distance of landmarks [m].
 
     Returns
     -------
     (float, float) or None
-        None where fewer than two landmarks of home are in sight.
+        None if fewer than two landmarks with a home bearing are in view.
 
     Raises
     ------
     InputError
-        When `slope` raises, or returns no two finite numbers.
+        If `law` raises, or does not return two finite numbers.
     """
     both = [i for i in seen if i in home]
     if len(both) < 2:
         return None
     now = np.array([seen[i] for i in both])
     try:
-        down = np.asarray(slope(now, np.array([home[i] for i in both])), float)
+        down = np.asarray(law(now, np.array([home[i] for i in both])), float)
     except Exception as error:
         raise fault("the homing law", error) from error
     if down.shape != (2,) or not np.isfinite(down).all():
-        raise InputError("a homing law gave no x and y to drive along")
-    # A step s turns the sight line of a landmark by what of s is across it, over its distance.
+        raise InputError("the homing law must return two finite numbers, the direction x and y")
+    # A step rotates the line of sight by its component across that line, divided by the distance.
     across = np.stack([-np.sin(now), np.cos(now)])
     step = distance * np.linalg.pinv(across @ across.T, 1e-6, hermitian=True) @ down
     length, slope_size = math.hypot(*step), math.hypot(*down)
@@ -128,13 +125,13 @@ def way_home(
 def homing(polar: Polar, speed: Any) -> Twist:
     """Return the paper's command, ``omega = pi - (alpha - theta)`` wrapped, at constant speed.
 
-    The gain is 1/s. Home is reached from any pose with R well above ``speed * 1 s``; closer than
-    that the law cannot turn fast enough, and the robot goes round once more.
+    The gain is 1/s. Home is reached from any pose with R well above ``speed * 1 s``; at a smaller
+    distance the law cannot turn fast enough, and the robot passes home and turns back.
 
     Parameters
     ----------
     polar : Polar
-        Where the robot believes it is: R [m], theta [rad], alpha [rad]; floats, arrays or symbols.
+        Estimated pose: R [m], theta [rad], alpha [rad]; floats, arrays or symbols.
     speed : float or casadi.SX
         [m/s]
 
@@ -147,24 +144,22 @@ def homing(polar: Polar, speed: Any) -> Twist:
 
 
 def steer(x: float, y: float, heading: float, speed: float, max_turn_rate: float) -> Twist:
-    """Return the command that drives a unicycle down a cost, with its speed and turn rate bounded.
+    """Return the command that drives a unicycle down a cost, with limited speed and turn rate.
 
-    With e the bearing of the way (x, y), turn at clip(e / 1 s) and drive at
-    min(speed, |(x, y)| / 1 s) max(cos e, 0). The cost never grows, for its rate is minus the
-    slope times v cos e; and it falls but for the time, at most pi / 2 over the turn rate, in which
-    the robot turns towards a way that stands still meanwhile. So from everywhere the robot gets to
-    the one place without a slope, however tight the bounds are.
+    With e the bearing of the home vector (x, y), turn at clip(e / 1 s) and drive at
+    min(speed, |(x, y)| / 1 s) max(cos e, 0). The cost never increases, as its rate is minus its
+    slope times v cos e. It decreases except while the robot turns on the spot towards a constant
+    vector, for at most pi / 2 divided by the turn rate. So the robot reaches the only point of
+    zero slope from any pose, for any limits.
 
     Parameters
     ----------
     x, y : float
-        The way, in the home frame [m].
+        Home vector, in the home frame [m].
     heading : float
-        Of the robot [rad].
-    speed : float
-        The most [m/s].
-    max_turn_rate : float
-        The most [rad/s].
+        Heading of the robot [rad].
+    speed, max_turn_rate : float
+        Limits [m/s, rad/s].
     """
     e = wrap(math.atan2(y, x) - heading)
     turn = max(-max_turn_rate, min(max_turn_rate, e))

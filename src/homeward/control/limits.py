@@ -16,30 +16,30 @@ NonNegativeOrInf = Annotated[float, Field(ge=0)]
 
 
 class Limits(Strict):
-    """Limits of a drive to a goal; an infinite one does not limit."""
+    """Limits of a drive to a goal; infinity means no limit."""
 
     speed: Positive = 0.25
-    """The most [m/s]."""
+    """Maximum speed [m/s]."""
     turn_rate: Positive = 1.0
-    """The most [rad/s]."""
+    """Maximum turn rate [rad/s]."""
     acceleration: PositiveOrInf = 0.5
-    """Of the speed, up and down; what is unsafe stops at once [m/s^2]."""
+    """Maximum acceleration and deceleration; safety stops are immediate [m/s^2]."""
     turn_acceleration: PositiveOrInf = 3.0
-    """Of the turn rate [rad/s^2]."""
+    """Maximum acceleration of the turn rate [rad/s^2]."""
     radius: Positive = 0.03
-    """Home is reached where the robot is localised within this distance [m]."""
+    """Home is reached when the robot is localised within this distance [m]."""
     largest_sigma: PositiveOrInf = 0.25
-    """With a less certain position it stands [m]; the larger axis of the 1-sigma ellipse."""
+    """The robot stops if the larger axis of its 1-sigma position ellipse exceeds this [m]."""
     coast: NonNegativeOrInf = 1.0
-    """It drives on for this long while not localised, as long as it has a pose; also for this long
+    """The robot drives on for this time with a pose but not localised. Also the maximum time
     without a landmark in view, unless the noise of odometry is given [s]."""
     patience: PositiveOrInf = 10.0
-    """After standing so long for one reason after another it gives up [s]."""
+    """The robot gives up after being stopped for this time, for any reasons [s]."""
     obstacle_distance: NonNegative = 0.3
-    """The robot stands if an obstacle is nearer, where a free distance is reported [m]."""
+    """The robot stops if a reported obstacle is nearer [m]."""
 
     def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
-        """Return the twist nearest to the wanted one that is reached from the last in `dt` [s]."""
+        """Return the twist nearest to the wanted one that is reachable in `dt` [s]."""
         limits = self.acceleration, self.turn_acceleration
         dv, domega = (a if math.isinf(a) else a * dt for a in limits)
         return Twist(

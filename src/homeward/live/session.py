@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
 from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
-from homeward.control.watchdog import Fault, Lasting, StampGate, Watchdog
+from homeward.control.watchdog import Debounced, Fault, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import Status
@@ -63,9 +63,9 @@ class Session:
         self._gate, self._twists = StampGate(), TwistHistory()
         self._odometry = Watchdog("odometry", told.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", told.bearings_timeout, clock)
-        self._lags = {"bearings": Lasting(), "answers": Lasting()}
+        self._lags = {"bearings": Debounced(), "answers": Debounced()}
         self._frozen = FrozenCamera((robot or DriveSettings()).sensor.yaw)
-        self._is_frozen, self._is_blind = Lasting(), Lasting()
+        self._is_frozen, self._is_blind = Debounced(), Debounced()
         self._sighted = math.inf
         """When landmarks were last in view, by a camera that is not frozen [s]."""
         self._heard = -math.inf
@@ -106,7 +106,7 @@ class Session:
         odom, t = None, math.nan
         match message:
             case msg.OdometryIn() | msg.BearingsIn():
-                if not self._gate.takes(message.t):
+                if not self._gate.accepts(message.t):
                     self.counts["stamps far ahead of all others"] += 1
                     return
                 if isinstance(message, msg.BearingsIn) and self._late:
@@ -249,18 +249,18 @@ class Session:
         newest = self._odometry.newest
         for what, t in (("bearings", self._bearings.newest), ("answers", self._answered)):
             lag = newest - t if math.isfinite(newest) else 0.0
-            if self._lags[what].holds(lag > told.largest_lag, now):
+            if self._lags[what].is_active(lag > told.largest_lag, now):
                 words = f"{what} are more than {told.largest_lag:g} s behind odometry"
                 seen = math.isfinite(t)
                 found.append(Fault(words, lag) if seen else Fault(f"no {what} yet"))
-        if self._is_frozen.holds(self._frozen.is_frozen, now):
+        if self._is_frozen.is_active(self._frozen.is_frozen, now):
             found.append(Fault(Reason.FROZEN.words))
         return tuple(dict.fromkeys(found))
 
     def _blind(self, now: float) -> tuple[Fault, ...]:
         """Return whether no landmark was in view for too long to drive on by odometry alone."""
         longest, unseen = self.settings.limits.coast, now - self._sighted
-        if self._is_calibrated or not self._is_blind.holds(unseen > longest, now):
+        if self._is_calibrated or not self._is_blind.is_active(unseen > longest, now):
             return ()
         return (Fault(f"no landmark in view for more than {longest:g} s", unseen),)
 
@@ -316,13 +316,13 @@ class Session:
     def _watch(self, sample: msg.OdometryIn | msg.BearingsIn, now: float) -> float:
         """Let the watchdog of a sample hear it; return its stamp on the clock of all [s]."""
         if isinstance(sample, msg.BearingsIn):
-            t = self._bearings.hear(sample.t, now)
+            t = self._bearings.record(sample.t, now)
             frozen = self._frozen.add_bearings(t, sample.bearings, self._twists.at(t))
             if len(frozen) < len(sample.bearings):
                 self._sighted = now
             return t
         self._heard = now
-        t = self._odometry.hear(sample.t, now)
+        t = self._odometry.record(sample.t, now)
         if t == self._odometry.newest:
             pose = None if sample.pose is None else Pose(*sample.pose)
             self._twists.add(t, sample.v, sample.omega, pose)

@@ -137,7 +137,7 @@ def test_blocked_it_waits_and_for_too_long_it_gives_up_and_says_so(hall):
     assert np.ptp(made.drive.truth.x[now]) < 1e-3
     never = simulate(changed_scenario(waits, {"trajectory.blocked": [2.0, 80.0]}))
     assert never.ending is Ending.GAVE_UP
-    assert "blocked; got nowhere for 30 s" in never.reason
+    assert "blocked; no progress for 30 s" in never.reason
     assert never.drive.odometry.t[-1] == pytest.approx(32.0, abs=1.0)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from homeward.control.driver import Driver
 from homeward.control.following import LOOKAHEAD, Path
 from homeward.control.goals import (
-    UNSEEN,
+    NO_SIGHTINGS,
     BearingGoal,
     Belief,
     Goal,
@@ -106,7 +106,7 @@ MAX_PATH_M = 1e5
 """Length of a scripted path."""
 
 
-def exact(pose: Pose, seen: Mapping[str, float] = UNSEEN) -> Belief:
+def exact(pose: Pose, seen: Mapping[str, float] = NO_SIGHTINGS) -> Belief:
     """Return the belief of a robot that is given its true pose."""
     return Belief(Status.LOCALISED, pose, np.zeros((3, 3)), seen)
 
