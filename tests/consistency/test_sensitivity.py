@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from pydantic import BaseModel, Field
 
-from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.monte_carlo import Run
+from benchmarks.odometry_noise import drive_of
 from benchmarks.sensitivity.__main__ import report, rows_of
 from benchmarks.sensitivity.tunables import Tunable, changed, constants, fields, scaled
 from benchmarks.sensitivity.variant import variant
@@ -96,7 +96,7 @@ def test_a_changed_constant_reaches_who_imports_it_and_what_is_made_of_it(tmp_pa
 
 def test_a_variant_differs_and_the_same_one_does_not(tmp_path):
     trials = tmp_path / "trials"
-    trials.write_bytes(pickle.dumps({"room": SCENARIOS["room"].make(0)}))
+    trials.write_bytes(pickle.dumps({"room": drive_of(1.0, 1.0, 0, 15.0)[0]}))
     tunables = {"settings:gate": Tunable("", "gate", "4.0")}
     once, again, other = (
         variant(trials, tunables, Run("all drives", name, 0))

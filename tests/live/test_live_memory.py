@@ -15,7 +15,7 @@ from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
 RATES = {"rates.odometry": 10.0, "rates.bearings": 10.0}
-MINUTES = 2
+MINUTES = 1
 """Duration of the measurement after the warm-up."""
 MAX_OBJECTS = 200
 """Growth per minute: a third of one object kept of each of 10 answers a second."""

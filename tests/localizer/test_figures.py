@@ -21,18 +21,18 @@ from homeward.track import run
 @pytest.mark.parametrize("moved", [0, 2])
 def test_case_2_comes_near_the_bound_and_names_what_moved(moved):
     right, squares = [], []
-    for seed in range(300, 312):
+    for seed in range(300, 306):
         case = simulate(scenario(seed, moved))
         localizer = Localizer(case.drive.home, **case.drive.settings.robot)
         error, _ = final_error(case.drive, localizer)
         squares.append(error[:2] @ np.linalg.solve(bound(case)[:2, :2], error[:2]) / 2)
         named = {m.landmark for m in localizer.landmarks() if m.moved}
         right.append(named == set(case.world.moved))
-    assert sum(right) >= 10
+    assert sum(right) >= 5
     assert np.sqrt(np.mean(np.array(squares)[right])) < 1.6
 
 
-@pytest.mark.parametrize(("late", "bound"), [(0.2, 0.065), (0.3, 0.08), (0.4, 0.095)])
+@pytest.mark.parametrize(("late", "bound"), [(0.2, 0.065), (0.4, 0.095)])
 def test_the_sample_with_late_bearings_keeps_its_map(late, bound):
     drive = read_folder(sample_drive())
     seen = dataclasses.replace(drive.sightings, t=drive.sightings.t + late)
@@ -61,13 +61,13 @@ def test_a_real_drive_without_map_or_prior(data_dir):
     if not folder.is_dir():
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
     drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), np.radians(0.5), 0)
-    until = drive.odometry.t[0] + 400.0
+    until = drive.odometry.t[0] + 250.0
     seen, twists = drive.sightings, drive.odometry
     drive = dataclasses.replace(
         drive, sightings=seen.rows(seen.t < until), odometry=twists.rows(twists.t < until)
     )
     track = run(drive, Localizer(drive.home, **drive.settings.robot))
     e = errors(track, drive.truth)
-    late = e.t > track.t[0] + 200.0
+    late = e.t > track.t[0] + 150.0
     assert statistics(e.position[late], e.weight[late]).rmse < 0.2
     assert not [m.landmark for m in track.landmarks if m.moved]

@@ -22,7 +22,7 @@ from homeward.track import Innovations
 
 def untold(seconds):
     """A drive of which nothing is told, three times better than is usual, and its truth."""
-    drive = drive_of(1.0, 0.3, 1)[0].drive
+    drive = drive_of(1.0, 0.3, 1, 60.0)[0].drive
 
     def cut(table):
         return table.rows(table.t <= table.t[0] + seconds)
@@ -39,7 +39,7 @@ def untold(seconds):
 
 
 def test_what_a_drive_was_made_of_is_learnt_and_honest():
-    drive, true = untold(40.0)
+    drive, true = untold(30.0)
     fractions = []
     found = tune([drive], fractions.append)
     assert fractions == sorted(fractions)
