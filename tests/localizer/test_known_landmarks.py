@@ -252,7 +252,7 @@ def test_a_survey_of_another_place_altogether_is_not_believed():
     assert "0 of 8 surveyed" in " ".join(rig.localizer.notes)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_of_a_survey_of_another_hall_with_many_landmarks_nothing_is_used(seed):
     rng = np.random.default_rng(seed)
     there, here = rng.uniform((0.0, 0.0), (60.0, 40.0), (2, 48, 2))
@@ -286,7 +286,7 @@ def test_one_look_at_a_survey_is_a_pose(off):
     assert 8 * 0.5 < sum(nees) < 8 * 3 * 2.0  # about the 1 % and 99 % quantiles of chi-square
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_camera_that_sees_one_or_two_at_a_time_has_a_fix_when_it_has_seen_enough(seed):
     """Turning on the spot, so that no landmark can be triangulated."""
     rig = SurveyedRig(ring(12, seed), seed, off=1, at_home=False)

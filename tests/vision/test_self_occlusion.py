@@ -47,7 +47,7 @@ def test_with_its_mask_nothing_is_detected():
     assert detected([on_robot(frame(k)) for k in range(12)], HEADINGS, MASK) is None
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_a_clean_room_is_not_suspected(seed):
     assert detected([frame(k, seed) for k in range(12)], HEADINGS) is None
 
@@ -77,7 +77,7 @@ def test_it_is_detected_in_two_panoramas_if_the_rest_shows_a_rotation():
     assert between(*painted, mask=MASK) is None
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_two_panoramas_that_are_not_turned_are_not_suspected(seed):
     room = make_room(seed)
     for x in (3.0, 3.03, 3.3):

@@ -326,7 +326,7 @@ def test_refused_pictures_out_of_order_do_not_doubt_home():
     assert sight.estimate(5.0 + POSE_HOLD_S + 0.1).status is Status.LOCALISED
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_pictures_in_any_order_never_lead_astray(seed):
     points, rng = scene(), np.random.default_rng(seed)
     stamps = np.arange(0.1, 8.0, 0.2)
