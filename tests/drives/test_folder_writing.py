@@ -161,7 +161,7 @@ FILLINGS = [
 ]  # fmt: skip
 
 
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=100)
 @given(case=spoilt(VALID, FILLINGS))
 def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
     name, content = case

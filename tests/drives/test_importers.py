@@ -456,7 +456,7 @@ def test_no_bytes_make_it_stumble(tmp_path, data):
     st.lists(st.text("t=vw[ms]-,x", max_size=12), max_size=2),
 )
 @settings(
-    max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
 )
 def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, columns):
     file = tmp_path / "any.csv"

@@ -154,7 +154,7 @@ def test_refuses_choices_that_make_no_sense(tmp_path):
         read_mrclam(folder, 1, HOME, home_noise=0.1, seed=-1)
 
 
-@settings(deadline=None, max_examples=200)
+@settings(deadline=None, max_examples=100)
 @given(case=spoilt(VALID, [b"", b"#", b"\n", b"-", b"9" * 400]))
 def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
     drive, message = outcome(put(tmp_path_factory.mktemp("fuzz") / "set", dict([case])))
