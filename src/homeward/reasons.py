@@ -23,7 +23,7 @@ class Reason(_Words):
         "all landmarks in view changed at once: the robot may have been carried elsewhere"
     )
     NOT_FIXED = "home is not located well enough yet; drive on, best in an arc"
-    SIGNS_REVERSED = "bearings and turn rates have opposite signs; both must be anti-clockwise"
+    SIGNS_REVERSED = "bearings and yaw rates have opposite signs; both must be anti-clockwise"
     CAMERA_YAW = "bearings contradict the camera's yaw on the robot; correct sensor.yaw"
     NO_BEARINGS = "no bearings now"
     FROZEN = "the camera is frozen: bearings repeat exactly while odometry moves"

@@ -57,7 +57,7 @@ def truths(folder):
 def test_run_finds_home_by_a_turn(narrow, tmp_path):
     out = tmp_path / "run"
     result = done(call("run", narrow, "--home-spin", "0,14", "--out", out))
-    assert "home bearings by a turn of 3" in " ".join(result.output.split())
+    assert "home bearings from a rotation of 3" in " ".join(result.output.split())
     run = open_drive(narrow, home_spin=(0.0, 14.0))
     true = truths(narrow)
     assert len(run.home) >= 10
@@ -81,7 +81,7 @@ def test_drive_yaml_says_when_home_was(narrow, tmp_path):
     assert kept.home == by_file.home
     assert kept.settings.home is None
     (folder / "home.csv").write_text("landmark,bearing\nL01,0.5\n")
-    assert "told twice" in refused(call("run", folder))
+    assert "home is given twice" in refused(call("run", folder))
     assert open_drive(folder, home_spin=(0.0, 14.0)).home == by_file.home
 
 
@@ -110,7 +110,7 @@ def test_a_log_has_its_turn_too(narrow, tmp_path):
         ("3", "two numbers"),
         ("nan,5", "finite"),
         ("soon,later", "two numbers"),
-        ("4000,4010", "nothing was seen"),
+        ("4000,4010", "no sightings"),
         ("0,40", "turn on the spot"),
     ],
 )

@@ -47,12 +47,12 @@ def test_info_of_an_unfinished_drive_folder_says_what_is_there_and_what_is_missi
     result = done(call("info", tmp_path))
     assert f"{tmp_path}: drive folder" in result.stdout
     assert re.search(r"odometry.csv +t,v,omega +3604 +20.0 Hz", result.stdout)
-    assert "refuses it: there is no bearings.csv, no home.csv." in result.stdout
+    assert "cannot use it: there is no bearings.csv, no home.csv." in result.stdout
 
 
 def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
     shutil.copy(sample_drive() / "odometry.csv", tmp_path / "wheels.csv")
-    assert "homeward import makes one" in refused(call("info", tmp_path))
+    assert "use homeward import to convert" in refused(call("info", tmp_path))
 
 
 def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
@@ -79,7 +79,7 @@ def test_a_log_without_home_names_the_way_out(tmp_path):
     log = tmp_path / "homeless.mcap"
     done(call("convert", folder, log))
     line = refused(call("run", log, "--out", tmp_path / "out"))
-    assert "name it under home in a topics file" in line
+    assert "name their source under home in a topics file" in line
     assert "home.csv has no rows" in refused(call("run", folder, "--out", tmp_path / "out"))
 
 
@@ -107,7 +107,7 @@ def test_info_says_why_a_drive_would_be_refused(tmp_path):
     *_, last = told.stdout.splitlines()
     words = refused(call("run", folder, "--out", tmp_path / "out"))
     assert "the first of the bearings is 4,8" in words
-    assert last == f"Note: homeward run refuses it: {words.partition('drive: ')[2]}."
+    assert last == f"Note: homeward run cannot use it: {words.partition('drive: ')[2]}."
 
 
 def test_info_says_that_most_bearings_are_beyond_the_odometry(tmp_path):
@@ -142,7 +142,7 @@ def test_a_log_runs_as_its_folder_does(tmp_path):
 def test_what_fits_no_log_is_refused(log, tmp_path):
     topics = tmp_path / "topics.yaml"
     topics.write_text("clock: header\n")
-    assert "no topics" in refused(call("run", sample_drive(), "--topics", topics))
+    assert "topics are for logs" in refused(call("run", sample_drive(), "--topics", topics))
     assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
 
 
@@ -159,7 +159,7 @@ def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
     (folder / name).write_text(f"{header}\n")
     assert words in refused(call("run", folder, "--out", tmp_path / "out"))
     assert not (tmp_path / "out").exists()
-    assert f"homeward run refuses it: {name} has no rows." in call("info", folder).stdout
+    assert f"homeward run cannot use it: {name} has no rows." in call("info", folder).stdout
 
 
 def test_the_sample_is_converted_by_its_name(tmp_path):

@@ -71,8 +71,8 @@ def test_of_equal_stamps_the_last_counts_and_is_counted(tmp_path):
     np.testing.assert_array_equal(drive.odometry.v, [3, 4, 6])
     np.testing.assert_array_equal(drive.truth.x, [2, 3])
     assert drive.remarks == {
-        "odometry rows with a repeated stamp": 3,
-        "truth rows with a repeated stamp": 1,
+        "odometry rows with a repeated stamp; the last counts": 3,
+        "ground truth rows with a repeated stamp; the last counts": 1,
     }
 
 
@@ -90,11 +90,11 @@ def test_rows_that_are_a_little_late_are_sorted_as_in_a_log(tmp_path):
     assert drive.sightings.landmark.tolist() == ["b", "a", "a"]
     assert drive.truth.x.tolist() == [1.0, 1.1]
     assert drive.remarks == {
-        "rows of bearings out of order, sorted by time": 1,
-        "sightings of a landmark already seen at the same stamp; the last counts": 1,
-        "rows of odometry out of order, sorted by time": 1,
-        "odometry rows with a repeated stamp": 2,
-        "rows of truth out of order, sorted by time": 1,
+        "rows of bearings were out of order; sorted by time": 1,
+        "repeated sightings of a landmark at one stamp; the last counts": 1,
+        "rows of odometry were out of order; sorted by time": 1,
+        "odometry rows with a repeated stamp; the last counts": 2,
+        "rows of ground truth were out of order; sorted by time": 1,
     }
 
 
@@ -109,7 +109,7 @@ def test_a_survey_from_home_replaces_odometry_and_home_bearings(tmp_path):
     assert np.isnan(drive.odometry.v).all()
     assert "stamps of bearings without odometry" in drive.remark_lines[-1]
     (folder / "landmarks.yaml").unlink()
-    assert "no odometry.csv, home.csv in it" in refusal(read_folder, folder)
+    assert "no odometry.csv, home.csv" in refusal(read_folder, folder)
 
 
 def test_no_sightings_and_no_home_bearings_are_legal(tmp_path):
@@ -165,7 +165,7 @@ HOSTILE = [
     ("odometry.csv", b"t,v,omega\n0,0\n", "odometry.csv, row 2: 2 fields, but the header has 3"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n\n1,0,0,0\n", "odometry.csv, row 4: 4 fields, but the"),
     ("odometry.csv", b"t,v,omega\n1,0,0\n4,0,0\n3.5,0,0\n1.5,0,0\n",
-     "odometry.csv, row 5: time runs backwards by 2.5 s: 1.5 after 4.0; rows may be up to 1 s out"),
+     "odometry.csv, row 5: time runs backwards by 2.5 s: 1.5 after 4.0; at most 1 s is"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n1,0\x00,0\n", "odometry.csv, row 3: v is '0\\x00', not"),
     ("odometry.csv", b"t,v,omega\r\n0,0,0\r\n1,\xff,0\r\n", "odometry.csv, row 3: not UTF-8 text"),
     ("odometry.csv", "t,v,omega\n0,0,0\n".encode("utf-16"), "odometry.csv, row 1: not UTF-8 text"),
@@ -179,8 +179,8 @@ HOSTILE = [
     ("bearings.csv", HEADER + b"0,a\x00b,0.1,\n", "bearings.csv, row 2: landmark is 'a\\x00b', wi"),
     ("bearings.csv", HEADER + b"0,\"a\nb\",0.1,\n", "bearings.csv, row 2: landmark is 'a\\nb', wi"),
     ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,0\n",
-     "bearings.csv, row 3: sigma is '0.0', not greater than 0"),
-    ("bearings.csv", HEADER + b"0,a,0.1,-0.1\n", "bearings.csv, row 2: sigma is '-0.1', not grea"),
+     "bearings.csv, row 3: sigma is '0.0', but must be greater"),
+    ("bearings.csv", HEADER + b"0,a,0.1,-0.1\n", "bearings.csv, row 2: sigma is '-0.1', but must"),
     ("bearings.csv", HEADER + b"0,a,0.1,inf\n", "bearings.csv, row 2: sigma is 'inf', not a fini"),
     ("bearings.csv", HEADER + b"0,a,0.1,nan\n", "bearings.csv, row 2: sigma is 'nan', not a fini"),
     ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,?\n", "bearings.csv, row 3: sigma is '?', not a"),
@@ -190,7 +190,7 @@ HOSTILE = [
     ("home.csv", b"landmark\na\n", "home.csv, row 1: no column bearing in the header 'landmark'"),
     ("home.csv", b"landmark,bearing\na,0\nb,0\n a,1\n",
      "home.csv, row 4: landmark is 'a', which already has a row"),
-    ("home.csv", b"landmark,bearing,sigma\na,0,-1\n", "home.csv, row 2: sigma is '-1.0', not grea"),
+    ("home.csv", b"landmark,bearing,sigma\na,0,-1\n", "home.csv, row 2: sigma is '-1.0', but must"),
     ("truth.csv", b"t,x,y,heading\n", "truth.csv: no rows"),
     ("truth.csv", b"t,x,y\n0,0,0\n", "truth.csv, row 1: no column heading"),
     ("truth.csv", b"t,x,y,heading\n0,0,0,0\n1,0,NaN,0\n", "truth.csv, row 3: y is 'NaN', not a"),
@@ -231,9 +231,9 @@ def test_refuses_what_is_no_drive(tmp_path):
     assert refusal(read_folder, tmp_path / "absent") == "no such folder"
     (tmp_path / "empty").mkdir()
     assert refusal(read_folder, tmp_path / "empty").startswith(
-        "not a drive folder: no odometry.csv, bear"
+        "not a complete drive folder: no odometry.csv, bear"
     )
-    assert "no home.csv in it" in refusal(read_folder, put(tmp_path / "lacks", home_csv=None))
+    assert "no home.csv" in refusal(read_folder, put(tmp_path / "lacks", home_csv=None))
     (tmp_path / "file").write_text("t,v,omega\n")
     assert refusal(read_folder, tmp_path / "file") == "not a folder"
     folder = put(tmp_path / "nested", odometry_csv=None)

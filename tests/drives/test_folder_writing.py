@@ -122,13 +122,13 @@ BAD = np.array([0.0, np.nan])
 GOOD = np.array([0.0, 1.0])
 NOTHING = Sightings(*(np.empty(0),) * 4)
 UNWRITABLE = [
-    (Drive("x", Odometry(GOOD, GOOD, BAD), NOTHING, {}), "odometry.csv: omega holds a number"),
+    (Drive("x", Odometry(GOOD, GOOD, BAD), NOTHING, {}), "odometry.csv: omega contains a number"),
     (Drive("x", Odometry(*(np.empty(0),) * 3), NOTHING, {}), "odometry.csv: no rows"),
     (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"": HomeBearing(0.0)}), "home.csv: landmark"),
     (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"a ": HomeBearing(0.0)}), "home.csv: landm"),
     (
         Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {}, truth=Truth(GOOD, GOOD, BAD, GOOD)),
-        "truth.csv: y holds a number that is not finite",
+        "truth.csv: y contains a number that is not finite",
     ),
 ]
 

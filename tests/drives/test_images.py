@@ -29,8 +29,8 @@ def test_a_drive_without_images_has_none(tmp_path):
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("t,file\n1,../secret.png\n", "lies outside the folder"),
-        ("t,file\n1,frames/2.jpg\n", "is not there"),
+        ("t,file\n1,../secret.png\n", "is outside the folder"),
+        ("t,file\n1,frames/2.jpg\n", "does not exist"),
         (f"t,file\n1,{'x' * 5000}.jpg\n", "cannot be a file"),
         ("t,file\n1,images.csv\n", r"neither \.jpg nor \.png"),
         ("t,file\n2,frames/1.jpg\n1,frames/1.jpg\n", "runs backwards"),

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.columns import unit_in
-from homeward.drives.importers.reading import about_home, drive_of, understand
+from homeward.drives.importers.reading import drive_of, home_warnings, understand
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
@@ -82,7 +82,7 @@ def test_other_separators_marks_names_and_units_are_the_same_drive(odd):
     assert drive.sightings.landmark.tolist() == plain.sightings.landmark[:400].tolist()
     home = {name: seen.bearing for name, seen in plain.home.items()}
     assert {n: s.bearing for n, s in drive.home.items()} == pytest.approx(home)
-    how = {(one.kind, one.column.role): one.how for one in found}
+    how = {(one.kind, one.column.role): one.source for one in found}
     assert how["odometry", "v"] == "named"
     assert how["bearings", "t"] == "as odometry"
     assert how["bearings", "bearing"] == "guessed: more than a turn"
@@ -94,7 +94,7 @@ def test_no_header_and_a_sign_are_told(tmp_path):
     with pytest.raises(InputError, match=r"not recognised as .* Its columns are '1', '2', '3'"):
         understand([bare])
     found = understand([bare], ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
-    assert [one.how for one in found] == ["told"] * 3
+    assert [one.source for one in found] == ["specified"] * 3
     table = found[0].table
     assert table["omega"] == pytest.approx(np.radians([-10, -20]))
 
@@ -120,7 +120,7 @@ def test_numbers_of_columns_are_no_landmarks(tmp_path):
     drive = drive_of(understand(files, ["t=1, v=2, omega=-3"]), "one")
     assert drive.odometry.omega.tolist() == [-0.2, 0.1, 0.0]
     written(tmp_path, bearings=seen)
-    with pytest.raises(InputError, match=r"name the file, as in --columns 'bearings.csv: t=1"):
+    with pytest.raises(InputError, match=r"give its roles, as in --columns 'bearings.csv: t=1"):
         understand(files, ["t=1, v=2, omega=3"])
     with pytest.raises(InputError, match="no file has a column '3'"):
         understand(files, ["home.csv: landmark=3"])
@@ -165,7 +165,7 @@ def test_a_tum_trajectory_is_odometry_or_the_true_path(tmp_path, name):
     files = [*files[1:], tmp_path / "truth.tum", tmp_path / "odometry.csv"]
     heading = drive_of(understand(files), "tum").truth.heading
     assert heading == pytest.approx(np.linspace(0, np.pi, 5))
-    with pytest.raises(InputError, match="nothing tells odometry"):
+    with pytest.raises(InputError, match="no odometry found"):
         drive_of(understand(files[:-1]), "tum")
     told = drive_of(understand(files, ["truth.tum: t=1[ms], x=2[cm]"]), "told").truth
     assert told.t == pytest.approx(np.arange(5) / 1000)
@@ -193,7 +193,7 @@ def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
     file.write_text("Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
     for text, unit in (("t=Time [ms]", "ms"), ("t=Time [ms][s]", "s"), ("t=when", "s")):
         (found,) = (one for one in understand([file], [text]) if one.column.role == "t")
-        assert (found.unit, found.how) == (unit, "told")
+        assert (found.unit, found.source) == (unit, "specified")
 
 
 def test_commas_may_stand_in_the_names_of_columns(tmp_path):
@@ -214,7 +214,7 @@ def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
     assert drive.sightings.sigma == pytest.approx(np.radians([0.57, 0.57]))
     assert drive.home["A"].bearing == pytest.approx(math.radians(-3.5))
     assert drive.home["A"].sigma == pytest.approx(math.radians(0.57))
-    how = {(one.kind, one.column.role): (one.unit, one.how) for one in found}
+    how = {(one.kind, one.column.role): (one.unit, one.source) for one in found}
     assert how["bearings", "sigma"] == ("deg", "as bearing")
     assert how["home", "bearing"] == ("deg", "as bearings")
 
@@ -313,7 +313,7 @@ def test_oddities_are_understood(tmp_path, odd, encoding):
     assert drive.sightings.landmark.tolist() == ["L1", "L2", "L1"]
     assert drive.sightings.bearing == pytest.approx([0.5, -1.25, 0.75])
     assert {i: s.bearing for i, s in drive.home.items()} == pytest.approx({"L1": 0.25, "L2": -0.5})
-    lacking = {reason: n for reason, n in drive.remarks.items() if "missing" in reason}
+    lacking = {reason: n for reason, n in drive.remarks.items() if "incomplete" in reason}
     assert len(lacking) == (2 if odd == "holes" else 0)
 
 
@@ -349,7 +349,7 @@ def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.truth.heading == pytest.approx(turn)
     (tmp_path / "my-odom.csv").rename(tmp_path / "wheels.csv")
-    with pytest.raises(InputError, match=r"second file with truth|nothing tells odometry"):
+    with pytest.raises(InputError, match=r"second file with truth|no odometry found"):
         drive_of(understand(sorted(tmp_path.iterdir())), "poses")
 
 
@@ -379,11 +379,11 @@ def test_units_in_names(name, quantity, unit):
     ("text", "columns", "complaint"),
     [
         ("", (), "empty file"),
-        ("alone\n1\n2\n", (), "no table"),
+        ("alone\n1\n2\n", (), "not a table"),
         (
             "a,b\n1,2\n3,4\n",
             (),
-            r"not recognised as odometry \(time, speed, turn rate\), detections \(time, landmark "
+            r"not recognised as odometry \(time, speed, yaw rate\), detections \(time, landmark "
             r"id, bearing\), .* as in --columns 't=a'",
         ),
         (
@@ -392,25 +392,25 @@ def test_units_in_names(name, quantity, unit):
             r"'c11', \.\.\. \(89 in all\)",
         ),
         ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v is 'x'"),
-        ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has all of t, v, omega"),
+        ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has values for all of t, v, omega"),
         ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
-        ("t,v,w\n9,1,0\n0,1,0\n", (), "nothing tells bearings"),
+        ("t,v,w\n9,1,0\n0,1,0\n", (), "no bearings found"),
         (
             "t,v,w\n0,1,0\n2,1,0\n1.5,1,0\n3,1,0\n0,1,0\n",
             (),
-            "row 6: time runs backwards by 3 s: 0.0 after 3.0; rows may be up to 1 s out of order",
+            "row 6: time runs backwards by 3 s: 0.0 after 3.0; at most 1 s is allowed",
         ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
-        ("a [deg],b [rad]\n1,2\n", (), "in several units: deg, rad"),
+        ("a [deg],b [rad]\n1,2\n", (), "different units: deg, rad"),
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields, but the header has 3"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
-        ("t,v,w\n0,300,0\n", (), "too fast for m/s; say its unit"),
+        ("t,v,w\n0,300,0\n", (), "too fast for m/s; give its unit"),
         ("t,left_vel,right_vel,w\n0,1,1,0\n", (), "may both be v"),
         ("t,v,w\n0,1,0\n", ("v=speed",), "no file has a column 'speed'"),
         ("t,v,w\n0,1,0\n", ("v=v[furlong]",), "units of v are m/s"),
-        ("t,v,w\n0,1,0\n", ("mass=v",), "a column is one of"),
-        ("t,v,w\n0,1,0\n", ("v",), "must be ROLE=COLUMN"),
-        ("t,v,w\n0,1,0\n", (), "nothing tells bearings"),
+        ("t,v,w\n0,1,0\n", ("mass=v",), "the role must be one of"),
+        ("t,v,w\n0,1,0\n", ("v",), "must have the form ROLE=COLUMN"),
+        ("t,v,w\n0,1,0\n", (), "no bearings found"),
         ('t,v,w\n0,1,0\n0,1,0\n0,"1,0\n', (), "not CSV: unexpected end of data"),
     ],
 )
@@ -428,7 +428,7 @@ def test_many_columns_and_many_ids_take_no_long_time(tmp_path):
     begin = time.process_time()
     for count in (100_000, 1_000_000):
         commas.write_text("," * count + "\n")
-        with pytest.raises(InputError, match="columns; at most 10,000 are read"):
+        with pytest.raises(InputError, match="columns; at most 10,000 are allowed"):
             understand([commas])
     assert time.process_time() - begin < 2.0
     ids = [f"L{k}" for k in range(5000)]
@@ -500,8 +500,8 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     ("home", "says"),
     [
         (["1", "2", "3"], []),
-        (["1", "2"], ["Home saw 2 of the 3", "home has '1' and '2'."]),
-        (["001", "002", "003"], ["Home saw 0 of the 3", "The drive has '1', '2' and '3'; home"]),
+        (["1", "2"], ["2 of the 3 landmarks", "home has '1' and '2'."]),
+        (["001", "002", "003"], ["0 of the 3 landmarks", "the drive has '1', '2' and '3'; home"]),
         (["1", "2", "3", "4"], []),
     ],
 )
@@ -509,6 +509,6 @@ def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
     (tmp_path / "odom.csv").write_text("t,v,w\n0,1,0\n0.5,1,0\n")
     (tmp_path / "seen.csv").write_text("t,id,angle\n0,1,0\n0,2,1\n0,3,2\n")
     (tmp_path / "home.csv").write_text("id,angle\n" + "".join(f"{name},0.1\n" for name in home))
-    told = about_home(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
+    told = home_warnings(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
     assert len(told) == bool(says)
     assert all(words in told[0] for words in says)

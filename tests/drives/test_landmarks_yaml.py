@@ -38,7 +38,7 @@ def test_what_is_known_of_landmarks_is_read_and_written_back(tmp_path):
 
 def test_a_name_that_no_sighting_has_is_told(tmp_path):
     drive = read_folder(put(tmp_path / "a", landmarks_yaml=KNOWN))
-    said = "3 landmarks of landmarks.yaml that the drive did not see: '3', '7' and 'door'"
+    said = "3 landmarks of landmarks.yaml without sightings in this drive: '3', '7' and 'door'"
     assert said in drive.remark_lines
 
 
@@ -58,7 +58,7 @@ def test_a_survey_from_home_is_a_home(tmp_path):
 
 def test_a_log_has_no_place_for_it_and_says_so(tmp_path):
     drive = read_folder(put(tmp_path / "a", landmarks_yaml=KNOWN))
-    with pytest.raises(InputError, match=r"no place for landmarks.yaml"):
+    with pytest.raises(InputError, match=r"a log cannot contain landmarks.yaml"):
         save_drive(drive, tmp_path / "a.mcap")
     assert not (tmp_path / "a.mcap").exists()
 
@@ -71,7 +71,7 @@ def test_a_log_has_no_place_for_it_and_says_so(tmp_path):
         (b"landmarks: {7: {x: 1, y: 1e300}, 8: {x: 1, y: 1}}", "landmarks.7.y: must be at most"),
         (b"landmarks: [7]", "landmarks: must be keys and values"),
         (b"distances: [{between: [7], distance: 2}]", "at least 2"),
-        (b"distances: [{between: [7, 7], distance: 2}]", "between two landmarks"),
+        (b"distances: [{between: [7, 7], distance: 2}]", "two different landmarks"),
         (b"distances: [{between: [7, 8], distance: far}]", "distance: must be a number"),
         (b"frame: map", "frame: must be own or home"),
         (b"surveyed: {}", "surveyed: unknown key"),

@@ -47,11 +47,11 @@ def test_reads_every_file(tmp_path):
     np.testing.assert_array_equal(drive.sightings.bearing, [0.5, -0.8])
     assert np.isnan(drive.sightings.sigma).all()
     assert drive.remarks == {
-        "odometry rows with a repeated stamp": 1,
+        "odometry rows with a repeated stamp; the last counts": 1,
         "sightings of other robots": 1,
         "sightings of unknown barcodes": 1,
-        "rows of ground truth, 1.0 s apart in the median, too far to interpolate: errors are "
-        "computed at their own times only": 2,
+        "rows of ground truth with a median interval of 1.0 s, too long to interpolate: errors are "
+        "computed at these times only": 2,
     }
 
 
@@ -110,10 +110,10 @@ MEASUREMENT, TRUTH = "Robot1_Measurement.dat", "Robot1_Groundtruth.dat"
 HOSTILE = [
     ("Barcodes.dat", b"# nothing\n", "Barcodes.dat: no rows"),
     ("Barcodes.dat", b"1 5\n2 x\n", "Barcodes.dat, row 2: barcode is 'x', not a finite number"),
-    ("Barcodes.dat", b"# a\n1 5.5\n", "Barcodes.dat, row 2: barcode is '5.5', not a whole number"),
+    ("Barcodes.dat", b"# a\n1 5.5\n", "Barcodes.dat, row 2: barcode is '5.5', but must be"),
     ("Barcodes.dat", b"1 5\n2 5\n", "Barcodes.dat, row 2: barcode is '5.0', which already has a r"),
     ("Barcodes.dat", b"1 5\n1 6\n", "Barcodes.dat, row 2: subject is '1.0', which already has a r"),
-    ("Barcodes.dat", b"1 1e300\n", "Barcodes.dat, row 1: barcode is '1e+300', not a whole number"),
+    ("Barcodes.dat", b"1 1e300\n", "Barcodes.dat, row 1: barcode is '1e+300', but must be"),
     (LANDMARKS, None, "Landmark_Groundtruth.dat: cannot be read: No such file"),
     (LANDMARKS, b"", "Landmark_Groundtruth.dat: no rows"),
     (LANDMARKS, b"6 1 2\n", "Landmark_Groundtruth.dat, row 1: 3 fields, but the header has 5"),
@@ -143,7 +143,7 @@ def test_refuses(tmp_path, name, content, message):
 def test_refuses_choices_that_make_no_sense(tmp_path):
     folder = put(tmp_path / "set")
     assert refusal(read_mrclam, tmp_path / "absent", 1, HOME) == "no such folder"
-    assert refusal(read_mrclam, folder, 2, HOME) == "no robot 2 in it; there are: 1"
+    assert refusal(read_mrclam, folder, 2, HOME) == "no robot 2 in it; choose one of: 1"
     with pytest.raises(InputError, match="home must be"):
         read_mrclam(folder, 1, Pose(math.nan, 0.0, 0.0))
     with pytest.raises(InputError, match=r"home noise is -0\.1"):
@@ -190,7 +190,7 @@ def test_the_real_drives(data_dir, robot, rows, sighted, repeated, others, unkno
     drive = read_mrclam(folder, robot, REAL_HOME)
     assert drive.odometry.t.size == rows - repeated
     assert drive.sightings.t.size == sighted
-    assert drive.remarks.get("odometry rows with a repeated stamp", 0) == repeated
+    assert drive.remarks.get("odometry rows with a repeated stamp; the last counts", 0) == repeated
     assert drive.remarks.get("sightings of other robots", 0) == others
     assert drive.remarks.get("sightings of unknown barcodes", 0) == unknown
     assert list(drive.home) == [str(subject) for subject in range(6, 21)]

@@ -63,7 +63,7 @@ def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
     for drive in (open_drive(folder), open_drive(log, topics=topics)):
         assert drive.sightings.t.tolist() == (first.sightings.t - 0.05).tolist()
         assert drive.odometry.t.tolist() == first.odometry.t.tolist()
-        assert any("0.05 s late" in line for line in drive.remark_lines)
+        assert any("corrected by the 0.05 s" in line for line in drive.remark_lines)
         assert drive.settings.bearings_late is None
     save_drive(open_drive(folder), tmp_path / "copy")
     copied = open_drive(tmp_path / "copy")
@@ -73,7 +73,7 @@ def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
 def test_tables_that_are_no_drive_yet_are_sent_to_import(tmp_path):
     (tmp_path / "wheels.CSV").write_text("time;speed\n")
     for place in (tmp_path, tmp_path / "wheels.CSV"):
-        assert "homeward import makes one" in refusal(open_drive, place)
+        assert "use homeward import to convert" in refusal(open_drive, place)
 
 
 def test_a_bag_folder_with_a_home_csv_is_a_bag(tmp_path):
@@ -89,9 +89,9 @@ def test_a_bag_folder_with_a_home_csv_is_a_bag(tmp_path):
     assert open_drive(bag, topics=topics).home["a"].bearing == 0.25
     assert log_info(bag).kind.startswith("ROS 2 bag folder")
     for path in (bag, bag / "run.mcap"):
-        assert "`homeward run` and `homeward info` read it" in refusal(imported, path)
-    assert "this is a drive folder" in refusal(imported, tmp_path / "run")
-    assert "name the files in it" in refusal(imported, tmp_path)
+        assert "use it directly with `homeward run` or" in refusal(imported, path)
+    assert "a drive folder, not a text file" in refusal(imported, tmp_path / "run")
+    assert "give the files in it" in refusal(imported, tmp_path)
     (bag / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
     assert log_info(bag).kind.startswith("drive folder")
 
@@ -123,14 +123,14 @@ def test_refuses_what_no_reader_knows(tmp_path):
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
     assert refusal(open_drive, drive_folder) == (
-        "not a drive folder: no home.csv in it, "
-        "and no --home-spin FROM,TO [s] says when the robot turned round there"
+        "not a complete drive folder: no home.csv; add a table with the columns landmark, "
+        "bearing (home.csv); or use --home-spin FROM,TO [s] if the robot turned on the spot at home"
     )
 
 
 def test_of_a_folder_of_logs_one_is_to_be_named(tmp_path):
     (tmp_path / "monday.bag").write_bytes(b"#ROSBAG V2.0\n")
-    assert refusal(open_drive, tmp_path) == "a folder of logs; name one: 'monday.bag'"
+    assert refusal(open_drive, tmp_path) == "a folder of logs; give one: 'monday.bag'"
 
 
 def stamped(folder, odometry, bearings):
@@ -152,7 +152,7 @@ def stamped(folder, odometry, bearings):
 def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings, first, last):
     words = refusal(open_drive, stamped(drive_folder, odometry, bearings))
     assert words.startswith(f"the first of the {first} after the last of the {last}: ")
-    assert "in different units" in words
+    assert "use stamps of one clock in seconds" in words
 
 
 def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
@@ -198,9 +198,9 @@ def test_stamps_in_smaller_units_are_remarked(drive_folder, rate, a_second, unit
     times = np.round(t * a_second).astype(np.int64).tolist()
     (remark, number), *rest = open_drive(stamped(drive_folder, times, times)).remarks.items()
     assert (number, rest) == (40, [])
-    step = f"{round(a_second / rate):,}.0 s apart"
-    assert remark.startswith(f"odometry rows, {step}")
-    assert remark.endswith(f"(are their stamps in {unit}?)")
+    step = f"{round(a_second / rate):,}.0 s"
+    assert remark.startswith(f"odometry rows with a median interval of {step}")
+    assert remark.endswith(f"convert the stamps to seconds if they are in {unit}")
 
 
 @pytest.mark.parametrize(

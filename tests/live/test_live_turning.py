@@ -46,7 +46,7 @@ def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp
     recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {})
     rig = Rig(0, keep=recorder.keep, **NARROW)
     rig.until(lambda r: events(r))
-    assert "home 'home' is stored: 16 home bearings by a turn of 37" in events(rig)[0]
+    assert "home 'home' is stored: 16 home bearings from a rotation of 37" in events(rig)[0]
     turned = rig.robot.t
     assert 12.0 < turned < 16.0
     assert all(c.v == 0.0 and 0.0 <= c.omega <= 0.5 for _, c in rig.commands)
@@ -146,7 +146,7 @@ def test_several_short_looks_are_a_home_too():
     short_looks(take, BEARINGS)
     session.receive(StoreHome(name="dock"), 99.0)
     (said,) = session.process()
-    assert said.text.startswith("home 'dock' is stored: 9 home bearings by a turn of 3")
+    assert said.text.startswith("home 'dock' is stored: 9 home bearings from a rotation of 3")
     home = session.localisation.homes["dock"]
     assert {i: h.bearing for i, h in home.items()} == pytest.approx(BEARINGS, abs=0.01)
     assert session.localisation.fix.estimate.status is Status.WAITING
@@ -181,7 +181,7 @@ def test_looks_at_no_time_are_left_out():
 
 def test_looks_that_never_end_are_refused_and_so_are_none():
     looks = HomeScan()
-    with pytest.raises(InputError, match="nothing was seen"):
+    with pytest.raises(InputError, match="no bearings or no odometry"):
         looks.home()
     for k in range(80):
         looks.odometry(10.0 * k, 0.0, 0.0)

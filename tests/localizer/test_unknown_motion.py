@@ -8,7 +8,7 @@ import pytest
 from rig import DT, Rig, eight, ring, still
 
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
-from homeward.drives.one_clock import on_one_clock
+from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.settings import KnownLandmarks, Sensor, SurveyedLandmark
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
@@ -202,8 +202,8 @@ def test_slow_odometry_is_remarked():
     t, seen = np.arange(0.0, 40.0, 2.0), Sightings.of_rows([(1.0, "a", 0.1, math.nan)])
     odometry = Odometry(t, np.ones(t.size), np.zeros(t.size))
     truth = Truth(t, t, 0.0 * t, 0.0 * t)
-    drive = on_one_clock(Drive("slow", odometry, seen, {}, truth=truth), Path())
-    assert [words.split(" in the median")[0] for words in drive.remarks] == [
-        "odometry rows, 2.0 s apart",
-        "rows of ground truth, 2.0 s apart",
+    drive = with_clock_remarks(Drive("slow", odometry, seen, {}, truth=truth), Path())
+    assert [words.split(" s")[0] + " s" for words in drive.remarks] == [
+        "odometry rows with a median interval of 2.0 s",
+        "rows of ground truth with a median interval of 2.0 s",
     ]

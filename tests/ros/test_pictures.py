@@ -43,7 +43,7 @@ def test_home_by_a_turn_and_back_again_by_pictures(stage):
     stored = stage.hear("/homeward/said", lambda s: "is stored" in s.get("text", ""), 40.0)
     number, _, rest = stored["value"]["text"].partition("stored: ")[2].partition(" ")
     assert int(number) >= 12
-    assert rest.startswith("home bearings by a turn of 37")
+    assert rest.startswith("home bearings from a rotation of 37")
     drive_about(stage)
     stage.go()
     stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 40.0)

@@ -147,7 +147,7 @@ def broken(folder, tmp_path, change):
 
 def test_a_missing_image_is_named_by_row(folder, tmp_path):
     words = broken(folder, tmp_path, lambda f: (f / "pictures" / "3.png").unlink())
-    assert "images.csv: image 'pictures/3.png' is not there" in words
+    assert "images.csv: image 'pictures/3.png' does not exist" in words
 
 
 def test_a_file_outside_the_folder_is_refused(folder, tmp_path):
@@ -170,13 +170,13 @@ def test_home_and_mask_outside_the_folder_are_refused(folder, tmp_path, key, nam
 
     words = broken(folder, tmp_path, change)
     assert f"images.yaml: {key} " in words
-    assert "lies outside the folder" in words
+    assert "is outside the folder" in words
 
 
 @pytest.mark.parametrize("key", ["home", "mask"])
 @pytest.mark.parametrize(
     ("name", "complaint"),
-    [("none.png", "is not there"), ("a" * 5000, "cannot be"), ('"a\\0b"', "cannot be")],
+    [("none.png", "does not exist"), ("a" * 5000, "cannot be"), ('"a\\0b"', "cannot be")],
 )
 def test_home_and_mask_that_are_no_files(folder, tmp_path, key, name, complaint):
     words = broken(folder, tmp_path, lambda f: (f / "images.yaml").write_text(f"{key}: {name}\n"))
@@ -189,7 +189,7 @@ def test_a_home_image_that_is_a_link_out_of_the_folder_is_refused(folder, tmp_pa
         (copy / "home.png").rename(tmp_path / "elsewhere.png")
         (copy / "home.png").symlink_to(tmp_path / "elsewhere.png")
 
-    assert "home 'home.png' lies outside the folder" in broken(folder, tmp_path, change)
+    assert "home 'home.png' is outside the folder" in broken(folder, tmp_path, change)
 
 
 def test_no_home_image(folder, tmp_path):
@@ -220,7 +220,7 @@ def test_stamps_in_milliseconds_are_remarked(folder, tmp_path):
     twists = [f"{100 * k},0.2,0" for k in range(70)]
     (copy / "odometry.csv").write_text("\n".join(["t,v,omega", *twists]))
     result = done(call("see", copy, "--out", tmp_path / "out"))
-    assert "(are their stamps in milliseconds?)" in result.output
+    assert "convert the stamps to seconds if they are in milliseconds" in result.output
 
 
 def test_of_images_with_one_stamp_the_first_counts(folder, tmp_path):

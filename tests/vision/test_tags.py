@@ -317,5 +317,5 @@ def test_a_log_without_pictures_is_refused_and_nothing_is_written(tmp_path):
     log = tmp_path / "sample.bag"
     done(call("convert", "sample", log))
     said = refused(call("see", log, "--tags", "36h11", "--out", tmp_path / "drive"))
-    assert "no pictures in it; of tags that it has already homeward run makes a drive" in said
+    assert "the log contains no images; use homeward run for a log with detected tags" in said
     assert not (tmp_path / "drive").exists()

@@ -1,4 +1,4 @@
-"""The Drive: odometry, sightings, home bearings and ground truth, from any file or camera."""
+"""A drive: odometry, sightings, home bearings and ground truth, from any source."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from homeward.geometry.frames import Pose, between
 
 
 class Columns:
-    """A table whose fields are columns of one length."""
+    """A table whose fields are columns of the same length."""
 
     def rows(self, use: np.ndarray) -> Self:
-        """Return some rows: a mask (n,), or their numbers."""
+        """Return the rows of a mask (n,) or of indices."""
         return type(self)(*(getattr(self, f.name)[use] for f in fields(cast(Any, self))))
 
     @classmethod
     def joined(cls, parts: Sequence[Self]) -> Self:
-        """Return the rows of several tables, one after another."""
+        """Return the concatenated rows of several tables."""
         names = [f.name for f in fields(cast(Any, cls))]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 @dataclass(frozen=True)
 class Odometry(Columns):
-    """Twists; each holds from its stamp to the next. All arrays have shape (n,).
+    """Twists, each valid from its stamp to the next. All arrays have shape (n,).
 
     Where both v and omega are NaN, the motion is unknown from that stamp to the next.
     """
@@ -43,11 +43,11 @@ class Odometry(Columns):
     v: np.ndarray
     """Forward speed [m/s]."""
     omega: np.ndarray
-    """Turn rate [rad/s]."""
+    """Yaw rate [rad/s]."""
 
     @property
     def bridged(self) -> Self:
-        """The same with each unknown twist replaced by the last known one, at first by 0."""
+        """The odometry with each unknown twist replaced by the last known one, or else by 0."""
         known = np.isfinite(self.v) & np.isfinite(self.omega)
         if known.all():
             return self
@@ -58,10 +58,10 @@ class Odometry(Columns):
 
 @dataclass(frozen=True)
 class Sightings(Columns):
-    """Bearings seen on the way. All arrays have shape (n,)."""
+    """Bearings of landmarks during a drive. All arrays have shape (n,)."""
 
     t: np.ndarray
-    """Times [s], never decreasing."""
+    """Non-decreasing times [s]."""
     landmark: np.ndarray
     """Ids (str)."""
     bearing: np.ndarray
@@ -71,13 +71,13 @@ class Sightings(Columns):
 
     @classmethod
     def of_rows(cls, rows: Sequence[tuple[float, str, float, float]]) -> Self:
-        """Return those of rows (t, landmark, bearing, sigma), in order of time."""
+        """Return the sightings of rows (t, landmark, bearing, sigma), in order of time."""
         ids = np.array([landmark for _, landmark, _, _ in rows], object)
         numbers = np.array([(t, b, s) for t, _, b, s in rows], float).reshape(-1, 3)
         return cls(numbers[:, 0], ids, numbers[:, 1], numbers[:, 2])
 
     def stamps(self) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
-        """Yield (t, {id: bearing}, {id: sigma}) for each stamp; of equal ids the last counts."""
+        """Yield (t, {id: bearing}, {id: sigma}) for each stamp; the last of equal ids counts."""
         edges = np.flatnonzero(self.t[1:] != self.t[:-1]) + 1
         for a, b in pairwise(np.unique([0, *edges, self.t.size])):
             ids = [str(i) for i in self.landmark[a:b]]
@@ -88,10 +88,10 @@ class Sightings(Columns):
 
 @dataclass(frozen=True, eq=False)
 class HomeBearing(ByValue):
-    """What the camera saw of one landmark at home."""
+    """The bearing of one landmark at home."""
 
     bearing: float
-    """From the camera's axis there [rad], in (-pi, pi]."""
+    """From the camera's axis at home [rad], in (-pi, pi]."""
     sigma: float = math.nan
     """[rad]; NaN where not given."""
 
@@ -101,13 +101,13 @@ TRUTH_GAP_S = 0.5
 
 
 def is_slow(t: np.ndarray) -> bool:
-    """Return whether most intervals between the stamps of ground truth [s] are such gaps."""
+    """Return whether most intervals of ground truth stamps [s] are longer than `TRUTH_GAP_S`."""
     return t.size > 1 and float(np.median(np.diff(t))) > TRUTH_GAP_S
 
 
 @dataclass(frozen=True)
 class Truth(Columns):
-    """True poses in the home frame, for scoring alone. All arrays have shape (n,)."""
+    """Ground-truth poses in the home frame, for scoring only. All arrays have shape (n,)."""
 
     t: np.ndarray
     """Strictly increasing times [s]."""
@@ -119,7 +119,7 @@ class Truth(Columns):
     """[rad]"""
 
     def at(self, t: np.ndarray) -> Pose:
-        """Interpolate the pose at times `t` [s], shape (m,); held still beyond either end."""
+        """Interpolate the pose at times `t` [s], shape (m,); constant beyond either end."""
         return Pose(
             np.interp(t, self.t, self.x),
             np.interp(t, self.t, self.y),
@@ -127,7 +127,7 @@ class Truth(Columns):
         )
 
     def seen_from(self, home: Pose) -> Truth:
-        """Return the truth in the frame of a home, given in the present frame."""
+        """Return the poses in the frame of `home`, which is given in the present frame."""
         return Truth(self.t, *between(home, Pose(self.x, self.y, self.heading)))
 
 
@@ -142,49 +142,49 @@ class Drive:
     settings: DriveSettings = field(default_factory=DriveSettings)
     truth: Truth | None = None
     remarks: dict[str, int] = field(default_factory=dict)
-    """What the reader counted on the way, by reason in words: equal stamps, unknown ids."""
+    """Numbers of anomalies that the reader found, by description."""
     known: KnownLandmarks = field(default_factory=KnownLandmarks)
-    """What is known of landmarks beforehand."""
+    """Surveyed landmarks and measured distances."""
 
     def home_bearings(self) -> dict[str, float]:
-        """Return beta* of each landmark in the robot's own home frame [rad].
+        """Return beta* of each landmark in the robot's home frame [rad].
 
-        The yaw of the camera at home is taken out here; its offset from the centre is not.
+        This removes the camera's yaw at home, but not its offset from the robot's centre.
         """
         yaw = self.settings.home_mount.yaw
         return {i: float(wrap(b.bearing + yaw)) for i, b in self.home.items()}
 
-    def with_earlier_sightings(self, by: float) -> Self:
-        """Return it with all that the camera saw stamped earlier by so long [s]."""
-        return replace(self, sightings=replace(self.sightings, t=self.sightings.t - by))
+    def with_earlier_sightings(self, delay: float) -> Self:
+        """Return the drive with the stamps of all sightings reduced by `delay` [s]."""
+        return replace(self, sightings=replace(self.sightings, t=self.sightings.t - delay))
 
     @property
     def remark_lines(self) -> tuple[str, ...]:
-        """The remarks for a terminal, each with its number in front."""
+        """The remarks as lines of text, each beginning with its number."""
         return tuple(f"{number:,} {reason}" for reason, number in self.remarks.items())
 
     @property
     def span(self) -> tuple[float, float]:
-        """First and last time [s] of odometry and sightings; (nan, nan) when there are none."""
+        """First and last time [s] of odometry and sightings; (nan, nan) without any."""
         ends = [a[i] for a in (self.odometry.t, self.sightings.t) if a.size for i in (0, -1)]
         return (float(min(ends)), float(max(ends))) if ends else (math.nan, math.nan)
 
 
 class Samples:
-    """Odometry and sightings: 24 bytes a twist, and 32 a sighting."""
+    """Compact storage of odometry (24 bytes per twist) and sightings (32 bytes each)."""
 
     def __init__(self) -> None:
         self._twists, self._seen = array("d"), array("d")
         self._numbers: dict[str, int] = {}
 
     def add_twist(self, t: float, v: float, omega: float) -> None:
-        """Keep a twist."""
+        """Add a twist."""
         self._twists.extend((t, v, omega))
 
     def add_bearings(
         self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> None:
-        """Keep the sightings of one stamp."""
+        """Add the sightings of one stamp."""
         sigmas = sigmas or {}
         for name, bearing in bearings.items():
             number = self._numbers.setdefault(name, len(self._numbers))
@@ -192,11 +192,11 @@ class Samples:
             self._seen.extend((t, number, wrapped, sigmas.get(name, math.nan)))
 
     def odometry(self) -> Odometry:
-        """Return the twists; of equal stamps the last counts."""
+        """Return the twists; the last of equal stamps counts."""
         return Odometry(*last_of_equal(table(self._twists, 3)).T.copy())
 
     def sightings(self) -> Sightings:
-        """Return the sightings; those of one stamp as they came."""
+        """Return the sightings in order of time; those of one stamp stay in order of arrival."""
         rows = table(self._seen, 4)
         t, number, bearing, sigma = rows[np.argsort(rows[:, 0], kind="stable")].T.copy()
         names = np.empty(len(self._numbers), object)
@@ -205,11 +205,11 @@ class Samples:
 
 
 def table(numbers: array[float], columns: int) -> np.ndarray:
-    """Return numbers as rows of so many columns."""
+    """Return numbers as rows with a number of columns."""
     return np.array(numbers).reshape(-1, columns)
 
 
 def last_of_equal(rows: np.ndarray) -> np.ndarray:
-    """Return rows whose first column is stamps, in order of time; of equal ones the last."""
+    """Return rows in order of their stamps (first column), with the last of equal stamps."""
     rows = rows[np.argsort(rows[:, 0], kind="stable")]
     return np.asarray(rows[np.diff(rows[:, 0], append=math.inf) != 0.0])

@@ -1,4 +1,4 @@
-"""The drive folder: homeward's plain format, a folder of CSV files."""
+"""The drive folder, homeward's format of CSV files."""
 
 from __future__ import annotations
 
@@ -33,23 +33,28 @@ from homeward.odometry.clock import MAX_DELAY_S
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
-BY_SPIN = "no --home-spin FROM,TO [s] says when the robot turned round there"
-REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
-SORTED = "rows of {} out of order, sorted by time"
-REPEATED_ODOMETRY = "odometry rows with a repeated stamp"
-REPEATED_TRUTH = "truth rows with a repeated stamp"
-REPEATED_SIGHTINGS = "sightings of a landmark already seen at the same stamp; the last counts"
-NO_ODOMETRY = (
-    f"stamps of bearings without odometry, since {ODOMETRY} is missing: poses are from the bearings"
-    " of surveyed landmarks alone"
+HOME_ADVICE = (
+    "add a table with the columns landmark, bearing (home.csv); or use --home-spin FROM,TO [s] if "
+    "the robot turned on the spot at home"
 )
-BEYOND_A_TURN = "bearings beyond a full turn, wrapped (are they in degrees?)"
+REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
+SORTED = "rows of {} were out of order; sorted by time"
+REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
+REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
+REPEATED_SIGHTINGS = "repeated sightings of a landmark at one stamp; the last counts"
+NO_ODOMETRY = (
+    f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
+    "surveyed landmarks only"
+)
+BEYOND_A_TURN = (
+    "bearings beyond a full turn were wrapped; convert them to rad if they are in degrees"
+)
 
 
 def is_drive_folder(path: Path) -> bool:
-    """Whether any of the files that every drive folder has is there.
+    """Whether a folder contains a required file of a drive.
 
-    The folder of a ROS 2 bag may contain a home.csv: without odometry.csv it is a bag.
+    The folder of a ROS 2 bag may contain a home.csv; without odometry.csv it is a bag.
     """
     if is_there(path / ODOMETRY):
         return True
@@ -57,12 +62,12 @@ def is_drive_folder(path: Path) -> bool:
 
 
 def has_home(folder: Path) -> bool:
-    """Return whether a folder tells of home without a home.csv: by a survey from there, or when."""
+    """Return whether a folder defines home without home.csv: by a survey or the time at home."""
     return _is_surveyed(folder) or read_drive_settings(folder / SETTINGS).home is not None
 
 
 def _is_surveyed(folder: Path) -> bool:
-    """Return whether the landmarks of a folder are surveyed from home."""
+    """Return whether the landmarks of a folder are surveyed in the home frame."""
     known = folder / KNOWN
     return is_there(known) and read_settings(known, KnownLandmarks).surveyed_from_home
 
@@ -82,25 +87,24 @@ def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
 
 
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
-    """Read a drive folder; `InputError` names the file, the row and what is wrong.
+    """Read a drive folder; `InputError` names the file, the row and the problem.
 
     The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
-    home.csv (landmark, bearing[, sigma]) and perhaps drive.yaml, landmarks.yaml and truth.csv (t,
-    x, y, heading in the home frame); s, m and rad. Other files and columns are ignored. A survey in
-    the home frame replaces home.csv and odometry.csv. A drive.yaml that gives the time at which the
-    robot was at home replaces home.csv; one of these is required if `home_needed`.
+    home.csv (landmark, bearing[, sigma]) and optionally drive.yaml, landmarks.yaml and truth.csv
+    (t, x, y, heading in the home frame), in s, m and rad. Other files and columns are ignored. A
+    survey in the home frame replaces home.csv and odometry.csv. A time at home in drive.yaml
+    replaces home.csv. With `home_needed`, one of these must define home.
 
-    Rows up to `MAX_DELAY_S` out of order are sorted by time, bearings are wrapped, and landmark ids
-    lose white space around them. Of equal stamps in odometry and truth, and of sightings of one
-    landmark at one stamp, the last counts. Remarks count all this, and say when angles or stamps
-    seem to be in other units.
+    Rows up to `MAX_DELAY_S` out of order are sorted by time. Bearings are wrapped, and landmark ids
+    stripped of white space. The last of equal stamps counts. Remarks count these corrections, and
+    report units that seem wrong.
     """
     folder = Path(path)
     require_folder(folder)
     missing = missing_files(folder, home_needed)
     if missing:
-        else_ = f", and {BY_SPIN}" if missing == [HOME] else ""
-        raise InputError(f"not a drive folder: no {', '.join(missing)} in it{else_}", folder)
+        advice = f"; {HOME_ADVICE}" if missing == [HOME] else ""
+        raise InputError(f"not a complete drive folder: no {', '.join(missing)}{advice}", folder)
     surveyed = is_there(folder / KNOWN)
     known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
     remarks: dict[str, int] = {}
@@ -112,8 +116,8 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         odometry = Odometry(t, np.full(t.size, np.nan), np.full(t.size, np.nan))
         remarks[NO_ODOMETRY] = t.size
     if absent := sorted(known.names - set(sightings.landmark.tolist()), key=natural):
-        who = listing([quoted(name) for name in absent], 3)
-        remarks[f"landmarks of {KNOWN} that the drive did not see: {who}"] = len(absent)
+        names = listing([quoted(name) for name in absent], 3)
+        remarks[f"landmarks of {KNOWN} without sightings in this drive: {names}"] = len(absent)
     return Drive(
         name=folder.resolve().name,
         odometry=odometry,
@@ -127,25 +131,23 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
 
 
 def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
-    """Write a drive folder that `read_folder` reads back to the last bit, without name and remarks.
+    """Write a drive folder that `read_folder` reads back exactly, without name and remarks.
 
-    The files enter together when all are written. In an existing folder only the files of a drive
-    are replaced or, when this drive has none, deleted. `InputError` where the folder cannot be
-    written or the format has no place for the drive: no odometry, numbers that are not finite, ids
-    with white space around them or unprintable characters.
+    All files appear together. In an existing folder the files of a drive are replaced or, where
+    this drive lacks them, deleted. `InputError` where the folder cannot be written, or the drive
+    has no odometry, numbers that are not finite, or invalid ids.
     """
     folder = Path(path)
-    owned = (*REQUIRED, *OPTIONAL)
-    with whole_folder(folder, owned=owned) as scratch:
+    with whole_folder(folder, owned=(*REQUIRED, *OPTIONAL)) as scratch:
         _write_files(drive, scratch, folder)
 
 
 def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
-    """Return a table in order of its times `t` [s]; equal ones stay as they are.
+    """Return a table in order of its times `t` [s]; the sort is stable.
 
     `remarks` counts the rows of `what` that are out of order. Rows may be up to `MAX_DELAY_S` late,
-    or go through one landmark after the other. A later row is an `InputError`: a clock was set
-    back, or these are two drives.
+    or grouped by landmark. `InputError` for a later row: a clock was set back, or the table
+    contains two drives.
     """
     t = table["t"]
     late = np.maximum.accumulate(t) - t
@@ -155,7 +157,8 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
         i = int(np.argmax(late > MAX_DELAY_S))
         raise InputError(
             f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
-            f"{float(t[: i + 1].max())!r}; rows may be up to {MAX_DELAY_S:g} s out of order",
+            f"{float(t[: i + 1].max())!r}; at most {MAX_DELAY_S:g} s is allowed. Split the table "
+            "where a clock was set back or another drive begins",
             table.file,
             int(table.row[i]),
         )
@@ -165,7 +168,7 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
 
 
 def _by_landmarks(table: Table) -> bool:
-    """Whether a table goes through one landmark after the other, each in order of time."""
+    """Whether a table is grouped by landmark, each in order of time."""
     if "landmark" not in table.columns:
         return False
     ids, t = table["landmark"], table["t"]
@@ -174,9 +177,9 @@ def _by_landmarks(table: Table) -> bool:
 
 
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
-    """Check a table with times `t` [s], and keep the last row of equal stamps.
+    """Return a table with the last row of equal times `t` [s]; count the others in `remarks`.
 
-    The others are counted in `remarks` under a `reason` in words.
+    `InputError` where the table is empty or not in order.
     """
     table.require_rows()
     table.require_order()
@@ -187,21 +190,21 @@ def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table
 
 
 def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
-    """Return column `name` [rad] in (-pi, pi]; what is inside stays as it is, to the last bit.
+    """Return column `name` [rad] wrapped to (-pi, pi]; angles within stay bit-identical.
 
-    Angles beyond a full turn are legal, but counted in `remarks`: they may be degrees.
+    `remarks` counts angles beyond a full turn, which may be degrees.
     """
     table.require_angle(name)
     angle = table[name]
     if beyond := int((np.abs(angle) > math.tau).sum()):
         remarks[BEYOND_A_TURN] = remarks.get(BEYOND_A_TURN, 0) + beyond
     inside = (angle > -math.pi) & (angle <= math.pi)
-    # Rounding can leave a multiple of the half turn one bit outside.
+    # Rounding can leave a multiple of pi one bit outside.
     return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
 
 
 def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
-    """Count in `remarks` the sightings that a later one of the same landmark and stamp replaces."""
+    """Count in `remarks` the repeated sightings of a landmark at one stamp."""
     t, landmark = sightings.t, sightings.landmark
     starts = np.flatnonzero(np.diff(t, prepend=np.nan) != 0)
     sizes = np.diff(starts, append=t.size)
@@ -221,8 +224,8 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     for name in ("v", "omega"):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
-            reason = f"{name} is empty; where the motion is unknown, leave both v and omega empty"
-            raise InputError(reason, path, int(table.row[np.argmax(empty)]))
+            problem = f"{name} is empty; leave both v and omega empty where the motion is unknown"
+            raise InputError(problem, path, int(table.row[np.argmax(empty)]))
     return odometry_of(table, remarks)
 
 
@@ -241,7 +244,7 @@ def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
-    """Return those of a table with t, landmark, bearing[, sigma]; as `read_sightings`."""
+    """Return the sightings of a table; as `read_sightings`."""
     table = sorted_by_time(table, "bearings", remarks)
     bearings = wrapped(table, "bearing", remarks)
     sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table))
@@ -256,7 +259,7 @@ def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
-    """Return home bearings of a table with landmark, bearing[, sigma]; as `read_home`."""
+    """Return the home bearings of a table; as `read_home`."""
     table.require_unique("landmark")
     bearings = wrapped(table, "bearing", remarks)
     rows = zip(bearings.tolist(), _sigma(table).tolist(), strict=True)
@@ -268,8 +271,8 @@ def _sigma(table: Table) -> np.ndarray:
     if "sigma" not in table.columns:
         return np.full(len(table), np.nan)
     sigma = table["sigma"]
-    sound = (sigma > 0) & np.isfinite(sigma)
-    table.require("sigma", np.isnan(sigma) | sound, "not greater than 0")
+    is_valid = (sigma > 0) & np.isfinite(sigma)
+    table.require("sigma", np.isnan(sigma) | is_valid, "but must be greater than 0")
     return sigma
 
 
@@ -287,8 +290,9 @@ def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
 
 
 def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
-    """Return the truth of a table with t, x, y, heading; errors and remarks as `read_folder`."""
-    table = without_repeats(sorted_by_time(table, "truth", remarks), remarks, REPEATED_TRUTH)
+    """Return the ground truth of a table with t, x, y, heading; as `read_truth`."""
+    table = sorted_by_time(table, "ground truth", remarks)
+    table = without_repeats(table, remarks, REPEATED_TRUTH)
     table.require_angle("heading")
     return Truth(table["t"], table["x"], table["y"], table["heading"])
 
@@ -332,14 +336,16 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
 
 
 def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[str]:
-    """Return the text of a column; repr of a float is the shortest that reads back as itself."""
+    """Return a column as text; repr is the shortest text of a float that reads back exactly."""
     if column == "landmark":
         ids = [str(value) for value in values]
         if bad := [i for i in ids if not is_identifier(i)]:
-            raise InputError(f"landmark {quoted(bad[0])} cannot be an id in a file", file)
+            raise InputError(
+                f"landmark {quoted(bad[0])} is not a valid id (printable, no outer spaces)", file
+            )
         return ids
     missing = np.isnan(values) if may_lack else np.zeros(values.shape, bool)
     if not (missing | np.isfinite(values)).all():
-        raise InputError(f"{column} holds a number that is not finite", file)
+        raise InputError(f"{column} contains a number that is not finite", file)
     pairs = zip(values.tolist(), missing.tolist(), strict=True)
     return ["" if is_missing else repr(float(value)) for value, is_missing in pairs]

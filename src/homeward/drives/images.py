@@ -1,4 +1,4 @@
-"""The camera images of a drive folder: images.csv with t [s] and file, the files beside it."""
+"""Camera images of a drive folder: images.csv with the columns t [s] and file."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from homeward.io.table import identifiers, numbers, quoted, read_csv
 
 IMAGES = "images.csv"
 KINDS = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
-"""Media type by the ending of a file's name."""
+"""Media types by suffix."""
 REPEATED_IMAGES = "images with a repeated stamp; the first counts"
 
 
 @dataclass(frozen=True)
 class Images:
-    """Camera images along a drive."""
+    """Camera images of a drive."""
 
     t: np.ndarray
     """(n,), increasing [s]."""
     files: list[Path]
-    """JPEG or PNG; they are there when this is made."""
+    """JPEG or PNG files, which exist."""
 
 
 def read_images(folder: Path, remarks: dict[str, int]) -> Images:
-    """Return the images that a drive folder names; none when it has no images.csv.
+    """Return the images listed in images.csv; none without that file.
 
-    Of equal stamps the first counts; `remarks` counts the others. `InputError` where a file is not
-    there, lies outside the folder, or is neither JPEG nor PNG by its name.
+    The first of equal stamps counts; `remarks` counts the others. `InputError` where an image is
+    missing, outside the folder, or neither JPEG nor PNG.
     """
     table_file = folder / IMAGES
     if not is_there(table_file):
@@ -46,26 +46,25 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     return Images(t[first], [files[k] for k in first])
 
 
-def file_within(folder: Path, name: str | Path, what: str, told_in: Path) -> Path:
-    """Return a file that must lie in `folder`, also behind a link; else raise InputError.
+def file_within(folder: Path, name: str | Path, what: str, source: Path) -> Path:
+    """Return a file that must be in `folder`, links resolved; else raise InputError.
 
-    Messages call the file `what`, named in the file `told_in`.
+    Messages call the file `what`, and name the file `source` that refers to it.
     """
     file, named = folder / name, f"{what} {quoted(str(name))}"
     try:
         inside, there = file.resolve().is_relative_to(folder.resolve()), file.is_file()
-    except (OSError, ValueError, RuntimeError):  # too long, with a zero in it, a ring of links
-        raise InputError(f"{named} cannot be a file", told_in) from None
-    # A folder from elsewhere must not draw other files of this machine into what is written.
+    except (OSError, ValueError, RuntimeError):  # too long, with a null character, a ring of links
+        raise InputError(f"{named} cannot be a file name", source) from None
+    # An untrusted folder must not include other files of this machine in an output.
     if not inside:
-        raise InputError(f"{named} lies outside the folder", told_in)
+        raise InputError(f"{named} is outside the folder", source)
     if not there:
-        raise InputError(f"{named} is not there", told_in)
+        raise InputError(f"{named} does not exist", source)
     return file
 
 
 def _image(folder: Path, name: str) -> Path:
-    """Return the file of an image."""
     file = file_within(folder, name, "image", folder / IMAGES)
     if file.suffix.lower() not in KINDS:
         raise InputError(f"image {quoted(name)} is neither .jpg nor .png", folder / IMAGES)

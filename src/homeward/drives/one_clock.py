@@ -1,4 +1,4 @@
-"""Whether things that were recorded together can have been stamped by one clock, in seconds."""
+"""Tests of the clocks and units of stamps that were recorded together."""
 
 from __future__ import annotations
 
@@ -13,43 +13,36 @@ from homeward.errors import InputError
 from homeward.odometry.validity import TWIST_VALIDITY_S, twist_validity
 
 MAX_CLOCK_OFFSET_S = 5.0
-"""What begins up to so long after another thing ended may be of the same drive [s]."""
-OUTSIDE = "sightings at times without odometry (are their stamps in other units?)"
-
-SLOW, MIN_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
-"""Twists that come so rarely in the median [s] lead nowhere, since each holds half as long at most;
-of fewer of them nobody says how often they come."""
+"""Maximum gap between two recordings of one drive [s]."""
+OUTSIDE = "sightings at times without odometry; check the clock and unit of their stamps"
+MAX_INTERVAL_S, MIN_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
+"""Maximum median interval of usable odometry [s]: a twist is valid for about half of it. With fewer
+than this number of twists the interval is not tested."""
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
-"""Of stamps, how many are a second: odometry that is worth it comes more than once in one."""
+"""Units of stamps by their number in a second."""
 TOO_RARE = (
-    "odometry rows, {:,.1f} s apart in the median, where each holds {:g} s at most "
-    "(are their stamps in {}?)"
+    "odometry rows with a median interval of {:,.1f} s, of which each is valid for at most {:g} s; "
+    "convert the stamps to seconds if they are in {}"
 )
-
 ODOMETRY_ROWS = "odometry rows"
 SLOW_ODOMETRY = (
-    ODOMETRY_ROWS + ", {:.1f} s apart in the median: each twist is assumed to hold until the next, "
-    "at most {:g} s, and poses are less certain; record odometry at 2 Hz or more"
+    ODOMETRY_ROWS + " with a median interval of {:.1f} s: each is used until the next, for at most "
+    "{:g} s, and poses are less certain; record odometry at 2 Hz or more"
 )
 SLOW_TRUTH = (
-    "rows of ground truth, {:.1f} s apart in the median, too far to interpolate: errors are "
-    "computed at their own times only"
+    "rows of ground truth with a median interval of {:.1f} s, too long to interpolate: errors are "
+    "computed at these times only"
 )
-
-ON_TIME = "sightings were stamped {:g} s late, as bearings_late says: taken back by that"
-
-OTHER_CLOCK = (
-    "their stamps are of different clocks or in different units (both must be in seconds), or "
-    "they were not recorded together"
-)
+DELAY_REMOVED = "sightings with stamps corrected by the {:g} s of bearings_late"
+OTHER_CLOCK = "use stamps of one clock in seconds, and files that were recorded together"
 
 
 def require_overlap(
     spans: Mapping[str, tuple[float, float]], advice: str, path: Path | None = None
 ) -> None:
-    """Raise InputError when a span begins over `MAX_CLOCK_OFFSET_S` after another one ended.
+    """Raise InputError when a span begins over `MAX_CLOCK_OFFSET_S` after another one ends.
 
-    `spans` are first and last time of each [s], by name; the message ends with `advice`.
+    `spans` are the first and last times [s] by name; the message ends with `advice`.
     """
     if not spans:
         return
@@ -62,27 +55,27 @@ def require_overlap(
 
 
 def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
-    """Remark odometry whose stamps `t`, (n,), seem to be in a smaller unit than seconds."""
-    if t.size < MIN_TWISTS or (step := float(np.median(np.diff(t)))) <= SLOW:
+    """Add a remark where odometry stamps `t`, (n,), seem to be in a smaller unit than seconds."""
+    if t.size < MIN_TWISTS or (step := float(np.median(np.diff(t)))) <= MAX_INTERVAL_S:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
     remarks[TOO_RARE.format(step, twist_validity(np.diff(t).tolist()), unit)] = t.size
 
 
 def without_bearing_delay(drive: Drive) -> Drive:
-    """Return a drive whose bearings have the times at which they were taken, by its settings."""
+    """Return a drive with the delay `bearings_late` removed from the stamps of its bearings."""
     late = drive.settings.bearings_late
     if late is None:
         return drive
     settings = drive.settings.model_copy(update={"bearings_late": None})
-    remarks = {**drive.remarks, ON_TIME.format(late): drive.sightings.t.size}
+    remarks = {**drive.remarks, DELAY_REMOVED.format(late): drive.sightings.t.size}
     return dataclasses.replace(
         drive.with_earlier_sightings(late), settings=settings, remarks=remarks
     )
 
 
-def _remark_slow(drive: Drive) -> dict[str, int]:
-    """Return remarks on odometry and ground truth that come slowly."""
+def _slow_remarks(drive: Drive) -> dict[str, int]:
+    """Return remarks on slow odometry and ground truth."""
     remarks, t = {}, drive.odometry.t
     step = float(np.median(np.diff(t))) if t.size >= MIN_TWISTS else 0.0
     if step > TWIST_VALIDITY_S and not any(
@@ -95,10 +88,10 @@ def _remark_slow(drive: Drive) -> dict[str, int]:
     return remarks
 
 
-def on_one_clock(drive: Drive, path: Path) -> Drive:
-    """Return a drive with remarks on stamps that are rare, or beyond its odometry.
+def with_clock_remarks(drive: Drive, path: Path) -> Drive:
+    """Return a drive with remarks on slow odometry and on sightings outside its time.
 
-    `InputError` where bearings and odometry do not overlap at all.
+    `InputError` where bearings and odometry do not overlap.
     """
     odometry, seen = drive.odometry.t, drive.sightings.t
     if not (odometry.size and seen.size):
@@ -109,7 +102,7 @@ def on_one_clock(drive: Drive, path: Path) -> Drive:
         OTHER_CLOCK,
         path,
     )
-    drive = dataclasses.replace(drive, remarks={**drive.remarks, **_remark_slow(drive)})
+    drive = dataclasses.replace(drive, remarks={**drive.remarks, **_slow_remarks(drive)})
     outside = int(((seen < first - MAX_CLOCK_OFFSET_S) | (seen > last + MAX_CLOCK_OFFSET_S)).sum())
     if 2 * outside <= seen.size:
         return drive

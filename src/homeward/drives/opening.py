@@ -1,4 +1,4 @@
-"""Open a drive of any format, and save one."""
+"""Reading and writing of drives in any format."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from homeward.drives.folder import (
 from homeward.drives.home.spin import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
-from homeward.drives.one_clock import on_one_clock, without_bearing_delay
+from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.ros.log import is_log
 from homeward.drives.settings import HomeWhen
 from homeward.errors import InputError, naming_file
@@ -29,12 +29,12 @@ from homeward.io.settings import validated
 from homeward.io.table import quoted
 
 SAMPLE = "sample"
-"""The word for the drive that ships inside the package."""
+"""Name of the sample drive in the package."""
 IMAGE_FOLDER = "folder of images (images.csv)"
 DRIVE_FOLDER = "drive folder (odometry.csv, bearings.csv, home.csv)"
 LOG = "log (a ROS bag or an MCAP file)"
 TABLES = (".csv", ".tsv")
-"""Files that may be made a drive."""
+"""Suffixes of files that `homeward import` converts."""
 
 
 def open_drive(
@@ -44,30 +44,30 @@ def open_drive(
     home_spin: tuple[float, float] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
-    """Read a drive of any known kind.
+    """Read a drive in any known format.
 
     Parameters
     ----------
     path : path-like
         A drive folder, a folder of images, a ROS bag, an MCAP file or `SAMPLE`.
     topics : path-like, optional
-        As in `read_log`; refused elsewhere.
+        As in `read_log`; only for logs.
     home_spin : (float, float), optional
-        From when until when the robot turned on the spot at home, since the drive's first sample
-        [s]; instead of the home bearings that it brings.
+        Interval in which the robot turned on the spot at home, since the first sample of the drive
+        [s]; replaces the home bearings of the drive.
     on_progress : callable, optional
-        Told the fraction done of a log or of images, in [0, 1].
+        Receives the fraction done, in [0, 1], of a log or of images.
 
     Raises
     ------
     InputError
-        When no reader knows it, its reader refuses it, or bearings and odometry do not overlap.
+        For an unknown format or invalid data, or where bearings and odometry do not overlap.
     """
     place = located(path)
     kind = kind_of(place)
     if topics is not None and kind != LOG:
-        raise InputError(f"there are no topics to choose in a {kind.partition(' (')[0]}", place)
-    # Imported where they are needed alone: rosbags and OpenCV take a while.
+        raise InputError(f"topics are for logs, not for a {kind.partition(' (')[0]}", place)
+    # Imported where needed only: rosbags and OpenCV load slowly.
     if kind == IMAGE_FOLDER:
         from homeward.vision.recorded.recording import see_recording
 
@@ -78,18 +78,21 @@ def open_drive(
         from homeward.drives.ros.reading import read_log
 
         drive = read_log(place, None if topics is None else Path(topics), on_progress)
-    drive = _truth_from_home(on_one_clock(without_bearing_delay(drive), place), place)
+    drive = _truth_from_home(with_clock_remarks(without_bearing_delay(drive), place), place)
     when = drive.settings.home
     if home_spin is not None:
         when = validated(HomeWhen, {"spin": home_spin})
     elif when is not None and drive.home:
-        raise InputError(f"home is told twice: in {HOME} and under home in {SETTINGS}", place)
+        raise InputError(
+            f"home is given twice, in {HOME} and under home in {SETTINGS}; remove one of them",
+            place,
+        )
     with naming_file(place):
         return drive if when is None else with_home(drive, when)
 
 
 def _truth_from_home(drive: Drive, place: Path) -> Drive:
-    """Return a drive whose ground truth is in the home frame, by its settings."""
+    """Return a drive with its ground truth transformed to the home frame, per its settings."""
     if drive.settings.truth is None:
         return drive
     if drive.truth is None:
@@ -100,7 +103,7 @@ def _truth_from_home(drive: Drive, place: Path) -> Drive:
 
 
 def located(path: str | os.PathLike[str]) -> Path:
-    """Return the path of a drive, or of `SAMPLE` where no file has that name; else InputError."""
+    """Return the path of a drive, or of the sample drive; `InputError` where neither exists."""
     place = Path(path)
     if is_there(place):
         return place
@@ -110,35 +113,34 @@ def located(path: str | os.PathLike[str]) -> Path:
 
 
 def sample_drive() -> Path:
-    """Return the folder of the sample drive that ships inside the package."""
+    """Return the folder of the sample drive in the package."""
     return shipped(SAMPLE)
 
 
 def kind_of(place: Path) -> str:
-    """Return the kind of drive at a path; `InputError` says what to do where there is none."""
+    """Return the kind of drive at a path; `InputError` with advice where there is none."""
     for kind, recognises in KINDS.items():
         if recognises(place):
             return kind
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
-        ways = "homeward place tells of it, homeward run DRIVE --place uses it"
+        ways = "use homeward place PLACE to inspect it, or homeward run DRIVE --place PLACE"
         raise InputError(f"a place, not a drive: {ways}", place)
     if any(file.suffix.lower() in TABLES for file in (place, *place.glob("*"))):
-        raise InputError("no drive yet: homeward import makes one of tables of any columns", place)
+        raise InputError("not a drive yet: use homeward import to convert its tables", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
-        raise InputError(f"a folder of logs; name one: {', '.join(map(quoted, logs[:4]))}", place)
+        raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
     if is_mrclam(place):
-        raise InputError(f"an MRCLAM folder: {mrclam_command(place)} makes a drive of it", place)
+        raise InputError(f"an MRCLAM folder: convert it with {mrclam_command(place)}", place)
     raise InputError(f"neither a {' nor a '.join(KINDS)}", place)
 
 
 def is_image_folder(path: Path) -> bool:
-    """Whether it has images, and no bearings yet."""
-    # A drive folder may have images, too: its bearings are known already.
+    """Whether a folder has images, and no bearings yet (a drive folder may have images, too)."""
     return is_there(path / IMAGES) and not is_there(path / BEARINGS)
 
 
 KINDS = {IMAGE_FOLDER: is_image_folder, DRIVE_FOLDER: is_drive_folder, LOG: is_log}
-"""What recognises each kind of drive, in the order in which they are asked."""
+"""Test for each kind of drive; the first that is true counts."""
 LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 """ROS 1 bag, MCAP, and the sqlite3 file of a ROS 2 bag."""
 
@@ -146,27 +148,21 @@ LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 def save_drive(
     drive: Drive, path: str | os.PathLike[str], on_progress: Callable[[float], None] | None = None
 ) -> str:
-    """Write a drive that `open_drive` reads back to the last bit.
+    """Write a drive that `open_drive` reads back exactly; return the name of the format.
 
     Parameters
     ----------
     drive : Drive
-        What to write; its name and remarks are not part of any format.
+        The drive; its name and remarks are not written.
     path : path-like
-        A file with one of `LOG_SUFFIXES`, or else a drive folder; must not exist, or be an empty
-        folder.
+        A file with one of `LOG_SUFFIXES`, or else a drive folder; a new path or an empty folder.
     on_progress : callable, optional
-        Told the fraction done of a log.
-
-    Returns
-    -------
-    str
-        What was written, in words.
+        Receives the fraction done of a log, in [0, 1].
 
     Raises
     ------
     InputError
-        When it exists or cannot be written, or a log has no place for what is known of landmarks.
+        When the path exists or cannot be written, or a log is to contain known landmarks.
     """
     place = Path(path)
     if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
@@ -175,8 +171,8 @@ def save_drive(
         write_folder(drive, place)
         return "drive folder"
     if drive.known.is_given:
-        raise InputError("a log has no place for landmarks.yaml; write a drive folder", place)
-    # Imported here alone: rosbags takes a while.
+        raise InputError("a log cannot contain landmarks.yaml; write a drive folder instead", place)
+    # Imported here only: rosbags loads slowly.
     from homeward.drives.ros.writing import write_log
 
     write_log(drive, place, on_progress)

@@ -1,7 +1,7 @@
-"""Plausibility of odometry: motion that no ground robot makes counts as unknown.
+"""Plausibility of odometry: motion beyond the limits of ground robots counts as unknown.
 
-An encoder that restarts at 0, a pose that is reset, or a spike of a driver looks like a motion of
-metres within one sample. Bearings cannot correct such a motion within seconds.
+The restart of an encoder, a pose reset, or a spike of a driver appears as a motion of metres within
+one sample. Bearings cannot correct such a motion within seconds.
 """
 
 from __future__ import annotations
@@ -22,41 +22,39 @@ from homeward.odometry.limits import (
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 MIN_JUMP, MIN_TURN_JUMP = 0.05, 0.1
-"""Minimum jump [m, rad]; filters and their noise model absorb smaller ones."""
-FASTER = 3.0
-"""A vehicle is quicker than `MAX_SPEED` where 95 % of its motion, times this, is quicker."""
+"""Minimum jump [m, rad]; the noise model of filters covers smaller ones."""
+SPEED_FACTOR = 3.0
+"""Minimum speed limit, as a multiple of the speed that 95 % of the motion does not exceed."""
 NOISE_FACTOR = 12.0
-"""Jump over the median deviation of the samples from their neighbours; with Gaussian noise fewer
-than 1 sample in a million deviates by more."""
+"""Minimum jump, as a multiple of the samples' median deviation from their neighbours; fewer than 1
+sample of a million with Gaussian noise exceeds it."""
 WINDOW_S, MAX_NEIGHBOURS = 0.5, 9
-"""Neighbours of a sample on either side: those within this time [s], at most this number."""
+"""Neighbours of a sample on either side: those within this time [s], up to this number."""
 USUAL_SPEED, USUAL_TURN_RATE = 40.0, 6.3
-"""A robot that is faster than a car, or turns more than once a second, for 5 % of the time in which
-it moves probably reports other units [m/s, rad/s]."""
-SPEED_UNIT = "odometry samples faster than 40 m/s: are the speeds in mm/s instead of m/s?"
+"""Maximum plausible rates [m/s, rad/s] (a car; one rotation a second). A robot that exceeds one in
+5 % of its moving time probably reports other units."""
+SPEED_UNIT = "odometry samples faster than 40 m/s; convert the speeds to m/s if they are in mm/s"
 TURN_UNIT = (
-    "odometry samples that turn by more than 6.3 rad/s: are the turn rates in degrees instead of "
-    "rad per second?"
+    "odometry samples with a yaw rate above 6.3 rad/s; convert them to rad/s if they are in deg/s"
 )
 NO_SPEED = (
-    "odometry samples, all with a speed of exactly 0: if the robot did more than turn on the spot, "
-    "its speed is missing"
+    "odometry samples, all with a speed of exactly 0; if the robot did not only turn on the spot, "
+    "its speed is missing: add it"
 )
 UNKNOWN = (
-    "odometry intervals with an implausible motion (an encoder reset, a pose jump or a spike; the "
-    "first at {:.2f} s, at {:.3g} m/s and {:.3g} rad/s); their motion counts as unknown"
+    "odometry intervals with implausible motion (encoder reset, pose jump or spike; the first at "
+    "{:.2f} s, at {:.3g} m/s and {:.3g} rad/s); their motion counts as unknown"
 )
 
 
 def without_implausible(
     odometry: Odometry, remarks: dict[str, int], sideways: np.ndarray | None = None
 ) -> Odometry:
-    """Return odometry in which implausible motion is unknown, and count it in `remarks`.
+    """Return odometry with implausible motion set to unknown, and count it in `remarks`.
 
     Twists may be NaN already where the motion is unknown. `sideways` (n,) is the sideways speed of
-    differentiated poses [m/s], tested as the forward speed is. Remarks also name rates that are
-    usually too high, since their unit is probably another one, and a speed that is always zero
-    while the robot turns.
+    differentiated poses [m/s], with the limits of the forward speed. Remarks also report rates that
+    are probably in another unit, and a speed that is always zero while the robot turns.
     """
     t, v, omega = odometry.t, odometry.v, odometry.omega
     bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
@@ -64,7 +62,7 @@ def without_implausible(
     if sideways is not None:
         bad |= _jumps(t, sideways, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
     for rate, limit, unit in ((v, USUAL_SPEED, SPEED_UNIT), (omega, USUAL_TURN_RATE, TURN_UNIT)):
-        if _quick(t[~bad], rate[~bad]) > limit:
+        if _usual_rate(t[~bad], rate[~bad]) > limit:
             remarks[unit] = int((np.abs(rate) > limit).sum())
     if not np.any(np.abs(v) > 0) and np.any(np.abs(omega) > 0):
         remarks[NO_SPEED] = t.size
@@ -76,12 +74,12 @@ def without_implausible(
     return Odometry(t, np.where(bad, np.nan, v), np.where(bad, np.nan, omega))
 
 
-def _quick(t: np.ndarray, rate: np.ndarray) -> float:
-    """Return the rate that is exceeded for 5 % of the time of motion; 0 if there is none."""
-    lasts = np.minimum(np.diff(t), TWIST_VALIDITY_S)
+def _usual_rate(t: np.ndarray, rate: np.ndarray) -> float:
+    """Return the rate that is exceeded in 5 % of the moving time; 0 without motion."""
+    duration = np.minimum(np.diff(t), TWIST_VALIDITY_S)
     rates = np.abs(rate[:-1])
     order = np.argsort(np.where(rates > 0, rates, -1.0))
-    time = np.where(rates > 0, lasts, 0.0)[order].cumsum()
+    time = np.where(rates > 0, duration, 0.0)[order].cumsum()
     if not time.size or time[-1] <= 0:
         return 0.0
     return float(rates[order][time.searchsorted(0.95 * time[-1])])
@@ -92,7 +90,7 @@ def _jumps(
 ) -> np.ndarray:
     """Return which samples of a rate are implausible, (n,): too fast, or a jump.
 
-    A jump deviates from the median rate of the neighbours both before and after by more than
+    A jump deviates from the median of the neighbours both before and after by more than
     acceleration and noise allow.
     """
     if t.size < 2:
@@ -102,30 +100,30 @@ def _jumps(
     # Positions may be published more often than they change; then a change covers several steps.
     changes = np.diff(t[moves]) if moves.sum() > 1 else steps
     typical = float(np.median(changes))
-    # In bursts the median is too short; the mean is right, without the time that the robot stands.
+    # The median is too short for bursts of messages; the mean without standstill is correct.
     period = max(typical, float(np.minimum(changes, max(TWIST_VALIDITY_S, typical)).mean()))
     dt = np.append(steps, period)
-    lasts = np.maximum(dt, period)
+    duration = np.maximum(dt, period)
     moved = rate * dt
-    # Messages that arrive in a burst carry stamps too close for their displacement.
-    rate = moved / lasts
+    # Messages in a burst have stamps that are too close for their displacement.
+    rate = moved / duration
     usual = float(np.quantile(np.abs(rate[moves]), 0.95)) if moves.any() else 0.0
-    fast = np.abs(rate) > max(max_rate, FASTER * usual)
+    fast = np.abs(rate) > max(max_rate, SPEED_FACTOR * usual)
     count = int(np.clip(round(WINDOW_S / period), 1, MAX_NEIGHBOURS))
     before, after = _neighbours(rate, count)
-    expected = np.stack([before * lasts, after * lasts])
+    expected = np.stack([before * duration, after * duration])
     deviation = np.fmin(*np.abs(moved - expected))
     noise = float(np.nanmedian(deviation[moves])) if np.isfinite(deviation[moves]).any() else 0.0
-    # A motion that is slower than expected is no jump: before a burst of messages comes a gap.
+    # A motion slower than expected is no jump: a gap precedes a burst of messages.
     usable = np.clip(moved, np.minimum(expected, 0.0), np.maximum(expected, 0.0))
     jump = np.fmin(*np.abs(moved - usable))
-    with np.errstate(over="ignore"):  # of absurd stamps
-        allowed = max_acceleration * lasts * np.maximum(lasts, count * period) / 2
+    with np.errstate(over="ignore"):  # absurd stamps
+        allowed = max_acceleration * duration * np.maximum(duration, count * period) / 2
     return np.asarray(fast | (jump > np.maximum(allowed, max(min_jump, NOISE_FACTOR * noise))))
 
 
 def _neighbours(rate: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the median of the `count` samples before and after each; NaN where there are none."""
+    """Return the median of the `count` samples before and after each; NaN without any."""
     blank = np.full(count, np.nan)
     views = np.lib.stride_tricks.sliding_window_view(np.concatenate([blank, rate, blank]), count)
     with warnings.catch_warnings():
@@ -135,22 +133,22 @@ def _neighbours(rate: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:
-    """Return the twists that lead from each pose to the next along an arc; the last is 0.
+    """Return the twists from each pose to the next along an arc; the last is 0.
 
     `t` (n,) [s] increases strictly; `rows` (n, 3) are x [m], y [m], heading [rad]. Sideways motion
-    is left out. The motion of a pose that jumps is unknown, and counted in `remarks`.
+    is ignored. The motion of a jump is unknown; `remarks` counts jumps.
     """
     forward, sideways, turn = steps_between(rows)
     # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
-    way = forward / np.sinc(turn / math.tau)
-    v, omega, sideways = (np.append(step / np.diff(t), 0.0) for step in (way, turn, sideways))
+    arc = forward / np.sinc(turn / math.tau)
+    v, omega, sideways = (np.append(step / np.diff(t), 0.0) for step in (arc, turn, sideways))
     return without_implausible(Odometry(t, v, omega), remarks, sideways)
 
 
 def steps_between(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return forward and sideways step [m] and turn [rad], (n - 1,), between poses (n, 3).
+    """Return forward and sideways (left) steps [m] and rotations [rad], (n - 1,), of poses (n, 3).
 
-    Steps are along and to the left of the heading half-way.
+    The directions are those of the heading half-way.
     """
     dx, dy = np.diff(rows[:, 0]), np.diff(rows[:, 1])
     turn = np.asarray(wrap(np.diff(rows[:, 2])))

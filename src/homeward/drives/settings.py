@@ -1,4 +1,4 @@
-"""Settings of a drive: drive.yaml, landmarks.yaml, and the default noise of odometry."""
+"""Settings of a drive: drive.yaml, landmarks.yaml, and the default odometry noise."""
 
 from __future__ import annotations
 
@@ -12,37 +12,27 @@ from homeward.geometry.frames import Polar, Pose
 from homeward.io.keys import Strict
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-
-
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-
-
 Finite = Annotated[float, Field(allow_inf_nan=False)]
-
-
 Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
-
-
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
-
-
-Late = Annotated[float, Field(ge=-5, le=5)]
-"""[s]; clocks farther apart than `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S` make no drive."""
+Delay = Annotated[float, Field(ge=-5, le=5)]
+"""[s], up to `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S`."""
 
 
 class Mount(Strict):
-    """Where a camera sits on the robot."""
+    """Camera extrinsics: the pose of the camera on the robot."""
 
     x: Finite = 0.0
     """Ahead of the robot's centre [m]."""
     y: Finite = 0.0
     """To the left of it [m]."""
     yaw: Finite = 0.0
-    """Of the camera's axis from the robot's heading [rad]."""
+    """Yaw of the camera's axis relative to the robot's heading [rad]."""
 
     @property
     def pose(self) -> Pose:
-        """The camera in the robot's frame."""
+        """The camera's pose in the robot's frame."""
         return Pose(self.x, self.y, self.yaw)
 
 
@@ -56,22 +46,22 @@ class Sensor(Mount):
 
 
 class OdometryNoise(Strict):
-    """What is known of the odometry's errors; None when unknown."""
+    """Standard deviations of the odometry's errors; None when unknown."""
 
     speed_sigma: NonNegative | None = None
-    """White noise of the speed [m/s/sqrt(Hz)]."""
+    """Density of the speed's white noise [m/s/sqrt(Hz)]."""
     turn_sigma: NonNegative | None = None
-    """White noise of the turn rate [rad/s/sqrt(Hz)]."""
+    """Density of the yaw rate's white noise [rad/s/sqrt(Hz)]."""
     speed_scale_sigma: NonNegative | None = None
     """Constant relative error of the speed [1]."""
     turn_scale_sigma: NonNegative | None = None
-    """Constant relative error of the turn rate [1]."""
+    """Constant relative error of the yaw rate [1]."""
     turn_bias_sigma: NonNegative | None = None
-    """Constant error of the turn rate [rad/s]."""
+    """Constant error of the yaw rate [rad/s]."""
 
 
 class Start(Strict):
-    """A start prior: where the robot was when the drive began, in the home frame."""
+    """Start prior: the robot's pose at the beginning of the drive, in the home frame."""
 
     R: NonNegative
     """Distance from home [m]."""
@@ -88,7 +78,7 @@ class Start(Strict):
 
     @classmethod
     def about(cls, polar: Polar, *sigmas: float) -> Start:
-        """Return the prior of a mean (R, theta, alpha) and its three standard deviations."""
+        """Return the prior with a mean (R, theta, alpha) and three standard deviations."""
         return cls(**dict(zip(cls.model_fields, map(float, (*polar, *sigmas)), strict=True)))
 
     @property
@@ -98,16 +88,16 @@ class Start(Strict):
 
 
 class Robot(TypedDict, total=False):
-    """What is known of a robot: the keywords of every estimator, as models or as their values."""
+    """Keyword arguments of every estimator for the robot, as models or as their values."""
 
     sensor: Sensor | dict[str, Any]
     """The camera."""
     home_sensor: Mount | dict[str, Any] | None
-    """The camera as it sat when home was stored, if otherwise."""
+    """The camera extrinsics when home was stored, if different."""
     odometry: OdometryNoise | dict[str, Any]
-    """How far odometry may be off."""
+    """Noise of the odometry."""
     start: Start | dict[str, Any] | None
-    """Where the robot is at first."""
+    """Prior of the initial pose."""
 
 
 def _in_order(span: tuple[float, float]) -> tuple[float, float]:
@@ -117,16 +107,16 @@ def _in_order(span: tuple[float, float]) -> tuple[float, float]:
 
 
 Span = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_in_order)]
-"""From so many seconds after the drive's first sample until so many [s]."""
+"""An interval, from the first sample of the drive on [s]."""
 
 
 class HomeWhen(Strict):
-    """When the robot was at home, in a drive that saw home itself: one of these."""
+    """Time at which the robot was at home during the drive: one of these."""
 
     during: Span | None = None
-    """It stood there."""
+    """Interval in which the robot was stationary at home."""
     spin: Span | None = None
-    """It turned there on the spot; home is its pose when it began."""
+    """Interval in which it turned on the spot at home; home is its pose at the beginning."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -143,28 +133,28 @@ class TruthFrame(Strict):
 
 
 class DriveSettings(Strict):
-    """Everything that drive.yaml may say; every key may be absent."""
+    """The keys of drive.yaml; all are optional."""
 
     sensor: Sensor = Sensor()
     home: HomeWhen | None = None
-    """When the robot was at home, instead of what the camera saw there; None: that is told."""
+    """Time at which the robot was at home; None: home bearings are given instead."""
     home_sensor: Mount | None = None
-    """The camera as it sat when home was stored; None: as `sensor`."""
+    """The camera extrinsics when home was stored; None: as `sensor`."""
     odometry: OdometryNoise = OdometryNoise()
-    bearings_late: Late | None = None
-    """Bearings are stamped so long after they were taken [s], by odometry's clock; None: 0. Readers
-    take it out of the stamps (`without_bearing_delay`), and a drive that was read has None."""
+    bearings_late: Delay | None = None
+    """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
+    drive that was read has None."""
     start: Start | None = None
     truth: TruthFrame | None = None
-    """None: the home frame. `open_drive` transforms the truth; then a drive has None."""
+    """None: the home frame. `open_drive` transforms ground truth to it, and then sets None."""
     epoch: int | None = None
-    """Whole seconds to be added to every time of the drive to have its log's clock; None: 0. Logs
-    with Unix stamps are counted from their first whole second, since a double holds Unix time to
-    0.2 microseconds only."""
+    """Whole seconds to add to the times of the drive for the clock of its log; None: 0. The times
+    of logs with Unix stamps count from their first whole second, since a double resolves Unix time
+    to 0.2 microseconds only."""
 
     @property
     def robot(self) -> Robot:
-        """What is known of the robot, for an estimator: ``Localizer(home, **settings.robot)``."""
+        """Keyword arguments of an estimator: ``Localizer(home, **settings.robot)``."""
         return {
             "sensor": self.sensor,
             "home_sensor": self.home_sensor,
@@ -174,64 +164,64 @@ class DriveSettings(Strict):
 
     @property
     def home_mount(self) -> Mount:
-        """The camera's place on the robot when home was stored."""
+        """Camera extrinsics when home was stored."""
         return self.sensor if self.home_sensor is None else self.home_sensor
 
 
 class SurveyedLandmark(Strict):
-    """Where a landmark was surveyed."""
+    """Surveyed position of a landmark."""
 
     x: Surveyed
     """[m]"""
     y: Surveyed
     """[m]"""
     sigma: Sigma | None = None
-    """Standard deviation of each of the two [m]; None: as of all."""
+    """Standard deviation of each coordinate [m]; None: `KnownLandmarks.sigma`."""
     stays: Annotated[float, Field(gt=0, lt=1)] | None = None
-    """Probability that it still stands there; None: as the estimator's settings say."""
+    """Probability that it is still in place; None: as the estimator's settings specify."""
 
 
 class KnownDistance(Strict):
-    """How far two landmarks are apart."""
+    """Measured distance of two landmarks."""
 
     between: Annotated[tuple[str, ...], Field(min_length=2, max_length=2)]
     """Their ids."""
     distance: Annotated[float, Field(gt=0, le=1e7)]
     """[m]"""
     sigma: Sigma | None = None
-    """Its standard deviation [m]; None: as of all."""
+    """Its standard deviation [m]; None: `KnownLandmarks.sigma`."""
 
 
 class KnownLandmarks(Strict):
-    """Everything that landmarks.yaml may say: a survey of landmarks, and distances of pairs."""
+    """The keys of landmarks.yaml: surveyed landmarks, and distances of pairs."""
 
     frame: Literal["own", "home"] = "own"
-    """Of the survey: home's, or one of its own, whose place in the map is found."""
+    """Frame of the survey: the home frame, or its own, whose pose in the map is estimated."""
     sigma: Sigma = 0.02
-    """Standard deviation of coordinates and distances that come without one [m]."""
+    """Standard deviation of coordinates and distances without their own [m]."""
     landmarks: dict[str, SurveyedLandmark] = {}
-    """The surveyed ones, by id."""
+    """Surveyed landmarks by id."""
     distances: tuple[KnownDistance, ...] = ()
-    """Of pairs."""
+    """Distances of pairs."""
     _joint: np.ndarray | None = PrivateAttr(None)
 
     @classmethod
     def remembered(
         cls, landmarks: dict[str, SurveyedLandmark], covariance: np.ndarray
     ) -> KnownLandmarks:
-        """Return landmarks in the home frame, given the covariance of x, y, x, y, ... [m^2]."""
+        """Return landmarks in the home frame, with the covariance of x, y, x, y, ... [m^2]."""
         known = cls(frame="home", landmarks=landmarks)
         known._joint = covariance
         return known
 
     @property
     def names(self) -> set[str]:
-        """Ids of all landmarks of which something is told."""
+        """Ids of all landmarks with a position or distance."""
         return {*self.landmarks, *(name for d in self.distances for name in d.between)}
 
     @property
     def joint_covariance(self) -> np.ndarray:
-        """(2 k, 2 k): of the coordinates of the landmarks, in order [m^2]."""
+        """(2 k, 2 k): covariance of the coordinates of the landmarks, in order [m^2]."""
         if self._joint is not None:
             return self._joint
         sigmas = [s.sigma or self.sigma for s in self.landmarks.values()]
@@ -240,47 +230,49 @@ class KnownLandmarks(Strict):
     @model_validator(mode="after")
     def _check(self) -> Self:
         if any(a == b for a, b in (d.between for d in self.distances)):
-            raise ValueError("a distance is between two landmarks, not one")
+            raise ValueError("a distance needs two different landmarks")
         if len(self.landmarks) == 1 and self.frame == "own":
-            raise ValueError("one landmark in a frame of its own tells nothing: survey two")
+            raise ValueError(
+                "one surveyed landmark in its own frame gives no information: survey at least two"
+            )
         return self
 
     @property
     def surveyed_from_home(self) -> bool:
-        """Whether landmarks were surveyed in home's frame."""
+        """Whether landmarks were surveyed in the home frame."""
         return self.frame == "home" and bool(self.landmarks)
 
     @property
     def is_given(self) -> bool:
-        """Whether anything is known."""
+        """Whether any landmark or distance is known."""
         return bool(self.landmarks or self.distances)
 
 
 class OdometryDefaults(Strict):
-    """Errors of an odometry of which nothing is known: a wheeled robot's, uncalibrated."""
+    """Default odometry errors: those of an uncalibrated wheeled robot."""
 
     distance: Positive = 0.05
     """Diffusion along the path, and sideways to a third of it, in a room [m per root of a metre];
     times the root of k among landmarks at k times the distance, if nearer."""
     turn_by_turning: Positive = 0.05
-    """Diffusion of the heading by turning [rad per root of a radian]."""
+    """Diffusion of the heading from rotation [rad per root of a radian]."""
     turn_by_driving: Positive = 0.03
-    """Diffusion of the heading by driving [rad per root of a metre]."""
+    """Diffusion of the heading from translation [rad per root of a metre]."""
     turn_scale: Positive = 0.05
-    """Constant relative error of the turn rate [1]."""
+    """Constant relative error of the yaw rate [1]."""
     turn_bias: Positive = 0.003
-    """Constant error of the turn rate while the robot moves [rad/s]."""
+    """Constant error of the yaw rate while the robot moves [rad/s]."""
     turn_slip: Positive = 0.05
-    """Speed lost in bends, per turn rate [m]; none when the drive tells its speed scale."""
+    """Speed loss in bends, per yaw rate [m]; 0 when the drive specifies `speed_scale_sigma`."""
     speed_scale: Positive = 0.03
-    """Constant relative error of the speed [1]; bearings cannot tell it, so it is only carried."""
+    """Constant relative error of the speed [1]; not observable from bearings."""
 
 
 def noise_rates(given: OdometryNoise, default: OdometryDefaults) -> np.ndarray:
-    """Return how fast white noise grows, (3, 3): as specified, or in proportion to the motion.
+    """Return the growth rates of white noise, (3, 3): as specified, or in proportion to the motion.
 
     Rows: variances along [m^2/s], across [m^2/s] and of the heading [rad^2/s]. Columns: constant,
-    in proportion to the speed [m/s], and to the turn rate [rad/s].
+    in proportion to the speed [m/s], and to the yaw rate [rad/s].
     """
     rates = np.zeros((3, 3))
     if given.speed_sigma is None:

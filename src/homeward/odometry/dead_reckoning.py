@@ -24,7 +24,7 @@ class RecordedTwists(Protocol):
 
     @property
     def omega(self) -> np.ndarray:
-        """Turn rates, (n,) [rad/s]."""
+        """Yaw rates, (n,) [rad/s]."""
 
     @property
     def bridged(self) -> Self:

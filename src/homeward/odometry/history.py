@@ -17,7 +17,7 @@ from homeward.odometry.validity import TwistValidity
 STEADY_S = 0.5
 """Averaging time of the speed: long enough against noise, shorter than changes of speed [s]."""
 MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
-"""Minimum mean speed [m/s] and turn rate [rad/s] over `STEADY_S` of a moving robot: several times
+"""Minimum mean speed [m/s] and yaw rate [rad/s] over `STEADY_S` of a moving robot: several times
 the jitter and bias at standstill; in a second, a slower robot moves less than the uncertainty of a
 pose."""
 MEAN_S = 0.07
@@ -61,7 +61,7 @@ class Stretch(NamedTuple):
     steady_speed: float
     """Mean speed just before its end [m/s]."""
     ends: tuple[tuple[float, float], tuple[float, float]]
-    """Mean speed [m/s] and turn rate [rad/s] just before its beginning and its end."""
+    """Mean speed [m/s] and yaw rate [rad/s] just before its beginning and its end."""
 
 
 class OdometrySample(NamedTuple):
@@ -228,7 +228,7 @@ class TwistHistory:
         return fast or abs(heading - before) > MOVING_TURN_RATE * STEADY_S
 
     def mean(self, t: float, over: float = MEAN_S) -> tuple[float, float]:
-        """Return the mean speed [m/s] and turn rate [rad/s] in the last `over` [s] before `t` [s].
+        """Return the mean speed [m/s] and yaw rate [rad/s] in the last `over` [s] before `t` [s].
 
         Only time after the first twist counts. Before that, the first twist is the mean.
         """

@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS
-from homeward.drives.ros.measurements.extrinsics import Transforms, mount, not_tied
+from homeward.drives.ros.measurements.extrinsics import Transforms, mount, not_connected
 from homeward.drives.ros.settings import PICTURES, BearingsTopic, MountFrames
 from homeward.errors import InputError
 from homeward.io.settings import validated
@@ -152,4 +152,4 @@ class MessageCamera:
         """Refuse bearings (`InputError`) as long as nothing says where the camera sits."""
         if self._awaited is not None:
             mount(self._transforms, self._awaited, self.kind, self._topic)
-            raise InputError(f"bearings are left out: {not_tied(self._awaited)} yet")
+            raise InputError(f"bearings are left out: {not_connected(self._awaited)} yet")

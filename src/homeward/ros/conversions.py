@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.bearings import Eye, SightingRows
+from homeward.drives.ros.measurements.bearings import SightingRows, TagDetector
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.messages.stamps import NANO, seconds
@@ -80,7 +80,7 @@ def bearings_in(
     kind: str,
     told: BearingsTopic,
     camera: Lens | None,
-    eye: Eye | None = None,
+    eye: TagDetector | None = None,
 ) -> msg.BearingsIn:
     """Return the bearings in a message of any type of `READERS`, as those in logs are read.
 

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, TypeAdapter
 
-from homeward.drives.settings import Late
+from homeward.drives.settings import Delay
 from homeward.io.keys import Strict
 from homeward.io.validation_messages import message
 from homeward.lab.simulation.scenario import Scenario
@@ -128,7 +128,7 @@ class Adjust(Strict):
     x: Bounded = 0.0
     y: Bounded = 0.0
     yaw: Bounded = 0.0
-    bearings_late: Late = 0.0
+    bearings_late: Delay = 0.0
     bearing_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
     moved: tuple[str, ...] = ()
     stroke: int = 0

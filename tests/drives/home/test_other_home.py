@@ -30,23 +30,23 @@ def test_truth_is_seen_from_the_home_that_was_chosen_and_no_prior_is_left(turned
     home = Pose(before.x[0], before.y[0], before.heading[0])
     there = between(home, Pose(before.x[-1], before.y[-1], before.heading[-1]))
     assert [after.x[-1], after.y[-1]] == pytest.approx(there[:2], abs=1e-9)
-    assert any("start prior of a home" in line for line in chosen.remark_lines)
+    assert any("start prior relative to another home" in line for line in chosen.remark_lines)
 
 
 def test_without_truth_of_that_time_there_is_none(turned):
     late = turned.truth.rows(turned.truth.t > 5.0)
     chosen = with_home(dataclasses.replace(turned, truth=late), WHEN)
     assert chosen.truth is None
-    assert any("truth of a home" in line for line in chosen.remark_lines)
+    assert any("ground truth relative to another home" in line for line in chosen.remark_lines)
 
 
 @pytest.mark.parametrize("when", [WHEN, HomeWhen(during=(0.0, 1.0))])
 def test_what_contradicts_it_is_refused(turned, when):
     camera = turned.settings.model_copy(update={"home_sensor": Mount(x=0.5, y=0.0, yaw=1.0)})
-    with pytest.raises(InputError, match="by its own camera"):
+    with pytest.raises(InputError, match="the drive's own camera"):
         with_home(dataclasses.replace(turned, settings=camera), when)
     places = {"L01": {"x": 1.0, "y": 2.0}, "L02": {"x": -1.0, "y": 2.0}, "L03": {"x": 1.0, "y": -2}}
     known = validated(KnownLandmarks, {"sigma": 0.01, "frame": "home", "landmarks": places})
     assert known.surveyed_from_home
-    with pytest.raises(InputError, match="surveyed from home"):
+    with pytest.raises(InputError, match="already defines home"):
         with_home(dataclasses.replace(turned, known=known), when)

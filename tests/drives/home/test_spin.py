@@ -104,14 +104,12 @@ def test_half_a_turn_tells_what_it_saw():
     drive = Drive("half", odometry, sightings, {}, DriveSettings())
     home = with_home(drive, HomeWhen(spin=ALL))
     assert set(home.home) == set(sightings.landmark)
-    assert any(
-        "not all round" in line and 230 <= int(line[:3]) <= 240 for line in home.remark_lines
-    )
+    assert any("not 360" in line and 230 <= int(line[:3]) <= 240 for line in home.remark_lines)
     whole = with_home(
         dataclasses.replace(drive, odometry=turned(2)[0], sightings=turned(2)[1]),
         HomeWhen(spin=ALL),
     )
-    assert not any("not all round" in line for line in whole.remark_lines)
+    assert not any("not 360" in line for line in whole.remark_lines)
 
 
 def test_a_landmark_that_is_there_twice_is_left_out_and_named():
@@ -169,13 +167,11 @@ def refused(words, odometry=None, sightings=None, interval=ALL, settings=None):
 def test_what_is_no_turn_at_home_is_refused():
     odometry, sightings, _ = turned(0)
     t, v, omega = odometry.t, odometry.v, odometry.omega
-    refused("nothing was seen", interval=(500.0, 510.0))
+    refused("no sightings", interval=(500.0, 510.0))
     refused("disagree", Odometry(t, v, -omega))
     refused("not turn on the spot", Odometry(t, v + 0.4, omega))
     refused("finite", Odometry(t, v, np.where(t > 3.0, np.nan, omega)))
     refused("a gap of", odometry.rows((t < 4.0) | (t > 6.0)))
-    refused("nothing was seen", sightings=sightings.rows(sightings.t < 0.0))
-    refused(
-        "nothing was seen", sightings=dataclasses.replace(sightings, bearing=np.nan * sightings.t)
-    )
+    refused("no sightings", sightings=sightings.rows(sightings.t < 0.0))
+    refused("no sightings", sightings=dataclasses.replace(sightings, bearing=np.nan * sightings.t))
     refused("home_sensor", settings=DriveSettings(home_sensor=Mount(x=0.1)))

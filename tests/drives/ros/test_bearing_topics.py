@@ -60,7 +60,7 @@ def test_pose_arrays_number_their_landmarks(made):
     drive = made(lambda log: log.write("/poses", t, pose_array(log, t, "base_link", places)))
     assert drive.sightings.landmark.tolist() == ["0", "2"]
     assert drive.sightings.bearing.tolist() == pytest.approx([math.pi / 4, math.pi])
-    with pytest.raises(InputError, match="does not move with the robot"):
+    with pytest.raises(InputError, match="in the fixed frame"):
         made(lambda log: log.write("/poses", t, pose_array(log, t, "map", places)))
 
 
@@ -167,7 +167,7 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
     drive = made(fill)
     assert drive.sightings.landmark.tolist() == ["chair 1", "door"]
     assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
-    assert drive.remarks == {"sightings without an id": 1}
+    assert drive.remarks == {"sightings without an id, left out": 1}
 
 
 @pytest.mark.parametrize(

@@ -22,9 +22,9 @@ def test_home_is_what_was_seen_while_standing_there(made):
     drive = made(standing_then_driving, "home: {during: [0.0, 1.95]}\n", odometry_too=False)
     assert drive.home["b"].bearing == pytest.approx(0.5)
     assert abs(drive.home["a"].bearing) == pytest.approx(math.pi - 0.001)
-    with pytest.raises(InputError, match="does not stand"):
+    with pytest.raises(InputError, match="the robot moves at home"):
         made(standing_then_driving, "home: {during: [1.0, 3.5]}\n", odometry_too=False)
-    with pytest.raises(InputError, match="nothing was seen"):
+    with pytest.raises(InputError, match="no sightings"):
         made(standing_then_driving, "home: {during: [50.0, 60.0]}\n", odometry_too=False)
 
 
@@ -92,8 +92,8 @@ def test_clocks_that_cannot_be_are_refused_with_what_helps(made, tmp_path):
 
     for fill, words in (
         (other_clock, "different clocks"),
-        (unset, "no times"),
-        (set_back, "runs back"),
+        (unset, "no stamps"),
+        (set_back, "runs backwards"),
     ):
         with pytest.raises(InputError, match=words) as caught:
             made(fill)
@@ -125,8 +125,8 @@ def test_several_equal_topics_must_be_named(made):
 @pytest.mark.parametrize(
     ("topics", "words"),
     [
-        ("odometry: {topic: /none}\n", "there are: /odom"),
-        ("bearings: {topic: /odom}\n", "tells no bearings"),
+        ("odometry: {topic: /none}\n", "the log has: /odom"),
+        ("bearings: {topic: /odom}\n", "contains no bearings"),
         ("odometry: {topic: /odom, use: scent}\n", "odometry.use"),
         ("home: {}\n", "one of during, spin, topic, csv"),
         ("home: {during: [3, 1]}\n", "from, until"),

@@ -80,16 +80,18 @@ def test_info_and_run_agree_on_a_log_without_definitions(tmp_path):
     drive = open_drive(path, topics=topics)
     assert drive.sightings.landmark.tolist() == ["3"] * 5
     assert drive.sightings.bearing == pytest.approx([-np.pi / 4] * 5)
-    assert "/detections can tell bearings." in log_info(path).remarks
+    assert "/detections can be used as bearings." in log_info(path).remarks
     with sqlite3.connect(path) as database:
         kind = "fiducial_msgs/msg/FiducialTransformArray"
         database.execute("UPDATE topics SET type = ? WHERE name = '/detections'", (kind,))
     database.close()
-    with pytest.raises(InputError, match="the log does not say what a") as refused:
+    with pytest.raises(InputError, match="the log contains no definition") as refused:
         open_drive(path, topics=topics)
     assert f"{refused.value.what}." in log_info(path).remarks
-    assert log_info(path, topics).remarks[-1] == f"homeward run refuses it: {refused.value.what}."
-    assert not any("/detections can tell" in line for line in log_info(path).remarks)
+    assert (
+        log_info(path, topics).remarks[-1] == f"homeward run cannot use it: {refused.value.what}."
+    )
+    assert not any("/detections can be used" in line for line in log_info(path).remarks)
 
 
 def test_messages_compressed_one_by_one(tmp_path):

@@ -151,7 +151,7 @@ def test_poses_are_used_where_the_twist_is_in_the_odom_frame_unless_the_user_cho
     by_twist = made(write_rows(wrong), "odometry: {topic: /odom, use: twist}\n", odometry_too=False)
     assert by_twist.odometry.v == pytest.approx(wrong[:, 1])
     (reason,) = (reason for reason in by_twist.remarks if "contradict" in reason)
-    assert "the twists are used (as the topics file requires" in reason
+    assert "the twists are used (as specified in the topics file" in reason
 
 
 def test_use_pose_differentiates_the_poses_of_odometry(made):

@@ -76,7 +76,7 @@ def test_wheels(made, by):
     assert drive.odometry.omega[:-1] == pytest.approx(1.25)
     swapped = made(fill, told + ", left: [right_wheel], right: [left_wheel]}\n", odometry_too=False)
     assert swapped.odometry.omega[:-1] == pytest.approx(-1.25)
-    with pytest.raises(InputError, match="no message tells odometry"):
+    with pytest.raises(InputError, match="no message contains odometry"):
         made(fill, told + ", left: [paddle], right: [oar]}\n", odometry_too=False)
     with pytest.raises(InputError, match="wheel_radius"):
         made(fill, "odometry: {topic: /joints}\n", odometry_too=False)

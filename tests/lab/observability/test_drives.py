@@ -93,7 +93,7 @@ def test_a_drive_without_sightings_or_home_bearings(circle):
     none = Sightings(
         *(getattr(circle.drive.sightings, k)[:0] for k in ("t", "landmark")), *(np.zeros(0),) * 2
     )
-    with pytest.raises(InputError, match="nothing was seen"):
+    with pytest.raises(InputError, match="no sightings"):
         observe_drive(replace(circle.drive, sightings=none))
     view = observe_drive(replace(circle.drive, home={}), window=30.0)
     assert np.isinf(view.whole.position_sigma)

@@ -68,7 +68,7 @@ def import_(
         raise InputError(
             "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
-    from homeward.drives.importers.reading import about_home, drive_of, understand
+    from homeward.drives.importers.reading import drive_of, home_warnings, understand
     from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png
     from homeward.runs.report.imported import draw_drive
@@ -76,14 +76,14 @@ def import_(
     found = understand(files, columns or ())
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
-        (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.how, u.range)
+        (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.source, u.range)
         for u in found
     ]
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     drive = drive_of(found, "import" if out is None else out.name, shared.spin_span(home_spin))
     write_whole(picture, png(draw_drive(drive)))
-    remarks = [*drive.remark_lines, *about_home(drive)]
+    remarks = [*drive.remark_lines, *home_warnings(drive)]
     if json:
         if out is not None:
             save_drive(drive, out)

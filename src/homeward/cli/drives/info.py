@@ -84,7 +84,7 @@ def _row(topic: Topic) -> tuple[str, ...]:
     offset = "" if clock is None else f"{clock.median:.4f} s"
     if clock is not None and clock.jumps:
         offset += f", {clock.jumps} jumps"
-    if topic.header is not None and not topic.stamped and topic.count:
+    if topic.header is not None and not topic.is_stamped and topic.count:
         offset = "headers without stamps"
     return (
         topic.name,

@@ -1,1 +1,1 @@
-"""Camera models: which direction each pixel looks in, and how surely."""
+"""Camera models: directions of pixels, with their uncertainty, and calibration files."""

@@ -1,4 +1,4 @@
-"""Calibrations of cameras: ROS camera_info files and messages, Kalibr, or the keys of `Lens`."""
+"""Camera calibrations: ROS camera_info files and messages, Kalibr, or the keys of `Lens`."""
 
 from __future__ import annotations
 
@@ -13,22 +13,21 @@ from homeward.io.settings import read_tree, validated
 from homeward.io.table import quoted
 
 SUFFIXES = (".yaml", ".yml")
-NOT_KNOWN = (
-    "no calibration that is known: a camera_info of ROS (camera_matrix, distortion_model), a "
-    "camchain of Kalibr (cam0: intrinsics, distortion_model), or fx, fy, cx, cy"
+UNKNOWN = (
+    "not a known calibration; use a camera_info of ROS (camera_matrix, distortion_model), a "
+    "camchain of Kalibr (cam0: intrinsics, distortion_model), or the keys fx, fy, cx, cy"
 )
 
 
 def is_calibration(name: str) -> bool:
-    """Whether a name is that of a file, and perhaps of a camera in it: ``FILE.yaml#cam1``."""
+    """Whether a name is that of a YAML file, or of a camera in one: ``FILE.yaml#cam1``."""
     return name.partition("#")[0].lower().endswith(SUFFIXES)
 
 
 def read_calibration(folder: Path, name: str) -> Lens:
     """Read a camera from ``FILE.yaml`` in a folder, or one of several from ``FILE.yaml#cam1``.
 
-    `InputError` where the file is no calibration, has several cameras and none was named, or
-    numbers that no camera has.
+    `InputError` for an unknown format, an ambiguous camera, or invalid numbers.
     """
     file, _, camera = name.partition("#")
     path = folder / file
@@ -36,28 +35,30 @@ def read_calibration(folder: Path, name: str) -> Lens:
     try:
         return validated(Lens, _values(tree, camera, path), path)
     except (TypeError, ValueError, KeyError, IndexError, AttributeError):
-        raise InputError(NOT_KNOWN, path) from None
+        raise InputError(UNKNOWN, path) from None
 
 
 def _values(tree: dict[str, Any], camera: str, path: Path) -> dict[str, Any]:
     """Return the keys of a `Lens` from those of any calibration."""
     if "camera_matrix" in tree:
         size = {"width": tree.get("image_width"), "height": tree.get("image_height")}
-        told = tree["distortion_coefficients"]["data"]
-        return ros_values(tree["camera_matrix"]["data"], told, tree["distortion_model"]) | size
+        d = tree["distortion_coefficients"]["data"]
+        return ros_values(tree["camera_matrix"]["data"], d, tree["distortion_model"]) | size
     cameras = {k: v for k, v in tree.items() if isinstance(v, dict) and "intrinsics" in v}
     if not cameras:
         if "fx" not in tree:
-            raise InputError(NOT_KNOWN, path)
+            raise InputError(UNKNOWN, path)
         return tree
     if camera not in cameras and (camera or len(cameras) > 1):
         names = ", ".join(quoted(str(name)) for name in cameras)
-        raise InputError(f"holds {names}: name one, as in {path.name}#cam0", path)
+        raise InputError(
+            f"contains several cameras, {names}; name one, as in {path.name}#cam0", path
+        )
     return _of_kalibr(cameras.get(camera) or next(iter(cameras.values())), path)
 
 
 def ros_values(k: Any, d: Any, model: str) -> dict[str, Any]:
-    """Return the keys of a `Lens` from what a CameraInfo tells: K (9,), D and its model."""
+    """Return the keys of a `Lens` from a CameraInfo: K (9,), D and the distortion model."""
     # Cameras without distortion are published without a model.
     return {
         **dict(zip(("fx", "fy", "cx", "cy"), (k[0], k[4], k[2], k[5]), strict=True)),
@@ -69,7 +70,10 @@ def ros_values(k: Any, d: Any, model: str) -> dict[str, Any]:
 def _of_kalibr(camera: dict[str, Any], path: Path) -> dict[str, Any]:
     kind, model = camera.get("camera_model"), camera.get("distortion_model")
     if kind != "pinhole" or len(camera["intrinsics"]) != 4:
-        raise InputError(f"a camera of the model {quoted(str(kind))}, which is not known", path)
+        raise InputError(
+            f"camera_model {quoted(str(kind))} is not supported; use pinhole with 4 intrinsics",
+            path,
+        )
     width, height = camera.get("resolution", (None, None))
     return {
         **dict(zip(("fx", "fy", "cx", "cy"), camera["intrinsics"], strict=True)),
@@ -81,28 +85,28 @@ def _of_kalibr(camera: dict[str, Any], path: Path) -> dict[str, Any]:
 
 
 class CameraRows:
-    """The CameraInfo of a topic, of which the first counts."""
+    """The first CameraInfo of a topic."""
 
     def __init__(self, topic: str, rectified: bool) -> None:
         self._topic, self._rectified = topic, rectified
         self._first: Any = None
 
     def add(self, _: float, message: Any) -> None:
-        """Take a message."""
+        """Add a message."""
         if self._first is None:
             self._first = message
 
     def model(self) -> Lens | None:
-        """Return the camera model; None without a message, `InputError` where it is unknown."""
+        """Return the camera model; None without a message, `InputError` for an unknown model."""
         try:
             return None if self._first is None else from_camera_info(self._first, self._rectified)
         except (ValueError, IndexError, AttributeError):
-            reason = f"{self._topic}: not the model of a calibrated camera that is known here"
-            raise InputError(reason) from None
+            problem = f"{self._topic}: the camera is not calibrated, or its model is unknown"
+            raise InputError(problem) from None
 
 
 def from_camera_info(message: Any, rectified: bool) -> Lens:
-    """Return the model of a CameraInfo message; in rectified images it has no distortion.
+    """Return the model of a CameraInfo message; without distortion for rectified images.
 
     `ValueError` where the camera is not calibrated, or of another model.
     """

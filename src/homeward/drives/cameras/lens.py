@@ -8,7 +8,8 @@ y = Y/Z:
 - equidistant (Kannala and Brandt, "A generic camera model and calibration method", PAMI 2006): the
   angle a from the axis is drawn at the radius a (1 + k1 a^2 + k2 a^4 + k3 a^6 + k4 a^8).
 
-A polynomial folds over at some radius: beyond it pixels have no ray, and rays no pixel.
+A distortion polynomial is monotonic up to some radius; beyond it pixels have no ray, and rays no
+pixel.
 """
 
 from __future__ import annotations
@@ -26,51 +27,52 @@ from homeward.drives.settings import Finite, Positive
 from homeward.errors import InputError
 
 ITERATIONS = 60
-"""Of a bisection down to the last bit of a double, and more than Newton's method ever needs."""
-ENOUGH = 1e-13
-"""Newton's method ends with steps so small, in focal lengths."""
-CLOSE = 1e-9
-"""A ray is found when it falls so near its pixel, in focal lengths."""
-SAME = {
+"""Iterations of a bisection to double precision; Newton's method needs fewer."""
+MIN_STEP = 1e-13
+"""Step at which Newton's method ends [focal lengths]."""
+MAX_ERROR = 1e-9
+"""Maximum error of a ray in the image [focal lengths]."""
+SYNONYMS = {
     "pinhole": "plumb_bob",
     "radtan": "plumb_bob",
     "rational": "rational_polynomial",
     "fisheye": "equidistant",
     "kannala_brandt": "equidistant",
 }
-"""Other names of the models, in OpenCV, Kalibr and elsewhere."""
+"""Other names of the models, as in OpenCV and Kalibr."""
 COEFFICIENTS = {"plumb_bob": (0, 4, 5), "rational_polynomial": (0, 8), "equidistant": (0, 4)}
-"""How many of them each model may have."""
+"""Valid numbers of coefficients by model."""
 Pixels = Annotated[int, Field(ge=1, le=100_000)]
 
 
 class Lens(Camera):
-    """A calibrated camera whose axis is the optical one."""
+    """A calibrated camera; its axis is the optical axis."""
 
     fx: Positive
-    """Focal length along the rows [px]."""
+    """Horizontal focal length [px]."""
     fy: Positive
-    """And along the columns [px]."""
+    """Vertical focal length [px]."""
     cx: Finite
-    """Where the axis meets the image, along the rows [px]."""
+    """Column of the principal point [px]."""
     cy: Finite
-    """And along the columns [px]."""
+    """Row of the principal point [px]."""
     model: Literal["plumb_bob", "rational_polynomial", "equidistant"] = "plumb_bob"
     distortion: tuple[Finite, ...] = ()
     """k1, k2, p1, p2, k3 (then k4, k5, k6); k1 to k4 of the equidistant model."""
     width: Pixels | None = None
-    """Of the images that were calibrated [px]."""
+    """Width of the calibrated images [px]."""
     height: Pixels | None = None
+    """Height of the calibrated images [px]."""
 
     @model_validator(mode="before")
     @classmethod
-    def _one_name(cls, tree: Any) -> Any:
+    def _resolve_synonym(cls, tree: Any) -> Any:
         if isinstance(tree, dict) and isinstance(model := tree.get("model"), str):
-            return {**tree, "model": SAME.get(model, model)}
+            return {**tree, "model": SYNONYMS.get(model, model)}
         return tree
 
     @model_validator(mode="after")
-    def _possible(self) -> Lens:
+    def _check(self) -> Lens:
         count, k = len(self.distortion), self.distortion
         while k and k[-1] == 0.0 and len(k) not in COEFFICIENTS[self.model]:
             k = k[:-1]
@@ -79,18 +81,20 @@ class Lens(Camera):
             raise ValueError(f"distortion: {self.model} has {several} coefficients, not {count}")
         for name, centre, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
             if size is not None and not 0 <= centre <= size:
-                raise ValueError(f"{name}: {centre:g} lies outside the image, 0 to {size}")
+                raise ValueError(f"{name}: {centre:g} is outside the image, 0 to {size}")
         if self._reach < 0.05:
-            raise ValueError("distortion: the lens folds over within 3 deg of its axis")
+            raise ValueError(
+                "distortion: invalid beyond 3 deg from the axis; check the coefficients"
+            )
         return self
 
     def require_shape(self, shape: tuple[int, int]) -> None:
-        """Raise InputError when images of (height, width) [px] are not those calibrated."""
+        """Raise InputError when images of (height, width) [px] differ from the calibrated ones."""
         known = self.height or shape[0], self.width or shape[1]
         if known != shape:
             raise InputError(
                 f"{shape[1]}x{shape[0]} pixels, but the camera is calibrated for "
-                f"{known[1]}x{known[0]}"
+                f"{known[1]}x{known[0]}; calibrate it for this resolution"
             )
 
     def directions(
@@ -131,7 +135,7 @@ class Lens(Camera):
 
     @cached_property
     def _reach(self) -> float:
-        """How far out the lens does not fold over yet: radius in focal lengths, or angle [rad]."""
+        """Limit of the monotonic distortion: radius [focal lengths], or angle [rad]."""
         if self.model == "equidistant":
             slope = Polynomial([1, *(np.array([3, 5, 7, 9]) * self._k[:4])])
             return min(math.pi, math.sqrt(_first_root(slope)))
@@ -142,13 +146,13 @@ class Lens(Camera):
         return math.sqrt(min(_first_root(slope), _first_root(low)))
 
     def _radius(self, angle: np.ndarray) -> np.ndarray:
-        """Return at which radius [focal lengths] a fisheye draws angles [rad]."""
+        """Return the image radius [focal lengths] of angles from a fisheye's axis [rad]."""
         k, square = self._k, angle * angle
         higher = k[0] + square * (k[1] + square * (k[2] + square * k[3]))
         return np.asarray(angle * (1 + square * higher))
 
     def _off_axis(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rays of a fisheye: the radius grows with the angle, which is bisected."""
+        """Return rays of a fisheye, by bisection of the angle that gives the radius."""
         radius = np.hypot(x, y)
         low, high = np.zeros_like(radius), np.full_like(radius, self._reach)
         if not any(self._k):
@@ -157,25 +161,25 @@ class Lens(Camera):
             middle = (low + high) / 2
             beyond = self._radius(middle) > radius
             low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
-        angle = np.where(radius <= self._radius(np.array(self._reach)) + CLOSE, low, np.nan)
+        angle = np.where(radius <= self._radius(np.array(self._reach)) + MAX_ERROR, low, np.nan)
         scale = np.divide(np.sin(angle), radius, out=np.ones_like(radius), where=radius > 0)
         return x * scale, y * scale, np.cos(angle)
 
     def _distorted(
         self, x: np.ndarray, y: np.ndarray
     ) -> tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Return where the lens draws x and y, and its derivatives: dx/dx, dx/dy = dy/dx, dy/dy."""
+        """Return distorted x and y, and their derivatives: dx/dx, dx/dy = dy/dx, dy/dy."""
         k1, k2, p1, p2, k3, k4, k5, k6 = self._k
         r2 = x * x + y * y
         up, low = 1 + r2 * (k1 + r2 * (k2 + r2 * k3)), 1 + r2 * (k4 + r2 * (k5 + r2 * k6))
         radial = up / low
         up_slope, low_slope = k1 + r2 * (2 * k2 + r2 * 3 * k3), k4 + r2 * (2 * k5 + r2 * 3 * k6)
         slope = 2 * (up_slope - radial * low_slope) / low
-        drawn = (
+        distorted = (
             x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
             y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
-        return drawn, (
+        return distorted, (
             radial + x * x * slope + 2 * p1 * y + 6 * p2 * x,
             x * y * slope + 2 * p1 * x + 2 * p2 * y,
             radial + y * y * slope + 6 * p1 * y + 2 * p2 * x,
@@ -184,7 +188,7 @@ class Lens(Camera):
     def _straight(
         self, xd: np.ndarray, yd: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return rays of a pinhole, its distortion undone by Newton's method within its reach."""
+        """Return rays of a pinhole camera, undistorted by Newton's method within `_reach`."""
         if not any(self._k):
             return xd, yd, np.ones_like(xd)
         x, y = self._within(xd, yd)
@@ -196,11 +200,11 @@ class Lens(Camera):
                     (d * (xd - u) - b * (yd - v)) / det,
                     (a * (yd - v) - b * (xd - u)) / det,
                 )
-                if not np.nanmax(np.abs(right) + np.abs(down), initial=0.0) > ENOUGH:
+                if not np.nanmax(np.abs(right) + np.abs(down), initial=0.0) > MIN_STEP:
                     break
                 x, y = self._within(x + right, y + down)
             (u, v), _ = self._distorted(x, y)
-            found = np.hypot(u - xd, v - yd) < CLOSE
+            found = np.hypot(u - xd, v - yd) < MAX_ERROR
         return np.where(found, x, np.nan), y, np.ones_like(x)
 
     def _within(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -210,7 +214,7 @@ class Lens(Camera):
 
 
 def _first_root(polynomial: Polynomial) -> float:
-    """Return the least positive real root; infinity where there is none."""
+    """Return the smallest positive real root; infinity without one."""
     roots = polynomial.trim().roots()
     real = roots[np.abs(roots.imag) < 1e-9 * (1 + np.abs(roots))].real
     return float(min(real[real > 0], default=math.inf))

@@ -1,1 +1,1 @@
-"""Home bearings out of a drive: what the camera saw while the robot stood, or turned, at home."""
+"""Home bearings from the sightings of a robot that is stationary or turns on the spot at home."""

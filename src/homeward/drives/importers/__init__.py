@@ -1,1 +1,1 @@
-"""Drives from CSV files of any columns, separators and units: guessed, told, and checked."""
+"""Import of drives from tables with any columns, separators and units."""

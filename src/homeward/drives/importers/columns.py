@@ -1,4 +1,4 @@
-"""What the columns of a table are: by their names, or as somebody says."""
+"""Roles and units of table columns, from their names or from the user."""
 
 from __future__ import annotations
 
@@ -57,12 +57,11 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "y": ("length", "y py ty pos.y position.y"),
     "heading": ("angle", "heading yaw theta orientation psi phi angle kurs"),
 }
-"""The quantity of each role, and the words for it, in English and German; a dot stands for whatever
-parts words."""
-_SOUGHT = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
-_SIZES = sorted({len(words) for sought in _SOUGHT.values() for words in sought})
+"""The quantity of each role, and English and German names for it; a dot matches any separator."""
+_NAMES = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
+_SIZES = sorted({len(words) for names in _NAMES.values() for words in names})
 AND = re.compile(r",(?=\s*\w+\s*=)")
-"""Parts what is told of two columns; other commas are of their names."""
+"""Separates the specifications of two columns; other commas belong to names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
@@ -72,59 +71,59 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "home": ("landmark", "bearing"),
     "truth": ("t", "x", "y", "heading"),
 }
-"""The roles that make each part of a drive."""
-NOTHING = (0, 0)
-"""How well a name fits a role that it does not fit."""
+"""The required roles of each table of a drive."""
+NO_MATCH = (0, 0)
+"""Score of a name that does not match a role."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a file, and what it is."""
+    """A column of a file with its role, unit and sign."""
 
     role: str
     name: str
-    """In the file."""
+    """Name in the file."""
     unit: str | None = None
-    """None: it does not say."""
+    """Unit that was specified; None: unknown."""
     sign: float = 1.0
-    told: bool = False
-    """Whether somebody said so, rather than its name."""
+    is_specified: bool = False
+    """Whether the user specified its role."""
     more: tuple[str, ...] = ()
-    """Columns that tell it together with this one: the nanoseconds of a time whose seconds it has;
-    z, x and y of a quaternion whose w it is."""
+    """Columns of the same quantity: the nanoseconds of a time in seconds; z, x and y of a
+    quaternion whose w it is."""
     file: str | None = None
-    """Name of the only file that it is specified for; None: any file with such a column."""
+    """Name of the file it was specified for; None: any file with such a column."""
 
     @property
     def quantity(self) -> str:
-        """What it measures: time, speed, rate, angle, length, or a name."""
+        """Time, speed, rate, angle, length, or name."""
         return ROLES[self.role][0]
 
     @property
     def si(self) -> str:
-        """The SI unit of that."""
+        """The SI unit of the quantity."""
         return next(iter(UNITS[self.quantity]))
 
 
 def specified_columns(texts: Sequence[str], there: Mapping[str, Collection[str]]) -> list[Column]:
-    """Return the columns of ``[FILE:]ROLE=NAME[UNIT]`` texts; a minus before NAME turns the sign.
+    """Return the columns of ``[FILE:]ROLE=NAME[UNIT]`` texts; a minus before NAME inverts the sign.
 
-    `there` has the names and numbers of columns by the name of their file. `InputError` where a
-    text has another form, role or unit are not known, or there is no column NAME.
+    `there` has the names and numbers of columns by file name. `InputError` for invalid syntax, an
+    unknown role or unit, or a missing column.
     """
-    return [column for text in texts for column in _told(text, there)]
+    return [column for text in texts for column in _specified(text, there)]
 
 
-def _told(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
-    """Yield the columns of one text, which may begin with the name of a file."""
+def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
+    """Yield the columns of one text, which may begin with a file name."""
     file, colon, rest = whole.partition(":")
     only = file.strip() if colon and file.strip() in there else None
     for text in (part.strip() for part in AND.split(whole if only is None else rest)):
         role, equals, name = (part.strip() for part in text.partition("="))
         if not equals or not name.lstrip("-"):
-            raise InputError(f"--columns {text}: must be ROLE=COLUMN[UNIT]")
+            raise InputError(f"--columns {text}: must have the form ROLE=COLUMN[UNIT]")
         if role not in ROLES:
-            raise InputError(f"--columns {text}: a column is one of {', '.join(ROLES)}")
+            raise InputError(f"--columns {text}: the role must be one of {', '.join(ROLES)}")
         known = [names for name, names in there.items() if only in (None, name)]
         units, sign = UNITS[ROLES[role][0]], -1.0 if name.startswith("-") else 1.0
         name = name.removeprefix("-")
@@ -134,57 +133,59 @@ def _told(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Column]:
             name, unit = bracketed[1], _unit(bracketed[2])
             if unit not in units:
                 raise InputError(
-                    f"--columns {text}: units of {role} are {', '.join(units) or 'none'}"
+                    f"--columns {text}: units of {role} are {', '.join(units) or 'not allowed'}"
                 )
         if not any(name in names for names in known):
             raise InputError(f"--columns {text}: no file has a column {name!r}")
-        yield Column(role, name, unit, sign, told=True, file=only)
+        yield Column(role, name, unit, sign, is_specified=True, file=only)
 
 
-def assigned(kind: str, names: Sequence[str], told: Sequence[Column]) -> dict[str, Column] | None:
-    """Return the columns of one kind of table by role; None where it lacks one.
+def assigned(
+    kind: str, names: Sequence[str], specified: Sequence[Column]
+) -> dict[str, Column] | None:
+    """Return the columns of one kind of table by role; None where a required role is missing.
 
-    `InputError` where two columns may have the same role.
+    `InputError` where two columns match the same role.
     """
     roles = [*KINDS[kind], *(["sigma"] if kind in ("bearings", "home") else [])]
-    found = {c.role: c for c in _together(names) if c.role in roles}
-    found |= {c.role: c for c in told if c.name in names and c.role in (*KINDS[kind], "sigma")}
-    taken = {column.name for column in told}
+    found = {c.role: c for c in _combined(names) if c.role in roles}
+    found |= {c.role: c for c in specified if c.name in names and c.role in (*KINDS[kind], "sigma")}
+    taken = {column.name for column in specified}
     taken |= {name for column in found.values() for name in (column.name, *column.more)}
-    doubts = []
+    ambiguous = []
     for role in (role for role in roles if role not in found):
         likeliest = _likeliest(role, [name for name in names if name not in taken])
         if not likeliest:
             continue
         if len(likeliest) > 1:
-            doubts.append((role, *likeliest[:2]))
+            ambiguous.append((role, *likeliest[:2]))
         found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
         taken.add(likeliest[0])
     if not set(KINDS[kind]) <= set(found):
         return None
-    for role, one, other in doubts:
-        raise InputError(f"{one!r} and {other!r} may both be {role}; say --columns '{role}={one}'")
+    for role, one, other in ambiguous:
+        raise InputError(f"{one!r} and {other!r} may both be {role}; use --columns '{role}={one}'")
     return found
 
 
-def times_in(names: Sequence[str], told: Sequence[Column]) -> Column | None:
-    """Return the column of times, if there is one, as `assigned` finds it."""
-    said = [c for c in (*told, *_together(names)) if c.role == "t" and c.name in names]
+def times_in(names: Sequence[str], specified: Sequence[Column]) -> Column | None:
+    """Return the column of times, as `assigned` finds it; None without one."""
+    known = [c for c in (*specified, *_combined(names)) if c.role == "t" and c.name in names]
     likeliest = _likeliest("t", names)
-    if said or not likeliest:
-        return said[0] if said else None
+    if known or not likeliest:
+        return known[0] if known else None
     return Column("t", likeliest[0], unit_in(likeliest[0], "time"))
 
 
 def _likeliest(role: str, names: Sequence[str]) -> list[str]:
-    """Return the names that fit a role best, if any does."""
-    fits = {name: _likeness(name, role) for name in names}
-    best = max(fits.values(), default=NOTHING)
-    return [] if best == NOTHING else [name for name, fit in fits.items() if fit == best]
+    """Return the names with the best match of a role; empty without a match."""
+    scores = {name: _score(name, role) for name in names}
+    best = max(scores.values(), default=NO_MATCH)
+    return [] if best == NO_MATCH else [name for name, score in scores.items() if score == best]
 
 
-def _together(names: Sequence[str]) -> Iterator[Column]:
-    """Yield what several columns tell together, as ROS writes it: a time, or a quaternion."""
+def _combined(names: Sequence[str]) -> Iterator[Column]:
+    """Yield times and quaternions in several columns, as ROS writes them."""
     by_words = {words_in(name): name for name in names}
     for words, name in by_words.items():
         *stem, last = words or ("",)
@@ -206,7 +207,7 @@ def _together(names: Sequence[str]) -> Iterator[Column]:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is a unit, perhaps in brackets."""
+    """Whether a text is a unit, with or without brackets."""
     plain = _unit(text.strip().strip("[]()<>"))
     return any(plain in units for units in UNITS.values())
 
@@ -219,7 +220,7 @@ def words_in(name: str) -> tuple[str, ...]:
 
 
 def unit_in(name: str, quantity: str) -> str | None:
-    """Return the unit that the name of a column says, as in ``speed [mm/s]`` or ``yaw_deg``."""
+    """Return the unit in the name of a column, as in ``speed [mm/s]`` or ``yaw_deg``."""
     bracketed = re.search(r"[\[(<]([^\])>]+)[\])>]\s*$", name)
     parts = re.split(r"[_\s.]+", name.strip())
     for text in [bracketed[1]] if bracketed else ("/".join(parts[-2:]), parts[-1]):
@@ -233,52 +234,52 @@ def _unit(text: str) -> str:
     return _SPELT.get(plain, _SPELT.get(text.strip().lower(), plain))
 
 
-def _likeness(name: str, role: str) -> tuple[int, int]:
-    """Return how well a name fits a role: how long its word for it is, and how little is left."""
+def _score(name: str, role: str) -> tuple[int, int]:
+    """Return the match of a name with a role: number of matching words, minus all its words."""
     words = words_in(name)
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
-    fit = max((len(span) for span in spans if span in _SOUGHT[role]), default=0)
-    return (fit, -len(words)) if fit else NOTHING
+    matching = max((len(span) for span in spans if span in _NAMES[role]), default=0)
+    return (matching, -len(words)) if matching else NO_MATCH
 
 
 BEARING_WORDS = frozenset(ROLES["bearing"][1].split())
 
 
 def landmark_columns(names: Sequence[str], ids: Collection[str]) -> dict[str, str]:
-    """Return the columns of landmarks, by id; none where it is no such table.
+    """Return the columns of landmarks by id; empty for a table of another layout.
 
-    The name of such a column is one of the known `ids`, or equals one except for its number, or has
-    a word for a bearing and something else, as ``bearing_L1``.
+    The name of such a column is one of the known `ids`, or equals one except for its number, or
+    contains a word for a bearing, as ``bearing_L1``.
     """
     shapes = {shape for shape in map(_shape, ids) if "#" in shape}
     found: dict[str, str] = {}
     for name in names:
         landmark, is_bearing = landmark_in(name)
-        called = landmark in ids or _shape(landmark) in shapes
-        if landmark and (is_bearing or called) and landmark not in found:
+        is_known = landmark in ids or _shape(landmark) in shapes
+        if landmark and (is_bearing or is_known) and landmark not in found:
             found[landmark] = name
     return found if len(found) > 1 else {}
 
 
 def unit_of(columns: Sequence[str]) -> str | None:
-    """Return the unit that names of columns say; None: they do not."""
+    """Return the unit in the names of columns; None without one."""
     units = {unit_in(name, "angle") for name in columns}
     if len(units) > 1:
-        told = ", ".join(sorted(map(str, units)))
-        raise InputError(f"columns of landmarks in several units: {told}")
+        several = ", ".join(sorted(map(str, units)))
+        raise InputError(f"columns of landmarks have different units: {several}; use one")
     return units.pop()
 
 
 def long(raw: Table, columns: dict[str, str], t: np.ndarray | None) -> Table:
-    """Return a table with a row for each sighting in a wide one, with its times `t` (n,) if any.
+    """Return a table with a row for each sighting of a wide one, with its times `t` (n,) if any.
 
-    `InputError` where two bearings are exactly 0 at once: zeros stand for landmarks not seen.
+    `InputError` where a row has two bearings of exactly 0, which mark landmarks out of view.
     """
     values = np.stack([raw[name] for name in columns.values()], axis=1)
     twice = np.flatnonzero((values == 0).sum(axis=1) > 1)
     if twice.size:
-        what = "two bearings of exactly 0: leave cells of what was not seen empty"
-        raise InputError(what, raw.file, int(raw.row[twice[0]]))
+        problem = "two bearings of exactly 0; leave the cells of landmarks out of view empty"
+        raise InputError(problem, raw.file, int(raw.row[twice[0]]))
     seen = np.isfinite(values) if t is None else np.isfinite(values) & np.isfinite(t)[:, None]
     row, column = np.nonzero(seen)
     cells = {"landmark": np.array(list(columns), object)[column], "bearing": values[row, column]}
@@ -292,7 +293,7 @@ def _shape(landmark: str) -> str:
 
 
 def landmark_in(name: str) -> tuple[str, bool]:
-    """Return a name without its unit and words for a bearing, and whether it has such words."""
+    """Return a name without unit and words for a bearing, and whether it had such words."""
     plain = re.sub(r"\s*[\[(<].*", "", name).strip()
     if unit_in(name, "angle") is not None:
         plain = re.sub(r"[_\s.]+(deg|degrees?|rad|radians|mrad)$", "", plain, flags=re.IGNORECASE)

@@ -1,8 +1,8 @@
-"""UTIAS MRCLAM folders, read as they are published; ranges and other robots are left out.
+"""Reader of UTIAS MRCLAM folders; ranges and other robots are ignored.
 
 Format and source: Leung, Halpern, Barfoot and Liu, "The UTIAS multi-robot cooperative localization
-and mapping dataset", IJRR 2011. Nobody recorded there what a camera saw at home, so a home is
-chosen, and its bearings are computed from the surveyed landmarks.
+and mapping dataset", IJRR 2011. The dataset has no home bearings, so the user chooses a home, and
+its bearings are computed from the surveyed landmarks.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import count_repeats, odometry_of, sorted_by_time, truth_of, wrapped
-from homeward.drives.one_clock import on_one_clock
+from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, bearing
@@ -28,7 +28,7 @@ UNKNOWN_BARCODES = "sightings of unknown barcodes"
 
 
 def is_mrclam(path: Path) -> bool:
-    """Whether the file that every MRCLAM folder has is there."""
+    """Whether a folder is an MRCLAM folder."""
     return is_there(path / BARCODES)
 
 
@@ -37,18 +37,18 @@ def read_mrclam(
 ) -> Drive:
     """Read the drive of one robot of an MRCLAM folder; `InputError` names the file and the row.
 
-    The folder has Barcodes.dat, Landmark_Groundtruth.dat and, of the robot of number N,
-    RobotN_Odometry.dat, RobotN_Measurement.dat and perhaps RobotN_Groundtruth.dat. Ids of landmarks
-    are the numbers of their subjects; truth is in the home frame. Remarks count what was left out.
+    The folder has Barcodes.dat, Landmark_Groundtruth.dat and, for robot N, RobotN_Odometry.dat,
+    RobotN_Measurement.dat and optionally RobotN_Groundtruth.dat. Landmark ids are the subjects'
+    numbers; ground truth is in the home frame. Remarks count ignored sightings.
 
-    `home` is x [m], y [m] and heading [rad] in the frame of the survey. Its bearings are computed,
-    with normal noise of a standard deviation `home_noise` [rad] from a `seed`.
+    `home` is x [m], y [m] and heading [rad] in the frame of the survey. Its bearings have normal
+    noise with a standard deviation of `home_noise` [rad] from a `seed`.
     """
     folder = Path(path)
     _check_arguments(home, home_noise, seed)
     require_folder(folder)
     if not is_there(folder / f"Robot{robot}_Odometry.dat"):
-        raise InputError(f"no robot {robot} in it; there are: {_robots_in(folder)}", folder)
+        raise InputError(f"no robot {robot} in it; choose one of: {_robots_in(folder)}", folder)
     landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
     subjects = _read_barcodes(folder / BARCODES)
     remarks: dict[str, int] = {}
@@ -65,12 +65,12 @@ def read_mrclam(
         truth=_read_truth(folder / f"Robot{robot}_Groundtruth.dat", home, remarks),
         remarks=remarks,
     )
-    return on_one_clock(drive, folder)
+    return with_clock_remarks(drive, folder)
 
 
 def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
     if not all(math.isfinite(value) for value in home):
-        raise InputError("home must be three finite numbers")
+        raise InputError("home must be three finite numbers: x [m], y [m], heading [rad]")
     if not (math.isfinite(home_noise) and home_noise >= 0):
         raise InputError(f"home noise is {home_noise}; it must be finite and not negative")
     if seed < 0:
@@ -78,15 +78,15 @@ def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
 
 
 def mrclam_command(folder: Path) -> str:
-    """Return the command that makes a drive of an MRCLAM folder."""
-    way = "`homeward import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE`"
-    return f"{way} (robots: {_robots_in(folder)})"
+    """Return the command that imports an MRCLAM folder."""
+    command = "`homeward import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE`"
+    return f"{command} (robots: {_robots_in(folder)})"
 
 
 def _robots_in(folder: Path) -> str:
     names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
-    there = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
-    return ", ".join(there) or "none"
+    robots = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
+    return ", ".join(robots) or "none"
 
 
 def _read_landmarks(path: Path) -> dict[int, tuple[float, float]]:
@@ -102,7 +102,7 @@ def _read_landmarks(path: Path) -> dict[int, tuple[float, float]]:
 
 
 def _read_barcodes(path: Path) -> dict[int, int]:
-    """Read the subject that bears each barcode."""
+    """Read the subject of each barcode."""
     table = read_columns(path, ("subject", "barcode"))
     table.require_rows()
     table.require_unique("subject")
@@ -113,7 +113,7 @@ def _read_barcodes(path: Path) -> dict[int, int]:
 def _read_sightings(
     path: Path, subjects: dict[int, int], landmarks: set[int], remarks: dict[str, int]
 ) -> Sightings:
-    """Read the sightings of landmarks; every other subject with a barcode is a robot."""
+    """Read the sightings of landmarks; all other subjects are robots."""
     table = read_columns(path, ("t", "barcode", "range", "bearing"))
     table = sorted_by_time(table, "bearings", remarks)
     seen = [subjects.get(barcode) for barcode in _whole(table, "barcode")]
@@ -131,7 +131,7 @@ def _read_sightings(
 def _home_bearings(
     landmarks: dict[int, tuple[float, float]], home: Pose, sigma: float, seed: int
 ) -> dict[str, HomeBearing]:
-    """Compute what a camera at `home` would have seen, with noise drawn in landmark order."""
+    """Return the bearings at `home`, with noise drawn in landmark order."""
     x, y = np.array(list(landmarks.values())).T
     noise = np.random.default_rng(seed).normal(0.0, sigma, x.size)
     # Adding the noise to the heading keeps the sum wrapped.
@@ -143,12 +143,11 @@ def _home_bearings(
 def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
     if not is_there(path):
         return None
-    seen = truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks)
-    return seen.seen_from(home)
+    return truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks).seen_from(home)
 
 
 def _whole(table: Table, name: str) -> list[int]:
-    """Return column `name`, which must hold whole numbers."""
+    """Return column `name`, which must contain whole numbers."""
     values = table[name]
-    table.require(name, (values % 1 == 0) & (np.abs(values) < 2**53), "not a whole number")
+    table.require(name, (values % 1 == 0) & (np.abs(values) < 2**53), "but must be a whole number")
     return [int(value) for value in values.tolist()]

@@ -1,4 +1,4 @@
-"""What files of others hold of a drive, each kind of table read in SI units."""
+"""The tables of a drive in imported files, recognised and converted to SI units."""
 
 from __future__ import annotations
 
@@ -28,39 +28,39 @@ from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 UNIX_S = (1e9, 4.1e9)
-"""Clocks that count from 1970 are between these, from 2001 to 2099 [s]."""
+"""Range of Unix time, from 2001 to 2099 [s]."""
 RECOGNISED = {
-    "odometry": "time, speed, turn rate",
+    "odometry": "time, speed, yaw rate",
     "detections": "time, landmark id, bearing",
     "home bearings": "landmark id, bearing",
     "poses": "time, x, y, heading",
 }
-"""The tables of a drive and their columns, in words; `KINDS` has the roles."""
+"""Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
 MAX_SHOWN = 12
-"""Columns that an error message names."""
+"""Maximum number of columns in an error message."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
-"""In the name of a file with poses: they are the true ones, not odometry."""
-LEFT_OUT = "rows of {} in which something is missing, left out"
+"""Matches the name of a file with ground-truth poses."""
+INCOMPLETE = "incomplete rows of {}, left out"
 
 
 @dataclass(frozen=True)
-class Understood:
-    """What a column was taken for."""
+class ImportedColumn:
+    """A recognised column, with its converted table."""
 
     kind: str
     """Odometry, bearings, home or truth."""
     table: Table
-    """Of its file, in SI units."""
+    """The whole table in SI units."""
     column: Column
     unit: str
-    how: str
-    """Whether that was told, named, or guessed."""
+    source: str
+    """Source of the unit: specified, named, or guessed."""
     remarks: dict[str, int] = field(default_factory=dict)
-    """What was done to its table, counted, by reason in words."""
+    """Numbers of corrections of the table, by description."""
 
     @property
     def range(self) -> str:
-        """From where to where it goes, in SI units; for names, how many."""
+        """Range of the values in SI units; for names, their number."""
         values = self.table[self.column.role]
         if self.column.quantity == "name":
             return f"{len(set(values.tolist()))} names"
@@ -71,29 +71,29 @@ class Understood:
 
 @dataclass
 class Part:
-    """One kind of table in a file, and its columns."""
+    """One kind of table in a file."""
 
     sheet: Sheet
     kind: str
     columns: dict[str, Column]
-    """By role."""
+    """Columns by role."""
     wide: dict[str, str] = field(default_factory=dict)
-    """Columns of landmarks by id, where each has one."""
-    alone: bool = True
-    """Whether it is all that its file holds."""
+    """Columns by landmark id, where each landmark has one."""
+    is_alone: bool = True
+    """Whether the file contains no other table."""
 
-    def read(self, clock: str | None, angle: str | None = None) -> list[Understood]:
-        """Read the part in SI units.
+    def read(self, clock: str | None, angle: str | None = None) -> list[ImportedColumn]:
+        """Read the table in SI units.
 
-        Units that the file does not specify: `clock` is that of stamps, `angle` that of bearings.
+        `clock` and `angle` are the units of stamps and bearings where the file specifies none.
         """
         table, missing = (self._spread(), 0) if self.wide else self._plain()
-        # Deviations last: of no unit they have that of their bearings.
+        # Sigmas last: without a unit they have that of their bearings.
         self.columns = dict(sorted(self.columns.items(), key=lambda item: item[0] == "sigma"))
         values, units = dict(table.columns), dict[str, tuple[str, str]]()
         for role, column in self.columns.items():
-            units[role] = "", "as it is"
-            if role == "sigma":  # bearings and their deviations come from one hand
+            units[role] = "", "unchanged"
+            if role == "sigma":  # the same program writes bearings and sigmas
                 angle = units["bearing"][0]
             if column.quantity != "name":
                 unit, _ = units[role] = _unit(table, column, clock, angle)
@@ -103,25 +103,32 @@ class Part:
         if "t" in values:
             ordered = sorted_by_time(ordered, self.kind, remarks)
         if missing:
-            remarks[LEFT_OUT.format(self.kind)] = missing
+            remarks[INCOMPLETE.format(self.kind)] = missing
         return [
-            Understood(self.kind, ordered, column, unit, "told" if column.told else how, remarks)
-            for (unit, how), column in zip(units.values(), self.columns.values(), strict=True)
+            ImportedColumn(
+                self.kind,
+                ordered,
+                column,
+                unit,
+                "specified" if column.is_specified else source,
+                remarks,
+            )
+            for (unit, source), column in zip(units.values(), self.columns.values(), strict=True)
         ]
 
     def _plain(self) -> tuple[Table, int]:
-        """Read a table with a row for each sample; return how many lack something, left out."""
+        """Read a table with a row for each sample; return it with the number of incomplete rows."""
         raw = self._raw()
         values = {role: _value(raw, column) for role, column in self.columns.items()}
         needed = [role for role in self.columns if role != "sigma"]
-        given = np.stack([_given(values[role]) for role in needed])
-        whole, some = given.all(axis=0), given.any(axis=0)
-        if some.any() and not whole.any():
-            raise InputError(f"no row has all of {', '.join(needed)}", raw.file)
-        kept = {role: column[whole] for role, column in values.items()}
-        # In a file of several kinds each has rows of its own.
-        missing = int((some & ~whole).sum()) if self.alone else 0
-        return Table(raw.file, raw.row[whole], kept), missing
+        given = np.stack([_has_value(values[role]) for role in needed])
+        complete, partial = given.all(axis=0), given.any(axis=0)
+        if partial.any() and not complete.any():
+            raise InputError(f"no row has values for all of {', '.join(needed)}", raw.file)
+        kept = {role: column[complete] for role, column in values.items()}
+        # In a file with several tables, each has its own rows.
+        missing = int((partial & ~complete).sum()) if self.is_alone else 0
+        return Table(raw.file, raw.row[complete], kept), missing
 
     def _spread(self) -> Table:
         """Read a table with a column for each landmark."""
@@ -139,22 +146,22 @@ class Part:
         return read_csv(self.sheet.path, parsers, form=self.sheet.form)
 
 
-def parts_of(sheets: Sequence[Sheet], told: Sequence[Column]) -> list[Part]:
-    """Return what files hold of a drive: each at least one kind."""
-    parts, odd = list[Part](), list[Sheet]()
+def parts_of(sheets: Sequence[Sheet], specified: Sequence[Column]) -> list[Part]:
+    """Return the tables of a drive in files, at least one in each."""
+    parts, others = list[Part](), list[Sheet]()
     for one in sheets:
-        mine = one.specified(told)
+        mine = one.specified(specified)
         kinds = {kind: assigned(kind, one.names, mine) for kind in ("odometry", "bearings")}
-        if not any(kinds.values()):  # poses beside twists are the odometry's own
+        if not any(kinds.values()):  # poses along with twists belong to the odometry
             kinds = {kind: assigned(kind, one.names, mine) for kind in ("truth", "home")}
         parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
         if not kinds.get("bearings") and not kinds.get("home"):
-            odd.append(one)
-    ids = _ids(parts, odd)
-    for one in odd:
-        # The number of a column is no landmark, although tags are called by numbers, too.
+            others.append(one)
+    ids = _landmark_ids(parts, others)
+    for one in others:
+        # The number of a column is no landmark id, although ids may be numbers.
         across = {} if one.headless else landmark_columns(one.names, ids)
-        t = times_in(one.names, one.specified(told))
+        t = times_in(one.names, one.specified(specified))
         if across and (t is not None or one.one_row):
             parts.append(_wide_part(one, across, t))
         elif all(part.sheet is not one for part in parts):
@@ -170,13 +177,13 @@ def _not_recognised(one: Sheet) -> str:
     shown = ", ".join(map(repr, names[:MAX_SHOWN]))
     more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
     return (
-        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: say which "
-        f"is which, as in --columns '{file}t={names[0]}'"
+        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: give their "
+        f"roles, as in --columns '{file}t={names[0]}'"
     )
 
 
 def _find_odometry(parts: Sequence[Part]) -> None:
-    """Take poses for odometry where no table has twists: those of a file called so, or the only."""
+    """Use poses as odometry where no table has twists: from a file named odom, or the only one."""
     if any(part.kind == "odometry" for part in parts):
         return
     poses = [part for part in parts if part.kind == "truth"]
@@ -186,13 +193,13 @@ def _find_odometry(parts: Sequence[Part]) -> None:
             part.kind = "odometry"
 
 
-def _ids(parts: Sequence[Part], odd: Sequence[Sheet]) -> set[str]:
-    """Return the landmarks that are known by name, where a table may have a column for each."""
+def _landmark_ids(parts: Sequence[Part], others: Sequence[Sheet]) -> set[str]:
+    """Return the known landmark ids, where a table may have a column for each."""
     known: set[str] = set()
-    for part in parts if odd else ():
+    for part in parts if others else ():
         if part.kind == "home":
             known |= set(part.read(None)[0].table["landmark"].tolist())
-    for one in odd:
+    for one in others:
         if one.one_row and not one.headless and times_in(one.names, ()) is None:
             known |= {landmark_in(name)[0] for name in one.names}
     return known
@@ -208,7 +215,7 @@ def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
 
 
 def _value(raw: Table, column: Column) -> np.ndarray:
-    """Return what a column tells, with the others that it needs; in its own unit."""
+    """Return the values of a column, combined with those in `more`, in its own unit."""
     if column.role == "t" and column.more:
         return np.asarray(raw[column.name] + 1e-9 * raw[column.more[0]])
     if column.role == "heading" and column.more:
@@ -218,26 +225,26 @@ def _value(raw: Table, column: Column) -> np.ndarray:
 
 
 def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:
-    """Return the unit of a column, and how it is known, unless a wrong guess would never show."""
+    """Return the unit of a column and its source; `InputError` where a guess would be unsafe."""
     values = np.abs(table[column.role][np.isfinite(table[column.role])])
-    most = float(values.max(initial=0.0))
+    largest = float(values.max(initial=0.0))
     if column.unit is not None:
         return column.unit, "named"
     if column.quantity == "time":
-        # Two programs may have stamped by one clock in two units.
+        # Two programs may write the stamps of one clock in different units.
         own = _unix_unit(table["t"])
         return (
             (clock, "as odometry") if clock and not own else (own or _clock(table["t"]), "guessed")
         )
     if column.role == "sigma" and angle:
         return angle, "as bearing"
-    if column.quantity in ("angle", "rate") and most > 1.01 * math.tau:
+    if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
         return angle, "as bearings"
-    if column.quantity == "speed" and most > MAX_SPEED:
+    if column.quantity == "speed" and largest > MAX_SPEED:
         raise InputError(
-            f"{column.name!r} reaches {most:.6g}, too fast for m/s; say its unit, as in "
+            f"{column.name!r} reaches {largest:.6g}, too fast for m/s; give its unit, as in "
             f"--columns '{column.role}={column.name}[mm/s]'",
             table.file,
         )
@@ -245,14 +252,14 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
 
 
 def _unix_unit(t: np.ndarray) -> str | None:
-    """Return the unit in which stamps are Unix time; None: in none."""
+    """Return the unit in which stamps are Unix time; None if there is none."""
     middle = float(np.median(t)) if t.size else 0.0
     units = UNITS["time"].items()
     return next((u for u, s in units if UNIX_S[0] <= middle * s < UNIX_S[1]), None)
 
 
 def _clock(t: np.ndarray) -> str:
-    """Return the largest unit of stamps in which twists come each second."""
+    """Return the largest unit of stamps in which twists arrive at least once a second."""
     steps = np.diff(np.unique(t))
     step = float(np.median(steps)) if steps.size else 0.0
     return next(
@@ -260,6 +267,6 @@ def _clock(t: np.ndarray) -> str:
     )
 
 
-def _given(values: np.ndarray) -> np.ndarray:
-    """Return which cells hold something, shape (n,)."""
+def _has_value(values: np.ndarray) -> np.ndarray:
+    """Return which cells have a value, shape (n,)."""
     return np.asarray(values != "" if values.dtype == object else np.isfinite(values))

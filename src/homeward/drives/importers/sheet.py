@@ -27,7 +27,7 @@ POSE = (*(f"position.{a}" for a in XYZ), *(f"orientation.{a}" for a in XYZW))
 TWIST = (*(f"linear.{a}" for a in XYZ), *(f"angular.{a}" for a in XYZ))
 COVARIANCE = tuple(f"covariance.{k}" for k in range(36))
 TUM = ("t", "x", "y", "z", *(f"q{a}" for a in XYZW))
-"""The columns of a TUM trajectory, as evo and others write it."""
+"""The columns of a TUM trajectory, as written by evo."""
 ECHOED = {
     len(names): names
     for names in (
@@ -38,9 +38,9 @@ ECHOED = {
         (*STAMP, *TWIST, *COVARIANCE),
     )
 }
-"""The columns of stamped poses and twists as ``ros2 topic echo --csv`` prints them, by number."""
+"""The columns of stamped poses and twists in ``ros2 topic echo --csv``, by their number."""
 UNIT_NORM = 0.01
-"""Largest deviation of a quaternion's norm from 1; two digits in a file leave half of it."""
+"""Maximum deviation of a quaternion's norm from 1; two digits in a file cause half of it."""
 
 
 def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
@@ -52,7 +52,7 @@ def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
 
 
 def _is_tum(cells: Sequence[str]) -> bool:
-    """Whether a row ends in a unit quaternion, and all of it is numbers."""
+    """Whether a row is numeric and ends in a unit quaternion."""
     try:
         numbers = [float(cell) for cell in cells]
     except ValueError:
@@ -69,8 +69,8 @@ def _is_stamped(cells: Sequence[str]) -> bool:
     return whole and int(nanoseconds) < 10**9 and not frame.replace(".", "").isdecimal()
 
 
-NOTHING = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
-"""What people write where there is no value."""
+EMPTY = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
+"""Notations of a missing value."""
 THOUSANDS = re.compile(r"-?[1-9]\d{0,2}(\.\d{3})+")
 DATE = re.compile(r"\s*\d{4}-\d\d-\d\d[ T]\d\d:\d\d")
 
@@ -78,17 +78,17 @@ _WHOLE = re.compile(r"^(\d+)\.0+$")
 
 
 def number_parser(decimal_comma: bool) -> Parser:
-    """Return what parses numbers, of which some may be missing (NaN)."""
+    """Return a parser of numbers; NaN where missing."""
     return _decimal if decimal_comma else _number
 
 
 def time_parser(decimal_comma: bool) -> Parser:
-    """Return what parses times: numbers, or dates with a time of day as Unix time [s]."""
+    """Return a parser of times: numbers, or dates with a time of day as Unix time [s]."""
 
     def parse(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
         if any(":" in cell for cell in cells):
             cells = [
-                "" if cell.strip().lower() in NOTHING else _unix(cell, name, row, path)
+                "" if cell.strip().lower() in EMPTY else _unix(cell, name, row, path)
                 for cell, row in zip(cells, rows, strict=True)
             ]
         return number_parser(decimal_comma)(name, cells, rows, path)
@@ -97,16 +97,16 @@ def time_parser(decimal_comma: bool) -> Parser:
 
 
 def names(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    """Parse ids, of which some may be missing; 3.0 is 3, which a table of numbers made of it."""
+    """Parse ids, which may be missing; 3.0 becomes 3, since programs write ids as numbers."""
     values = np.full(len(cells), "", object)
-    there = [k for k, cell in enumerate(cells) if cell.strip().lower() not in NOTHING]
+    there = [k for k, cell in enumerate(cells) if cell.strip().lower() not in EMPTY]
     plain = [_WHOLE.sub(r"\1", cells[k].strip()) for k in there]
     values[there] = identifiers(name, plain, [rows[k] for k in there], path)
     return values
 
 
 def is_number(cell: str, comma: bool) -> bool:
-    """Whether a cell is a number, perhaps with a decimal comma."""
+    """Whether a cell is a number, with a decimal comma if `comma`."""
     try:
         float(cell.replace(",", ".") if comma else cell)
     except ValueError:
@@ -115,92 +115,94 @@ def is_number(cell: str, comma: bool) -> bool:
 
 
 def _number(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
-    plain = ["" if cell.strip().lower() in NOTHING else cell for cell in cells]
+    plain = ["" if cell.strip().lower() in EMPTY else cell for cell in cells]
     return numbers_or_nan(name, plain, rows, path)
 
 
 def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
     for cell, row in zip(cells, rows, strict=True):
         if THOUSANDS.fullmatch(cell.strip()):
-            trouble = "with a point, where others have a decimal comma: is it one, or of thousands?"
-            raise InputError(f"{name} is {quoted(cell)}, {trouble}", path, row)
+            problem = (
+                "with a point, but other numbers have a decimal comma; remove thousands separators"
+            )
+            raise InputError(f"{name} is {quoted(cell)}, {problem}", path, row)
     plain = [c.replace(".", "").replace(",", ".") if "," in c else c for c in cells]
     return _number(name, plain, rows, path)
 
 
 def _unix(cell: str, name: str, row: int, path: Path) -> str:
-    """Return a date and time of day as Unix time [s]; of no zone it is UTC."""
+    """Return a date and time of day as Unix time [s]; UTC without a time zone."""
     try:
-        told = datetime.fromisoformat(cell.strip().replace(",", "."))
+        time = datetime.fromisoformat(cell.strip().replace(",", "."))
     except ValueError as error:
-        trouble = "neither a number nor a time like 2026-11-23 12:00:00.5"
-        raise InputError(f"{name} is {quoted(cell)}, {trouble}", path, row) from error
-    return repr((told if told.tzinfo else told.replace(tzinfo=UTC)).timestamp())
+        problem = "neither a number nor a time like 2026-11-23 12:00:00.5"
+        raise InputError(f"{name} is {quoted(cell)}, {problem}", path, row) from error
+    return repr((time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp())
 
 
 DELIMITERS = ("\t", ";", "|", ",", " ")
-"""In this order: a decimal comma is none where semicolons part the fields as well."""
+"""In this order: where semicolons separate fields, commas are decimal commas."""
 COMMENTS = ("#", "%")
 MAX_COLUMNS = 10_000
-"""A column for each landmark is the widest table there is, and a place has fewer landmarks."""
-LOOKED_AT = 50
-"""So many lines tell the form of all."""
+"""Maximum number of columns: the widest tables have a column for each landmark."""
+NUM_SAMPLED = 50
+"""Number of lines from which the layout is detected."""
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """A text file with a table in it."""
+    """A text file with a table."""
 
     path: Path
     form: Form
     decimal_comma: bool
     one_row: bool
-    """Whether it has a single row below its header."""
+    """Whether there is a single row below the header."""
     headless: bool = False
-    """Whether it has no header, so that its columns have numbers."""
+    """Whether there is no header, so that columns have numbers."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its columns; 1, 2, 3, ... where it has no header, unless its layout is known."""
+        """Names of the columns; without a header 1, 2, 3, ... unless the layout is known."""
         assert self.form.names is not None
         return self.form.names
 
     @property
     def numbers(self) -> dict[str, str]:
-        """The names of its columns by their number, where it has no header."""
+        """Names of the columns by number, in a file without a header."""
         return {str(k): name for k, name in enumerate(self.names, 1)} if self.headless else {}
 
     def specified(self, columns: Sequence[Column]) -> list[Column]:
-        """Return those `columns` that a user specified for this file, by the names in it."""
+        """Return the specified `columns` of this file, with the names in it."""
         own = (c for c in columns if c.file in (None, self.path.name))
         return [replace(c, name=self.numbers.get(c.name, c.name)) for c in own]
 
 
 def sheet(path: Path) -> Sheet:
-    """Find out the layout of a text file; `InputError` where it is empty or no table."""
+    """Detect the layout of a text file; `InputError` where it is empty or no table."""
     encoding = _encoding(path)
     with text_lines(path, encoding) as lines:
-        first = list(itertools.islice(lines, LOOKED_AT))
-    told = [line for line in first if line.strip()]
-    before = list(itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), told))
-    rows = told[len(before) :]
+        first = list(itertools.islice(lines, NUM_SAMPLED))
+    filled = [line for line in first if line.strip()]
+    before = list(itertools.takewhile(lambda line: line.lstrip().startswith(COMMENTS), filled))
+    rows = filled[len(before) :]
     if not rows:
         raise InputError("empty file", path)
-    delimiter, width = _parted(rows, path)
+    delimiter, width = _delimiter(rows, path)
     if width > MAX_COLUMNS:
-        raise InputError(f"{width:,} columns; at most {MAX_COLUMNS:,} are read", path)
-    # Above the table a title may stand, and its lines may end with a separator that heads do not.
-    rows = _below_titles(rows, delimiter, width)
+        raise InputError(f"{width:,} columns; at most {MAX_COLUMNS:,} are allowed", path)
+    # A title may precede the table, and rows may end with a separator that the header lacks.
+    rows = _without_titles(rows, delimiter, width)
     head, *body = (_fields(line, delimiter) for line in rows)
     skip = first.index(rows[0])
-    numbered = any(is_number(cell, delimiter != ",") for cell in head) and not _heads(
+    numbered = any(is_number(cell, delimiter != ",") for cell in head) and not _is_header(
         head, body, delimiter != ","
     )
     # ROS and MATLAB write the header as a comment.
     above = _fields(before[-1].lstrip().lstrip("".join(COMMENTS)), delimiter) if before else []
     if not numbered:
         names, skip = head, skip + 1
-        if body and _says_units(body[0]):
+        if body and _is_unit_row(body[0]):
             units = [cell.strip("[]()<> ") if is_unit(cell) else "" for cell in body.pop(0)]
             names = [f"{n} [{unit}]" if unit else n for n, unit in zip(names, units, strict=False)]
             skip = first.index(rows[1]) + 1
@@ -216,7 +218,7 @@ def sheet(path: Path) -> Sheet:
 
 
 def _encoding(path: Path) -> str:
-    """Return how its text is written: UTF-16 if a mark says so, else UTF-8 or that of Windows."""
+    """Return the encoding of a file: UTF-16 with a byte order mark, else UTF-8 or Windows-1252."""
     with naming(path, "cannot be read"), opened(path) as stream:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -224,49 +226,51 @@ def _encoding(path: Path) -> str:
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
-        return "cp1252" if b"\0" not in begin else "utf-8-sig"  # that it is none is said later
+        return "cp1252" if b"\0" not in begin else "utf-8-sig"  # reading it reports the error
     return "utf-8-sig"
 
 
-def _parted(rows: Sequence[str], path: Path) -> tuple[str, int]:
-    """Return what parts most lines into equally many fields, two at least, and how many."""
+def _delimiter(rows: Sequence[str], path: Path) -> tuple[str, int]:
+    """Return the separator that gives most lines the same number of fields, and that number."""
     for delimiter in DELIMITERS:
         sizes = Counter(len(_fields(row, delimiter)) for row in rows)
         width, lines = max(sizes.items(), key=lambda item: (item[1], item[0]))
         if width > 1 and 2 * lines >= len(rows):
             return delimiter, width
-    raise InputError("no table: nothing parts its lines into one number of fields", path)
+    raise InputError(
+        "not a table: no separator gives the same number of columns in most lines", path
+    )
 
 
-def _below_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
-    """Return rows from the first of the table on; its head may lack the last, empty field."""
+def _without_titles(rows: list[str], delimiter: str, width: int) -> list[str]:
+    """Return the rows of the table; its header may lack the last, empty field."""
     fields = [_fields(row, delimiter) for row in rows]
     for k, (one, after) in enumerate(pairwise([*fields, []])):
-        closed = len(after) == width and not after[-1]
-        if len(one) == width or (len(one) == width - 1 and closed):
+        ends_empty = len(after) == width and not after[-1]
+        if len(one) == width or (len(one) == width - 1 and ends_empty):
             return rows[k:]
     return rows
 
 
-def _heads(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) -> bool:
-    """Whether some word in a line stands above numbers alone: numbers beside it are names, too."""
+def _is_header(head: Sequence[str], body: Sequence[Sequence[str]], comma: bool) -> bool:
+    """Whether a line has a word above a column of numbers; then its numbers are names, too."""
     for word, *cells in zip(head, *(row for row in body if len(row) == len(head)), strict=True):
-        told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
-        is_word = word.strip().lower() not in NOTHING and not is_number(word, comma)
-        if is_word and told and all(is_number(cell, comma) for cell in told):
+        filled = [cell for cell in cells if cell.strip().lower() not in EMPTY]
+        is_word = word.strip().lower() not in EMPTY and not is_number(word, comma)
+        if is_word and filled and all(is_number(cell, comma) for cell in filled):
             return True
     return False
 
 
-def _says_units(cells: Sequence[str]) -> bool:
-    """Whether a line below the header tells units, and nothing else."""
-    told = [cell for cell in cells if cell.strip().lower() not in NOTHING]
-    return bool(told) and all(map(is_unit, told))
+def _is_unit_row(cells: Sequence[str]) -> bool:
+    """Whether a line contains units only."""
+    filled = [cell for cell in cells if cell.strip().lower() not in EMPTY]
+    return bool(filled) and all(map(is_unit, filled))
 
 
 def _fields(line: str, delimiter: str) -> list[str]:
     try:
         reader = csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True)
         return next(reader, [])
-    except csv.Error:  # reading the file says why
+    except csv.Error:  # reading the file reports the error
         return []

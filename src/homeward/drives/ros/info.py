@@ -1,4 +1,4 @@
-"""What is in a log, and what homeward would make of it."""
+"""The contents of a log or drive folder, and how homeward would use them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from homeward.drives import folder as csv
 from homeward.drives.drive import Truth
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
-from homeward.drives.one_clock import on_one_clock, without_bearing_delay
+from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
@@ -25,45 +25,45 @@ from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, su
 from homeward.errors import InputError
 from homeward.io.settings import read_settings, settings_yaml
 
-REFUSED = "homeward run refuses it: {}."
+REFUSED = "homeward run cannot use it: {}."
 
 
 @dataclass(frozen=True)
 class LogInfo:
-    """A log as `homeward info` tells of it."""
+    """The report of `homeward info`."""
 
     kind: str
     topics: tuple[Topic, ...]
-    """Of a log; of a folder, its files as if they were topics."""
+    """Topics of a log; the files of a folder in the same form."""
     plan: LogSettings | None
-    """What of a log is used; None where it is none, or there is no way to use it."""
+    """The settings with which a log is used; None for a folder or an unusable log."""
     remarks: tuple[str, ...]
-    """What serves for what, what is in the way, and what a reader counted, each a line."""
+    """Usable topics, obstacles, and remarks of the reader, each a line."""
     folder: bool = False
     """Whether it is a folder of CSV files or images."""
 
     @property
     def settings(self) -> str:
-        """The topics file that says what is used without one: YAML; empty when there is none."""
+        """The plan as a topics file in YAML; empty without a plan."""
         return "" if self.plan is None else settings_yaml(self.plan)
 
 
 def log_info(
     path: Path, topics: Path | None = None, on_progress: OnProgress | None = None
 ) -> LogInfo:
-    """Look into a log, or a folder that holds a drive, complete or not, and try a topics file."""
+    """Inspect a log, or a complete or incomplete drive folder, and try a topics file."""
     path = located(path)
     if is_mrclam(path):
-        way = f"{mrclam_command(path)} makes a drive of it."
-        return LogInfo("MRCLAM folder", (), None, (way,), folder=True)
-    kind_of(path)  # refuses what is nothing
+        advice = f"Import it with {mrclam_command(path)}."
+        return LogInfo("MRCLAM folder", (), None, (advice,), folder=True)
+    kind_of(path)  # refuses an unknown kind
     if is_image_folder(path):
         return _folder_info("folder of images", path, (IMAGES, csv.ODOMETRY))
     if csv.is_drive_folder(path):
         return _folder_info("drive folder", path, csv.REQUIRED)
     from homeward.drives.ros.reading import calibrated
 
-    told = LogSettings() if topics is None else read_settings(topics, LogSettings)
+    settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = Log(path)
     half = None if on_progress is None else lambda done: on_progress(done / 2)
     known = survey(
@@ -73,7 +73,7 @@ def log_info(
     )
     cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
     try:
-        plan = choose(known, calibrated(told, path if topics is None else topics))
+        plan = choose(known, calibrated(settings, path if topics is None else topics))
     except InputError as error:
         remarks = (*cut_short, f"{error.what}.", *_candidates(known))
         return LogInfo(log.kind, known.topics, None, remarks)
@@ -89,27 +89,30 @@ def log_info(
 
 _Remarks = dict[str, int]
 _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
-    csv.ODOMETRY: ("t,v,omega", lambda file, told: csv.read_odometry(file, told).t),
+    csv.ODOMETRY: ("t,v,omega", lambda file, remarks: csv.read_odometry(file, remarks).t),
     csv.BEARINGS: (
         "t,landmark,bearing",
-        lambda file, told: np.unique(csv.read_sightings(file, told).t),
+        lambda file, remarks: np.unique(csv.read_sightings(file, remarks).t),
     ),
-    IMAGES: ("t,file", lambda file, told: read_images(file.parent, told).t),
-    csv.TRUTH: ("t,x,y,heading", lambda file, told: cast(Truth, csv.read_truth(file, told)).t),
+    IMAGES: ("t,file", lambda file, remarks: read_images(file.parent, remarks).t),
+    csv.TRUTH: (
+        "t,x,y,heading",
+        lambda file, remarks: cast(Truth, csv.read_truth(file, remarks)).t,
+    ),
 }
-"""Files with times: their columns, and what reads the times [s]."""
+"""Files with times: their columns, and the function that reads the times [s]."""
 
 
 def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
-    """Return what is in a folder, complete or not."""
-    told: _Remarks = {}
+    """Return the contents of a folder, complete or not."""
+    counts: _Remarks = {}
     topics = tuple(
-        Topic(name, columns, np.rint(times(path / name, told) * NANO).astype(np.int64), None)
+        Topic(name, columns, np.rint(times(path / name, counts) * NANO).astype(np.int64), None)
         for name, (columns, times) in _TIMED.items()
         if (path / name).exists()
     )
     if (path / csv.HOME).exists():
-        kind += f", {len(csv.read_home(path / csv.HOME, told))} landmarks seen at home"
+        kind += f", {len(csv.read_home(path / csv.HOME, counts))} home bearings"
     remarks: list[str] = []
     is_drive = needed == csv.REQUIRED
     if is_drive:
@@ -117,22 +120,22 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
     else:
         missing = [name for name in needed if not (path / name).exists()]
     if missing:
-        remarks += [f"{number:,} {reason}" for reason, number in told.items()]
+        remarks += [f"{number:,} {reason}" for reason, number in counts.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
     elif is_drive:
-        remarks += _judged(path)
+        remarks += _checked(path)
     return LogInfo(kind, topics, None, tuple(remarks), folder=True)
 
 
-def _judged(path: Path) -> Iterator[str]:
-    """Yield what looked wrong with a drive, and why it is refused where it would run."""
+def _checked(path: Path) -> Iterator[str]:
+    """Yield the remarks about a drive, and the reason where `homeward run` cannot use it."""
     drive = csv.read_folder(path)
     if not drive.sightings.t.size:
         yield REFUSED.format(f"{csv.BEARINGS} has no rows")
     if not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
-        yield from on_one_clock(without_bearing_delay(drive), path).remark_lines
+        yield from with_clock_remarks(without_bearing_delay(drive), path).remark_lines
     except InputError as error:
         yield from drive.remark_lines
         yield REFUSED.format(error.what)
@@ -141,44 +144,44 @@ def _judged(path: Path) -> Iterator[str]:
 def _tried(
     known: TopicSurvey, plan: LogSettings, topics: Path | None, on_progress: OnProgress | None
 ) -> Iterator[str]:
-    """Yield the remarks of reading a log as `homeward run` does, and why it is refused."""
+    """Yield the remarks about a log read as by `homeward run`, and the reason for an error."""
     from homeward.drives.ros.reading import read_planned  # the extra bags
 
     if plan.odometry is None:
         return
     try:
-        drive = on_one_clock(read_planned(known, plan, topics, on_progress), known.log.path)
+        drive = with_clock_remarks(read_planned(known, plan, topics, on_progress), known.log.path)
     except InputError as error:
         yield REFUSED.format(error.what)
         return
     yield from drive.remark_lines
     if plan.bearings and not drive.sightings.t.size:
-        yield REFUSED.format("no sightings of landmarks in it")
+        yield REFUSED.format("it contains no sightings of landmarks")
 
 
 def _missing(plan: LogSettings) -> Iterator[str]:
     if plan.odometry is None:
-        yield "No topic tells odometry."
+        yield "No topic contains odometry."
     if not plan.bearings:
-        yield "No topic tells bearings."
+        yield "No topic contains bearings."
     if plan.home is None:
-        yield f"Nothing tells what the camera saw at home: {NAME_HOME}."
+        yield f"No home bearings found: {NAME_HOME}."
 
 
 _SERVES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
-    ((JOINT_STATE,), "odometry, given wheel_radius and track_width"),
+    ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
     (TWISTS, "odometry"),
-    (POSES, "odometry, or the truth"),
-    (IN_IMAGE, "bearings, given a camera model"),
+    (POSES, "odometry, or ground truth"),
+    (IN_IMAGE, "bearings, with a camera model"),
     ((POINT,), "the bearings of one landmark"),
     (tuple(READERS), "bearings"),
 )
-"""Types, and what they tell; the first that holds counts."""
+"""Message types and their possible uses; the first match counts."""
 
 
 def _candidates(known: TopicSurvey) -> Iterator[str]:
-    """Say what each topic could serve as, if its messages can be decoded."""
+    """Yield the possible use of each topic, if its messages can be decoded."""
     from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
 
     for topic in known.topics:
@@ -186,6 +189,6 @@ def _candidates(known: TopicSurvey) -> Iterator[str]:
             first = known.kept[topic.name]
             try:
                 Decoder().decode(first.channel, first.data)
-                yield f"{topic.name} can tell {words}."
+                yield f"{topic.name} can be used as {words}."
             except InputError as error:
                 yield f"{error.what}."

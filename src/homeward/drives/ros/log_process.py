@@ -1,8 +1,8 @@
 """Read a log through rosbags and write its messages to standard output; see `log.Log`.
 
-`log` runs this file as a process of its own. rosbags allocates what a length field claims and
-unpacks whatever a chunk holds, so limits apply to the whole process, and a hostile log ends it
-alone. Nothing of homeward is imported: the process starts quickly.
+`log` runs this file as a separate process. rosbags allocates memory according to length fields and
+unpacks chunks of any size, so the limits apply to the whole process, and a hostile log ends only
+that. It imports nothing of homeward, so that it starts quickly.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ else:
 
 try:
     import resource
-except ImportError:  # Windows has no such limits
+except ImportError:  # Windows has no limits
     resource = None  # type: ignore[assignment]
 
 BATCH = 2**20
-"""Messages are written together until they have this size [byte]."""
+"""Size of a batch of messages [byte]."""
 MESSAGE_OVERHEAD = 100
-"""What each of them counts beyond its data [byte]."""
+"""Size of a message in a batch, in addition to its data [byte]."""
 MAX_MESSAGE = 256 * 2**20
 """[byte]"""
 _FORMATS = {"ros1msg": "ros2msg", "ros2msg": "ros2msg", "ros2idl": "ros2idl", "omgidl": "omgidl"}
 _MCAP_END = 37
-"""Footer and last line of an MCAP file [byte]."""
+"""Size of the footer and magic at the end of an MCAP file [byte]."""
 
 
 class Mcap(McapReader):
-    """An MCAP file, of any system; one without an index or an end is scanned as far as it goes."""
+    """Reader of MCAP files from any system; without index or end they are scanned sequentially."""
 
     is_whole = has_index = False
     size = at = 0
@@ -75,7 +75,7 @@ class Mcap(McapReader):
     def messages(
         self, connections: Any, start: int | None = None, stop: int | None = None
     ) -> Generator[tuple[Connection, int, bytes], None, None]:
-        """Read the messages of `connections`; leave in `at` how far messages can be read [byte]."""
+        """Read the messages of `connections`; set `at` to the end of the readable part [byte]."""
         if self.has_index:
             yield from super().messages(connections, start, stop)
             return
@@ -92,14 +92,14 @@ class Mcap(McapReader):
 
 
 def _definition(schema: storage_mcap.Schema | None) -> MessageDefinition:
-    """Return a channel's definition, empty where rosbags would refuse the whole log for it."""
+    """Return a channel's definition; empty where rosbags would refuse the whole log."""
     if schema is None or schema.encoding not in _FORMATS:
         return MessageDefinition(MessageDefinitionFormat.NONE, "")
     return _rosbags_definition(schema._replace(encoding=_FORMATS[schema.encoding]))
 
 
 def _string(bio: BinaryIO) -> str:
-    """Return a text, which the schemas of other systems are not."""
+    """Return a text, also where bytes are not UTF-8, as in schemas of other systems."""
     return storage_mcap.read_bytes(bio).decode("utf-8", "replace")
 
 
@@ -108,22 +108,22 @@ storage_mcap.get_msgdef, storage_mcap.read_string = _definition, _string
 
 
 class Sqlite(Sqlite3Reader):
-    """The sqlite3 file of a ROS 2 bag."""
+    """Reader of the sqlite3 file of a ROS 2 bag."""
 
     def __init__(self, path: Path) -> None:
         with path.open("rb") as stream:
             head = stream.read(100)
         page, changes, pages = struct.unpack_from(">H6xII", head, 16)
         (valid_for,) = struct.unpack_from(">I", head, 92)
-        # sqlite may not notice; the number of pages is valid where the last writer keeps it.
+        # sqlite may not detect this; the number of pages is valid if the last writer updated it.
         is_counted = changes == valid_for
         if is_counted and pages * (65536 if page == 1 else page) > path.stat().st_size:
-            raise ValueError("the file is shorter than its header says")
-        super().__init__(Path(quote(str(path.resolve()))))  # it becomes part of a URI
+            raise ValueError("the file is shorter than its header specifies")
+        super().__init__(Path(quote(str(path.resolve()))))  # rosbags puts it into a URI
 
 
 def _harden(database: apsw.Connection) -> None:
-    """Let a database compute nothing, and hide definitions that rosbags would refuse."""
+    """Disable code in a database, and hide definitions that rosbags would refuse."""
     database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
     for table in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'"):
         if table == ("message_definitions",):
@@ -142,7 +142,7 @@ def walk(
     """Yield parts of the file `path` for `log.Log`; `kind` is a key of `READERS`.
 
     `topics` None: all. Data are cut to a length `prefix` [byte], except for the first message of
-    each channel. `is_packed`: each message is compressed.
+    each channel. `is_packed`: each message is compressed separately.
     """
     reader: Any = READERS[kind](Path(path))
     reader.open()
@@ -151,11 +151,11 @@ def walk(
         chosen = [c for c in reader.connections if topics is None or c.topic in topics]
         total, count, size = sum(c.msgcount for c in chosen), 0, 0
         batch: list[tuple[int, int, bytes]] = []
-        met: set[int] = set()
+        seen: set[int] = set()
         for connection, receive, data in reader.messages(chosen) if chosen else ():
             number, whole = connection.id, _whole(receive, data, is_packed)
-            batch.append((number, receive, whole[:prefix] if number in met else whole))
-            met.add(number)
+            batch.append((number, receive, whole[:prefix] if number in seen else whole))
+            seen.add(number)
             count, size = count + 1, size + len(batch[-1][2]) + MESSAGE_OVERHEAD
             if size > BATCH:
                 at = getattr(reader, "at", 0) / Path(path).stat().st_size
@@ -178,23 +178,23 @@ def _whole(receive: object, data: object, is_packed: bool) -> bytes:
 
 
 def _channel(connection: Connection) -> tuple[str, ...]:
-    """Return topic, type, encoding, definition and the syntax of that."""
+    """Return topic, type, encoding, definition and syntax of the definition."""
     definition, ext = connection.msgdef, connection.ext
     is_idl = definition.format is MessageDefinitionFormat.IDL
-    told = (
+    texts = (
         connection.topic,
         connection.msgtype,
         getattr(ext, "serialization_format", "ros1"),
         definition.data,
         "idl" if is_idl else "msg",
     )
-    if not all(type(text) is str for text in told):
+    if not all(type(text) is str for text in texts):
         raise ValueError("a topic or type that is not text")
-    return told
+    return texts
 
 
 def unpack(path: str, target: str, room: int) -> Iterator[tuple[Any, ...]]:
-    """Unpack a file that is compressed as a whole; yield nothing."""
+    """Unpack a compressed file to at most `room` bytes; yield nothing."""
     with Path(path).open("rb") as stream, zstd.open(stream) as packed, open(target, "wb") as out:
         while block := packed.read(2**20):
             room -= len(block)
@@ -209,15 +209,15 @@ def limit(memory: int, seconds: float) -> None:
     if resource is None:
         return
     until = math.ceil(time.process_time() + seconds)
-    # No core file where the limit of time is exceeded.
+    # No core file when the time limit is exceeded.
     limits = (resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)
     for which, value in limits:
-        _, most = resource.getrlimit(which)
-        if most != resource.RLIM_INFINITY:
-            value = min(value, most)
+        _, hard = resource.getrlimit(which)
+        if hard != resource.RLIM_INFINITY:
+            value = min(value, hard)
         try:
-            resource.setrlimit(which, (value, most))
-        except (ValueError, OSError):  # as for the address space on macOS
+            resource.setrlimit(which, (value, hard))
+        except (ValueError, OSError):  # such as the address space on macOS
             continue
 
 
@@ -225,7 +225,7 @@ COMMANDS: dict[str, Callable[..., Iterator[tuple[Any, ...]]]] = {"walk": walk, "
 
 
 def answer(request: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
-    """Yield what comes of a request, and at last that it ended or what failed."""
+    """Yield the answers to a request, and finally its end or an error."""
     try:
         limit(request["memory"], request["seconds"])
         yield from COMMANDS[request["command"]](*request["arguments"])
@@ -236,12 +236,12 @@ def answer(request: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
         raise
     except (rosbag1.ReaderError, rosbag2.ReaderError) as error:
         yield "damaged", str(error).rstrip(".")
-    except Exception as error:  # whatever rosbags makes of a damaged file
+    except Exception as error:  # rosbags raises many types for damaged files
         yield "damaged", f"{type(error).__name__}: {error}"
 
 
 def main() -> None:
-    """Answer the requests that come by standard input, each a line of JSON."""
+    """Answer the requests on standard input, each a line of JSON."""
     out = sys.stdout.buffer
     for line in sys.stdin.buffer:
         for part in answer(json.loads(line)):

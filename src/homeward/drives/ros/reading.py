@@ -1,4 +1,4 @@
-"""A drive out of a log: a second walk, in which the chosen topics are decoded."""
+"""Reading of a drive from a log: a second pass decodes the chosen topics."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings
 from homeward.drives.home.spin import with_home
 from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import Eye, SightingRows, frame_of
+from homeward.drives.ros.measurements.bearings import SightingRows, TagDetector, frame_of
 from homeward.drives.ros.measurements.extrinsics import (
     TF_STATIC,
     TopicSightings,
@@ -34,30 +34,30 @@ from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
 from homeward.io.table import Table, quoted
 
-Taker: TypeAlias = Callable[[float, Any], None]
-"""Takes the time [s] of a message, and the message."""
+Handler: TypeAlias = Callable[[float, Any], None]
+"""Receives the time [s] of a message, and the message."""
 
 
 def read_log(
     path: Path,
     topics: Path | None = None,
     on_progress: OnProgress | None = None,
-    eye: Eye | None = None,
+    detector: TagDetector | None = None,
 ) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 
     `topics` is a YAML file of `LogSettings`; missing keys are guessed. `on_progress` receives the
-    fraction done, in [0, 1]. `eye` detects tags in images; without it, image topics are not used.
+    fraction done, in [0, 1]. `detector` finds tags in images; without it, image topics are ignored.
     Times are header stamps by default, counted from `DriveSettings.epoch` where they are Unix time.
     Remarks count the messages that were left out. `InputError` where the log is damaged, or its
     topics do not make a drive.
     """
-    told = LogSettings() if topics is None else read_settings(topics, LogSettings)
+    settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if on_progress is None else lambda done: on_progress(done / 2)
-    told = calibrated(told, path if topics is None else topics)
+    settings = calibrated(settings, path if topics is None else topics)
     known = survey(Log(path), keep=(OUR_SETTINGS,), on_progress=first_half)
     return read_planned(
-        known, choose(known, told, pictures=eye is not None), topics, on_progress, eye
+        known, choose(known, settings, pictures=detector is not None), topics, on_progress, detector
     )
 
 
@@ -66,66 +66,73 @@ def read_planned(
     plan: LogSettings,
     topics: Path | None = None,
     on_progress: OnProgress | None = None,
-    eye: Eye | None = None,
+    detector: TagDetector | None = None,
 ) -> Drive:
-    """Read a drive from the topics of a `plan`; the others as `read_log`, which see."""
+    """Read a drive from the topics of a `plan`; other parameters as `read_log`."""
     with naming_file(known.log.path):
-        return _Reading(known, plan, topics, eye).drive(on_progress)
+        return _Reading(known, plan, topics, detector).drive(on_progress)
 
 
-def calibrated(told: LogSettings, beside: Path) -> LogSettings:
-    """Return settings in which calibration files are read."""
+def calibrated(settings: LogSettings, source: Path) -> LogSettings:
+    """Return settings with calibration files replaced by camera models.
+
+    Their paths are relative to the folder of the file `source`.
+    """
     topics = tuple(
-        topic.model_copy(update={"camera": read_calibration(beside.parent, topic.camera)})
+        topic.model_copy(update={"camera": read_calibration(source.parent, topic.camera)})
         if isinstance(topic.camera, str) and is_calibration(topic.camera)
         else topic
-        for topic in told.bearings
+        for topic in settings.bearings
     )
-    return told.model_copy(update={"bearings": topics}) if topics else told
+    return settings.model_copy(update={"bearings": topics}) if topics else settings
 
 
 class _Reading:
-    """The second walk: who takes which topic, and what they make of it together."""
+    """The second pass: handlers of topics, and the drive from their results."""
 
     def __init__(
-        self, known: TopicSurvey, plan: LogSettings, topics: Path | None, eye: Eye | None
+        self,
+        known: TopicSurvey,
+        plan: LogSettings,
+        topics: Path | None,
+        detector: TagDetector | None,
     ) -> None:
-        self._eye = eye
+        self._detector = detector
         self._known, self._plan, self._topics = known, plan, topics
         self._path, self._decoder = known.log.path, Decoder()
         if plan.odometry is None:
-            raise InputError("no topic with odometry in it; homeward info lists what there is")
+            raise InputError("no topic with odometry; homeward info lists the topics")
         self._settings, epoch = self._drive_settings()
         self._clock = MessageTimes(known, plan, epoch)
         self._remarks = Remarks()
-        self._takers: dict[str, list[Taker]] = {}
-        told = plan.odometry
-        self._odometry = OdometryRows(told, known.topic(told.topic).type)
-        self._take(told.topic, self._odometry.add)
-        self._seen = [self._take_sightings(topic) for topic in plan.bearings]
+        self._handlers: dict[str, list[Handler]] = {}
+        odometry = plan.odometry
+        self._odometry = OdometryRows(odometry, known.topic(odometry.topic).type)
+        self._subscribe(odometry.topic, self._odometry.add)
+        self._seen = [self._subscribe_sightings(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
             self._at_home = self._rows_of(BearingsTopic(topic=plan.home.topic))()
-            self._take(plan.home.topic, self._at_home.add)
+            self._subscribe(plan.home.topic, self._at_home.add)
         self._transforms = Transforms()
         if plan.mount is not None:
             if not plan.bearings:
-                raise InputError(f"mount is for topics of bearings: {NAME_BEARINGS}")
+                raise InputError(f"mount needs topics of bearings: {NAME_BEARINGS}")
             known.topic(TF_STATIC)
         if plan.mount is not None or (
             len(plan.bearings) > 1 and TF_STATIC in (topic.name for topic in known.topics)
         ):
-            self._take(TF_STATIC, self._transforms.add)
+            self._subscribe(TF_STATIC, self._transforms.add)
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
-            self._take(
+            self._subscribe(
                 plan.truth.topic, lambda t, m: self._poses.append((t, *map(float, pose_of(m))))
             )
 
     def drive(self, on_progress: OnProgress | None) -> Drive:
-        """Walk, and put together what was met."""
-        self._walk(on_progress)
-        self._mount()
+        """Read the messages and return the drive."""
+        self._read(on_progress)
+        self._set_extrinsics()
         odometry = self._odometry.odometry(self._remarks)
         sightings = self._sightings()
         found = Drive(
@@ -137,24 +144,24 @@ class _Reading:
             truth=self._truth(),
             remarks=self._known.log.cut_short | dict(self._remarks),
         )
-        drive, told = without_bearing_delay(found), self._plan.home
-        return drive if told is None else with_home(drive, told)
+        drive, home = without_bearing_delay(found), self._plan.home
+        return drive if home is None else with_home(drive, home)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:
-        """Return the drive's settings, the user's before the log's own, and the log's epoch [s]."""
-        told = self._plan.drive
+        """Return the settings of the user, or else of the log, and the log's epoch [s]."""
+        given = self._plan.drive
         kept = self._known.kept.get(OUR_SETTINGS)
         if kept is None:
-            return told or DriveSettings(), None
+            return given or DriveSettings(), None
         text = self._decoder.decode(kept.channel, kept.data)
         if not isinstance(getattr(text, "data", None), str):
             raise InputError(f"{OUR_SETTINGS} is a {quoted(kept.channel.type)}, not text")
         place = Path(f"{self._path}, {OUR_SETTINGS}")
         own = parse_settings(text.data, DriveSettings, place)
-        return told or own, own.epoch or 0
+        return given or own, own.epoch or 0
 
-    def _mount(self) -> None:
-        """Set the extrinsics of the camera, and give all bearings in the frame of the first one."""
+    def _set_extrinsics(self) -> None:
+        """Set the extrinsics, and transform all bearings to the frame of the first camera."""
         self._cameras = [
             TopicSightings(frame, rows)
             for by_frame in self._seen
@@ -166,17 +173,17 @@ class _Reading:
             return
         update: dict[str, Any] = dict(sensor)
         if any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
-            update["field_of_view"] = None  # that of one camera is not that of all
+            update["field_of_view"] = None  # several cameras have no common one
         sensor_now = self._settings.sensor.model_copy(update=update)
         self._settings = self._settings.model_copy(update={"sensor": sensor_now})
 
-    def _take(self, topic: str, taker: Taker) -> None:
-        self._takers.setdefault(topic, []).append(taker)
+    def _subscribe(self, topic: str, handler: Handler) -> None:
+        self._handlers.setdefault(topic, []).append(handler)
 
-    def _take_sightings(self, told: BearingsTopic) -> dict[str, SightingRows]:
-        """Return the sightings of a topic by frame, as they will come in."""
+    def _subscribe_sightings(self, given: BearingsTopic) -> dict[str, SightingRows]:
+        """Return the sightings of a topic by frame, which are filled while the log is read."""
         rows: dict[str, SightingRows] = {}
-        new = self._rows_of(told)
+        new = self._rows_of(given)
 
         def add(t: float, message: Any) -> None:
             frame = frame_of(message)
@@ -184,38 +191,39 @@ class _Reading:
                 rows[frame] = new()
             rows[frame].add(t, message)
 
-        self._take(told.topic, add)
+        self._subscribe(given.topic, add)
         return rows
 
-    def _rows_of(self, told: BearingsTopic) -> Callable[[], SightingRows]:
-        kind = self._known.topic(told.topic).type
-        eye = self._eye if kind in PICTURES else None
-        camera = self._take_camera(told)
-        return lambda: SightingRows(told, kind, self._remarks, camera, eye)
+    def _rows_of(self, given: BearingsTopic) -> Callable[[], SightingRows]:
+        kind = self._known.topic(given.topic).type
+        detector = self._detector if kind in PICTURES else None
+        camera = self._camera_of(given)
+        return lambda: SightingRows(given, kind, self._remarks, camera, detector)
 
-    def _take_camera(self, told: BearingsTopic) -> Callable[[], Lens | None]:
-        """Return what tells the camera of a topic when the walk is over."""
-        if not isinstance(told.camera, str):
-            model = told.camera
+    def _camera_of(self, given: BearingsTopic) -> Callable[[], Lens | None]:
+        """Return a function that returns the camera of a topic after the log was read."""
+        if not isinstance(given.camera, str):
+            model = given.camera
             return lambda: model
-        rows = CameraRows(told.camera, told.rectified)
-        self._take(told.camera, rows.add)
+        rows = CameraRows(given.camera, given.rectified)
+        self._subscribe(given.camera, rows.add)
         return rows.model
 
-    def _walk(self, on_progress: OnProgress | None) -> None:
+    def _read(self, on_progress: OnProgress | None) -> None:
         log, clock = self._known.log, self._clock
-        for number, message in enumerate(log.messages(topics=self._takers)):
+        for number, message in enumerate(log.messages(topics=self._handlers)):
             topic = message.channel.topic
-            if topic in self._takers:
+            if topic in self._handlers:
                 decoded = self._decoder.decode(message.channel, message.data)
                 try:
                     t = clock.time(message, decoded)
-                    for taker in self._takers[topic]:
-                        taker(t, decoded)
+                    for handle in self._handlers[topic]:
+                        handle(t, decoded)
                 except (AttributeError, TypeError, ValueError, IndexError) as error:
-                    # The definition in the log lacks a field, or has another kind of it.
+                    # The definition in the log lacks a field, or has another type of it.
                     kind = quoted(message.channel.type)
-                    raise InputError(f"{topic}: its {kind} is none that is known here") from error
+                    problem = f"{topic}: the fields of its {kind} differ from the known type"
+                    raise InputError(problem) from error
             if on_progress is not None and number % 500 == 0:
                 on_progress((1 + log.done) / 2)
 
@@ -231,12 +239,12 @@ class _Reading:
         return sightings_of(rows, self._remarks)
 
     def _home(self) -> dict[str, HomeBearing]:
-        told = self._plan.home
-        if told is None or (told.csv is None and told.topic is None):
+        given = self._plan.home
+        if given is None or (given.csv is None and given.topic is None):
             return {}
-        if told.csv is not None:
-            beside = self._topics.parent if self._topics is not None else self._path.parent
-            return read_home(beside / told.csv, self._remarks)
+        if given.csv is not None:
+            source = self._path if self._topics is None else self._topics
+            return read_home(source.parent / given.csv, self._remarks)
         assert self._at_home is not None
         columns = self._at_home.columns()
         first = columns["t"] == columns["t"][:1]
@@ -245,11 +253,9 @@ class _Reading:
         return home_of(table, self._remarks)
 
     def _truth(self) -> Truth | None:
-        told = self._plan.truth
-        if told is None or not self._poses:
+        given = self._plan.truth
+        if given is None or not self._poses:
             return None
-        rows = clean_rows(self._poses, told.topic, "true poses", REPEATED_TRUTH, self._remarks)
-        t, x, y, heading = rows.T.copy()
-        if told.home is None:
-            return Truth(t, x, y, heading)
-        return Truth(t, x, y, heading).seen_from(Pose(*told.home))
+        rows = clean_rows(self._poses, given.topic, "true poses", REPEATED_TRUTH, self._remarks)
+        truth = Truth(*rows.T.copy())
+        return truth if given.home is None else truth.seen_from(Pose(*given.home))

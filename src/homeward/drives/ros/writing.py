@@ -1,4 +1,4 @@
-"""Write a drive as a log, from which `read_log` reads it back to the last bit."""
+"""Writing of a drive as a log, which `read_log` reads back exactly."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 
 
 class LogFile:
-    """Takes messages in order of time; made by `writing`."""
+    """Writer of messages in order of time; made by `writing`."""
 
     def __init__(self, writer: Any, ros1: bool) -> None:
         self._writer, self._ros1 = writer, ros1
@@ -46,21 +46,21 @@ class LogFile:
     def make(self, kind: str, **fields: Any) -> Any:
         """Return a message of a type, as in ``nav_msgs/msg/Odometry``.
 
-        What is not given is zero or empty; a message in it may be given as a dict of its fields.
+        Missing fields are zero or empty; a message within it may be a dict of its fields.
         """
         known = dict(self._store.fielddefs[kind][1])
-        if strange := fields.keys() - known:
-            raise TypeError(f"{kind} has no {', '.join(sorted(strange))}")
+        if unknown := fields.keys() - known:
+            raise TypeError(f"{kind} has no {', '.join(sorted(unknown))}")
         values = {name: self._value(form, fields.get(name)) for name, form in known.items()}
         return self._store.types[kind](**values)
 
     def header(self, stamp: int, frame: str) -> Any:
-        """Return a std_msgs/Header of a stamp [ns]."""
+        """Return a std_msgs/Header with a stamp [ns]."""
         time = dict(zip(("sec", "nanosec"), divmod(stamp, NANO), strict=True))
         return self.make("std_msgs/msg/Header", stamp=time, frame_id=frame)
 
     def _value(self, form: tuple[Nodetype, Any], given: Any) -> Any:
-        """Return what a field of a form holds: what is `given`, or zeros where that is None."""
+        """Return the value of a field: `given`, or zeros where that is None."""
         kind, of = form
         if kind is Nodetype.NAME:
             return self.make(of, **(given or {})) if given is None or type(given) is dict else given
@@ -72,7 +72,7 @@ class LogFile:
         return [self._value(inner, each) for each in given or [None] * size]
 
     def write(self, topic: str, stamp: int, message: Any) -> None:
-        """Write a message, as if it had been received at its stamp [ns]."""
+        """Write a message with its stamp as receive time [ns]."""
         kind = message.__msgtype__
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
@@ -84,10 +84,10 @@ class LogFile:
 
 @contextmanager
 def writing(path: Path) -> Iterator[LogFile]:
-    """Lend a log that becomes the file `path` when the block ends without an error.
+    """Yield a log that becomes the file `path` when the block ends without an error.
 
-    Its suffix is .bag, .mcap or .db3. Missing parents are made. `InputError` where it exists or
-    cannot be written.
+    Its suffix is .bag, .mcap or .db3. Missing parent folders are made. `InputError` where the file
+    exists or cannot be written.
     """
     if is_there(path):
         raise InputError("exists already; choose another name", path)
@@ -107,7 +107,7 @@ def writing(path: Path) -> Iterator[LogFile]:
                         yield LogFile(new, ros1=False)
                     (log,) = log.glob(f"*{path.suffix}")
                 log.rename(made)
-        except sqlite3.Error as error:  # no OSError where the disk is full
+        except sqlite3.Error as error:  # raised instead of OSError when the disk is full
             raise InputError(f"cannot be written: {error}", path) from error
 
 
@@ -118,14 +118,14 @@ BASE, CAMERA, HOME = "base_link", "camera", "home"
 def write_log(drive: Drive, path: Path, on_progress: OnProgress | None = None) -> None:
     """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file: .bag, .mcap or .db3.
 
-    Name and remarks are not part of the format. `InputError` where the file cannot be written, or
-    the drive has a number that is not finite, or an id that no file can hold.
+    Name and remarks are not written. `InputError` where the file cannot be written, or the drive
+    has a number that is not finite, or an invalid id.
     """
     if not drive.odometry.t.size:
-        raise InputError("there is no odometry to write", path)
+        raise InputError("the drive has no odometry", path)
     _require_writable(drive, path)
     with writing(path) as log:
-        # In order of their stamps; equal ones stay as they are.
+        # A stable sort by stamp.
         rows = sorted(_Rows(log, drive.settings.epoch or 0).of(drive), key=lambda row: row[0])
         for number, (stamp, topic, message) in enumerate(rows):
             log.write(topic, stamp, message)
@@ -142,14 +142,16 @@ def _require_writable(drive: Drive, path: Path) -> None:
     if drive.truth is not None:
         arrays += vars(drive.truth).values()
     if not all(np.isfinite(array).all() for array in arrays):
-        raise InputError("the drive holds a number that is not finite", path)
+        raise InputError("the drive contains a number that is not finite", path)
     for landmark in {*map(str, drive.sightings.landmark), *drive.home}:
         if not is_identifier(landmark):
-            raise InputError(f"landmark {quoted(landmark)} cannot be an id in a file", path)
+            raise InputError(
+                f"landmark {quoted(landmark)} is not a valid id (printable, no outer spaces)", path
+            )
 
 
 class _Rows:
-    """The messages of a drive, topic by topic, each with its stamp [ns]."""
+    """Generator of the messages of a drive, each with its stamp [ns]."""
 
     def __init__(self, log: LogFile, epoch: int) -> None:
         self._log, self._epoch = log, epoch

@@ -14,7 +14,7 @@ from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.folder import HOME, read_home
 from homeward.drives.images import Images, read_images
 from homeward.drives.ros.log import is_log
-from homeward.drives.ros.measurements.bearings import TWICE
+from homeward.drives.ros.measurements.bearings import DUPLICATE
 from homeward.drives.ros.reading import read_log
 from homeward.errors import InputError, naming_file
 from homeward.io.reading import is_there, naming, opened
@@ -217,7 +217,7 @@ def _sightings(
         with naming_file(Path(f"picture at {t:g} s")):
             seen = eye.see(frame)
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
-        counts[TWICE] += len(seen.tags.twice)
+        counts[DUPLICATE] += len(seen.tags.twice)
         counts[NO_TAGS] += not seen.bearings
         if on_progress is not None:
             on_progress((k + 1) / frames.t.size)

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.camera import Camera
-from homeward.drives.cameras.lens import SAME, Lens
+from homeward.drives.cameras.lens import SYNONYMS, Lens
 from homeward.drives.images import file_within
 from homeward.io.keys import Strict
 from homeward.io.reading import is_there
@@ -75,7 +75,7 @@ class ImageSettings(Strict):
         if isinstance(tree, dict) and isinstance(camera := tree.get("camera"), dict):
             default = "calibrated" if "file" in camera else "equirectangular"
             model = camera.get("model", default)
-            return {**tree, "camera": {**camera, "model": SAME.get(model, model)}}
+            return {**tree, "camera": {**camera, "model": SYNONYMS.get(model, model)}}
         return tree
 
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.bearings import Eye, Sighting
+from homeward.drives.ros.measurements.bearings import Sighting, TagDetector
 from homeward.errors import InputError
 from homeward.io.table import quoted
 from homeward.vision.cameras.grey import as_grey
@@ -63,7 +63,7 @@ def picture_of(message: Any) -> np.ndarray:
     return np.asarray(cv2.cvtColor(pixels if channels > 1 else pixels[..., 0], getattr(cv2, grey)))
 
 
-def tag_eye(family: str) -> Eye:
+def tag_eye(family: str) -> TagDetector:
     """Return a function that detects tags in a sensor_msgs/Image or CompressedImage.
 
     Raises

@@ -1,1 +1,1 @@
-"""Measurements out of decoded messages: odometry, bearings and home."""
+"""Odometry, bearings and camera extrinsics from decoded messages."""

@@ -1,4 +1,4 @@
-"""Bearings out of messages: as they are, or of points in an image or in space."""
+"""Bearings from messages: given directly, or from points in an image or in space."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
 CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
-"""Types that tell the corners of tags."""
+"""Types with the corners of tags."""
 IN_IMAGE = (*CORNERS, DETECTIONS)
-"""Types whose points are pixels, and need a camera model."""
+"""Types with points in pixels, which need a camera model."""
 HALF_PIXEL = 0.5
-"""AprilTag 3, whose corners apriltag_msgs/AprilTagDetection holds, has the middle of the first
-pixel at (0.5, 0.5) (issue 121 of AprilRobotics/apriltag), and camera models at (0, 0) [px]."""
+"""Centre of the first pixel in AprilTag 3, and so in apriltag_msgs/AprilTagDetection (issue 121 of
+AprilRobotics/apriltag); it is 0 in camera models [px]."""
 
-NO_ID = "sightings without an id"
-BIT_ERRORS = "tags that were read with errors, left out"
-TWICE = "sightings of a tag that is in one image more than once, left out"
-NOTHING_THERE = "sightings that are not finite, or at the camera itself"
+NO_ID = "sightings without an id, left out"
+BIT_ERRORS = "tags decoded with bit errors, left out"
+DUPLICATE = "sightings of a tag that appears twice in one image, left out"
+NOT_FINITE = "sightings that are not finite, or at the camera's position, left out"
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Frames that do not move with the robot (REP 105)."""
 
@@ -47,29 +47,29 @@ class Sighting(NamedTuple):
 
     landmark: str
     a: float
-    """The bearing [rad]; or the column [pixel]; or ahead [m]."""
+    """Bearing [rad], or column [px], or distance ahead [m]."""
     b: float = 0.0
-    """The row [pixel]; or to the left [m]."""
+    """Row [px], or distance to the left [m]."""
     sigma: float = math.nan
-    """[rad], or of a corner [px]."""
+    """Standard deviation of the bearing [rad], or of a corner [px]."""
     corners: tuple[tuple[float, float], ...] = ((math.nan, math.nan),) * 4
-    """Of a tag: columns and rows [px], in turn."""
+    """Columns and rows of a tag's corners [px], in order."""
     errors: int = 0
-    """Of a tag: bits that were read otherwise than they must be."""
+    """Number of wrong bits of a tag."""
 
 
 Reader: TypeAlias = Callable[[Any, BearingsTopic], Iterator[Sighting]]
-Eye: TypeAlias = Callable[[Any, Lens | None], Iterator[Sighting]]
-"""Returns the tags in a message of `PICTURES`; the camera may not have been told yet."""
+TagDetector: TypeAlias = Callable[[Any, Lens | None], Iterator[Sighting]]
+"""Returns the tags in a message of `PICTURES`; the camera may be unknown yet."""
 CameraOf: TypeAlias = Callable[[], Lens | None]
-"""Returns the camera, as far as it has been told."""
+"""Returns the camera, or None while it is unknown."""
 
 
-def _bearings(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
+def _bearings(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
     ids, values, sigmas = message.landmarks, message.bearings, message.sigmas
     if len(ids) != len(values) or len(sigmas) not in (0, len(ids)):
         raise InputError(
-            f"{told.topic}: a message has {len(ids)} landmarks, {len(values)} bearings and "
+            f"{given.topic}: a message has {len(ids)} landmarks, {len(values)} bearings and "
             f"{len(sigmas)} sigmas"
         )
     if not len(sigmas):
@@ -79,7 +79,7 @@ def _bearings(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
 
 
 def _detection(found: Any) -> Sighting:
-    """Return a detection by the id of a tracker, or else by its likeliest class."""
+    """Return a detection with the id of a tracker, or else of its most probable class."""
     centre = found.bbox.center
     point = getattr(centre, "position", centre)
     name = getattr(found, "id", "") or getattr(found, "tracking_id", "")
@@ -90,19 +90,19 @@ def _detection(found: Any) -> Sighting:
     return Sighting(str(name), point.x, point.y)
 
 
-def _corners(points: Any, off: float = 0.0) -> tuple[tuple[float, float], ...]:
-    return tuple((p.x - off, p.y - off) for p in points)
+def _corners(points: Any, origin: float = 0.0) -> tuple[tuple[float, float], ...]:
+    return tuple((p.x - origin, p.y - origin) for p in points)
 
 
 def _points(
-    named: Callable[[Any, BearingsTopic], Iterable[tuple[Any, Any]]], axes: str | None = None
+    points: Callable[[Any, BearingsTopic], Iterable[tuple[Any, Any]]], axes: str | None = None
 ) -> Reader:
-    """Return a reader of named points in space; without `axes` their frame specifies the axes."""
+    """Return a reader of named points in space; the frame specifies the axes unless given."""
 
-    def read(message: Any, told: BearingsTopic) -> Iterator[Sighting]:
-        lie = _axes(message, told) if axes is None else told.axes or axes
-        for name, point in named(message, told):
-            yield Sighting(str(name), *_level(point, lie))
+    def read(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
+        convention = _axes(message, given) if axes is None else given.axes or axes
+        for name, point in points(message, given):
+            yield Sighting(str(name), *_level(point, convention))
 
     return read
 
@@ -141,58 +141,57 @@ READERS: dict[str, Reader] = {
         lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
     ),
     POINT: _points(
-        lambda message, told: [
-            (told.landmark or told.topic.rstrip("/").rpartition("/")[2], message.point)
+        lambda message, given: [
+            (given.landmark or given.topic.rstrip("/").rpartition("/")[2], message.point)
         ]
     ),
 }
-"""By type, the best first."""
-
+"""By type, in order of preference."""
 IN_SPACE = tuple(kind for kind in READERS if kind not in (BEARINGS, *IN_IMAGE))
-"""Types whose points are in space [m]."""
+"""Types with points in space [m]."""
 
 
 def frame_of(message: Any) -> str:
-    """Return the frame that the header of a message names; empty without one."""
+    """Return the frame_id of a message; empty without one."""
     header = getattr(message, "header", None)
     return str(getattr(header, "frame_id", "")).strip("/")
 
 
-def _axes(message: Any, told: BearingsTopic) -> str:
-    """Return how the axes of a message's frame lie (REP 103)."""
+def _axes(message: Any, given: BearingsTopic) -> str:
+    """Return the convention of the axes of a message's frame (REP 103)."""
     frame = frame_of(message)
     if frame in FIXED_FRAMES:
         raise InputError(
-            f"{told.topic}: its points are in the frame {frame}, which does not move with the "
-            "robot, so they tell no bearings"
+            f"{given.topic}: its points are in the fixed frame {frame}, so they are no bearings; "
+            "use a topic with points in the frame of the camera"
         )
-    return axes_of(frame, told)
+    return axes_of(frame, given)
 
 
-def axes_of(frame: str, told: BearingsTopic) -> str:
-    """Return how the axes of a camera's frame lie, by its name where nothing is said (REP 103)."""
-    return told.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
+def axes_of(frame: str, given: BearingsTopic) -> str:
+    """Return the given axes of a camera's frame, or else those that its name implies (REP 103)."""
+    return given.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
 
 
 def _level(point: Any, axes: str) -> tuple[float, float]:
-    """Return how far a point lies ahead and to the left [m]."""
+    """Return the distances of a point ahead and to the left [m]."""
     return (point.x, point.y) if axes == "body" else (point.z, -point.x)
 
 
 class SightingRows:
-    """The sightings of a topic, as they come in."""
+    """The sightings of a topic, collected while a log is read."""
 
     def __init__(
         self,
-        told: BearingsTopic,
+        given: BearingsTopic,
         kind: str,
         remarks: Remarks,
         camera: CameraOf,
-        eye: Eye | None = None,
+        detector: TagDetector | None = None,
     ) -> None:
-        self.told, self.kind, self._camera, self._eye = told, kind, camera, eye
+        self.given, self.kind, self._camera, self._detector = given, kind, camera, detector
         self.in_reference = Pose(0.0, 0.0, 0.0)
-        """The camera in the frame of the camera that all bearings are given for [m, m, rad]."""
+        """The camera's pose in the frame of the reference camera of all bearings [m, m, rad]."""
         self._t: list[float] = []
         self._kept: list[Sighting] = []
         self._remarks = remarks
@@ -201,26 +200,26 @@ class SightingRows:
         return len(self._t)
 
     def add(self, t: float, message: Any) -> None:
-        """Take the message of time `t` [s]."""
-        if self._eye is None:
-            met = list(READERS[self.kind](message, self.told))
+        """Add the message of time `t` [s]."""
+        if self._detector is None:
+            found = list(READERS[self.kind](message, self.given))
         else:
-            met = list(self._eye(message, self._camera()))
-        times = Counter(seen.landmark for seen in met)
-        for seen in met:
+            found = list(self._detector(message, self._camera()))
+        counts = Counter(seen.landmark for seen in found)
+        for seen in found:
             name = seen.landmark.strip()
-            told = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
+            values = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
             at_camera = self.kind not in (BEARINGS, *IN_IMAGE) and seen.a == seen.b == 0
             if not name:
                 self._remarks.count(NO_ID)
-            elif at_camera or not np.isfinite(told).all():
-                self._remarks.count(NOTHING_THERE)
+            elif at_camera or not np.isfinite(values).all():
+                self._remarks.count(NOT_FINITE)
             elif seen.errors:
                 self._remarks.count(BIT_ERRORS)
-            elif self.kind in CORNERS and times[seen.landmark] > 1:
-                self._remarks.count(TWICE)
+            elif self.kind in CORNERS and counts[seen.landmark] > 1:
+                self._remarks.count(DUPLICATE)
             elif not is_identifier(name):
-                raise InputError(f"{self.told.topic}: {quoted(name)} cannot be a landmark's id")
+                raise InputError(f"{self.given.topic}: {quoted(name)} is not a valid landmark id")
             else:
                 self._t.append(t)
                 self._kept.append(seen._replace(landmark=name))
@@ -228,20 +227,20 @@ class SightingRows:
     def columns(self) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
         bearing, sigma = self._measured()
-        if self.kind not in IN_SPACE and self.in_reference.heading:  # else to the last bit
+        if self.kind not in IN_SPACE and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
-        if self.told.sigma is not None:
-            sigma = np.where(np.isnan(sigma), self.told.sigma, sigma)
+        if self.given.sigma is not None:
+            sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
         ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
         columns |= {"bearing": bearing, "sigma": sigma}
-        # A lens that folds over has no ray for pixels beyond.
-        there = np.isfinite(bearing)
-        self._remarks.count(NOTHING_THERE, int((~there).sum()))
-        return {name: values[there] for name, values in columns.items()}
+        # A lens model has no ray for pixels beyond its valid range.
+        is_valid = np.isfinite(bearing)
+        self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
+        return {name: values[is_valid] for name, values in columns.items()}
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return bearings and their deviations [rad], NaN where not known, (n,) each."""
+        """Return bearings and their standard deviations [rad], NaN where unknown, (n,) each."""
         rows = [(seen.a, seen.b, seen.sigma) for seen in self._kept]
         a, b, sigma = np.array(rows, float).reshape(-1, 3).T
         if self.kind == BEARINGS:
@@ -252,13 +251,13 @@ class SightingRows:
         camera = self._camera()
         if camera is None:
             raise InputError(
-                f"{self.told.topic}: points of an image need a camera model; name its "
-                "CameraInfo topic, or the model itself, in the topics file"
+                f"{self.given.topic}: points in an image need a camera model; add camera to the "
+                "topic in the topics file: a CameraInfo topic, a calibration file, or the model"
             )
-        camera = camera.model_copy(update=self.told.tilt)
+        camera = camera.model_copy(update=self.given.tilt)
         if self.kind == DETECTIONS:
             return camera.directions(a, b)[0], sigma
         corners = np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
-        each = np.where(np.isnan(sigma), self.told.pixel_sigma, sigma)
+        each = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
         bearing, sigma = tag_bearings(corners, each, camera, (0, 0))
         return bearing, sigma

@@ -12,36 +12,36 @@ from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 WINDOWS_S = 1.0, 5.0
-"""Intervals over which motions are compared [s]; the second for robots that are slow."""
+"""Intervals over which motions are compared [s]; the second for slow robots."""
 MIN_MOTION = 0.05
-"""Minimum motion of an interval [m, rad]; less may be noise of the poses."""
+"""Minimum motion in an interval [m, rad]; a smaller one may be noise of the poses."""
 MIN_WINDOWS = 5
 """Minimum number of intervals with motion."""
 MAX_GAIN_ERROR = 1 / 3
 """Maximum error of the gain between the two motions: the geometric middle between 0.1, the
 calibration error of a poor robot, and 1, the error of a wrong frame, unit or sign."""
 MAX_STILL = 1 / 3
-"""Maximum share of the moving intervals in which one of the two stands still."""
+"""Maximum share of the moving intervals in which one of the two does not move."""
 STILL = 1e-4
-"""A motion that is smaller than this share of the other one is none."""
+"""Ratio to the other motion below which a motion counts as none."""
 MIN_PERSISTENCE = 1.5
-"""Mean square of the motion over two intervals, as a multiple of that over one: 4 in steady motion,
-2 in a random walk, 1 where white noise moves poses of a robot that stands."""
+"""Minimum mean square of the motion over two intervals, as a multiple of that over one: it is 4 in
+steady motion, 2 in a random walk, and 1 for white noise of the poses at standstill."""
 DEVIATIONS = 3.0
-"""The gain differs from 1 by this number of standard errors more than `MAX_GAIN_ERROR`."""
+"""Number of standard errors by which a wrong gain exceeds `MAX_GAIN_ERROR`."""
 MIN_RESIDUAL = 0.05
-"""Residuals below this share of the motion do not matter."""
+"""Share of the motion below which residuals are ignored."""
 BETTER = 4.0
-"""Poses and twists agree better in another frame if that divides the squared residuals by this."""
+"""Minimum factor by which another frame must reduce the squared residuals."""
 
 
 class SourceContradiction(NamedTuple):
-    """What contradicts, and which of the two is usable."""
+    """A contradiction, and the usable one of poses and twists."""
 
     words: str
-    """What is wrong."""
+    """Description of the contradiction."""
     poses: bool
-    """Whether the poses are right; else the twists."""
+    """Whether the poses are usable; else the twists."""
 
 
 def contradiction(rows: np.ndarray) -> SourceContradiction | None:
@@ -54,8 +54,8 @@ def contradiction(rows: np.ndarray) -> SourceContradiction | None:
     if len(rows) < 3:
         return None
     short, long = (_motions(rows, window) for window in WINDOWS_S)
-    way, turn = (a if _enough(*a[:2]) else b for a, b in zip(short, long, strict=True))
-    return _compare(rows, *way, *turn)
+    path, turn = (a if _enough(*a[:2]) else b for a, b in zip(short, long, strict=True))
+    return _compare(rows, *path, *turn)
 
 
 def _enough(twist: np.ndarray, pose: np.ndarray) -> bool:
@@ -66,15 +66,15 @@ def _enough(twist: np.ndarray, pose: np.ndarray) -> bool:
 def _motions(
     rows: np.ndarray, window: float
 ) -> tuple[tuple[np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return way (twist, poses in the robot's frame and in the odom frame) and turn (both).
+    """Return translations (of twists, of poses in the robot's and the odom frame) and rotations.
 
-    Ways are complex, forward + i left [m]; each array has an entry for each interval.
+    Translations are complex, forward + i left [m]; arrays have an entry for each interval.
     """
     t, dt = rows[:, 0], np.diff(rows[:, 0])
     twist = (rows[1:, 1:4] + rows[:-1, 1:4]) / 2 * dt[:, None]
     forward, sideways, turned = steps_between(rows[:, 4:])
     odom = np.diff(rows[:, 4]) + 1j * np.diff(rows[:, 5])
-    # A jump of the poses is no motion: neither of the two counts there.
+    # Intervals with a jump of the poses do not count.
     known = without_implausible(
         Odometry(t, np.append(forward / dt, 0.0), np.append(turned / dt, 0.0)),
         {},
@@ -88,8 +88,11 @@ def _motions(
         sums = np.bincount(number, steps.real)
         return sums + 1j * np.bincount(number, steps.imag) if np.iscomplexobj(steps) else sums
 
-    way = twist[:, 0] + 1j * twist[:, 2], forward + 1j * sideways, odom
-    return ((summed(way[0]), summed(way[1]), summed(way[2])), (summed(twist[:, 1]), summed(turned)))
+    path = twist[:, 0] + 1j * twist[:, 2], forward + 1j * sideways, odom
+    return (summed(path[0]), summed(path[1]), summed(path[2])), (
+        summed(twist[:, 1]),
+        summed(turned),
+    )
 
 
 def _compare(
@@ -100,34 +103,35 @@ def _compare(
     twist_turn: np.ndarray,
     pose_turn: np.ndarray,
 ) -> SourceContradiction | None:
-    """Compare ways and turns of intervals."""
-    way, turn = _relation(twist, pose), _relation(twist_turn, pose_turn)
-    if "pose" in (way, turn):
-        return SourceContradiction("the poses stand still while the twists move", False)
+    """Compare translations and rotations of intervals."""
+    path, turn = _relation(twist, pose), _relation(twist_turn, pose_turn)
+    if "pose" in (path, turn):
+        return SourceContradiction("the poses do not move while the twists do", False)
     moves = np.maximum(np.abs(twist), np.abs(pose)) > MIN_MOTION
     residual, residual_odom = (
         float(np.square(np.abs(p - twist)[moves]).sum()) for p in (pose, odom)
     )
-    matters = np.square(MIN_RESIDUAL * np.abs(twist[moves])).sum()
-    in_odom = _enough(twist, pose) and residual > max(matters, BETTER * residual_odom)
-    if way is None and turn is None and not in_odom:
+    min_residual = np.square(MIN_RESIDUAL * np.abs(twist[moves])).sum()
+    in_odom = _enough(twist, pose) and residual > max(min_residual, BETTER * residual_odom)
+    if path is None and turn is None and not in_odom:
         return None
     coherent = np.square(pose.imag).sum() <= np.square(pose.real).sum()
     speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
     usable = bool(coherent and speed <= MAX_SPEED)
     if in_odom:
         return SourceContradiction("the twists are in the odom frame, not in the robot's", usable)
-    if "twist" in (way, turn):
-        still = " and ".join(n for n, r in (("speed", way), ("yaw rate", turn)) if r == "twist")
+    if "twist" in (path, turn):
+        still = " and ".join(n for n, r in (("speed", path), ("yaw rate", turn)) if r == "twist")
         return SourceContradiction(
-            f"the {still} of the twists stays zero while the poses move", usable
+            f"the {still} of the twists is zero while the poses move", usable
         )
-    gains = [f"{what} {gain}" for what, gain in (("way", way), ("turn", turn)) if gain is not None]
-    return SourceContradiction(f"the poses' motion is {' and '.join(gains)} of the twists'", usable)
+    both = ("translation", path), ("rotation", turn)
+    gains = " and ".join(f"{gain} in {what}" for what, gain in both if gain is not None)
+    return SourceContradiction(f"the motion of the poses is {gains}", usable)
 
 
 def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
-    """Return None where both agree, "twist" or "pose" where that one stands still, or the gain."""
+    """Return None where both agree, "twist" or "pose" where that one does not move, or the gain."""
     size = np.abs(twist), np.abs(pose)
     moves = np.maximum(*size) > MIN_MOTION
     if not _enough(twist, pose):
@@ -136,7 +140,7 @@ def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
     for name, still in (("pose", pose_still), ("twist", twist_still)):
         if still.sum() > MAX_STILL * moves.sum():
             return None if name == "twist" and not _persists(pose) else name
-    both = ~(twist_still | pose_still)  # standing intervals too: their noise has no weight
+    both = ~(twist_still | pose_still)  # also at standstill, where noise has little weight
     power = float(np.square(size[0][both]).sum())
     if not power > 0:
         return None
@@ -146,11 +150,12 @@ def _relation(twist: np.ndarray, pose: np.ndarray) -> str | None:
     if abs(gain - 1) <= MAX_GAIN_ERROR + DEVIATIONS * error:
         return None
     if abs(gain.imag) > 0.1 * abs(gain):
-        return f"{abs(gain):.3g} times, turned by {np.degrees(np.angle(gain)):.0f} degrees,"
-    return f"{gain.real:.3g} times that"
+        angle = np.degrees(np.angle(gain))
+        return f"{abs(gain):.3g} x that of the twists, rotated by {angle:.0f} deg,"
+    return f"{gain.real:.3g} x that of the twists"
 
 
 def _persists(pose: np.ndarray) -> bool:
-    """Return whether the poses move, rather than that noise moves them."""
+    """Return whether the motion of the poses is more than noise."""
     double = np.square(np.abs(pose[1:] + pose[:-1])).mean()
     return bool(double > MIN_PERSISTENCE * np.square(np.abs(pose)).mean())

@@ -1,4 +1,4 @@
-"""Odometry out of messages: twists, poses that are differentiated, or turns of wheels."""
+"""Odometry from messages: twists, differentiated poses, or wheel angles."""
 
 from __future__ import annotations
 
@@ -22,17 +22,18 @@ from homeward.errors import InputError
 from homeward.io.table import quoted
 
 BITS = 8, 15, 16, 24, 31, 32
-"""Sizes of the counters whose wrap-around is known; signed or not, a wrap is a step of 2^bits."""
-WRAPPED = "wrap-arounds of wheel counters, removed"
+"""Sizes of wheel counters; a wrap-around is a step of 2^bits, for signed and unsigned ones."""
+WRAPPED = "wrap-arounds of wheel counters, corrected"
 
 
 class Wheels:
-    """The wheels of a robot in messages of the type sensor_msgs/JointState."""
+    """Wheels of a robot in sensor_msgs/JointState."""
 
     def __init__(self, given: OdometryTopic) -> None:
         if given.wheel_radius is None or given.track_width is None:
             raise InputError(
-                f"{given.topic}: wheels need wheel_radius and track_width in the topics file"
+                f"{given.topic}: joint states need wheel_radius and track_width under odometry in "
+                "the topics file"
             )
         self._given = given
         self._radius, self._track = given.wheel_radius, given.track_width
@@ -40,7 +41,7 @@ class Wheels:
         self._wheels: tuple[list[str], list[str]] | None = None
 
     def row(self, message: Any) -> list[float] | None:
-        """Return the angle (or rate) of each wheel, left ones first; None without all of them."""
+        """Return the angle (or rate) of each wheel, left ones first; None if one is missing."""
         names = list(message.name)
         if self._wheels is None:
             left = self._joints(names, self._given.left, "left")
@@ -64,8 +65,8 @@ class Wheels:
     def odometry(self, t: np.ndarray, wheels: np.ndarray, remarks: dict[str, int]) -> Odometry:
         """Return the odometry of wheels, shape (n, k) [rad or rad/s], at `t`, shape (n,) [s].
 
-        Wrap-arounds of counters are removed; other implausible motion is unknown. `remarks` counts
-        both.
+        Wrap-arounds of counters are corrected; other implausible motion is unknown. `remarks`
+        counts both.
         """
         assert self._wheels is not None
         if self._by_position:
@@ -84,8 +85,8 @@ class Wheels:
 def _unwrapped(angle: np.ndarray, tolerance: float, remarks: dict[str, int]) -> np.ndarray:
     """Return a wheel's angle [rad] without the wrap-arounds of its counter.
 
-    A step is a wrap-around where it differs by at most `tolerance` [rad] from the step before it,
-    once the span of a counter is removed: a turn, or 2^bits times the smallest unit of the angle,
+    A step is a wrap-around where, without the span of a counter, it differs by at most `tolerance`
+    [rad] from the step before. Spans are a full turn, 2^bits times the smallest unit of the angle,
     or 2^bits where the angle is counted in ticks.
     """
     if angle.size < 3:
@@ -107,10 +108,10 @@ def _unwrapped(angle: np.ndarray, tolerance: float, remarks: dict[str, int]) -> 
 
 
 def _unit(step: np.ndarray) -> float:
-    """Return the angle of one tick, of which all steps are multiples; 0 where there is none."""
+    """Return the angle of one tick, which divides all steps; 0 without one."""
     size = np.unique(np.abs(step[step != 0.0]))
     gaps = np.diff(np.append(0.0, size))
-    # Rounding errors part steps that are equal.
+    # Equal steps differ by rounding errors.
     gaps = gaps[gaps > 1e-6 * np.median(size)] if size.size else gaps
     if not gaps.size:
         return 0.0
@@ -132,26 +133,26 @@ TWISTS = (
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/Twist",
 )
-"""Types that tell a twist, the best first."""
+"""Types with a twist, in order of preference."""
 POSES = (
     POSE,
     NAV_ODOMETRY,
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
 )
-"""Types that tell a pose."""
-SIDEWAYS = "odometry messages with a sideways speed, which is left out"
+"""Types with a pose."""
+SIDEWAYS = "odometry messages with a sideways speed, which is ignored"
 SIDEWAYS_SHARE = 0.1
-"""Of the forward speed; less is noise."""
+"""Minimum sideways speed, as a share of the forward speed; less is noise."""
 CONTRADICTION = (
-    "odometry messages in which twist and pose contradict each other: {}; the {} are used ({})"
+    "odometry messages whose twists and poses contradict each other: {}; the {} are used ({})"
 )
 
 Row = tuple[float, float, float]
 
 
 def twist_of(message: Any) -> Row:
-    """Return forward speed [m/s], turn rate [rad/s] and sideways speed [m/s]."""
+    """Return forward speed [m/s], yaw rate [rad/s] and sideways speed [m/s]."""
     if hasattr(message, "v"):  # homeward_msgs/Odometry
         return message.v, message.omega, 0.0
     twist = message
@@ -161,7 +162,7 @@ def twist_of(message: Any) -> Row:
 
 
 def pose_of(message: Any) -> Row:
-    """Return x [m], y [m] and heading [rad] in whatever frame the message has."""
+    """Return x [m], y [m] and heading [rad] in the frame of the message."""
     if hasattr(message, "heading"):  # homeward_msgs/Pose
         return message.x, message.y, message.heading
     pose = message.pose
@@ -171,7 +172,7 @@ def pose_of(message: Any) -> Row:
 
 
 def yaw(q: Any) -> float:
-    """Return the heading [rad] of a quaternion; NaN of one that is all zero."""
+    """Return the heading [rad] of a quaternion; NaN for a zero one."""
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
     if not norm > 0:
         return math.nan
@@ -179,17 +180,19 @@ def yaw(q: Any) -> float:
 
 
 class OdometryRows:
-    """The odometry of a topic, as it comes in."""
+    """The odometry of a topic, collected while a log is read."""
 
     def __init__(self, given: OdometryTopic, kind: str) -> None:
         self._given, self._kind = given, kind
         self._wheels = Wheels(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
         if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
-            raise InputError(f"{given.topic}: a {quoted(kind)} contains no {given.use}")
+            raise InputError(
+                f"{given.topic}: {quoted(kind)} has no {given.use}; change use in the topics file"
+            )
 
     def add(self, t: float, message: Any) -> None:
-        """Take the message of time `t` [s]."""
+        """Add the message of time `t` [s]."""
         if self._wheels is not None:
             row = self._wheels.row(message)
             if row is not None:
@@ -201,13 +204,12 @@ class OdometryRows:
         self._rows.append((t, *map(float, (*twist, *pose))))
 
     def odometry(self, remarks: Remarks) -> Odometry:
-        """Return the odometry of all messages; count in `remarks` what was left out or found.
+        """Return the odometry of all messages; `remarks` counts anomalies.
 
-        `InputError` where no message has finite numbers, or the orientations of needed poses are
-        zero.
+        `InputError` where no message has finite numbers, or orientations of the poses are zero.
         """
         if not self._rows:
-            raise InputError(f"{self._given.topic}: no message tells odometry")
+            raise InputError(f"{self._given.topic}: no message contains odometry")
         rows = np.array(self._rows, float)
         if self._wheels is not None:
             rows = self._clean(rows, remarks)
@@ -222,11 +224,11 @@ class OdometryRows:
         return odometry_from_poses(rows[:, 0], rows[:, 1:], remarks)
 
     def _cleaned_twists(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
-        """Return t, v and omega, shape (3, n); homeward's own rows may be of unknown motion."""
+        """Return t, v and omega, shape (3, n); homeward's own messages may have unknown motion."""
         unknown = np.isnan(rows[:, 1:3]).all(axis=1) & (self._kind == ODOMETRY)
         if not unknown.any():
             return self._clean(rows[:, :3], remarks).T.copy()
-        # A number in place of the unknown twist lets the row pass.
+        # Zeros replace unknown twists, so that `_clean` keeps the rows.
         marked = np.column_stack([rows[:, 0], np.where(unknown, 0.0, rows[:, 1:3].T).T, unknown])
         t, v, omega, lost = self._clean(marked, remarks).T
         return np.stack([t, *np.where(lost > 0, np.nan, [v, omega])])
@@ -235,40 +237,39 @@ class OdometryRows:
         return clean_rows(rows, self._given.topic, "odometry", REPEATED_ODOMETRY, remarks)
 
     def _require_orientations(self, rows: np.ndarray) -> None:
-        """Refuse poses most of which have no orientation; the others are left out by `_clean`."""
+        """Refuse poses if most have no orientation; otherwise `_clean` drops these."""
         lacking = np.isnan(rows[:, 6]) & np.isfinite(rows[:, 4:6]).all(axis=1)
         if 2 * lacking.sum() <= len(rows):
             return
         first = int(np.argmax(lacking))
-        way = "use: twist" if self._kind in TWISTS else "another topic"
+        advice = "use: twist" if self._kind in TWISTS else "another topic"
         raise InputError(
             f"{self._given.topic}: the orientation (quaternion) is zero in {int(lacking.sum()):,} "
             f"of {len(rows):,} messages, first in message {first + 1} at {rows[first, 0]:.3f} s; "
-            f"poses without a heading give no motion: name {way} under odometry in a topics file"
+            f"poses without a heading give no motion: set {advice} under odometry in a topics file"
         )
 
     def _by_twist(self, rows: np.ndarray, remarks: Remarks) -> bool:
-        """Return whether twists are used rather than poses, (n, 7); remark a contradiction."""
+        """Return whether twists are used, not poses, of rows (n, 7); remark a contradiction."""
         use = self._given.use
         if self._kind != NAV_ODOMETRY:
             return self._kind in TWISTS
         ordered = rows[np.isfinite(rows).all(axis=1)]
         ordered = ordered[np.unique(ordered[:, 0], return_index=True)[1]]
         found = contradiction(ordered)
-        briefly = len(ordered) > 0 and np.ptp(ordered[:, 0]) < MIN_WINDOWS * max(WINDOWS_S)
-        if use is None and found is None and briefly and not ordered[:, 1:4].any():
+        is_short = len(ordered) > 0 and np.ptp(ordered[:, 0]) < MIN_WINDOWS * max(WINDOWS_S)
+        if use is None and found is None and is_short and not ordered[:, 1:4].any():
             return _extent(ordered[:, 4:]) <= MIN_MOTION  # a driver without twists
         if found is None:
             return use != "pose"
         poses = found.poses if use is None else use == "pose"
         used, other = ("poses", "twist") if poses else ("twists", "pose")
-        choice = f"use: {other} in the topics file chooses the other"
+        choice = f"set use: {other} in the topics file for the other"
         if use is not None:
-            choice = "as the topics file requires"
+            choice = "as specified in the topics file"
             if poses != found.poses:
-                choice += f", though the {'poses' if found.poses else 'twists'} look right"
-        words = CONTRADICTION.format(found.words, used, choice)
-        remarks.count(words, len(ordered))
+                choice += f", but the {'poses' if found.poses else 'twists'} seem correct"
+        remarks.count(CONTRADICTION.format(found.words, used, choice), len(ordered))
         return not poses
 
 

@@ -1,1 +1,1 @@
-"""Messages: their definitions, their decoding, and their stamps."""
+"""Definitions, decoding and stamps of messages."""

@@ -1,7 +1,7 @@
-"""Messages decoded by rosbags, after their definitions were looked at.
+"""Decoding of messages by rosbags, after a check of their definitions.
 
-rosbags makes Python code of the definitions in a log and runs it. What may come in there is
-narrow: plain names, no constants, and no more numbers in a message than any that is read here has.
+rosbags generates Python code from the definitions in a log and runs it. Therefore definitions may
+contain only plain names and no constants, and the size of messages is limited.
 """
 
 from __future__ import annotations
@@ -26,24 +26,28 @@ from homeward.errors import InputError
 from homeward.io.table import quoted
 
 
-def _told(package: str) -> dict[str, str]:
-    """Return the .msg files of a package, by the names of their types."""
+def _definitions(package: str) -> dict[str, str]:
+    """Return the .msg files of a package by type."""
     folder = Path(str(files("homeward.drives.ros.messages").joinpath("msg", package)))
     return {f"{package}/msg/{f.stem}": f.read_text("utf-8") for f in sorted(folder.glob("*.msg"))}
 
 
-DEFINITIONS = _told("homeward_msgs")
-"""The types of `homeward_msgs`, which hold a drive to the last bit, with their .msg files.
+DEFINITIONS = _definitions("homeward_msgs")
+"""The .msg files of `homeward_msgs`, which represent a drive exactly.
 
-`residue` is the part of a time [s] that a stamp in whole nanoseconds cannot hold.
+`residue` is the part of a time [s] that a stamp in whole nanoseconds cannot represent.
 """
-_WELL_KNOWN = _told("vision_msgs") | _told("apriltag_msgs") | _told("apriltag_ros")
-"""For logs that hold no definitions, as those of ROS 2 before Iron in sqlite3."""
+_WELL_KNOWN = {
+    **_definitions("vision_msgs"),
+    **_definitions("apriltag_msgs"),
+    **_definitions("apriltag_ros"),
+}
+"""Types for logs without definitions, such as sqlite3 files of ROS 2 before Iron."""
 
 
 @cache
 def typestore(ros1: bool) -> Any:
-    """Return rosbags' store of every type known here, as ROS 1 Noetic or ROS 2 Humble has them."""
+    """Return rosbags' store of all known types, as in ROS 1 Noetic or ROS 2 Humble."""
     store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
     for name, text in {**DEFINITIONS, **_WELL_KNOWN}.items():
         store.register(get_types_from_msg(text, name))
@@ -51,19 +55,19 @@ def typestore(ros1: bool) -> Any:
 
 
 MAX_DEFINITION = 2**16
-"""Characters of a definition with everything it refers to."""
+"""Maximum length of a definition with all that it refers to [characters]."""
 MAX_MESSAGE = 2**26
-"""Of a message that is decoded [byte]."""
+"""Maximum size of a decoded message [byte]."""
 MAX_NUMBERS = 10_000
-"""In the parts of a message that have a fixed size."""
+"""Maximum number of values in the fixed-size parts of a message."""
 MAX_ELEMENTS = 1_000_000
-"""In a sequence, but for those of `PICTURES`."""
-DEEPEST = 20
-"""Types within types."""
+"""Maximum length of a sequence, except in `PICTURES`."""
+MAX_DEPTH = 20
+"""Maximum nesting depth of types."""
 MAX_DEFINITIONS = 2**20
-"""Characters of all definitions that are made into code, which are those of the topics used."""
+"""Maximum length of the definitions of all used topics together [characters]."""
 MAX_CONSTANTS, MAX_MODULES = 500, 50
-"""In a definition as IDL, where each name is looked for among all that were told before it."""
+"""Maximum numbers in an IDL definition, where each name is searched in all preceding ones."""
 _NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD = re.compile(r"[A-Za-z]\w*", re.ASCII)
 _HEADER_FIRST = re.compile(r"\s*(?:#.*\n\s*)*(?:std_msgs/(?:msg/)?)?Header\s+\w+", re.ASCII)
@@ -71,32 +75,34 @@ _IDL_MARK = "=" * 80 + "\n"
 
 
 class Decoder:
-    """Decodes messages of any number of channels."""
+    """Decoder of messages from any number of channels."""
 
     def __init__(self) -> None:
         self._stores: dict[Channel, Any] = {}
         self._characters = 0
 
     def decode(self, channel: Channel, data: bytes | memoryview) -> Any:
-        """Return a message as rosbags' object, with the fields of its definition.
+        """Return a message as an object of rosbags, with the fields of its definition.
 
-        `InputError` names the topic where the message does not fit its type, or the type is not
-        known.
+        `InputError` names the topic where the message does not match its type, or the type is
+        unknown.
         """
         if channel not in self._stores:
             self._characters += len(channel.definition)
             if self._characters > MAX_DEFINITIONS:
-                raise InputError(f"{channel.topic}: more message definitions than any log has")
+                raise InputError(
+                    f"{channel.topic}: the message definitions of the log are too long"
+                )
             self._stores[channel] = _store(channel)
         try:
             if len(data) > MAX_MESSAGE:
-                raise ValueError(f"{len(data)} bytes are too many")
+                raise ValueError(f"{len(data)} bytes; the limit is {MAX_MESSAGE}")
             if channel.encoding == "ros1":
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
             return self._stores[channel].deserialize_cdr(bytes(data), channel.type)
         except (SerdeError, ValueError, IndexError, RecursionError, OverflowError) as error:
             raise InputError(
-                f"{channel.topic}: a message does not fit its type {channel.type}: "
+                f"{channel.topic}: a message does not match its type {channel.type}: "
                 f"{one_line(error)}"
             ) from error
 
@@ -110,19 +116,20 @@ def begins_with_header(channel: Channel) -> bool:
 
 
 def _store(channel: Channel) -> Any:
-    """Return a type store that knows a channel's type."""
+    """Return a type store with a channel's type."""
     if channel.encoding not in ("ros1", "cdr"):
-        raise InputError(f"{channel.topic}: its messages are encoded as {quoted(channel.encoding)}")
+        encoding = quoted(channel.encoding)
+        raise InputError(f"{channel.topic}: the message encoding {encoding} is not supported")
     known = typestore(channel.encoding == "ros1")
     if channel.type in PICTURES:
-        # More elements than other messages have, so these types are as they are known here.
+        # Images exceed the limit of elements, so their types are the known ones.
         pictures = Typestore(max_sequence_length=MAX_MESSAGE)
         pictures.register(known.fielddefs)
         return pictures
     if not channel.definition:
         if channel.type not in known.fielddefs:
             kind = quoted(channel.type)
-            raise InputError(f"{channel.topic}: the log does not say what a {kind} is")
+            raise InputError(f"{channel.topic}: the log contains no definition of {kind}")
         return known
     types = {**known.fielddefs, **_parsed(channel)}
     shapes = _Shapes(channel, types)
@@ -131,7 +138,7 @@ def _store(channel: Channel) -> Any:
     try:
         store.register({name: ([], types[name][1]) for name in shapes.known})
         store.get_msgdef(channel.type)
-    except Exception as error:  # whatever comes of code that is made of a definition
+    except Exception as error:  # generated code can raise any type
         raise InputError(
             f"{channel.topic}: the log's definition of {channel.type} cannot be used: "
             f"{one_line(error)}"
@@ -140,14 +147,12 @@ def _store(channel: Channel) -> Any:
 
 
 def _parsed(channel: Channel) -> dict[str, Any]:
-    """Return the types that a channel's definition holds."""
+    """Return the types in a channel's definition."""
     text = channel.definition
     if len(text) > MAX_DEFINITION:
-        raise InputError(
-            f"{channel.topic}: a definition of {len(text):,} characters is larger than any"
-        )
+        raise InputError(f"{channel.topic}: a definition of {len(text):,} characters is too long")
     if not _NAME.fullmatch(channel.type):
-        raise InputError(f"{channel.topic}: its type {quoted(channel.type)} cannot be read")
+        raise InputError(f"{channel.topic}: {quoted(channel.type)} is not a valid name of a type")
     try:
         if channel.syntax == "msg":
             return dict(get_types_from_msg(text, channel.type))
@@ -155,21 +160,21 @@ def _parsed(channel: Channel) -> dict[str, Any]:
         known: dict[str, Any] = {}
         for part in parts:
             if part.count("const") > MAX_CONSTANTS or part.count("module") > MAX_MODULES:
-                raise ValueError("more constants or modules than any message has")
+                raise ValueError("too many constants or modules")
             known |= make_typesdict(_Idl(part).specification())
         return known
-    except Exception as error:  # whatever the parsers make of a text that is none
+    except Exception as error:  # the parsers raise many types for an invalid text
         raise InputError(
             f"{channel.topic}: the log's definition of {channel.type} cannot be read"
         ) from error
 
 
 class _Idl(IDLParser):
-    """rosbags' parser of IDL in linear time, for constants that are told, not computed.
+    """rosbags' parser of IDL in linear time, without computed constants.
 
-    Its grammar goes back to the same place again and again, the oftener the deeper brackets lie;
-    what a rule made of a place is kept (packrat parsing). Without sums and shifts a short text
-    cannot tell a number of a gigabyte.
+    Its grammar backtracks exponentially with the depth of brackets, so the results of rules are
+    cached by position (packrat parsing). Without sums and shifts a short text cannot define a
+    number of gigabytes.
     """
 
     def __init__(self, text: str) -> None:
@@ -187,51 +192,51 @@ _RULES = [
     for name, rule in vars(IDLParser).items()
     if inspect.isfunction(rule) and list(inspect.signature(rule).parameters) == ["self", "pos"]
 ]
-"""What parses something at a place, and nothing else decides what."""
+"""Parsing rules whose result depends only on the position."""
 
 
 class _Shapes:
-    """How many numbers of a fixed size each type holds, and how deep types lie in it.
+    """Number of values of fixed size in each type, and depth of its nested types.
 
-    Every field counts, were it of a type without any: it is visited.
+    Every field counts at least once, since the decoder visits it.
     """
 
     def __init__(self, channel: Channel, types: dict[str, Any]) -> None:
         self._channel, self._types = channel, types
         self.known: dict[str, tuple[int, int]] = {}
-        """By name, parts before what they are parts of."""
+        """By type, nested types first."""
 
     def of(self, name: str, above: tuple[str, ...]) -> tuple[int, int]:
-        """Return numbers and depth of a type that is part of those `above`."""
+        """Return number of values and depth of a type that is nested in those `above`."""
         if name in self.known:
             return self.known[name]
         if name not in self._types or name in above or not _NAME.fullmatch(name):
-            raise self._refused(f"needs {quoted(name)}, which is not told")
+            raise self._refused(f"needs {quoted(name)}, which is not defined")
         total, height, fields = 0, 0, self._types[name][1]
         for field, kind in fields:
             if not _FIELD.fullmatch(field):
-                raise self._refused(f"has a field {quoted(field)}")
+                raise self._refused(f"has an invalid field name {quoted(field)}")
             many, below = self._field(kind, (*above, name))
             total, height = total + many, max(height, below + 1)
             if total > MAX_NUMBERS:
-                raise self._refused("is larger than any message read")
-            if len(above) + height > DEEPEST:
-                raise self._refused("is deeper than any message read")
+                raise self._refused(f"has more than {MAX_NUMBERS:,} values")
+            if len(above) + height > MAX_DEPTH:
+                raise self._refused(f"is nested more than {MAX_DEPTH} types deep")
         self.known[name] = max(total, 1), height
         return self.known[name]
 
     def _field(self, kind: tuple[Nodetype, Any], above: tuple[str, ...]) -> tuple[int, int]:
-        """Return numbers and depth of a field; a sequence counts as one of its elements."""
+        """Return number of values and depth of a field; a sequence counts as one element."""
         node, what = kind
         many = 1
         if node in (Nodetype.ARRAY, Nodetype.SEQUENCE):
             (inner, what), length = what
-            # An array of nothing would be visited for ever in a sequence that takes no bytes.
+            # A sequence of empty arrays takes no bytes, so its length has no limit.
             if node == Nodetype.ARRAY and length < 1:
-                raise self._refused(f"has an array of {length}")
+                raise self._refused(f"has an array of length {length}")
             many, node = length if node == Nodetype.ARRAY else 1, inner
         numbers, depth = self.of(what, above) if node == Nodetype.NAME else (1, 0)
         return many * numbers, depth
 
-    def _refused(self, why: str) -> InputError:
-        return InputError(f"{self._channel.topic}: {self._channel.type} {why}")
+    def _refused(self, problem: str) -> InputError:
+        return InputError(f"{self._channel.topic}: {self._channel.type} {problem}")

@@ -1,4 +1,4 @@
-"""Stamps of messages in nanoseconds, times of a drive in seconds, and the clocks between them."""
+"""Stamps of messages [ns], times of a drive [s], and offsets of clocks."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from homeward.drives.ros.log import Message
 
 NANO = 10**9
 HEADER_BYTES = 12
-"""Of a message, in which its header has the stamp."""
+"""Length of the beginning of a message that contains the header's stamp."""
 EXACT = 2**52
-"""Below this many nanoseconds (52 days) seconds in a double tell every one of them apart."""
+"""Limit up to which a double in seconds resolves nanoseconds [ns] (52 days)."""
 LAST = (2**31 - 1) * NANO
-"""The last whole second that a stamp of ROS 2 can hold."""
+"""The last whole second of a ROS 2 stamp [ns]."""
 JUMP_S = 0.05
-"""A clock that moves by more than this against the recorder's has jumped [s]."""
+"""Minimum change of a clock relative to the recorder's that counts as a jump [s]."""
 BLOCK = 20
-"""Messages whose median delay is compared with that of the next so many."""
+"""Number of messages in a block; the median delays of successive blocks are compared."""
 
 
 def header_stamp(message: Message) -> int:
@@ -37,9 +37,9 @@ def header_stamp(message: Message) -> int:
 
 
 def seconds(stamp: int, epoch: int, residue: float = 0.0) -> float:
-    """Return the time [s] of a stamp [ns], counted from `epoch` [s]: the double nearest to it.
+    """Return the time [s] of a stamp [ns], counted from `epoch` [s], as the nearest double.
 
-    `residue` is what the stamp could not hold [s]; see `split`.
+    `residue` is the part that the stamp cannot represent [s]; see `split`.
     """
     whole = stamp - epoch * NANO
     if residue == 0.0:
@@ -48,9 +48,9 @@ def seconds(stamp: int, epoch: int, residue: float = 0.0) -> float:
 
 
 def split(t: float, epoch: int) -> tuple[int, float]:
-    """Return stamp [ns] and residue [s] of a time, of which `seconds` makes the same double again.
+    """Return stamp [ns] and residue [s] of a time, the exact inverse of `seconds`.
 
-    Stamps stay within what ROS can hold; the residue of a time before 0 or after January 2038 is
+    Stamps are within the range of ROS; the residue of a time before 0 or after January 2038 is
     large. The time [s] counts from `epoch`, a whole second.
     """
     numerator, denominator = t.as_integer_ratio()
@@ -64,9 +64,9 @@ def split(t: float, epoch: int) -> tuple[int, float]:
 
 
 def epoch_of(stamps: np.ndarray) -> int | None:
-    """Return the whole second [s] from which a drive with these stamps [ns] counts its time.
+    """Return the whole second [s] from which the times of a drive with these stamps [ns] count.
 
-    None where the stamps are small, as in simulation: then the drive keeps their clock.
+    None where the stamps are small, as in simulation: then times are the stamps.
     """
     if not stamps.size or (stamps.max() < EXACT and stamps.min() > -EXACT):
         return None
@@ -75,18 +75,18 @@ def epoch_of(stamps: np.ndarray) -> int | None:
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """How the recorder's clock stands against the one that wrote the headers."""
+    """Offset of the recorder's clock from that of the headers."""
 
     median: float
-    """Received minus stamped [s]."""
+    """Median of receive time minus header stamp [s]."""
     jumps: int
-    """How often that changed at once by more than `JUMP_S`."""
+    """Number of sudden changes by more than `JUMP_S`."""
 
 
 def clock_offset(receive: np.ndarray, header: np.ndarray) -> ClockOffset:
     """Compare receive times with header stamps, both [ns], shape (n,), in the order of receipt."""
     delay = (receive - header) / NANO
     blocks = [np.median(delay[i : i + BLOCK]) for i in range(0, delay.size, BLOCK)]
-    # One late message is traffic; a clock that was set stays where it was set to.
+    # A delayed message affects one delay; a clock that was set affects all following ones.
     jumps = int((np.abs(np.diff(blocks)) > JUMP_S).sum())
     return ClockOffset(float(np.median(delay)), jumps)

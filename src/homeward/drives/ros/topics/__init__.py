@@ -1,1 +1,1 @@
-"""The topics of a log: what is there, which are used, and by which clock."""
+"""The topics of a log: their survey, choice and clocks."""

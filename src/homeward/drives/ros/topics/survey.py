@@ -1,4 +1,4 @@
-"""Survey of a log: its topics, the stamps of their messages, and the clock of the drive."""
+"""Survey of a log: its topics, the stamps of their messages, and the drive's clock."""
 
 from __future__ import annotations
 
@@ -27,24 +27,24 @@ from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
 
 PROGRESS_EVERY = 2000
-"""Messages between two words on progress."""
+"""Number of messages between progress reports."""
 OnProgress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Topic:
-    """Everything that a log says under one name in one type. Arrays have shape (n,)."""
+    """The messages of one topic and type. Arrays have shape (n,)."""
 
     name: str
     type: str
     receive: np.ndarray
-    """When messages were received [ns], in the order of the file."""
+    """Receive times [ns], in the order of the file."""
     header: np.ndarray | None
-    """What their headers stamp [ns]; None where the type has no header."""
+    """Header stamps [ns]; None where the type has no header."""
 
     @property
     def count(self) -> int:
-        """How many messages."""
+        """Number of messages."""
         return self.receive.size
 
     @property
@@ -53,30 +53,30 @@ class Topic:
         return self.receive if self.header is None else self.header
 
     @property
-    def stamped(self) -> bool:
-        """Whether the headers hold times: some drivers leave them at 0."""
+    def is_stamped(self) -> bool:
+        """Whether the headers have stamps: some drivers leave them at 0."""
         return self.header is not None and bool((self.header != 0).any())
 
     @property
     def clock(self) -> ClockOffset | None:
-        """How its headers' clock stands against the recorder's; None without header stamps."""
-        if self.header is None or not self.stamped:
+        """Offset of the recorder's clock from that of the headers; None without header stamps."""
+        if self.header is None or not self.is_stamped:
             return None
         return clock_offset(self.receive, self.header)
 
     @property
     def span(self) -> float:
-        """From the first to the last message [s]."""
+        """Time from the first to the last message [s]."""
         return float(np.ptp(self.stamps)) / NANO if self.count else 0.0
 
     @property
     def rate(self) -> float:
-        """Messages a second; NaN where that means nothing."""
+        """Messages per second; NaN where undefined."""
         return (self.count - 1) / self.span if self.count > 1 and self.span > 0 else float("nan")
 
     @property
     def longest_gap(self) -> float:
-        """Longest time between two messages [s]; NaN below two messages."""
+        """Longest time between two messages [s]; NaN for fewer than two."""
         if self.count < 2:
             return float("nan")
         return float(np.diff(np.sort(self.stamps)).max()) / NANO
@@ -88,26 +88,26 @@ class TopicSurvey:
 
     log: Log
     topics: tuple[Topic, ...]
-    """By name."""
+    """Topics in order of their names."""
     kept: dict[str, Message]
-    """First message of each topic that was asked for, by its name."""
+    """First messages of the topics to keep, by name."""
 
     def topic(self, name: str) -> Topic:
-        """Return the topic of that name; else `InputError` lists those there are."""
+        """Return the topic of that name; `InputError` lists all topics if it is missing."""
         for topic in self.topics:
             if topic.name == name:
                 return topic
         names = ", ".join(t.name for t in self.topics) or "none"
-        raise InputError(f"no topic {name} in it; there are: {names}", self.log.path)
+        raise InputError(f"no topic {name}; the log has: {names}", self.log.path)
 
 
 def survey(
     log: Log, keep: tuple[str, ...] = (), on_progress: OnProgress | None = None
 ) -> TopicSurvey:
-    """Walk a log and keep of each message when it came and what its header stamps.
+    """Read the receive time and the header stamp of each message in a log.
 
-    The first message of each topic is kept whose name or type is in `keep`. `InputError` where the
-    log is damaged, or a message too short for its header.
+    The first messages of topics whose name or type is in `keep` are kept. `InputError` where the
+    log is damaged, or a message is too short for its header.
     """
     from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
 
@@ -127,8 +127,8 @@ def survey(
             if header is not None:
                 header.append(header_stamp(message))
         except (struct.error, IndexError):
-            reason = f"{channel.topic}: a message is too short for a {channel.type}"
-            raise InputError(reason, log.path) from None
+            problem = f"{channel.topic}: a message is too short for a {channel.type}"
+            raise InputError(problem, log.path) from None
         except OverflowError:
             raise InputError(f"{channel.topic}: a time beyond the year 2262", log.path) from None
         if on_progress is not None and number % PROGRESS_EVERY == 0:
@@ -141,17 +141,16 @@ def survey(
 
 
 OTHER_CLOCKS = (
-    "their headers are of different clocks, or they were not recorded together; "
-    "clock: receive in a topics file may help"
+    "their headers have different clocks, or they were not recorded together; try clock: receive "
+    "in a topics file"
 )
 
 
 class MessageTimes:
-    """Converts the stamps of messages to times [s] of the drive.
+    """Converter of the stamps of messages to times [s] of the drive.
 
-    `epoch` [s] is where the drive's time begins, in a log that homeward wrote; None: to be chosen.
-    `InputError` where the headers of a topic hold no times, those of two topics are of different
-    clocks, or one was set back.
+    `epoch` [s] is the origin of the drive's time in a log that homeward wrote; None: it is chosen.
+    `InputError` where headers have no stamps or different clocks, or a clock was set back.
     """
 
     def __init__(self, known: TopicSurvey, plan: LogSettings, epoch: int | None) -> None:
@@ -168,13 +167,13 @@ class MessageTimes:
             }
             require_overlap(spans, OTHER_CLOCKS)
             for topic in topics.values():
-                _check_never_set(topic)
+                _require_steady_clock(topic)
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
         merged = np.concatenate(stamps) if stamps else np.empty(0, np.int64)
         self._epoch = epoch_of(merged) if epoch is None else epoch
 
     def time(self, message: Message, decoded: Any) -> float:
-        """Return the time [s] of a message, given also as it was decoded."""
+        """Return the time [s] of a message, also given decoded."""
         epoch = self._epoch or 0
         if not self._by_header:
             return seconds(message.receive, epoch)
@@ -187,7 +186,7 @@ class MessageTimes:
         return seconds(stamp.sec * NANO + stamp.nanosec, epoch, residue)
 
     def in_settings(self, settings: DriveSettings) -> DriveSettings:
-        """Return the settings of the drive with its epoch in them."""
+        """Return the settings of the drive with its epoch."""
         return settings.model_copy(update={"epoch": self._epoch}) if self._epoch else settings
 
     def _stamps(self, topic: Topic) -> np.ndarray:
@@ -197,26 +196,26 @@ class MessageTimes:
 
 
 def _recorder_ahead(topics: dict[str, Topic]) -> int:
-    """Return how far the recorder's clock is ahead of the headers' [ns], 0 when none stamps."""
+    """Return the median offset of the recorder's clock from the headers' [ns]; 0 without stamps."""
     for topic in topics.values():
-        if topic.header is not None and topic.count and not topic.stamped:
+        if topic.header is not None and topic.count and not topic.is_stamped:
             raise InputError(
-                f"{topic.name}: its headers hold no times; with clock: receive in a topics file "
-                "the recorder's count"
+                f"{topic.name}: its headers have no stamps; set clock: receive in a topics file to "
+                "use the recorder's times"
             )
     offsets = [t.clock.median for t in topics.values() if t.clock is not None]
     return round(float(np.median(offsets)) * NANO) if offsets else 0
 
 
-def _check_never_set(topic: Topic) -> None:
-    """Refuse a topic whose headers' clock was set back while it was recorded."""
+def _require_steady_clock(topic: Topic) -> None:
+    """Refuse a topic whose header clock was set back during the recording."""
     if topic.header is None or not topic.count:
         return
     stamps = topic.header[np.argsort(topic.receive, kind="stable")]
     behind = np.maximum.accumulate(stamps) - stamps
     if behind.max() > MAX_DELAY_S * NANO:
         raise InputError(
-            f"{topic.name}: time runs back by {behind.max() / NANO:.3f} s at message "
-            f"{int(np.argmax(behind)) + 1}: a clock was set; with clock: receive in a topics file "
-            "the recorder's times count"
+            f"{topic.name}: time runs backwards by {behind.max() / NANO:.3f} s at message "
+            f"{int(np.argmax(behind)) + 1}: a clock was set back; set clock: receive in a topics "
+            "file to use the recorder's times"
         )
