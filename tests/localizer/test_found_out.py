@@ -52,7 +52,7 @@ class Logged(Rig):
 def test_smoothing_makes_no_pose_in_the_mirror():
     rig = Logged(ring(10), promise=None)
     rig.home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
-    rig.drive(40, see=lambda seen: {n: -b for n, b in seen.items()})
+    rig.drive(25, see=lambda seen: {n: -b for n, b in seen.items()})
     track = smooth(rig.logged())
     assert track.reason[-1] == Reason.SIGNS_REVERSED.words
     assert not track.has_pose[-1]
