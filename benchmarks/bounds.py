@@ -1,16 +1,13 @@
 """The Cramer-Rao bounds against a Monte Carlo of an efficient estimator, and against closed forms.
 
 `python -m benchmarks.bounds [--runs 400]`. The estimator is maximum likelihood over the whole
-drive (poses, landmarks, odometry errors), by Gauss-Newton from the truth. rho is
+drive (poses, landmarks, odometry errors), by Gauss-Newton from ground truth. rho is
 sqrt(mean(e' B^-1 e) / 3) over the runs, with its 95 % interval for an efficient estimator.
 """
 
-from __future__ import annotations
-
-import argparse
-
 import numpy as np
 
+from benchmarks.monte_carlo import parsed
 from homeward.geometry.angles import wrap
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.planning.accuracy import Arcs
@@ -21,7 +18,7 @@ STEP = 1e-6
 
 
 class Arc:
-    """An arc past landmarks all round home, and what is measured on it."""
+    """An arc among landmarks all round home, and its measurements."""
 
     def __init__(self, bearing: float, turn: float, seed: int = 3) -> None:
         rng = np.random.default_rng(seed)
@@ -103,7 +100,7 @@ def monte_carlo(bearing_deg: float, turn: float, runs: int) -> str:
 
 
 def ring_closed_form() -> tuple[float, float, float, float]:
-    """Return position and heading errors amid a ring of surveyed landmarks, found and exact."""
+    """Return computed and exact errors of position and heading in a ring of surveyed landmarks."""
     q, r, sigma, stops = 12, 3.0, 0.01, 2
     angles = 2 * np.pi * np.arange(q) / q
     plan = Plan.model_validate(
@@ -119,14 +116,14 @@ def ring_closed_form() -> tuple[float, float, float, float]:
     marks = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     arcs = Arcs(plan)
     seen, stored = np.ones((1, q), bool), np.zeros(q, bool)
-    told = arcs.told(np.zeros((1, 2)), marks, seen, stored, 0)
-    fix = arcs.fix(told.every)
+    information = arcs.told(np.zeros((1, 2)), marks, seen, stored, 0)
+    fix = arcs.fix(information.every)
     root = np.sqrt(q * stops)
     return float(fix.position[0]), 2 * r * sigma / root, float(fix.heading[0]), sigma / root
 
 
 def dead_reckoning_closed_form(steps: int = 4000) -> tuple[np.ndarray, np.ndarray]:
-    """Return variances ahead, aside and of the heading after a straight blind drive, and exact."""
+    """Return computed and exact variances ahead, aside and of the heading by dead reckoning."""
     T, v, sigma_v, sigma_w, start = 20.0, 0.3, 0.02, 0.03, 0.01
     t = np.linspace(0, T, steps + 1)
     poses = np.stack([v * t, 0 * t, 0 * t], axis=1)
@@ -147,21 +144,18 @@ def dead_reckoning_closed_form(steps: int = 4000) -> tuple[np.ndarray, np.ndarra
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=400)
-    options = parser.parse_args()
+    options = parsed(__doc__, runs=400)
     for bearing_deg in (0.2, 0.5, 1.0):
         for turn in (0.0, 0.3):
             print(monte_carlo(bearing_deg, turn, options.runs), flush=True)
     found, exact, turned, exactly = ring_closed_form()
     print(
-        f"amid a ring of surveyed landmarks: position {found:.6f} m (closed form {exact:.6f}),"
+        f"in a ring of surveyed landmarks: position {found:.6f} m (closed form {exact:.6f}),"
         f" heading {turned:.7f} rad ({exactly:.7f})"
     )
     found_variances, exact_variances = dead_reckoning_closed_form()
     ratio = ", ".join(f"{r:.6f}" for r in found_variances / exact_variances)
-    print(f"blind straight drive, variances ahead, aside, of heading over closed form: {ratio}")
+    print(f"straight dead reckoning, variances ahead, aside, of heading over closed form: {ratio}")
 
 
 if __name__ == "__main__":

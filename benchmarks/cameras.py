@@ -1,32 +1,38 @@
-"""Every camera from pixels to home in rendered rooms: bearings, their deviations, homing, speed.
+"""Every camera from pixels to home in rendered rooms: bearings, NEES, homing, runtime.
 
     python -m benchmarks.cameras --homings 3
     python -m benchmarks.cameras --camera pinhole --homings 10 --view 1.4 --spin
+    python -m benchmarks.cameras --overlaps 10
 
-Every room that comes with homeward in turn, furnished by the seed. The heading at the start is not
-known, three boxes were moved since home was stored (with their tags), someone walks through, and
-each picture is tilted by 0.01 rad. Home is one picture, or with `--spin` a turn on the spot, which
-a camera needs that looks ahead. A homing is good when it ends within 2 cm. Bearings are compared
-with where the tags hang, and those of features with the point that home's picture shows there:
-their errors, and their NEES, which is 1 where deviations are honest.
+Rooms as in `benchmarks.render`. The heading at the start is unknown, three boxes were moved since
+home was stored (with their tags), a person walks through, and each picture has a tilt of 0.01 rad.
+Home is one picture or, with `--spin`, a rotation on the spot, which forward-looking cameras need.
+`--view` is the field of view of these [rad]. A homing that ends within 2 cm is successful. Bearings
+are compared with the true positions of tags, and of the points that home's features show; their
+NEES should be 1. `--overlaps` instead compares pairs of pictures of forward-looking cameras without
+tags, in this number of rooms.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
-import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import partial
-from multiprocessing import Pool
 from typing import Any
 
 import numpy as np
 
-from benchmarks.render import room_number
-from homeward.drives.cameras.camera import unit_vectors
+from benchmarks import monte_carlo
+from benchmarks.render import (
+    IMAGES_PER_S,
+    MAX_END_M,
+    feature_points,
+    in_processes,
+    motion_errors,
+    moved_boxes,
+    room_number,
+    timed,
+)
 from homeward.drives.drive import HomeBearing, Odometry, Sightings
 from homeward.drives.home.spin import spin
 from homeward.errors import InputError
@@ -35,7 +41,7 @@ from homeward.geometry.frames import Pose, Twist
 from homeward.io.settings import validated
 from homeward.lab.simulation.course import Wheels, before
 from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
-from homeward.lab.simulation.render.rays.raycast import Viewpoint, points, trace
+from homeward.lab.simulation.render.rays.raycast import Viewpoint
 from homeward.lab.simulation.render.room.presets import PLANS
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.lab.simulation.render.scene import tag_places
@@ -46,17 +52,10 @@ from homeward.vision.features.detection import extract
 from homeward.vision.opencv import opencv
 from homeward.vision.tags.front_end import TagFrontEnd, family_of
 
-NEAR_HOME = 0.02
-"""A homing is good when it ends this near [m]."""
-FAR_OFF = 4.0
-"""Errors are counted beyond so many standard deviations."""
-HALF_OF_SQUARES = 0.4549
-"""Median of chi-square with one degree of freedom."""
-SPIN = 0.5
-"""Home's turn [rad/s]."""
-FIRST_OF_SPIN = 1_000_000
-"""Pictures of home's turn are numbered from here."""
-TILT, IMAGES_PER_S = 0.01, 2.5
+MAX_SIGMAS = 4.0  # larger errors are counted [standard deviations]
+CHI_SQUARE_MEDIAN = 0.4549  # with one degree of freedom
+SPIN = 0.5  # yaw rate of home's rotation [rad/s]
+FIRST_OF_SPIN = 1_000_000  # number of the first picture of home's rotation
 TAGS = {"size": 0.2, "walls": 24}
 AHEAD = {"width": 1280, "height": 640}
 CAMERAS: dict[str, dict[str, Any]] = {
@@ -68,14 +67,13 @@ CAMERAS: dict[str, dict[str, Any]] = {
 }
 SMALL = {"width": 640, "height": 320}
 FAR, TURNS = (0.3, 1.0), (0.0, 20.0, 40.0)
-AHEAD_ONLY = ("fisheye", "pinhole")
-"""These see tags."""
+AHEAD_ONLY = ("fisheye", "pinhole")  # forward-looking, with tags
 
 
 def scenario(number: int, camera: str, view: float | None) -> RenderScenario:
-    """Return room number `number` for a camera, with so much of a view [rad]."""
+    """Return room number `number` for a camera, perhaps with a field of view [rad]."""
     tree = room_number(number, (1.0, 4.0), 3)
-    tree["camera"] = {"projection": camera, "tilt_sigma": TILT} | CAMERAS[camera]
+    tree["camera"] = {"projection": camera, "tilt_sigma": 0.01} | CAMERAS[camera]
     if camera in AHEAD_ONLY:
         tree["tags"] = TAGS
         if view is not None:
@@ -86,24 +84,20 @@ def scenario(number: int, camera: str, view: float | None) -> RenderScenario:
 
 @dataclass
 class Homing:
-    """What a homing came to."""
+    """Result of a homing."""
 
     name: str
-    home: int
-    """Landmarks that home saw."""
+    home: int  # number of home bearings
     ended: str = ""
     distance: float = math.inf
-    errors: np.ndarray = field(default_factory=lambda: np.empty(0))
-    """Of bearings on the way [rad]."""
+    errors: np.ndarray = field(default_factory=lambda: np.empty(0))  # of bearings on the way [rad]
     sigmas: np.ndarray = field(default_factory=lambda: np.empty(0))
-    seeing: list[float] = field(default_factory=list)
-    """Time of each picture in the front-end [s]."""
-    plain: list[float] = field(default_factory=list)
-    """And in OpenCV's detector alone [s]."""
+    seeing: list[float] = field(default_factory=list)  # time of each picture in the front-end [s]
+    plain: list[float] = field(default_factory=list)  # and in OpenCV's detector alone [s]
 
 
 def turned_at_home(eye: Eye) -> dict[str, HomeBearing]:
-    """Return what a turn on the spot at home, a rest before and after it, tells of home."""
+    """Return the home bearings from a rotation on the spot at home, with rests around it."""
     course = eye.scenario
     front_end = TagFrontEnd(course.camera.known, course.tags.family)
     wheels, seconds = Wheels(course), math.tau / SPIN
@@ -120,7 +114,6 @@ def turned_at_home(eye: Eye) -> dict[str, HomeBearing]:
 
 
 def home_from(number: int, camera: str, view: float | None, turns: bool) -> Homing:
-    """Drive home in room number `number`."""
     opencv().setNumThreads(1)
     eye = Eye(scenario(number, camera, view))
     loop = ImageLoop(eye, home=turned_at_home(eye) if turns else None)
@@ -128,12 +121,12 @@ def home_from(number: int, camera: str, view: float | None, turns: bool) -> Homi
     places, views = landmarks(eye, loop), {}
     plain = plain_detection(eye)
     see = loop.front_end.see
-    loop.front_end.see = partial(timed, done.seeing, see)  # type: ignore[method-assign]
+    loop.front_end.see = partial(timed, done.seeing.append, see)  # type: ignore[method-assign]
 
     def keep(t: float, robot: Pose, picture: np.ndarray) -> None:
         views[t] = level_view(eye, robot, len(views) + 1)
         if len(views) % 10 == 1:
-            timed(done.plain, plain, picture)
+            timed(done.plain.append, plain, picture)
 
     try:
         made = loop.run(make_estimator("robust", loop.drive), keep)
@@ -149,22 +142,19 @@ def home_from(number: int, camera: str, view: float | None, turns: bool) -> Homi
 
 
 def landmarks(eye: Eye, loop: ImageLoop) -> dict[str, np.ndarray]:
-    """Return where landmarks are now, (3,) [m]: tags, or features of home on what stayed."""
+    """Return the positions of landmarks, (3,) [m]: tags, or features of static objects at home."""
     if isinstance(loop.front_end, TagFrontEnd):
         return {str(tag.number): tag.centre for tag in tag_places(eye.scenario, at_home=False)}
-    home, view = loop.front_end.home, eye.home_view
-    rays = unit_vectors(home.azimuth, home.elevation)
-    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
-    place = points(trace(surfaces, view, rays), view, rays)
-    boxes, things = eye.scenario.boxes, things_seen(eye, home)
-    went = {name for name, box in boxes.items() if box.stood is not None} | {*eye.scenario.movers}
-    return {f"h{k}": place[k] for k, thing in enumerate(things) if thing not in went}
+    home = loop.front_end.home
+    place, went = feature_points(eye, home), moved_boxes(eye) | {*eye.scenario.movers}
+    things = enumerate(things_seen(eye, home))
+    return {f"h{k}": place[k] for k, thing in things if thing not in went}
 
 
 def level_view(eye: Eye, robot: Pose, number: int) -> Viewpoint:
-    """Return where bearings are taken from, and in which frame they are.
+    """Return the position and frame of bearings.
 
-    Those of tags are level, but for what is not known; those of features are as level as home's.
+    Those of tags are level except for an unknown tilt; those of features have home's tilt.
     """
     view = eye.view(robot, number)
     level = np.eye(3) if eye.scenario.tags is not None else eye.home_view.rotation
@@ -177,13 +167,11 @@ def level_view(eye: Eye, robot: Pose, number: int) -> Viewpoint:
 
 
 def azimuth(view: Viewpoint, place: np.ndarray) -> float:
-    """Return the azimuth at which a place lies [rad]."""
     x, y, _ = (place - view.position) @ view.rotation
     return math.atan2(y, x)
 
 
 def plain_detection(eye: Eye) -> Callable[[np.ndarray], object]:
-    """Return what OpenCV alone would do with a picture."""
     cv2 = opencv()
     if eye.scenario.tags is None:
         sift = cv2.SIFT_create(nfeatures=5000, contrastThreshold=0.02)
@@ -192,25 +180,17 @@ def plain_detection(eye: Eye) -> Callable[[np.ndarray], object]:
     return lambda picture: detector.detectMarkers(as_grey(picture))
 
 
-def timed(times: list[float], call: Callable[[np.ndarray], Any], picture: np.ndarray) -> Any:
-    """Return what a call makes of a picture, its processor time put down."""
-    began = time.process_time()
-    made = call(picture)
-    times.append(time.process_time() - began)
-    return made
-
-
 def print_overlaps(rooms: int, view: float | None) -> None:
-    """Print how often a lens without tags knows home's picture again, and how well."""
+    """Print how often and how accurately a lens without tags recognises home's picture."""
     for camera in AHEAD_ONLY:
         for far in FAR:
             for turn in TURNS:
                 seen = [s for k in range(rooms) if (s := overlap(k, camera, view, far, turn))]
-                words = f"{camera}, {far:g} m off, turned {turn:g} deg: {len(seen)} of {rooms}"
+                words = f"{camera}, {far:g} m away, rotated {turn:g} deg: {len(seen)} of {rooms}"
                 if seen:
-                    heading, direction, nees = np.abs(seen).T
-                    words += f"; heading {np.median(heading):.2f} deg, direction "
-                    words += f"{np.median(direction):.1f}, at worst {heading.max():.2f} and "
+                    direction, heading, nees = np.abs(seen).T
+                    words += f"; median error of heading {np.median(heading):.2f} deg, direction "
+                    words += f"{np.median(direction):.1f}; worst {heading.max():.2f} and "
                     words += f"{direction.max():.0f}; NEES {nees.mean():.1f}"
                 print(words, flush=True)
 
@@ -218,9 +198,9 @@ def print_overlaps(rooms: int, view: float | None) -> None:
 def overlap(
     number: int, camera: str, view: float | None, far: float, turn: float
 ) -> tuple[float, float, float] | None:
-    """Return errors of heading and direction [deg], and their NEES; None where home is not known.
+    """Return errors as of `motion_errors`, or None if home is not recognised.
 
-    The camera is `far` [m] from home, on any side of it, and turned by so much [deg].
+    The camera is at a distance of `far` [m] from home in any direction, rotated by `turn` [deg].
     """
     made = scenario(number, camera, view)
     changes = {"tags": None, "camera": made.camera.model_copy(update=SMALL)}
@@ -230,30 +210,18 @@ def overlap(
     while now_picture is None:
         theta = rng.uniform(-math.pi, math.pi)
         robot = Pose(far * math.cos(theta), far * math.sin(theta), math.radians(turn))
-        with suppress(InputError):  # something stands there
+        with suppress(InputError):  # an object is in the way
             now_picture = eye.look(0.0, robot, 1)
     pictures = eye.home_picture(), now_picture
     home, now = (extract(wide.panorama(picture), wide, wide.seen) for picture in pictures)
     seen = compare(home, now, wide)
-    if not seen.accepted:
-        return None
-    error = wrap(np.array([seen.direction - theta, seen.heading - robot.heading]))
-    nees = float(error @ np.linalg.solve(seen.covariance, error))
-    direction, heading = np.degrees(error).tolist()
-    return heading, direction, nees
+    return motion_errors(seen, robot) if seen.accepted else None
 
 
 def main() -> None:
-    """Print a line a homing, and one for each camera."""
-    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
-    parser.add_argument("--camera", nargs="*", choices=CAMERAS, default=[*CAMERAS])
-    parser.add_argument("--homings", type=int, default=10)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--view", type=float, help="of a camera that looks ahead [rad]")
-    parser.add_argument("--spin", action="store_true", help="such a one's home is a turn")
-    parser.add_argument("--processes", type=int, default=2)
-    parser.add_argument("--overlaps", type=int, help="rooms; pictures of lenses without tags")
-    asked = parser.parse_args()
+    asked = monte_carlo.parsed(
+        __doc__, camera=CAMERAS, homings=10, view=float, spin=False, overlaps=int
+    )
     if asked.overlaps:
         print_overlaps(asked.overlaps, asked.view)
         return
@@ -261,19 +229,17 @@ def main() -> None:
         turns = asked.spin and camera in AHEAD_ONLY
         drive = partial(home_from, camera=camera, view=asked.view, turns=turns)
         done = []
-        with Pool(asked.processes) as pool:
-            for one in pool.imap(drive, range(asked.first, asked.first + asked.homings)):
-                done.append(one)
-                print(
-                    f"  {one.name:16} {one.home:3d} landmarks at home, {100 * one.distance:6.2f} "
-                    f"cm ({one.ended}), {one.errors.size:5d} bearings",
-                    flush=True,
-                )
+        for one in in_processes(drive, range(asked.homings)):
+            done.append(one)
+            print(
+                f"  {one.name:16} {one.home:3d} landmarks at home, {100 * one.distance:6.2f} "
+                f"cm ({one.ended}), {one.errors.size:5d} bearings",
+                flush=True,
+            )
         print(summary(camera, done), flush=True)
 
 
 def summary(camera: str, done: list[Homing]) -> str:
-    """Return in words what the homings of one camera came to."""
     distance = np.array([one.distance for one in done])
     errors, sigmas, seeing, plain = (
         np.concatenate([getattr(one, key) for one in done])
@@ -281,11 +247,11 @@ def summary(camera: str, done: list[Homing]) -> str:
     )
     off, square = np.degrees(np.abs(errors)), (errors / sigmas) ** 2
     return (
-        f"{camera}: {np.sum(distance < NEAR_HOME)} of {len(done)} within {100 * NEAR_HOME:g} cm, "
-        f"median {100 * np.median(distance):.1f} cm; {off.size} bearings: median "
+        f"{camera}: {np.sum(distance < MAX_END_M)} of {len(done)} within {100 * MAX_END_M:g} cm, "
+        f"median {100 * np.median(distance):.1f} cm; errors of {off.size} bearings: median "
         f"{np.median(off):.4f} deg, 95 % {np.quantile(off, 0.95):.4f} deg; NEES {square.mean():.2f}"
-        f", median {np.median(square) / HALF_OF_SQUARES:.2f}, beyond {FAR_OFF:g} sigma "
-        f"{np.mean(square > FAR_OFF**2):.2%}; a picture {1e3 * np.median(seeing):.0f} ms, "
+        f", median {np.median(square) / CHI_SQUARE_MEDIAN:.2f}, beyond {MAX_SIGMAS:g} sigma "
+        f"{np.mean(square > MAX_SIGMAS**2):.2%}; per picture {1e3 * np.median(seeing):.0f} ms, "
         f"OpenCV alone {1e3 * np.median(plain):.0f} ms"
     )
 

@@ -1,55 +1,43 @@
-"""What a keyframe costs: 20 landmarks at 2 keyframes/s, hours of it, 500 landmarks, plain iSAM2.
+"""Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; plain iSAM2.
 
 `python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer ...]` prints milliseconds of
 processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one core). The peer is
-a plain GTSAM script that keeps every sample's pose, on the same samples of the first part.
+a plain GTSAM script that keeps the pose of every sample, on the samples of the first part.
 """
 
-from __future__ import annotations
-
-import argparse
 import resource
 import time
 
 import gtsam
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.drives.drive import Drive
-from homeward.lab.simulation.scenario import (
-    Circle,
-    Moved,
-    Noise,
-    OdometryErrors,
-    Rates,
-    Ring,
-    Scenario,
-    StartPose,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import simulate
 from homeward.localizer.localizer import Localizer
 
-RATE = 2.0
-"""Bearing stamps, and so keyframes, per second [Hz]."""
+RATE = 2.0  # bearing stamps, and so keyframes, per second [Hz]
 
 
 def make_drive(landmarks: int, seconds: float, far: float = 6.0) -> Drive:
-    """Return a drive round and round, all landmarks in sight with probability one half."""
-    scenario = Scenario(
+    """Return a drive in circles, each landmark visible with probability one half."""
+    scenario = sim.Scenario(
         name=f"{landmarks} landmarks",
-        landmarks=Ring(count=landmarks, distance=(3.0, far)),
-        moved=Moved(count=min(3, landmarks // 5)),
+        landmarks=sim.Ring(count=landmarks, distance=(3.0, far)),
+        moved=sim.Moved(count=min(3, landmarks // 5)),
         visibility={"probability": 0.5},
-        noise=Noise(bearing_sigma=0.01, home_sigma=0.01),
-        rates=Rates(odometry=10.0, bearings=RATE, truth=1.0),
-        odometry=OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
-        start=StartPose(R=1.0, theta=0.3, alpha=1.8, prior=False),
-        trajectory=Circle(speed=0.3, omega=0.25, duration=seconds),
+        noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
+        rates=sim.Rates(odometry=10.0, bearings=RATE, truth=1.0),
+        odometry=sim.OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
+        start=sim.StartPose(R=1.0, theta=0.3, alpha=1.8, prior=False),
+        trajectory=sim.Circle(speed=0.3, omega=0.25, duration=seconds),
     )
     return simulate(scenario).drive
 
 
 def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Return the cost of each call of `bearings` [ms], and whether home was found by then."""
+    """Return the runtime of each call of `bearings` [ms], and whether home was found by then."""
     localizer = Localizer(drive.home, **drive.settings.robot)
     o = drive.odometry
     twists = zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
@@ -67,7 +55,7 @@ def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 
 def plain_isam2(drive: Drive, most: int) -> np.ndarray:
-    """Return the cost of each stamp [ms] of a plain iSAM2 that keeps the pose of every one."""
+    """Return the runtime of each stamp [ms] of a plain iSAM2 that keeps all poses."""
     isam, x, mark = gtsam.ISAM2(), gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
@@ -110,7 +98,6 @@ def plain_isam2(drive: Drive, most: int) -> np.ndarray:
 
 
 def steady() -> None:
-    """Print the cost with 20 landmarks over twenty minutes."""
     cost, found = milliseconds(make_drive(20, 1200))
     first = int(np.argmax(found))
     print(
@@ -122,7 +109,6 @@ def steady() -> None:
 
 
 def long(hours: float) -> None:
-    """Print how cost and memory change over hours."""
     drive = make_drive(20, 3600 * hours)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     cost, _ = milliseconds(drive)
@@ -137,17 +123,15 @@ def long(hours: float) -> None:
 
 
 def many() -> None:
-    """Print the cost with 500 landmarks."""
     cost, _ = milliseconds(make_drive(500, 120, far=20.0))
     print(
         f"500 landmarks, {cost.size} keyframes: median {np.median(cost):.0f} ms, worst "
-        f"{cost.max():.0f} ms, {cost.sum() / 1e3:.0f} s of computing for 120 s of driving "
+        f"{cost.max():.0f} ms, runtime {cost.sum() / 1e3:.0f} s for 120 s of driving "
         "(goal: less than 120)"
     )
 
 
 def peer() -> None:
-    """Print ours beside plain iSAM2 on the same samples."""
     drive = make_drive(20, 1200)
     ours, _ = milliseconds(drive)
     theirs = plain_isam2(drive, ours.size)
@@ -157,13 +141,10 @@ def peer() -> None:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--hours", type=float, default=8.0)
-    parser.add_argument("--part", nargs="*", default=["steady", "long", "many", "peer"])
-    options = parser.parse_args()
+    parts = {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}
+    options = monte_carlo.parsed(__doc__, hours=8.0, part=parts)
     for part in options.part:
-        {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}[part]()
+        parts[part]()
 
 
 if __name__ == "__main__":

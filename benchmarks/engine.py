@@ -1,43 +1,21 @@
-"""The compiled engine beside its peers: plain NumPy, FilterPy, Stone Soup, dynamax and C++ by hand.
+"""The compiled engine and its peers: plain NumPy, FilterPy, Stone Soup, dynamax, hand-written C++.
 
 `python -m benchmarks.engine [--quick] [--gate] [--update-baseline]` prints medians and ratios of
-one run, in which peers and homeward take turns; each peer must first agree with homeward on the
-same trajectory. Times are processor time, except where two threads or whole processes are timed.
-`--gate` fails where a ratio has fallen below half of the one in engine_baseline.json.
+one run, in which peers and homeward alternate; each peer must first agree with homeward on the
+same trajectory. Times are processor time, except for two threads and whole processes. `--gate`
+fails if a ratio is below half of that in engine_baseline.json.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import sys
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.peers.libraries import FilterPyFilter, StoneSoupFilter, dynamax_batch
-from benchmarks.peers.limit import Limit
+from benchmarks import monte_carlo, timing
+from benchmarks.peers.libraries import FilterPyFilter, Limit, StoneSoupFilter, dynamax_batch
 from benchmarks.peers.plain import PlainFilter, process_noise
-from benchmarks.peers.scene import (
-    GUARD,
-    Scene,
-    every_parameter,
-    given,
-    make_scene,
-    series,
-)
-from benchmarks.timing import (
-    busy,
-    clock,
-    gate,
-    goal,
-    in_turns,
-    longest_thread,
-    per_sample,
-    ratio,
-    start_up,
-    wall,
-)
+from benchmarks.peers.scene import GUARD, Scene, every_parameter, given, make_scene, series
 from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import run_homing
 from homeward.lab.engine.native.source import NativeProgram
@@ -48,27 +26,20 @@ from homeward.lab.model import PolarModel
 BASELINE = Path(__file__).with_name("engine_baseline.json")
 AGREE, AGREE_DYNAMAX = 1e-6, 1e-5
 STEPS = 2400
-REST_S = 0.05
-"""Between bursts on two cores, so that others are not crowded out, nor they us."""
+REST_S = 0.05  # pause between bursts on two cores, to reduce the effect of other processes
 EKF = ExtendedKalmanFilter(PolarModel(7, guard=GUARD))
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="under a minute")
-    parser.add_argument("--gate", action="store_true", help="fail below the baseline")
-    parser.add_argument("--update-baseline", action="store_true")
-    options = parser.parse_args()
+    options = monte_carlo.parsed(__doc__, quick=False, gate=False, update_baseline=False)
     ratios = measure(5 if options.quick else 15, options.quick)
     if options.update_baseline:
         BASELINE.write_text(json.dumps(ratios, indent=2) + "\n", encoding="utf-8")
     if options.gate:
-        sys.exit(gate(ratios, json.loads(BASELINE.read_text(encoding="utf-8"))))
+        sys.exit(timing.gate(ratios, json.loads(BASELINE.read_text(encoding="utf-8"))))
 
 
 def measure(rounds: int, quick: bool) -> dict[str, float]:
-    """Measure everything, print it, and return the ratios by name."""
     scene, limit = make_scene(STEPS), Limit()
     process = agreement(make_scene(600) if quick else scene, limit)
     ratios = one_run(scene, limit, rounds)
@@ -76,7 +47,7 @@ def measure(rounds: int, quick: bool) -> dict[str, float]:
     ratios |= large(rounds)
     threads(rounds)
     closed_loops(rounds)
-    start_up(3)
+    timing.start_up(3)
     return ratios
 
 
@@ -90,7 +61,7 @@ def native(scene: Scene, kind: ExtendedKalmanFilter = EKF) -> np.ndarray:
 
 
 def agreement(scene: Scene, limit: Limit) -> np.ndarray:
-    """Print how far peers are from homeward on one trajectory; return Gu Q Gu' along it."""
+    """Print the peers' differences from homeward on one trajectory; return its Gu Q Gu'."""
     ours = native(scene)
     slow = run_recorded(
         EKF, given(scene, EKF), series(scene), runs=1, steps=scene.steps, engine="interpreter"
@@ -107,14 +78,13 @@ def agreement(scene: Scene, limit: Limit) -> np.ndarray:
         if not worst < (AGREE_DYNAMAX if name == "dynamax" else AGREE):
             sys.exit(f"{name} does not agree")
     print(
-        "  (dynamax is given Gu Q Gu' along the way, which it cannot compute from the state, and\n"
-        "  adds 1e-9 to the innovations' covariance: it cannot agree better than to 1e-5)"
+        "  (dynamax gets Gu Q Gu', which it cannot compute from the state, and adds 1e-9 to the\n"
+        "  innovations' covariance: it cannot agree better than to 1e-5)"
     )
     return process
 
 
 def one_by_one(scene: Scene) -> dict[str, object]:
-    """Return the peers that take one sample a call."""
     return {
         "NumPy": PlainFilter(scene),
         "FilterPy": FilterPyFilter(scene),
@@ -123,13 +93,13 @@ def one_by_one(scene: Scene) -> dict[str, object]:
 
 
 def stepped(peer, scene: Scene, k: int) -> np.ndarray:
-    """Give a peer sample k and return its estimate."""
+    """Pass sample k to a peer, and return its estimate."""
     peer.step(scene.control[k], scene.bearings[k], scene.mask[k])
     return peer.x
 
 
 def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
-    """Time single runs: a call a sample, and a whole run in a call."""
+    """Time single runs: one call per sample, and one call per run."""
     program = NativeProgram(filter_program(EKF))
     values = program.variables
     for name, value in given(scene, EKF).items():
@@ -142,27 +112,31 @@ def one_run(scene: Scene, limit: Limit, rounds: int) -> dict[str, float]:
         return state.copy()
 
     peers = one_by_one(scene)
-    timed = {name: per_sample(lambda k, p=p: stepped(p, scene, k), 60) for name, p in peers.items()}
-    timed["online"] = per_sample(online, 120)
-    timed["recorded"] = lambda: clock(lambda: native(scene)) / scene.steps
-    timed["C++ limit"] = lambda: clock(lambda: limit.run(scene)) / scene.steps
-    taken = in_turns(timed, rounds)
-    print("\none run, microseconds a sample (median of rounds), and times FilterPy (median ratio):")
-    for name, seconds in taken.items():
-        print(f"  {name:12} {1e6 * np.median(seconds):8.2f} {ratio(taken, 'FilterPy', name):8.1f}")
-    found = {
-        "online / FilterPy": ratio(taken, "FilterPy", "online"),
-        "recorded / FilterPy": ratio(taken, "FilterPy", "recorded"),
-        "recorded / C++ limit": ratio(taken, "C++ limit", "recorded"),
+    timed = {
+        name: timing.per_sample(lambda k, p=p: stepped(p, scene, k), 60)
+        for name, p in peers.items()
     }
-    goal("online, a call a sample: times FilterPy", found["online / FilterPy"], 60)
-    goal("recorded run in one call: times FilterPy", found["recorded / FilterPy"], 150)
-    goal("recorded run in one call: share of the C++ limit", found["recorded / C++ limit"], 0.5)
+    timed["online"] = timing.per_sample(online, 120)
+    timed["recorded"] = lambda: timing.clock(lambda: native(scene)) / scene.steps
+    timed["C++ limit"] = lambda: timing.clock(lambda: limit.run(scene)) / scene.steps
+    taken = timing.in_turns(timed, rounds)
+    print("\none run, microseconds per sample (median), and speed relative to FilterPy (median):")
+    for name, seconds in taken.items():
+        times = timing.ratio(taken, "FilterPy", name)
+        print(f"  {name:12} {1e6 * np.median(seconds):8.2f} {times:8.1f}")
+    found = {
+        "online / FilterPy": timing.ratio(taken, "FilterPy", "online"),
+        "recorded / FilterPy": timing.ratio(taken, "FilterPy", "recorded"),
+        "recorded / C++ limit": timing.ratio(taken, "C++ limit", "recorded"),
+    }
+    timing.goal("online, speed over FilterPy", found["online / FilterPy"], 60)
+    timing.goal("recorded run, speed over FilterPy", found["recorded / FilterPy"], 150)
+    timing.goal("recorded run, speed over the C++ limit", found["recorded / C++ limit"], 0.5)
     return found
 
 
 def many_runs(scene: Scene, process: np.ndarray, rounds: int, quick: bool) -> dict[str, float]:
-    """Time many runs at once on one core, against FilterPy and dynamax."""
+    """Time many simultaneous runs on one core, against FilterPy and dynamax."""
     short = make_scene(100 if quick else 400)
     runs = 512
     bearings = many(short, runs)
@@ -170,56 +144,54 @@ def many_runs(scene: Scene, process: np.ndarray, rounds: int, quick: bool) -> di
     small = bearings[:64]
     batch(small)
     peer = FilterPyFilter(scene)
-    taken = in_turns(
+    taken = timing.in_turns(
         {
-            "FilterPy": per_sample(lambda k: stepped(peer, scene, k), 60),
-            "dynamax": lambda: clock(lambda: batch(small)) / (len(small) * short.steps),
-            "batch": lambda: clock(lambda: ours(short, bearings, 1)) / (runs * short.steps),
+            "FilterPy": timing.per_sample(lambda k: stepped(peer, scene, k), 60),
+            "dynamax": lambda: timing.clock(lambda: batch(small)) / (len(small) * short.steps),
+            "batch": lambda: timing.clock(lambda: ours(short, bearings, 1)) / (runs * short.steps),
         },
         rounds,
     )
-    print("\nmany runs, filter steps a second and core (median of rounds):")
+    print("\nmany runs, filter steps per second and core (median of rounds):")
     for name, seconds in taken.items():
         print(f"  {name:12} {1 / np.median(seconds):12,.0f}")
     found = {
-        "batch / FilterPy": ratio(taken, "FilterPy", "batch"),
-        "batch / dynamax": ratio(taken, "dynamax", "batch"),
+        "batch / FilterPy": timing.ratio(taken, "FilterPy", "batch"),
+        "batch / dynamax": timing.ratio(taken, "dynamax", "batch"),
     }
     flags = Path("/proc/cpuinfo")
     wide = flags.exists() and "avx512dq" in flags.read_text(encoding="utf-8")
-    goal("many runs: times FilterPy", found["batch / FilterPy"], 800 if wide else 400)
-    goal("many runs: times dynamax", found["batch / dynamax"], 30)
+    timing.goal("many runs, speed over FilterPy", found["batch / FilterPy"], 800 if wide else 400)
+    timing.goal("many runs, speed over dynamax", found["batch / dynamax"], 30)
     return found
 
 
 def threads(rounds: int) -> None:
-    """Time the same batch on one core and on two, by the wall, in short bursts."""
     short = make_scene(100)
     bearings = many(short, 1024)
-    taken = in_turns(
+    taken = timing.in_turns(
         {
-            "one": lambda: wall(lambda: ours(short, bearings, 1)),
-            "two": lambda: wall(lambda: ours(short, bearings, 2)),
+            "one": lambda: timing.wall(lambda: ours(short, bearings, 1)),
+            "two": lambda: timing.wall(lambda: ours(short, bearings, 2)),
         },
         4 * rounds,
         rest=REST_S,
     )
     best = min(taken["one"]) / min(taken["two"])
-    print(f"\ntwo cores against one, by the wall (best of {4 * rounds} bursts; {busy()}):")
-    goal("two cores: times one", best, 1.8)
-    alone = min(clock(lambda: ours(short, bearings, 1)) for _ in range(rounds))
-    shared = min(longest_thread(lambda: ours(short, bearings, 2)) for _ in range(rounds))
-    print(f"  by processor time, two cores to themselves: {alone / shared:.2f}")
+    print(f"\ntwo cores against one, wall time (best of {4 * rounds} bursts; {timing.busy()}):")
+    timing.goal("speed of two cores over one", best, 1.8)
+    alone = min(timing.clock(lambda: ours(short, bearings, 1)) for _ in range(rounds))
+    shared = min(timing.longest_thread(lambda: ours(short, bearings, 2)) for _ in range(rounds))
+    print(f"  by processor time, on two idle cores: {alone / shared:.2f}")
 
 
 def many(scene: Scene, runs: int) -> np.ndarray:
-    """Return the bearings of a scene with other noise for every run, (runs, steps, q)."""
+    """Return the bearings of a scene with new noise for every run, (runs, steps, q)."""
     noise = np.random.default_rng(5).normal(size=(runs, *scene.bearings.shape))
     return scene.bearings + 0.01 * noise
 
 
 def ours(scene: Scene, bearings: np.ndarray, count: int) -> np.ndarray:
-    """Return homeward's last estimates of many runs."""
     result = run_recorded(
         EKF,
         given(scene, EKF),
@@ -234,7 +206,7 @@ def ours(scene: Scene, bearings: np.ndarray, count: int) -> np.ndarray:
 
 
 def closed_loops(rounds: int) -> None:
-    """Time complete homing runs with all noise drawn, layouts and first guesses of their own."""
+    """Time complete homing runs, each with its own noise, layout and initial estimate."""
     runs, steps, q = 1024, 120, 7
     rng = np.random.default_rng(3)
     angles = 2 * np.pi * np.arange(q) / q + rng.uniform(-0.3, 0.3, (runs, q))
@@ -257,12 +229,12 @@ def closed_loops(rounds: int) -> None:
     def home() -> None:
         run_homing(EKF, values, runs=runs, steps=steps, engine="native", threads=2)
 
-    taken = in_turns({"home": lambda: wall(home)}, 4 * rounds, rest=REST_S)["home"]
-    used = min(clock(home) for _ in range(rounds))
-    print("\nclosed loops of 120 samples that never stop early, by the wall, two threads:")
-    print(f"  median {runs / np.median(taken):,.0f} a second, best {runs / taken.min():,.0f}")
-    print(f"  by processor time, two cores to themselves: {2 * runs / used:,.0f} a second")
-    goal("complete homing runs a second (best)", runs / float(taken.min()), 10_000)
+    taken = timing.in_turns({"home": lambda: timing.wall(home)}, 4 * rounds, rest=REST_S)["home"]
+    used = min(timing.clock(home) for _ in range(rounds))
+    print("\nclosed loops of 120 samples without an early stop, wall time, two threads:")
+    print(f"  median {runs / np.median(taken):,.0f} per second, best {runs / taken.min():,.0f}")
+    print(f"  by processor time, on two idle cores: {2 * runs / used:,.0f} per second")
+    timing.goal("complete homing runs per second (best)", runs / float(taken.min()), 10_000)
 
 
 def large(rounds: int) -> dict[str, float]:
@@ -276,17 +248,17 @@ def large(rounds: int) -> dict[str, float]:
         off = np.abs(np.array([stepped(peer, scene, k) for k in range(200)]) - track[:200]).max()
         if not off < AGREE:
             sys.exit(f"{name}: NumPy does not agree: {off:.1e}")
-        taken = in_turns(
+        taken = timing.in_turns(
             {
-                "NumPy": per_sample(lambda k, p=peer, s=scene: stepped(p, s, 200 + k), 15),
-                "ours": lambda s=scene, kind=kind: clock(lambda: native(s, kind)) / s.steps,
+                "NumPy": timing.per_sample(lambda k, p=peer, s=scene: stepped(p, s, 200 + k), 15),
+                "ours": lambda s=scene, kind=kind: timing.clock(lambda: native(s, kind)) / s.steps,
             },
             rounds,
         )
-        found[f"{name} / NumPy"] = ratio(taken, "NumPy", "ours")
+        found[f"{name} / NumPy"] = timing.ratio(taken, "NumPy", "ours")
         a, b = (1e6 * np.median(taken[k]) for k in ("NumPy", "ours"))
-        print(f"\n{name}: NumPy {a:.0f} us a sample, homeward {b:.2f} us, agreeing to {off:.0e}")
-        goal(f"{name}: times NumPy", found[f"{name} / NumPy"], 10)
+        print(f"\n{name}: NumPy {a:.0f} us per sample, homeward {b:.2f} us, agreement to {off:.0e}")
+        timing.goal(f"{name}, speed over NumPy", found[f"{name} / NumPy"], 10)
     return found
 
 

@@ -1,13 +1,10 @@
-"""Every reader fed with spoilt files: a value comes out, or one line that says what is wrong.
+"""Fuzz test of all readers: corrupted files give a value, or an error message of one line.
 
-`python -m benchmarks.fuzz [--part NAME] [--runs 2000] [--first 0]`. Case k of a part is made of the
-seed k alone, so that `--first k --runs 1` repeats it. Anything but a `HomewardError`, more than
-`LONGEST_S` or more memory than `MOST_MEMORY` is a failure, and ends with status 1.
+`python -m benchmarks.fuzz [--part NAME] [--runs 2000] [--first 0]`. Case k of a part depends only
+on the seed k, so that `--first k --runs 1` repeats it. Any exception but a `HomewardError`, more
+than `MAX_S` or more memory than `MAX_MEMORY` is a failure, and gives exit status 1.
 """
 
-from __future__ import annotations
-
-import argparse
 import io
 import math
 import random
@@ -30,6 +27,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
+from benchmarks import monte_carlo
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
@@ -52,9 +50,8 @@ from homeward.runs.single_run import load_run
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.recorded.settings import read_image_settings
 
-LONGEST_S = 30.0
-MOST_MEMORY = 2 * 2**30
-"""Beyond what the process has when it begins [byte]."""
+MAX_S = 30.0
+MAX_MEMORY = 2 * 2**30  # in addition to the memory of the process at its start [bytes]
 SPOILERS = {
     "binary": [b"\xff" * 4, b"\x00" * 8, b"\xff\xff\xff\x7f", b"\x80", b"\x01", b"\n"],
     "numbers": [b"nan", b"inf", b"-1", b"1e308", b"1e999", b"9" * 5000, b"0x" + b"f" * 40, b"1j"],
@@ -82,11 +79,10 @@ module homeward_msgs { module msg {
 
 @dataclass(frozen=True)
 class Part:
-    """One reader, valid input for it, and what spoils that best."""
+    """One reader, valid inputs, and suitable kinds of corruption."""
 
     valid: Callable[[], list[bytes]]
-    read: Callable[[bytes, Path], Any]
-    """Takes the bytes, and an empty folder."""
+    read: Callable[[bytes, Path], Any]  # reads the bytes, in an empty folder
     spoilers: tuple[str, ...]
 
 
@@ -148,7 +144,7 @@ def _in_folder(spoilt_name: str, data: bytes, folder: Path) -> None:
 
 
 def _settings(data: bytes, folder: Path) -> None:
-    """Let every reader of settings try it, as somebody might who mixes the files up."""
+    """Pass the file to every reader of settings, as if files were mixed up."""
     (path := folder / "settings.yaml").write_bytes(data)
     readers: tuple[Callable[[], Any], ...] = (
         lambda: settings_yaml(read_settings(path, DriveSettings)),
@@ -176,15 +172,8 @@ def _all_settings() -> list[bytes]:
     study = "runs: 2\nscenario: paper-homing\ngrid: {noise.bearing_sigma: [0.01, 0.02]}\n"
     study += "estimators: [robust, {estimator: ekf, label: x, grid: {guard: [0.01]}}]\n"
     images = "camera: {model: cylindrical}\nhome: home.png\nlandmarks: 20\n"
-    texts = [
-        drive,
-        topics,
-        run,
-        study,
-        images,
-        scenario_yaml(PRESETS["warehouse"]),
-        scenario_yaml(room("attic", 0)),
-    ]
+    scenes = scenario_yaml(PRESETS["warehouse"]), scenario_yaml(room("attic", 0))
+    texts = [drive, topics, run, study, images, *scenes]
     shipped_files = [*shipped_yaml("plans").values(), *shipped_yaml("studies").values()]
     return [text.encode() for text in texts] + [file.read_bytes() for file in shipped_files]
 
@@ -237,7 +226,7 @@ def _of_mrclam() -> list[bytes]:
 
 
 def _estimator(data: bytes, folder: Path) -> None:
-    """Feed numbers and what is none, in any order; every answer must be whole."""
+    """Pass numbers and other values in any order; every estimate must be finite."""
     chance = random.Random(data)
     odd = [math.nan, math.inf, 1e308, -1e308, 10**400, 1j, None, "x", [1.0], np.float32(1), True]
     estimator = make_estimator(chance.choice(["robust", "ekf"]), small_drive(), {})
@@ -290,17 +279,15 @@ PARTS = {
     "estimator": Part(lambda: [b"x"], _estimator, ("binary",)),
 }  # fmt: skip
 ONCE_FAILED = {"db3": (164, 287), "estimator": (0, 5)}
-"""Seeds of cases that were failures, by part; `tests/test_fuzz.py` repeats them."""
+"""Seeds of earlier failures, by part; `tests/test_fuzz.py` repeats them."""
 
 
 @cache
 def valid(name: str) -> list[bytes]:
-    """Return the valid inputs of a part."""
     return PARTS[name].valid()
 
 
 def spoilt(name: str, seed: int) -> bytes:
-    """Return case `seed` of a part."""
     chance = random.Random(f"{name} {seed}")
     data = bytearray(chance.choice(valid(name)))
     fillings = [f for kind in PARTS[name].spoilers for f in SPOILERS[kind]]
@@ -327,12 +314,12 @@ def spoilt(name: str, seed: int) -> bytes:
 
 
 class TooLong(BaseException):
-    """A case that takes longer than it may."""
+    """A case exceeds its time."""
 
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TooLong` in the block after so many seconds."""
+    """Raise `TooLong` in the block after some seconds."""
 
     def ring(*_: object) -> None:
         raise TooLong
@@ -347,36 +334,32 @@ def within(seconds: float) -> Iterator[None]:
 
 
 def try_case(name: str, seed: int) -> str:
-    """Return what came of a case: read, refused, or the failure in words."""
+    """Return the outcome of a case: read, refused, or a description of the failure."""
     data = spoilt(name, seed)
     with tempfile.TemporaryDirectory() as folder:
         try:
-            with within(LONGEST_S):
+            with within(MAX_S):
                 PARTS[name].read(data, Path(folder))
             return "read"
         except HomewardError as error:
             one_line = len(str(error).splitlines()) == 1 and str(error).isprintable()
             return "refused" if one_line else f"more than a line: {error}"
         except TooLong:
-            return f"more than {LONGEST_S:g} s"
+            return f"more than {MAX_S:g} s"
         except Exception as error:
             place = traceback.extract_tb(error.__traceback__)[-1]
             return f"{type(error).__name__} at {place.filename}:{place.lineno}: {error}"[:300]
 
 
 def main() -> int:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--part", choices=[*PARTS], nargs="*", default=[*PARTS])
-    parser.add_argument("--runs", type=int, default=2000)
-    parser.add_argument("--first", type=int, default=0)
-    told = parser.parse_args()
+    options = monte_carlo.parsed(__doc__, part=PARTS, runs=2000, first=0)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + MOST_MEMORY
+    most = pages * resource.getpagesize() + MAX_MEMORY
     resource.setrlimit(resource.RLIMIT_AS, (most, most))
     failures = 0
-    for name in told.part:
+    for name in options.part:
         begin, came, slowest = time.perf_counter(), Counter[str](), (0.0, 0)
-        for seed in range(told.first, told.first + told.runs):
+        for seed in range(options.first, options.first + options.runs):
             start = time.perf_counter()
             outcome = try_case(name, seed)
             slowest = max(slowest, (time.perf_counter() - start, seed))

@@ -1,19 +1,17 @@
-"""Closed homing loops on an NVIDIA GPU: agreement with the processor, and speed beside it and JAX.
+"""Closed homing loops on an NVIDIA GPU: agreement with the processor; speed against it and JAX.
 
-`python -m benchmarks.gpu [--quick]` prints for 7, 20 and 50 landmarks how far doubles are from the
-native engine and floats from doubles, and steps a second (a step: one sample of world, filter and
-score) by the GPU's own clock and by the wall. Every run has a layout of its own.
+`python -m benchmarks.gpu [--quick]` prints for 7, 20 and 50 landmarks the differences between
+doubles and the native engine, and between floats and doubles; and steps per second (a step: one
+sample of world, filter and score) by the GPU's clock and in wall time. Each run has its own layout.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import time
 from collections.abc import Callable
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.lab.engine.batch.homing import HomingResult, run_homing
 from homeward.lab.engine.cuda.device import CudaError, gpu
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
@@ -52,15 +50,14 @@ def scene(kind: ExtendedKalmanFilter, runs: int, seed: int = SEED) -> dict[str, 
 
 
 def run(kind: ExtendedKalmanFilter, runs: int, **how: object) -> tuple[HomingResult, float]:
-    """Return a result and the seconds that the call took."""
     given, begin = scene(kind, runs), time.perf_counter()
     result = run_homing(kind, given, runs=runs, steps=STEPS, seed=SEED, **how)
     return result, time.perf_counter() - begin
 
 
 def agreement(quick: bool) -> None:
-    """Print how far doubles on the GPU are from the native engine."""
-    print("\ndoubles, GPU against processor: runs of another length; largest difference at the end")
+    """Print the differences between doubles on the GPU and the native engine."""
+    print("\ndoubles, GPU against processor: runs of another length; difference at the end")
     kinds = {"ekf, q = 7": (ExtendedKalmanFilter(PolarModel(7)), 20_000)}
     kinds["a-ekf, q = 7"] = augmented_ekf(7), 5_000
     kinds["pi-ekf, q = 7"] = ProportionalIntegralFilter(PolarModel(7)), 5_000
@@ -79,13 +76,13 @@ def agreement(quick: bool) -> None:
 
 
 def floats(runs: int) -> None:
-    """Print how far floats are from doubles, run by run and as distributions."""
+    """Print the differences of the distributions between floats and doubles."""
     kind = ExtendedKalmanFilter(PolarModel(7))
     doubles, _ = run(kind, runs, engine="cuda")
     singles, _ = run(kind, runs, engine="cuda", precision="single")
-    print(f"\nfloats against doubles, q = 7, {runs:,} runs; of each pair floats first")
+    print(f"\nfloats and doubles, q = 7, {runs:,} runs")
     print(
-        f"  computed again in doubles {singles.again}, lost {np.sum(singles.diverged)}"
+        f"  repeated in doubles {singles.again}, diverged {np.sum(singles.diverged)}"
         f" (doubles {np.sum(doubles.diverged)})"
     )
     for name, a, b in (
@@ -104,9 +101,9 @@ def floats(runs: int) -> None:
 
 
 def speed(quick: bool) -> dict[str, float]:
-    """Print steps a second; return those of q = 7 by precision."""
+    """Print steps per second; return those of q = 7 by precision."""
     found = {}
-    print("\nmillion steps/s: GPU's clock, wall; homings/s")
+    print("\nmillion steps/s: GPU's clock, wall time; homings/s")
     sizes = {7: 4_000_000, 20: 200_000, 50: 20_000}
     for q, runs in sizes.items():
         kind, runs = ExtendedKalmanFilter(PolarModel(q)), runs // (10 if quick else 1)
@@ -130,7 +127,7 @@ def speed(quick: bool) -> dict[str, float]:
 
 
 def jax_peer(ours: dict[str, float], runs: int) -> None:
-    """Print the same loop in JAX on the same GPU, and how many times as fast homeward is."""
+    """Print the speed of the same loop in JAX on the same GPU."""
     os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
     try:
         import jax
@@ -163,10 +160,7 @@ def jax_peer(ours: dict[str, float], runs: int) -> None:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="a tenth of the runs, small filters")
-    quick = parser.parse_args().quick
+    quick = monte_carlo.parsed(__doc__, quick=False).quick
     try:
         print(gpu().name)
     except CudaError as error:

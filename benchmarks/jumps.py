@@ -1,13 +1,9 @@
-"""How far does one who reads `Localizer.bearings` have to go? Of every call on a simulated drive:
+"""Locality of the code of `Localizer.bearings`, for each call on a simulated drive.
 
-functions that it runs, files that they are in, and calls from one file into another.
-
-`python -m benchmarks.jumps` prints median and largest. Only functions and properties of the package
-count that have a name: lambdas and comprehensions are read where they stand, and what a dataclass
-makes of itself is not read at all.
+`python -m benchmarks.jumps` prints median and maximum of the number of functions that a call runs,
+of files that contain them, and of calls from one file into another. Only named functions and
+properties of the package count: no lambdas, comprehensions or generated methods.
 """
-
-from __future__ import annotations
 
 import sys
 from pathlib import Path
@@ -28,14 +24,13 @@ FIGURES = ("functions", "files", "jumps")
 
 
 class Watched(Localizer):
-    """A localiser that takes note of what each call of `bearings` runs."""
+    """A localiser that records what each call of `bearings` runs."""
 
     def __init__(self, home: Home, **robot: Unpack[Robot]) -> None:
         super().__init__(home, **robot)
         self.figures: list[tuple[int, int, int]] = []
 
     def bearings(self, *arguments: Any) -> Any:
-        """Take bearings as any localiser."""
         functions: set[tuple[str, str]] = set()
         jumps = 0
 
@@ -57,7 +52,6 @@ class Watched(Localizer):
 
 
 def main() -> None:
-    """Run one drive, and print."""
     named = SCENARIOS["room"]
     drive = named.make(named.first).drive
     localizer = Watched(drive.home, **drive.settings.robot)

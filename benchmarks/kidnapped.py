@@ -1,14 +1,11 @@
-"""Robots to which bad things happen: is a pose found again, and is it never a confident lie.
+"""Kidnapped robots: relocalisation, and overconfident poses.
 
-`python -m benchmarks.kidnapped calamities [--seeds 200]` lets kidnappings, blackouts, outliers,
-gaps and swapped ids happen in the first half minute of a drive and an honest minute follow, and
-compares with that minute taken alone. `python -m benchmarks.kidnapped hall [--seeds 10]` carries
-a robot through a large hall, of which it sees a part at a time.
+`python -m benchmarks.kidnapped calamities [--seeds 200]` has kidnappings, blackouts, outliers, gaps
+and swapped ids in the first half minute of a drive, followed by a minute without faults, and
+compares with that minute alone. `python -m benchmarks.kidnapped hall [--seeds 10]` carries a robot
+through a large hall, of which it sees only a part at a time.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -16,6 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import Sensor
 from homeward.estimator import Estimate, Status
@@ -23,25 +21,19 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 
-DT, EVERY = 0.1, 2
-"""Odometry comes so often [s], and bearings with every so many twists."""
+DT, EVERY = 0.1, 2  # interval of odometry [s], and number of twists per frame of bearings
 SIGMA, SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01, 0.01
 """Noise of bearings [rad] and of twists [m/s, rad/s, at 1 Hz]."""
-BAD_S, HONEST_S = 30.0, 60.0
-"""How long things go wrong, and how long all is well then [s]."""
-LATE_S = 10.0
-"""Answers are judged in the last seconds of a drive [s]."""
-WRONG_SIGMAS = 4.0
-"""A pose is wrong that is farther off [standard deviations]."""
-
+BAD_S, GOOD_S = 30.0, 60.0  # duration of the faults, and of the drive without faults [s]
+LATE_S = 10.0  # duration of the evaluated end of a drive [s]
+WRONG_SIGMAS = 4.0  # A pose with a larger error is wrong [standard deviations]
 START = Pose(0.5, 0.3, 0.0)
-
 Marks = dict[str, tuple[float, float]]
 Bearings = dict[str, float]
 
 
 class Sample(NamedTuple):
-    """What reaches the estimator at one time: a twist, and at some times bearings."""
+    """Inputs of the estimator at one time: a twist, and at some times bearings."""
 
     t: float
     truth: Pose
@@ -51,25 +43,20 @@ class Sample(NamedTuple):
 
 @dataclass
 class World:
-    """A robot that wanders among landmarks, and what it says of itself."""
+    """A robot that wanders among landmarks."""
 
     marks: Marks
     rng: np.random.Generator
-    reach: float
-    """It wanders within so far of `middle` [m]."""
+    reach: float  # maximum distance from `middle` [m]
     speed: float
-    sight: float = math.inf
-    """It sees so far [m]."""
-    half_view: float = math.pi
-    """It sees to both sides of its axis so far [rad]."""
+    sight: float = math.inf  # range of the camera [m]
+    half_view: float = math.pi  # half of its field of view [rad]
     middle: tuple[float, float] = (0.0, 0.0)
     pose: Pose = START
     t: float = 0.0
-    target: tuple[float, float] = (0.0, 0.0)
-    """Where it is driving to [m]."""
+    target: tuple[float, float] = (0.0, 0.0)  # next waypoint [m]
 
     def home(self) -> dict[str, HomeBearing]:
-        """Return what the camera saw at home, the origin."""
         near = {n: p for n, p in self.marks.items() if math.hypot(*p) < self.sight}
         noise = self.rng.normal(size=len(near)) * SIGMA
         return {
@@ -78,7 +65,6 @@ class World:
         }
 
     def look(self) -> Bearings:
-        """Return what the camera sees now."""
         seen = {}
         for name, (x, y) in self.marks.items():
             beta = bearing(self.pose, x, y)
@@ -93,7 +79,7 @@ class World:
         spoil: Callable[[Bearings], Bearings | None] = lambda seen: seen,
         feel: bool = True,
     ) -> Iterator[Sample]:
-        """Wander on; `spoil` may change what is seen, and without `feel` odometry is silent."""
+        """Drive on; `spoil` may change the bearings, and without `feel` there is no odometry."""
         for k in range(round(seconds / DT)):
             v, omega = self._law()
             noise = self.rng.normal(size=2) * [SPEED_SIGMA, TURN_SIGMA] / math.sqrt(DT)
@@ -108,7 +94,6 @@ class World:
             self.t += DT
 
     def _law(self) -> tuple[float, float]:
-        """Return the speed and the turn rate that lead to the next place."""
         x, y, heading = self.pose
         while math.hypot(self.target[0] - x, self.target[1] - y) < 2.0 * self.speed:
             way, away = self.rng.uniform(-math.pi, math.pi), self.rng.uniform(0.2, 1.0)
@@ -121,19 +106,15 @@ class World:
 
 
 class Outcome(NamedTuple):
-    """What came of a drive."""
+    """Result of a drive."""
 
-    pose: float
-    """Share of its last seconds with a pose [1]."""
-    lies: float
-    """Share of its last seconds localised, and wrong [1]."""
+    pose: float  # availability of a pose in the last seconds [1]
+    lies: float  # share of the last seconds localised, and wrong [1]
     status: Status
-    error: float
-    """Of the last pose [m]."""
+    error: float  # of the last pose [m]
 
 
 def replay(localizer: Localizer, samples: list[Sample]) -> Outcome:
-    """Feed samples to a localiser."""
     answers: list[tuple[float, Estimate, Pose]] = []
     for t, truth, twist, seen in samples:
         if twist is not None:
@@ -151,7 +132,6 @@ def replay(localizer: Localizer, samples: list[Sample]) -> Outcome:
 
 
 def is_wrong(answer: Estimate, truth: Pose) -> bool:
-    """Return whether an answer has a pose that is farther off than it says."""
     if answer.pose is None or answer.covariance is None:
         return False
     d = np.array([answer.pose.x - truth.x, answer.pose.y - truth.y])
@@ -159,7 +139,7 @@ def is_wrong(answer: Estimate, truth: Pose) -> bool:
 
 
 def calamity(seed: int) -> tuple[Callable[[], Localizer], list[Sample], list[Sample]]:
-    """Return what makes a localiser, half a minute of calamities, and an honest minute."""
+    """Return a factory of localisers, half a minute of faults, and a minute without."""
     rng = np.random.default_rng(seed)
     count, far = int(rng.integers(5, 13)), float(rng.uniform(3.0, 6.0))
     angles = 2 * math.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count
@@ -171,16 +151,16 @@ def calamity(seed: int) -> tuple[Callable[[], Localizer], list[Sample], list[Sam
     narrow = rng.random() < 0.3
     half_view = float(rng.uniform(0.6, 1.2)) if narrow else math.pi
     world = World(marks, rng, 1.5, 0.3, half_view=half_view)
-    home, told = world.home(), bool(rng.random() < 0.5)
-    sensor = Sensor(bearing_sigma=SIGMA if told else None)
+    home, is_given = world.home(), bool(rng.random() < 0.5)
+    sensor = Sensor(bearing_sigma=SIGMA if is_given else None)
     bad: list[Sample] = []
     while world.t < BAD_S - DT:
         bad += _mishap(world, min(float(rng.uniform(1.0, 12.0)), BAD_S - world.t))
-    return lambda: Localizer(home, sensor=sensor), bad, list(world.drive(HONEST_S))
+    return lambda: Localizer(home, sensor=sensor), bad, list(world.drive(GOOD_S))
 
 
 def _mishap(world: World, seconds: float) -> list[Sample]:
-    """Let one thing go wrong for so long, or nothing."""
+    """Return samples with one fault, or none, for a duration."""
     rng, names = world.rng, list(world.marks)
     share = float(rng.uniform(0.2, 0.8))
     mixed = dict(zip(names, rng.permutation(names).tolist(), strict=True))
@@ -211,16 +191,11 @@ def _mishap(world: World, seconds: float) -> list[Sample]:
 class Carried(NamedTuple):
     """How a robot is carried in the hall."""
 
-    metres: float
-    """How far along it."""
-    turn: float = 0.0
-    """By how much it is turned [rad]."""
-    back: bool = False
-    """Whether it is carried back after a while, instead of driving back."""
-    blind: bool = False
-    """Whether it sees nothing for some seconds before and after, and drives on."""
-    half_view: float = math.pi
-    """It sees to both sides of its axis so far [rad]."""
+    metres: float  # distance along the hall
+    turn: float = 0.0  # rotation [rad]
+    back: bool = False  # whether it is carried back later, instead of driving back
+    blind: bool = False  # whether it drives without bearings for some seconds before and after
+    half_view: float = math.pi  # half of its field of view [rad]
 
 
 CARRIED = {
@@ -239,7 +214,7 @@ CARRIED = {
 def hall(
     seed: int, how: Carried, times: float = 1.0
 ) -> tuple[Callable[[], Localizer], list[Sample]]:
-    """Return what makes a localiser, and a drive, 300 s x `times`, in which it is carried."""
+    """Return a factory of localisers, and a drive (300 s x `times`) with a carried robot."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-20.0, 60.0, 60), rng.uniform(-20.0, 20.0, 60)
     marks = {f"L{i}": p for i, p in enumerate(zip(x.tolist(), y.tolist(), strict=True))}
@@ -257,7 +232,7 @@ def hall(
 
 
 def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample]:
-    """Lift the robot, and what it wanders about, along the hall."""
+    """Carry the robot, and the middle of its path, along the hall."""
     samples = list(world.drive(10.0, spoil=lambda _: {})) if blind else []
     x, y, heading = world.pose
     world.pose = Pose(x + metres, y, float(wrap(heading + turn)))
@@ -267,37 +242,32 @@ def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = monte_carlo.parser(__doc__, seeds=int)
     parser.add_argument("what", choices=["calamities", "hall"])
-    parser.add_argument("--seeds", type=int)
-    parser.add_argument("--first", type=int, default=0)
     options = parser.parse_args()
     if options.what == "calamities":
-        _calamities(range(options.first, options.first + (options.seeds or 200)))
+        _calamities(range(options.seeds or 200))
     else:
-        _hall(range(options.first, options.first + (options.seeds or 10)))
+        _hall(range(options.seeds or 10))
 
 
 def _calamities(seeds: range) -> None:
-    """Print in how many drives a pose is found again."""
     alone, whole, lost, lies = 0, 0, [], []
     for seed in seeds:
-        make, bad, honest = calamity(seed)
-        before, after = replay(make(), honest), replay(make(), bad + honest)
+        make, bad, good = calamity(seed)
+        before, after = replay(make(), good), replay(make(), bad + good)
         alone += before.pose > 0.5
         whole += after.pose > 0.5
         if before.pose > 0.5 >= after.pose:
             lost.append(seed)
         if after.lies > 0.0:
             lies.append(seed)
-    print(f"{len(seeds)} drives; with a pose at the end: {alone} of the honest minutes alone,")
-    print(f"{whole} of the whole drives; lost for ever: {len(lost)} {lost}")
+    print(f"{len(seeds)} drives; with a pose at the end: {alone} of the minutes without faults,")
+    print(f"{whole} of the whole drives; not relocalised: {len(lost)} {lost}")
     print(f"localised and wrong at the end: {len(lies)} {lies}", flush=True)
 
 
 def _hall(seeds: range) -> None:
-    """Print what becomes of robots that are carried in a hall."""
     for words, how in CARRIED.items():
         outcomes = []
         for seed in seeds:
@@ -308,9 +278,9 @@ def _hall(seeds: range) -> None:
         wrong = [s for s, o in zip(seeds, outcomes, strict=True) if o.lies > 0.0]
         errors = np.array([o.error for o in outcomes])
         print(
-            f"{words}: of {len(seeds)} localised and right {right}, without a pose {none}, "
-            f"localised and wrong {len(wrong)} {wrong}; error of the last pose "
-            f"{np.nanmedian(errors):.2f} m in the median, {np.nanmax(errors):.2f} m at most",
+            f"{words}: of {len(seeds)}, {right} localised and right, {none} without a pose, "
+            f"{len(wrong)} localised and wrong {wrong}; error of the last pose: median "
+            f"{np.nanmedian(errors):.2f} m, maximum {np.nanmax(errors):.2f} m",
             flush=True,
         )
 

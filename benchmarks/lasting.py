@@ -1,13 +1,12 @@
-"""Bearing errors that last, as real ones do: does the map keep its scale, the pose its honesty?
+"""Time-correlated bearing errors: effect on the map's scale and on consistency.
 
-`python -m benchmarks.lasting [--seeds 3] [--first 0] [--only NAME ...] [--smooth]` drives an
-all-round camera (240 deg, 10 Hz, 17 landmarks, 460 s, odometry good to 1 %, nothing told) whose
-bearing errors are white, last, or lean, and a narrow one (60 deg, 5 Hz, 30 min, a minute without
-bearings in every five). It prints the map's scale and RMSE, NEES and the share of time beyond 3
-sigma, of the last three quarters of a drive, as medians over the seeds; NEES's worst, too.
+`python -m benchmarks.lasting [--seeds 3] [--only NAME ...] [--smooth]` drives with a wide camera
+(240 deg, 10 Hz, 17 landmarks, 460 s, odometry errors of 1 %, no noise given) whose bearing errors
+are white, correlated, or due to tilt, and with a narrow one (60 deg, 5 Hz, 30 min, one of five
+minutes without bearings). It prints the map's scale error, RMSE, NEES, NIS, availability and the
+shares of time beyond 3 sigma and within 1 sigma, for the last three quarters of a drive, as medians
+over the seeds; and the worst NEES.
 """
-
-from __future__ import annotations
 
 import dataclasses
 import math
@@ -19,18 +18,12 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.consistency.trial import wandering
 from benchmarks.monte_carlo import Run
+from benchmarks.mrclam import procrustes_scale
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
-from homeward.lab.simulation.scenario import (
-    Noise,
-    OdometryErrors,
-    Rates,
-    Ring,
-    Scenario,
-    Visibility,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
@@ -38,23 +31,19 @@ from homeward.runs.scoring import errors
 from homeward.track import Track
 from homeward.track import run as follow
 
-ODOMETRY = OdometryErrors(speed_sigma=0.005, turn_sigma=0.005)
+ODOMETRY = sim.OdometryErrors(speed_sigma=0.005, turn_sigma=0.005)
 WHITE = math.radians(0.4)
 
 
 @dataclass(frozen=True)
 class Lasting:
-    """What lasts in the errors of bearings."""
+    """Correlated errors of bearings."""
 
-    slow: float = 0.0
-    """Deviation of a first-order process of each landmark [rad] ..."""
-    slow_s: float = 2.0
-    """... and how long it lasts [s]."""
+    slow: float = 0.0  # standard deviation of a first-order process for each landmark [rad]
+    slow_s: float = 2.0  # its correlation time [s]
     extent: float = 0.0
-    """Deviation of what is seen of a landmark from its centre, across the sight line [m]; so slow.
-    """
-    lean: float = 0.0
-    """Amplitude of an error that is the sine of the bearing [rad]; home's has it, too."""
+    """Standard deviation of the visible centre across the sight line [m]; as slow."""
+    lean: float = 0.0  # amplitude of an error that is the sine of the bearing [rad]; also at home
 
 
 ALL_ROUND = {
@@ -71,12 +60,11 @@ NARROW = {
     "narrow, slip": (ALL_ROUND["all"], Mount(), True),
     "narrow, slip, mount": (ALL_ROUND["all"], Mount(x=0.11, y=0.03, yaw=0.012), True),
 }
-"""Errors, the camera's place, and whether wheels slip in bends, turn too little, and lag."""
+"""Errors, camera extrinsics, and whether odometry has slip in bends, a scale error, and lag."""
 SLIP_M, TURN_SCALE, LAG_S = 0.09, 1.06, 0.2
 
 
-def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
-    """Return a random way among landmarks, of white noise."""
+def _scenario(seed: int, narrow: bool, mount: Mount) -> sim.Scenario:
     view = math.radians(60.0 if narrow else 240.0)
     return wandering(
         seed,
@@ -85,17 +73,17 @@ def _scenario(seed: int, narrow: bool, mount: Mount) -> Scenario:
         (0.3, 2.5),
         speed=0.25,
         seconds=1800.0 if narrow else 460.0,
-        landmarks=Ring(count=17, distance=(1.5, 4.5)),
-        visibility=Visibility(probability=0.8, field_of_view=view),
-        noise=Noise(bearing_sigma=WHITE, home_sigma=WHITE),
-        rates=Rates(odometry=20.0, bearings=5.0 if narrow else 10.0, truth=10.0),
+        landmarks=sim.Ring(count=17, distance=(1.5, 4.5)),
+        visibility=sim.Visibility(probability=0.8, field_of_view=view),
+        noise=sim.Noise(bearing_sigma=WHITE, home_sigma=WHITE),
+        rates=sim.Rates(odometry=20.0, bearings=5.0 if narrow else 10.0, truth=10.0),
         odometry=ODOMETRY,
         sensor=mount,
     )
 
 
 def lasting(whole: Simulation, errors: Lasting, seed: int) -> Drive:
-    """Return the drive of a simulation with what lasts added to its bearings."""
+    """Return the drive of a simulation with correlated errors added to its bearings."""
     drive, world, seen = whole.drive, whole.world, whole.drive.sightings
     assert drive.truth is not None
     rng = np.random.default_rng([seed, 8])
@@ -133,14 +121,14 @@ def _process(
 
 
 def _blacked_out(drive: Drive) -> Drive:
-    """Return it without the bearings of the last minute of every five."""
+    """Return the drive without bearings in the last of every five minutes."""
     seen = drive.sightings
     use = (seen.t - drive.odometry.t[0]) % 300.0 < 240.0
     return dataclasses.replace(drive, sightings=seen.rows(use))
 
 
 def _slipping(drive: Drive) -> Drive:
-    """Return it with wheels that slip in bends, turn less than they say, and act late."""
+    """Return the drive with odometry that has slip in bends, a scale error, and lag."""
     o = drive.odometry
     v = (o.v + SLIP_M * np.abs(o.omega)) * (o.v != 0)
     late = dataclasses.replace(o, t=o.t - LAG_S, v=v, omega=o.omega * TURN_SCALE)
@@ -148,7 +136,7 @@ def _slipping(drive: Drive) -> Drive:
 
 
 def drive_of(name: str, seed: int) -> tuple[Drive, Simulation]:
-    """Return the drive of a row, of which nothing is told, and what it was made of."""
+    """Return the drive of a row, without given noise, and its simulation."""
     narrow = name in NARROW
     wrong, mount, slips = NARROW[name] if narrow else (ALL_ROUND[name], Mount(), False)
     whole = simulate(_scenario(seed, narrow, mount))
@@ -156,32 +144,26 @@ def drive_of(name: str, seed: int) -> tuple[Drive, Simulation]:
     drive = _blacked_out(drive) if narrow else drive
     drive = _slipping(drive) if slips else drive
     home = {n: HomeBearing(h.bearing) for n, h in drive.home.items()}
-    if narrow:  # home was looked at all round
+    if narrow:  # home has bearings all round
         noise = WHITE * np.random.default_rng([seed, 9]).standard_normal(len(whole.world.ids))
         all_round = bearing(mount.pose, *whole.world.in_home_frame.T) + noise
         lean = wrong.lean * np.sin(all_round)
         ids = whole.world.ids
         home = {n: HomeBearing(float(b)) for n, b in zip(ids, wrap(all_round + lean), strict=True)}
-    untold = {"sensor": Sensor(), "odometry": OdometryNoise()}
-    return dataclasses.replace(
-        drive, home=home, settings=drive.settings.model_copy(update=untold)
-    ), whole
+    settings = drive.settings.model_copy(update={"sensor": Sensor(), "odometry": OdometryNoise()})
+    return dataclasses.replace(drive, home=home, settings=settings), whole
 
 
 def map_scale(track: Track, whole: Simulation) -> float:
-    """Return how many times too large the map is, by a similarity transform of its landmarks."""
     at = dict(zip(whole.world.ids, whole.world.in_home_frame, strict=True))
     found = [m for m in track.landmarks if np.isfinite(m.x)]
     if len(found) < 3:
         return math.nan
-    ours = np.array([m.x + 1j * m.y for m in found])
     true = np.array([complex(*at[m.landmark]) for m in found])
-    ours, true = ours - ours.mean(), true - true.mean()
-    return float(abs(np.vdot(true, ours)) / np.vdot(true, true).real)
+    return procrustes_scale(np.array([m.x + 1j * m.y for m in found]), true)
 
 
 def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
-    """Return what one track is like."""
     e = errors(track, drive.truth)
     late = e.t > track.t[0] + 0.25 * (track.t[-1] - track.t[0])
     weight = e.weight[late] / e.weight[late].sum() if late.any() else e.weight[late]
@@ -199,7 +181,6 @@ def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
 
 
 def measured(final: bool, run: Run) -> dict[str, float]:
-    """Return the figures of one run."""
     drive, whole = drive_of(run.scenario, run.seed)
     if final:
         return figures(smooth(drive), drive, whole)
@@ -207,13 +188,10 @@ def measured(final: bool, run: Run) -> dict[str, float]:
 
 
 def main() -> None:
-    """Print the table."""
-    every = [*ALL_ROUND, *NARROW]
-    parser = monte_carlo.parser(__doc__, seeds=3, keep=True)
-    parser.add_argument("--only", nargs="+", choices=every, default=every)
-    parser.add_argument("--smooth", action="store_true")
-    given = parser.parse_args()
-    runs = monte_carlo.grid(given.only, ["robust"], range(given.first, given.first + given.seeds))
+    given = monte_carlo.parsed(
+        __doc__, seeds=3, only=ALL_ROUND | NARROW, smooth=False, **monte_carlo.HARNESS
+    )
+    runs = monte_carlo.grid(given.only, ["robust"], range(given.seeds))
     function = partial(measured, given.smooth)
     found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
     columns = ("scale", "rmse", "nees", "beyond", "inside", "pose", "nis")

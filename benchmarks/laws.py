@@ -1,11 +1,9 @@
-"""Homing laws against landmarks moved, visibility and noise: `python -m benchmarks.laws`.
+"""Homing laws with moved landmarks, limited visibility and noise: `python -m benchmarks.laws`.
 
-The paper's scene (seven landmarks 1 to 2 m from home, start 0.75 m away), from headings and
-directions drawn anew in each run. Laws by bearings have an exact compass, and no memory; laws on a
-pose have that of the robust localiser, which is told a start prior of 5 cm and 0.1 rad.
+The paper's scene (seven landmarks 1 to 2 m from home, start 0.75 m away), with random headings and
+directions in each of `--runs`. Laws that use bearings have an exact compass and no memory; laws
+that use a pose have that of the robust localiser, with a start prior of 5 cm and 0.1 rad.
 """
-
-from __future__ import annotations
 
 import math
 from typing import Any
@@ -19,8 +17,7 @@ from homeward.lab.simulation.simulate import load_scenario, prepare, simulate
 from homeward.registry import make_estimator
 from homeward.runs.report.files import markdown
 
-HOME_M = 2 * STOP_RADIUS
-"""Truly nearer than this is home."""
+HOME_M = 2 * STOP_RADIUS  # maximum true distance at home [m]
 CONDITIONS: dict[str, dict[str, Any]] = {
     "nothing moved": {},
     "one of seven moved": {"moved.count": 1},
@@ -55,15 +52,12 @@ def measured(run: Run) -> dict[str, float]:
 
 
 def main() -> None:
-    parser = monte_carlo.parser(__doc__, keep=True)
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--laws", nargs="+", choices=LAWS, default=list(LAWS))
-    given = parser.parse_args()
+    given = monte_carlo.parsed(__doc__, runs=100, laws=dict(LAWS), **monte_carlo.HARNESS)
     runs = monte_carlo.grid(list(CONDITIONS), given.laws, range(given.runs))
     found = monte_carlo.run_all(measured, runs, given.jobs, given.keep)
     print(
-        f"{given.runs} runs each; home: share that truly ends within {HOME_M:g} m of it; median "
-        "and 95 % of the\ndistance there; median path over the straight line, of those at home\n"
+        f"{given.runs} runs each: share that ends within {HOME_M:g} m of home; median and 95 % of "
+        "the final\ndistance; median of path over straight line, of those at home\n"
     )
     table = [["", *given.laws]]
     for condition in CONDITIONS:

@@ -7,9 +7,6 @@ the time from the stop until a command names it, without load and with three fur
 send odometry, lines that are no messages, or empty lines without a pause; over TCP and WebSocket.
 """
 
-from __future__ import annotations
-
-import argparse
 import contextlib
 import json
 import multiprocessing
@@ -23,6 +20,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import monte_carlo
+
 ODOMETRY_HZ, BEARINGS_HZ = 50.0, 15.0
 STOP_EVERY_S = 0.5
 HOME = {"a": 0.3, "b": 1.4, "c": 2.7, "d": -2.1, "e": -0.8}
@@ -34,7 +33,7 @@ LOADS = {
 
 
 class Link:
-    """A client; `send` takes a message, `lines` yields what it hears."""
+    """A client; `send` takes a message, `lines` yields those received."""
 
     def __init__(self, port: int, websocket: bool) -> None:
         self._websocket: Any = None
@@ -49,7 +48,6 @@ class Link:
         self.send(type="hello", version=1)
 
     def send(self, **message: Any) -> None:
-        """Send a message."""
         line = json.dumps(message)
         if self._websocket is not None:
             self._websocket.send(line)
@@ -69,7 +67,6 @@ class Link:
                 raw.sendall(block)
 
     def lines(self) -> Iterator[str | bytes]:
-        """Yield what is heard until the link is closed."""
         with contextlib.suppress(Exception):  # the other side hung up
             if self._websocket is not None:
                 yield from self._websocket
@@ -77,7 +74,6 @@ class Link:
                 yield from self._socket.makefile("rb")
 
     def close(self) -> None:
-        """Close the link."""
         self._open.close()
         if self._websocket is None:
             with contextlib.suppress(OSError):
@@ -86,26 +82,26 @@ class Link:
 
 
 def flood(port: int, websocket: bool, line: bytes) -> None:
-    """Load the server until it hangs up or this process is ended."""
+    """Load the server until it closes the link or this process is killed."""
     link = Link(port, websocket)
     reading = threading.Thread(target=lambda: [None for _ in link.lines()], daemon=True)
     reading.start()
     link.flood(line)
-    time.sleep(60.0)  # hung up on: it stays away
+    time.sleep(60.0)  # do not connect again
 
 
 def measure(port: int, websocket: bool, seconds: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return when commands came [s], how long each stop took to be heard [s], and stops unheard."""
+    """Return arrival times of commands [s], latencies of stops [s], and number of lost stops."""
     robot, stopper = Link(port, websocket), Link(port, websocket)
     commands: list[float] = []
     stopped = threading.Event()
 
-    def hear() -> None:
+    def receive() -> None:
         for line in robot.lines():
-            said = json.loads(line)
-            if said["type"] == "command":
+            message = json.loads(line)
+            if message["type"] == "command":
                 commands.append(time.perf_counter())
-                if said["reason"] == "emergency stop":
+                if message["reason"] == "emergency stop":
                     stopped.set()
 
     def drain() -> None:
@@ -124,13 +120,13 @@ def measure(port: int, websocket: bool, seconds: float) -> tuple[np.ndarray, np.
             k += 1
             end.wait(max(0.0, began + k / ODOMETRY_HZ - time.perf_counter()))
 
-    hearing: list[Callable[[], None]] = [hear, drain, drive]
+    actions: list[Callable[[], None]] = [receive, drain, drive]
     robot.send(type="home", bearings=HOME)
     robot.send(type="go_home")
-    threads = [threading.Thread(target=act, daemon=True) for act in hearing]
+    threads = [threading.Thread(target=act, daemon=True) for act in actions]
     for thread in threads:
         thread.start()
-    latencies, unheard = [], 0
+    latencies, lost = [], 0
     began = time.perf_counter()
     while time.perf_counter() - began < seconds:
         time.sleep(STOP_EVERY_S)
@@ -140,35 +136,34 @@ def measure(port: int, websocket: bool, seconds: float) -> tuple[np.ndarray, np.
         if stopped.wait(2.0):
             latencies.append(time.perf_counter() - asked)
         else:
-            unheard += 1
+            lost += 1
         stopper.send(type="estop", engaged=False)
         stopper.send(type="go_home")
     end.set()
     threads[-1].join()
-    heard = np.array([t for t in commands if began <= t <= began + seconds]) - began
+    arrived = np.array([t for t in commands if began <= t <= began + seconds]) - began
     robot.close()
     stopper.close()
-    return np.r_[0.0, heard, seconds], np.array(latencies), unheard
+    return np.r_[0.0, arrived, seconds], np.array(latencies), lost
 
 
 def row(websocket: bool, load: str, seconds: float) -> str:
-    """Return a row of the table: a server of its own, loaded or not."""
     where = "--websocket" if websocket else "--tcp"
     command = [sys.executable, "-m", "homeward", "live", where, "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as live:
         assert live.stderr is not None
         port = int(live.stderr.readline().split()[-1])
-        complaints: list[str] = []
-        reading = threading.Thread(target=lambda: complaints.extend(live.stderr or ()))
+        errors: list[str] = []
+        reading = threading.Thread(target=lambda: errors.extend(live.stderr or ()))
         reading.start()
-        told = (port, websocket, LOADS.get(load, b""))
+        given = (port, websocket, LOADS.get(load, b""))
         number = 3 if load in LOADS else 0
-        floods = [multiprocessing.Process(target=flood, args=told) for _ in range(number)]
+        floods = [multiprocessing.Process(target=flood, args=given) for _ in range(number)]
         for process in floods:
             process.start()
         time.sleep(1.0)
         try:
-            commands, latencies, unheard = measure(port, websocket, seconds)
+            commands, latencies, lost = measure(port, websocket, seconds)
         finally:
             for process in floods:
                 process.kill()
@@ -179,20 +174,17 @@ def row(websocket: bool, load: str, seconds: float) -> str:
     return (
         f"{'WebSocket' if websocket else 'TCP':<10}{load:<12}"
         f"{(commands.size - 2) / seconds:>12.1f}{1e3 * np.diff(commands).max():>10.0f}"
-        f"{np.median(ms):>10.0f}{ms.max():>8.0f}{unheard:>9}{sum(map(len, complaints)):>10}"
+        f"{np.median(ms):>10.0f}{ms.max():>8.0f}{lost:>9}{sum(map(len, errors)):>10}"
     )
 
 
 def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=6.0, help="of each row")
-    told = parser.parse_args()
+    options = monte_carlo.parsed(__doc__, seconds=6.0)
     print(f"{'over':<10}{'load':<12}{'commands/s':>12}{'gap [ms]':>10}", end="")
-    print(f"{'stop [ms]':>10}{'worst':>8}{'unheard':>9}{'stderr B':>10}")
+    print(f"{'stop [ms]':>10}{'worst':>8}{'lost':>9}{'stderr B':>10}")
     for websocket in (False, True):
         for load in ("none", *LOADS):
-            print(row(websocket, load, told.seconds), flush=True)
+            print(row(websocket, load, options.seconds), flush=True)
 
 
 if __name__ == "__main__":

@@ -1,14 +1,11 @@
 """The exported C: against Python, and on an emulated Cortex-M4F.
 
 `python -m benchmarks.mcu` replays a simulated drive of 12 landmarks under qemu-system-arm
-(mps2-an386, counting instructions), compares every sample with Python's EKF, prints flash, RAM and
-instructions, and fails where they are above what docs/do/microcontroller.md says. With `--moved` it
-prints instead, over many simulated drives, how far off the EKF ends with and without the resection.
+(mps2-an386, counting instructions), prints flash, RAM and instructions, and fails if they exceed
+the limits in docs/do/microcontroller.md. `--moved [--runs 100]` prints instead the EKF's position
+errors at the end of simulated drives, with and without the resection.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 import shutil
 import subprocess
@@ -20,12 +17,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.drives.drive import Drive
-from homeward.lab.bounds import posterior_bound
 from homeward.lab.engine.export.source import exported_files
 from homeward.lab.filters.settings import FilterSettings
 from homeward.lab.simulation.scenario import Moved
 from homeward.lab.simulation.simulate import PAPER_HOMING, Simulation, simulate
+from homeward.lab.studies.study.trial import simulated_trial
 from homeward.registry import make_estimator
 
 REPLAY = Path(__file__).parents[1] / "tests" / "lab" / "engine" / "replay.c"
@@ -47,31 +45,27 @@ LIMITS = {
     "bearings [instructions]": 22_000,
     "resection [instructions]": 3_500_000,
 }
-"""What is promised of 12 landmarks in floats; a compiler of another version counts a little
-otherwise."""
+"""Limits for 12 landmarks in floats; they vary a little with the compiler's version."""
 
 
 def missing() -> list[str]:
-    """Return the programs that emulation needs and this machine lacks."""
     return [k for k in ARM if shutil.which(k) is None]
 
 
 def scene(q: int, moved: int, seed: int) -> Simulation:
-    """Return the paper's homing among `q` landmarks of which some were moved by 0.2 to 0.5 rad."""
+    """Return the paper's homing among `q` landmarks, some of them moved by 0.2 to 0.5 rad."""
     landmarks = PAPER_HOMING.landmarks.model_copy(update={"count": q})
     changes = {"landmarks": landmarks, "moved": Moved(count=moved, fault=(0.2, 0.5)), "seed": seed}
     return simulate(PAPER_HOMING.model_copy(update=changes))
 
 
 def export(folder: Path, q: int, single: bool, settings: FilterSettings | None = None) -> None:
-    """Write the library."""
     for name, text in exported_files(q, settings or FilterSettings(), single).items():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_text(text)
 
 
 def host_build(folder: Path, *flags: str) -> Path:
-    """Compile the replay for this machine, every warning an error."""
     source, out = folder / "src", folder / "replay"
     files = [REPLAY, source / "homeward_ekf.c"]
     subprocess.run([*HOST, *flags, "-I", source, *files, "-lm", "-o", out], check=True)
@@ -79,7 +73,6 @@ def host_build(folder: Path, *flags: str) -> Path:
 
 
 def arm_build(folder: Path, main: Path) -> Path:
-    """Compile a main program for the Cortex-M4F as it is emulated."""
     board, out = folder / "examples" / "cortex_m4f", folder / f"{main.stem}.elf"
     files = [folder / "src" / "homeward_ekf.c", main, board / "startup.c"]
     last = ["-T", board / "mps2_an386.ld", "--specs=rdimon.specs", "-lm", "-o", out]
@@ -88,21 +81,19 @@ def arm_build(folder: Path, main: Path) -> Path:
 
 
 def emulation(image: Path) -> list[str]:
-    """Return the command that runs an image, counting instructions."""
     words = "qemu-system-arm -M mps2-an386 -display none -serial none -monitor none -icount shift=5"
     return [*words.split(), "-semihosting-config", "enable=on,target=native", "-kernel", str(image)]
 
 
 class Samples(NamedTuple):
-    """A drive in the words of replay.c, and what Python makes of each sample."""
+    """A drive in the format of replay.c, and Python's result for each sample."""
 
     text: str
-    python: np.ndarray
-    """(samples, q + 3 + 3 + 6): state, pose and lower triangle of its covariance."""
+    python: np.ndarray  # (samples, q + 3 + 3 + 6): state, pose and lower triangle of its covariance
 
 
 def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Samples:
-    """Return a drive; with the resection solved so often, and the EKF begun again from it."""
+    """Return a drive, with a resection each `every_s` that restarts the EKF."""
     estimator = make_estimator("ekf", drive)
     tuning, ids = estimator._backend.tuning, list(drive.home)
     sigmas = [b.sigma for b in drive.home.values()]
@@ -134,19 +125,17 @@ def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Sa
 
 
 class Replayed(NamedTuple):
-    """What the C made of a drive."""
+    """Result of the C code for a drive."""
 
-    kinds: str
-    """o or b of each sample."""
+    kinds: str  # o or b of each sample
     numbers: np.ndarray
-    """Of each: instructions, bytes of stack, status, accepted, then as `Samples.python`."""
+    """For each: instructions, bytes of stack, status, accepted, then as `Samples.python`."""
     answers: np.ndarray
-    """Of each solution: instructions, bytes of stack, decided, located, consistent, pose and its
+    """For each resection: instructions, bytes of stack, decided, located, consistent, pose,
     covariance."""
 
 
 def replayed(command: Iterable[str | Path], text: str) -> Replayed:
-    """Run a replay."""
     done = subprocess.run(
         [*map(str, command)], input=text, capture_output=True, text=True, check=True, timeout=500
     )
@@ -160,16 +149,14 @@ def replayed(command: Iterable[str | Path], text: str) -> Replayed:
 
 
 class EndErrors(NamedTuple):
-    """How far off the position is at the end of each run [m]."""
+    """Position errors at the end of each run [m]."""
 
     errors: dict[str, np.ndarray]
-    """Of the EKF alone, of the resection, of the EKF begun again from it each second; and the
-    Cramer-Rao bound of who knows which landmarks were moved."""
-    right: np.ndarray
-    """(runs,), whether exactly the moved landmarks were left out."""
+    """Of the EKF alone, of the resection, of the EKF restarted from it each second; and the
+    Cramer-Rao bound if the moved landmarks are known."""
+    right: np.ndarray  # (runs,), whether exactly the moved landmarks were left out
 
     def rms(self, name: str) -> float:
-        """Return the root mean square of one."""
         return float(np.sqrt(np.mean(np.square(self.errors[name]))))
 
 
@@ -194,36 +181,13 @@ def end_errors(folder: Path, q: int, moved: int, seeds: Iterable[int]) -> EndErr
 
 
 def _bound(simulation: Simulation) -> float:
-    """Return the least standard deviation of the position at the end [m]."""
-    drive, world = simulation.drive, simulation.world
-    start, noise = drive.settings.start, drive.settings.odometry
-    places = dict(zip(world.ids, world.in_home_frame, strict=True))
-    stamps = list(drive.sightings.stamps())
-    t = np.array([s[0] for s in stamps])
-    poses = np.stack(drive.truth.at(t), axis=1)
-    at = np.clip(np.searchsorted(drive.odometry.t, t[:-1], "right") - 1, 0, None)
-    twists = np.stack([drive.odometry.v, drive.odometry.omega], axis=1)[at]
-    c, s = math.cos(start.theta), math.sin(start.theta)
-    jacobian = np.array([[c, -start.R * s, 0.0], [s, start.R * c, 0.0], [0.0, 0.0, 1.0]])
-    sigmas = np.diag(np.square([start.sigma_R, start.sigma_theta, start.sigma_alpha]))
-    bound = posterior_bound(
-        poses,
-        twists,
-        np.diff(t),
-        np.array([places[k] for k in drive.home]),
-        np.array([[k in seen for k in drive.home] for _, seen, _ in stamps]),
-        bearing_sigma=drive.settings.sensor.bearing_sigma,
-        home_sigma=simulation.scenario.noise.home_sigma,
-        speed_sigma=noise.speed_sigma,
-        turn_sigma=noise.turn_sigma,
-        moved=np.array([k in world.moved for k in drive.home]),
-        start_covariance=jacobian @ sigmas @ jacobian.T,
-    )[-1]
-    return math.sqrt(bound[0, 0] + bound[1, 1])
+    """Return the bound of the position's standard deviation at the end [m]."""
+    covariance = simulated_trial(simulation).bound[-1]
+    return math.sqrt(covariance[0, 0] + covariance[1, 1])
 
 
 def figures(folder: Path) -> dict[str, int]:
-    """Return what `LIMITS` limits, of the emulated processor."""
+    """Return the figures of `LIMITS` for the emulated processor."""
     export(folder, LANDMARKS, single=True)
     example = arm_build(folder, folder / "examples" / "cortex_m4f" / "main.c")
     size = _output("arm-none-eabi-size", example).splitlines()[1].split()
@@ -248,16 +212,11 @@ def _output(*command: str | Path) -> str:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--moved", action="store_true", help="simulated drives, on this machine")
-    parser.add_argument("--runs", type=int, default=100)
-    given = parser.parse_args()
+    given = monte_carlo.parsed(__doc__, moved=False, runs=100)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         if given.moved:
-            print(
-                "landmarks moved  " + "  ".join(("ekf", "resection", "exported", "bound", "right"))
-            )
+            print("landmarks moved  RMSE: ekf  resection  exported  bound  exact detection rate")
             for q, moved in ((7, 0), (7, 1), (7, 2), (7, 3), (12, 0), (12, 2), (12, 4), (12, 6)):
                 runs = end_errors(folder, q, moved, range(given.runs))
                 errors = "  ".join(f"{runs.rms(k):.4f} m" for k in runs.errors)

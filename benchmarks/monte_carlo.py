@@ -1,11 +1,8 @@
-"""Monte Carlo harness of the benchmarks: named runs, in processes, resumed, with progress.
+"""Options and Monte Carlo harness of the benchmarks: named runs, in processes, resumable.
 
 A run is a scenario, an estimator and a seed. Each run is a block of `homeward.lab.studies.blocks`,
-the engine of `homeward study`: it survives killed workers and continues where it ended,
-with a folder.
+the engine of `homeward study`: it survives killed workers, and continues from a folder.
 """
-
-from __future__ import annotations
 
 import argparse
 import hashlib
@@ -38,26 +35,41 @@ class Run(NamedTuple):
 
     @property
     def file(self) -> str:
-        """The name of its block, with a digest because file systems do not take all characters."""
+        """The name of its block, with a digest since file systems do not allow all characters."""
         text = f"{self.scenario}-{self.estimator}-{self.seed}"
         digest = hashlib.sha256(repr(self).encode()).hexdigest()[:8]
         return f"{re.sub(r'[^A-Za-z0-9.]+', '_', text)[:80]}-{digest}"
 
 
-def parser(
-    doc: str | None, seeds: int | None = None, keep: bool = False
-) -> argparse.ArgumentParser:
-    """Return a parser with the options that Monte Carlo benchmarks share."""
+def parsed(doc: str | None, **defaults: Any) -> argparse.Namespace:
+    """Parse options: --name for each keyword, with its default value.
+
+    A bool is a flag, a type an optional value, a list several values, and a dict several of its
+    keys, by default all.
+    """
+    return parser(doc, **defaults).parse_args()
+
+
+def parser(doc: str | None, **defaults: Any) -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         description=doc, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    if seeds is not None:
-        made.add_argument("--seeds", type=int, default=seeds, help="runs of each scenario")
-        made.add_argument("--first", type=int, default=0, help="seed of the first run")
-    made.add_argument("--jobs", type=int, default=available_threads(), help="processes")
-    if keep:
-        made.add_argument("--keep", type=Path, metavar="FOLDER", help="for runs, to continue from")
+    for name, default in defaults.items():
+        option: dict[str, Any] = {"default": default, "type": type(default)}
+        if isinstance(default, bool):
+            option = {"action": "store_true"}
+        elif isinstance(default, type):
+            option = {"type": default}
+        elif isinstance(default, dict):
+            option = {"nargs": "*", "choices": list(default), "default": list(default)}
+        elif isinstance(default, list):
+            option = {"nargs": "*", "type": type(default[0]), "default": default}
+        made.add_argument("--" + name.replace("_", "-"), **option)
     return made
+
+
+HARNESS: dict[str, Any] = {"jobs": available_threads(), "keep": Path}
+"""Options of a benchmark with `run_all`: processes, and the folder of finished runs."""
 
 
 def run_all(
@@ -68,23 +80,11 @@ def run_all(
     only_kept: bool = False,
     **settings: Any,
 ) -> dict[Run, Figures]:
-    """Return the figures of each run, in the order of `runs`.
+    """Return the figures of each run, in the order of `runs`, which has no duplicates.
 
-    Parameters
-    ----------
-    function : callable
-        Of a module, or a `partial` of one. What it raises ends the benchmark.
-    runs : iterable of Run
-        Without duplicates.
-    jobs : int, optional
-        Processes; default: as many as processors.
-    keep : Path, optional
-        Folder for finished runs, which are not computed again. A folder that other source code or
-        other settings made is refused.
-    only_kept : bool
-        Compute nothing; leave out the runs that `keep` does not hold.
-    **settings
-        What else the figures depend on, as plain values.
+    `function` is one of a module, or a `partial` of one; an exception ends the benchmark. `keep` is
+    a folder of finished runs; it is refused if source code or `settings`, further values that the
+    figures depend on, differ. With `only_kept`, nothing is computed.
     """
     files = {run.file: run for run in runs}
     with ExitStack() as stack:
@@ -100,7 +100,6 @@ def run_all(
 
 
 def source_digest() -> str:
-    """Return a digest of the source code of homeward and its benchmarks."""
     digest = hashlib.sha256()
     for folder in (Path(__file__).parent, Path(homeward.__file__).parent):
         for file in sorted(folder.rglob("*.py")):
@@ -124,7 +123,7 @@ def _report(fraction: float) -> None:
 
 
 def column(figures: Iterable[Mapping[str, Any]], name: str) -> np.ndarray:
-    """Return one figure of several runs, (n,); NaN where it is unknown."""
+    """Return one figure of several runs, (n,); NaN if unknown."""
     values = (one.get(name) for one in figures)
     return np.array([np.nan if v is None else v for v in values], float)
 

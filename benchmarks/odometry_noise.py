@@ -1,13 +1,10 @@
-"""Odometry of which nothing is told, from ten times better to ten times worse than is usual.
+"""Unspecified odometry noise, from a tenth to ten times the default.
 
-`python -m benchmarks.odometry_noise [--seeds 3] [--only NAME ...] [--smooth]` drives worlds of
-three sizes (a table top, a room, a hall) with an odometry whose white noise is so many times that
-which is believed of one of which nothing is known. It prints RMSE when nothing is told, over that
-when the truth is told, NEES of both (3 is honest), and the shares of time with a pose, of the last
-three quarters of a drive, as medians over the seeds.
+`python -m benchmarks.odometry_noise [--seeds 3] [--only NAME ...] [--smooth]` drives in worlds of
+three sizes (a table top, a room, a hall) with multiples of the default white noise. It prints the
+RMSE without given noise over that with the true noise given, and NEES (expected: 3) and
+availability of both, for the last three quarters of a drive, as medians over the seeds.
 """
-
-from __future__ import annotations
 
 import math
 from functools import partial
@@ -15,7 +12,7 @@ from functools import partial
 import numpy as np
 
 from benchmarks import monte_carlo
-from benchmarks.consistency.trial import Leg, Trial, scaled, trial, untold, wandering
+from benchmarks.consistency.trial import Leg, Trial, scaled, trial, wandering, without
 from benchmarks.lasting import figures
 from benchmarks.monte_carlo import Run
 from homeward.drives.settings import OdometryDefaults
@@ -25,26 +22,24 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.track import run as follow
 
-TIMES = (0.1, 0.3, 1.0, 3.0, 10.0)
-"""So many times the usual deviations."""
+TIMES = (0.1, 0.3, 1.0, 3.0, 10.0)  # multiples of the default sigmas
 SIZES = {"table top": 0.1, "room": 1.0, "hall": 10.0}
-"""Worlds, over one in which landmarks are 2.5 to 5 m from home."""
+"""Scale of the worlds, relative to one with landmarks 2.5 to 5 m from home."""
 SPEED, TURN, DRIVE_S = 0.25, 0.3, 240.0
-"""How the robot drives in that one [m/s, rad/s], and how long [s]."""
-USUAL = OdometryDefaults()
+"""Speed and yaw rate in that world [m/s, rad/s], and duration [s]."""
+DEFAULTS = OdometryDefaults()
 
 
 def noise(times: float, size: float) -> OdometryErrors:
-    """Return white noise of so many times the usual, before the world is scaled to its size."""
-    turning = USUAL.turn_by_driving**2 * SPEED * size + USUAL.turn_by_turning**2 * TURN
-    along = USUAL.distance * math.sqrt(SPEED * size) / size
+    """Return a multiple of the default white noise, before the world is scaled to its size."""
+    turning = DEFAULTS.turn_by_driving**2 * SPEED * size + DEFAULTS.turn_by_turning**2 * TURN
+    along = DEFAULTS.distance * math.sqrt(SPEED * size) / size
     return OdometryErrors(speed_sigma=times * along, turn_sigma=times * math.sqrt(turning))
 
 
 def drive_of(
     size: float, times: float, seed: int, seconds: float = DRIVE_S
 ) -> tuple[Trial, Simulation]:
-    """Return a random way among landmarks, and what it was made of."""
     scenario = wandering(
         seed, 5, 60, (0.3, 2.0), speed=SPEED, seconds=seconds, odometry=noise(times, size)
     )
@@ -53,9 +48,9 @@ def drive_of(
 
 
 def row(made: Trial, whole: Simulation, final: bool) -> list[float]:
-    """Return the figures of one drive, with the noise not specified and specified."""
+    """Return the figures of one drive, with the noise not given and given."""
     found: list[float] = []
-    for drive in (untold(made, odometry=True).drive, made.drive):
+    for drive in (without(made, odometry=True).drive, made.drive):
         localizer = Localizer(drive.home, **drive.settings.robot)
         track = smooth(drive) if final else follow(drive, localizer)
         of = figures(track, drive, whole)
@@ -70,24 +65,19 @@ def measured(final: bool, run: Run) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Print the table."""
-    parser = monte_carlo.parser(__doc__, seeds=3, keep=True)
-    parser.add_argument("--only", nargs="+", choices=[*SIZES], default=[*SIZES])
-    parser.add_argument("--times", nargs="+", type=float, default=TIMES)
-    parser.add_argument("--smooth", action="store_true")
-    given = parser.parse_args()
-    rows = [f"{name} x {times:g}" for name in given.only for times in given.times]
-    runs = monte_carlo.grid(rows, ["robust"], range(given.first, given.first + given.seeds))
+    given = monte_carlo.parsed(__doc__, seeds=3, only=SIZES, smooth=False, **monte_carlo.HARNESS)
+    rows = [f"{name} x {times:g}" for name in given.only for times in TIMES]
+    runs = monte_carlo.grid(rows, ["robust"], range(given.seeds))
     function = partial(measured, given.smooth)
     found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
-    columns = ("ratio", "RMSE/size", "NEES", "told", "pose %", "told")
-    print(f"{'':18}" + "".join(f"{c:>10}" for c in columns))
+    columns = ("RMSE ratio", "RMSE/size", "NEES", "(given)", "avail. %", "(given)")
+    print(f"{'':18}" + "".join(f"{c:>11}" for c in columns))
     for name in rows:
         each = [one["row"] for run, one in found.items() if run.scenario == name]
-        rmse, nees, pose, at_best, nees_told, pose_told = np.nanmedian(each, axis=0)
+        rmse, nees, pose, at_best, nees_given, pose_given = np.nanmedian(each, axis=0)
         size = SIZES[name.split(" x ")[0]]
-        line = rmse / at_best, rmse / size, nees, nees_told, pose, pose_told
-        print(f"{name:18}" + "".join(f"{v:10.3f}" for v in line))
+        line = rmse / at_best, rmse / size, nees, nees_given, pose, pose_given
+        print(f"{name:18}" + "".join(f"{v:11.3f}" for v in line))
 
 
 if __name__ == "__main__":

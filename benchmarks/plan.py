@@ -1,17 +1,15 @@
-"""How long a plan takes: 10 x 10 m at 10 cm, 30 landmarks, nine shelves that hide; goal 10 s.
+"""Runtime of a plan: 10 x 10 m at 10 cm, 30 landmarks, nine opaque shelves; goal 10 s.
 
-`python -m benchmarks.plan [--runs 3] [--open]`. Prints wall time, best of the runs, and the
-processor time of all threads; `--open` leaves the shelves away, so that all landmarks are seen.
+`python -m benchmarks.plan [--runs 3]` prints wall time, best of the runs, and the processor time
+of all threads.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 import time
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.floor import candidate_places, make_floor
 from homeward.lab.planning.settings import HomePlace, Plan
@@ -19,9 +17,8 @@ from homeward.lab.planning.settings import HomePlace, Plan
 LANDMARKS = 30
 
 
-def big_plan(shelves: bool) -> Plan:
-    """Return the plan, landmarks drawn along walls and shelves with a fixed seed."""
-    corners = [(x, y) for x in (1.5, 4.2, 7.0) for y in (2.0, 4.5, 7.0)] if shelves else []
+def big_plan() -> Plan:
+    corners = [(x, y) for x in (1.5, 4.2, 7.0) for y in (2.0, 4.5, 7.0)]
     empty = Plan(
         outline=((0, 0), (10, 0), (10, 10), (0, 10)),
         shelves=tuple(((x, y), (x + 1.5, y), (x + 1.5, y + 0.5), (x, y + 0.5)) for x, y in corners),
@@ -34,12 +31,7 @@ def big_plan(shelves: bool) -> Plan:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--runs", type=int, default=3)
-    parser.add_argument("--open", action="store_true")
-    options = parser.parse_args()
-    plan = big_plan(not options.open)
+    options, plan = monte_carlo.parsed(__doc__, runs=3), big_plan()
     walls, processors = [], []
     for _ in range(options.runs):
         wall, processor = time.perf_counter(), time.process_time()

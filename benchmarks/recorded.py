@@ -1,12 +1,10 @@
 """Recorded drives through rendered rooms: `homeward run` with home's picture, and the map alone.
 
-Homings steered by the truth, and circles of a minute, three boxes moved since home, and someone
-walking through; written as folders of images, and read from them.
+Homings steered by ground truth, and circles of a minute, with three boxes moved since home and a
+person walking through. The drives are written as folders of images, and read back.
 
     python -m benchmarks.recorded --drives 20 --width 512
 """
-
-from __future__ import annotations
 
 import tempfile
 from functools import partial
@@ -16,7 +14,7 @@ import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.monte_carlo import Run
-from benchmarks.render import FAR_OFF, IMAGES_PER_S, scenario
+from benchmarks.render import CHI_SQUARE_4_SIGMA, IMAGES_PER_S, scenario
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
 from homeward.estimator import Status
@@ -35,7 +33,7 @@ WITH, WITHOUT = "with home's picture", "the map alone"
 
 
 def recorded(number: int, width: int, course: str) -> ImageDrive | None:
-    """Return a drive as it is read from a folder of images; None where it runs into something."""
+    """Return a drive read from a folder of images; None if the robot collides."""
     opencv().setNumThreads(1)
     made = scenario(number, width, (1.0, 4.0), moved=3)
     changes = {"rates": made.rates.model_copy(update={"bearings": IMAGES_PER_S})}
@@ -50,18 +48,18 @@ def recorded(number: int, width: int, course: str) -> ImageDrive | None:
 
 
 def rows(drive: Drive) -> np.ndarray:
-    """Return for each row of a run, (n, 4): sure or not, a pose or not, error [m], NEES."""
+    """Return for each row of a run, (n, 4): localised, with a pose, error [m], NEES."""
     track = follow(drive, make_estimator("robust", drive))
     found = np.full((track.t.size, 4), np.nan)
     found[:, 0] = [status is Status.LOCALISED for status in track.status]
     found[:, 1] = track.has_pose
-    judged = errors(track, drive.truth)
-    found[np.searchsorted(track.t, judged.t), 2:] = np.column_stack([judged.position, judged.nees])
+    e = errors(track, drive.truth)
+    found[np.searchsorted(track.t, e.t), 2:] = np.column_stack([e.position, e.nees])
     return found
 
 
 def measured(width: int, run: Run) -> dict[str, np.ndarray]:
-    """Return the rows of one drive by both estimators; nothing where it runs into something."""
+    """Return the rows of one drive from both estimators; empty if the robot collides."""
     drive = recorded(run.seed, width, run.scenario)
     if drive is None:
         return {}
@@ -70,27 +68,22 @@ def measured(width: int, run: Run) -> dict[str, np.ndarray]:
 
 
 def main() -> None:
-    """Print every figure."""
-    parser = monte_carlo.parser(__doc__, keep=True)
-    parser.add_argument("--drives", type=int, default=20)
-    parser.add_argument("--first", type=int, default=0, help="number of the first drive")
-    parser.add_argument("--width", type=int, default=512)
-    options = parser.parse_args()
-    numbers = range(options.first, options.first + options.drives)
-    runs = monte_carlo.grid([HOMING, CIRCLE], ["robust"], numbers)
+    options = monte_carlo.parsed(__doc__, drives=20, width=512, **monte_carlo.HARNESS)
+    runs = monte_carlo.grid([HOMING, CIRCLE], ["robust"], range(options.drives))
     function = partial(measured, options.width)
     found = monte_carlo.run_all(function, runs, options.jobs, options.keep, width=options.width)
     for course in (HOMING, CIRCLE):
         done = [one for run, one in found.items() if run.scenario == course and one]
         print(f"{len(done)} {course}, {options.width}x{options.width // 4}")
         for name in (WITHOUT, WITH):
-            sure, pose, position, nees = np.concatenate([m[name] for m in done]).T
-            told = (sure == 1.0) & np.isfinite(nees)
+            localised, pose, position, nees = np.concatenate([m[name] for m in done]).T
+            use = (localised == 1.0) & np.isfinite(nees)
             print(
-                f"  {name}: localised {np.mean(sure):.0%} of the time, a pose {np.mean(pose):.0%}; "
-                f"where localised RMSE {np.sqrt(np.mean(position[told] ** 2)):.3f} m, median "
-                f"{np.median(position[told]):.4f} m, NEES {np.mean(nees[told]):.1f} (honest 3), "
-                f"beyond 4 sigma {np.mean(nees[told] > FAR_OFF):.1%}"
+                f"  {name}: localised {np.mean(localised):.0%} of the time, availability of a pose "
+                f"{np.mean(pose):.0%}; while localised: RMSE "
+                f"{np.sqrt(np.mean(position[use] ** 2)):.3f} m, median error "
+                f"{np.median(position[use]):.4f} m, NEES {np.mean(nees[use]):.1f} (expected 3), "
+                f"beyond 4 sigma {np.mean(nees[use] > CHI_SQUARE_4_SIGMA):.1%}"
             )
 
 

@@ -1,11 +1,9 @@
-"""Roh's static set: four beacons at known places, nine places, 200 samples of bearings at each.
+"""Roh's static data set: four beacons at known positions, 200 samples of bearings at nine places.
 
-`python -m benchmarks.roh` prints the error of a single sample's position in the map, and of one
-place relative to another taken as home (samples paired, over all 72 ordered pairs of places). The
-data are looked for in HOMEWARD_DATA, else in ../shared/data.
+`python -m benchmarks.roh` prints the error of a single sample's position in the map, and relative
+to another place as home (samples paired, over all 72 ordered pairs of places). The data are read
+from HOMEWARD_DATA, else from ../shared/data.
 """
-
-from __future__ import annotations
 
 import re
 from pathlib import Path
@@ -19,13 +17,11 @@ from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.output.pose import centre
 from homeward.localizer.settings import LocalizerSettings
 
-CHI_SQUARE_MEDIAN = 0.455
-"""Of chi-square with one degree of freedom."""
+CHI_SQUARE_MEDIAN = 0.455  # of chi-square with one degree of freedom
 PLACE = re.compile(r"\(X([\d.]+),Y([\d.]+)\)\.csv")
 
 
 def places(folder: Path) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions (9, 2) [m] and bearings (9, 200, 4) [rad]."""
     found = {file: PLACE.fullmatch(file.name) for file in sorted(folder.glob("(X*.csv"))}
     where = [[float(m[1]), float(m[2])] for m in found.values() if m]
     bearings = [np.radians(np.loadtxt(file, delimiter=",")) for file in found]
@@ -33,23 +29,9 @@ def places(folder: Path) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.ndarray, float]:
-    """Return the camera's position for each row of bearings, and the median of innovation^2.
+    """Return positions (n, 2) [m] from bearings (n, q) to beacons (q, 2), NaN if none fits.
 
-    Parameters
-    ----------
-    beacons : ndarray, shape (q, 2)
-        Known positions [m].
-    bearings : ndarray, shape (n, q)
-        From places that are not known [rad].
-    sigma : float
-        Of a bearing [rad].
-
-    Returns
-    -------
-    positions : ndarray, shape (n, 2)
-        NaN where none fits [m].
-    median : float
-        Of innovation^2 / variance; 0.455 if sigma is right.
+    And the median of innovation^2 / variance: 0.455 if sigma [rad] is right.
     """
     q = len(beacons)
     size = POSE_AND_YAW + 2 * q
@@ -73,7 +55,7 @@ def fixes(beacons: np.ndarray, bearings: np.ndarray, sigma: float) -> tuple[np.n
 
 
 def middle_home(hypotheses: Hypotheses) -> np.ndarray:
-    """Return where home is under all hypotheses, as the localiser answers, shape (2,) [m]."""
+    """Return the mean position of home over all hypotheses, as of the localiser, (2,) [m]."""
     homes = np.array([fit.home for fit in hypotheses.fits])
     spreads = np.array([fit.covariance for fit in hypotheses.fits])
     off, weights = homes - homes[0], hypotheses.weights
@@ -83,13 +65,12 @@ def middle_home(hypotheses: Hypotheses) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the figures."""
     folder = data() / "roh_angulation"
     beacons = np.loadtxt(folder / "landmark.csv", delimiter=",")
     where, bearings = places(folder)
     every = bearings.reshape(-1, bearings.shape[-1])
     sigma = LocalizerSettings().bearing_sigma
-    # The set does not tell its noise: it is scaled once by its own residuals.
+    # The noise of the data set is unknown: it is estimated from the residuals.
     sigma *= np.sqrt(fixes(beacons, every, sigma)[1] / CHI_SQUARE_MEDIAN)
     off = fixes(beacons, every, sigma)[0].reshape(*bearings.shape[:2], 2) - where[:, None, :]
     averaged = fixes(beacons, bearings.mean(axis=1), sigma)[0] - where

@@ -1,15 +1,12 @@
-"""A session for long: a robot drives in circles and home, over and over; memory and latency.
+"""Memory and latency of a long session: a robot drives in circles and home, repeatedly.
 
-`python -m benchmarks.soak [--minutes 10] [--record FOLDER]` starts `homeward live` and talks to it
-over TCP in real time, odometry at 50 Hz and bearings at 30 Hz; with `--ros`, run by a Python that
-has rclpy (`make test-ros` makes .venv-ros-jazzy), it is the node of ROS 2, and topics. The memory
-is that of the other process, once a second; the latency is from before bearings are sent until
-after their answer was heard and understood here.
+`python -m benchmarks.soak [--minutes 10] [--record FOLDER]` starts `homeward live` and connects
+over TCP in real time, with odometry at 50 Hz and bearings at 30 Hz. With `--ros`, it starts the
+ROS 2 node instead; this needs a Python with rclpy (`make test-ros` makes .venv-ros-jazzy). Memory
+is that of the other process, once per second. Latency is from before bearings are sent until their
+answer is parsed here.
 """
 
-from __future__ import annotations
-
-import argparse
 import asyncio
 import os
 import subprocess
@@ -18,24 +15,18 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
 from homeward.lab.simulation.simulate import load_scenario
-from homeward.live.messages import (
-    Answer,
-    BearingsIn,
-    Input,
-    OdometryIn,
-    line_of,
-    parse_output,
-)
+from homeward.live.messages import Answer, BearingsIn, Input, OdometryIn, line_of, parse_output
 from homeward.live.server import Address
 
 WARM_S = 150.0
-"""Until the map's window of open keyframes is full memory may grow [s]."""
+"""Time until the map's window of open keyframes is full; memory may grow until then [s]."""
 SCENARIO = {
     "rates.odometry": 50.0,
     "rates.bearings": 30.0,
@@ -47,35 +38,31 @@ SCENARIO = {
 
 
 class Shuttle(SimulatedRobotClient):
-    """Drives in circles and home until its time is over, and takes the time of answers."""
+    """Drives in circles and home for a time, and measures the latency of answers."""
 
     def __init__(self, seconds: float, **changes: float) -> None:
         super().__init__(LiveRobot(load_scenario("paper-homing", SCENARIO | changes)), seconds)
-        self.latencies: list[float] = []
-        """[s]"""
+        self.latencies: list[float] = []  # [s]
         self.endings: list[tuple[str, float]] = []
-        """Of each homing: "arrived" or "failed", and how far from home that was [m]."""
+        """For each homing: "arrived" or "failed", and the distance from home [m]."""
         self._sent: dict[float, float] = {}
 
     def step(self) -> Iterator[Input]:
-        """Drive; see `SimulatedRobotClient`."""
         for message in super().step():
             if isinstance(message, BearingsIn):
                 self._sent[message.t] = time.perf_counter()
             yield message
 
-    def on_message(self, said: object) -> None:
-        """Take what the session said, and when it did."""
-        super().on_message(said)
-        if isinstance(said, Answer) and said.t in self._sent:
-            self.latencies.append(time.perf_counter() - self._sent.pop(said.t))
+    def on_message(self, message: object) -> None:
+        super().on_message(message)
+        if isinstance(message, Answer) and message.t in self._sent:
+            self.latencies.append(time.perf_counter() - self._sent.pop(message.t))
         if self.ending is not None:
             self.endings.append((self.ending.state, self.robot.distance))
             self.restart()
 
 
 def by_tcp(shuttle: Shuttle, record: Path | None) -> np.ndarray:
-    """Play against `homeward live`; return its memory once a second [MB]."""
     command = [sys.executable, "-m", "homeward", "live", "--tcp", "0"]
     command += ["--record", str(record)] if record else []
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as live:
@@ -88,14 +75,13 @@ def by_tcp(shuttle: Shuttle, record: Path | None) -> np.ndarray:
 
 
 def by_ros(shuttle: Shuttle, record: Path | None) -> np.ndarray:
-    """Play against the node of ROS 2; return its memory once a second [MB]."""
     import rclpy
     from nav_msgs.msg import Odometry
     from rclpy.node import Node
     from std_msgs.msg import String
 
-    told = {"bearings_type": "std_msgs/msg/String", **({"record": record} if record else {})}
-    options = [word for key, value in told.items() for word in ("-p", f"{key}:={value}")]
+    given = {"bearings_type": "std_msgs/msg/String", **({"record": record} if record else {})}
+    options = [word for key, value in given.items() for word in ("-p", f"{key}:={value}")]
     rclpy.init()
     node = Node("soak")
     odometry = node.create_publisher(Odometry, "odom", 10)
@@ -104,40 +90,39 @@ def by_ros(shuttle: Shuttle, record: Path | None) -> np.ndarray:
         for kind, topic in (("bearings", "bearings"), ("", "homeward/request"))
     }
 
-    def say(message: Input) -> None:
+    def send(message: Input) -> None:
         if isinstance(message, OdometryIn):
             twist = Odometry()
             stamp = round(message.t * 1e9)
             twist.header.stamp.sec, twist.header.stamp.nanosec = divmod(stamp, 10**9)
             twist.twist.twist.linear.x, twist.twist.twist.angular.z = message.v, message.omega
-            twist.pose.pose.position.x = float("nan")  # it has no frame of its own
+            twist.pose.pose.position.x = float("nan")  # there is no odometry frame
             odometry.publish(twist)
         else:
             lines.get(message.type, lines[""]).publish(String(data=line_of(message)))
 
-    node.create_subscription(String, "homeward/said", lambda m: shuttle.on_message(_said(m)), 100)
+    def receive(message: Any) -> None:
+        shuttle.on_message(parse_output(message.data))
+
+    node.create_subscription(String, "homeward/said", receive, 100)
     command = [sys.executable, "-m", "homeward.ros", "--ros-args", *options]
     with subprocess.Popen(command) as live:
         while lines[""].get_subscription_count() == 0:
             rclpy.spin_once(node, timeout_sec=0.1)
-        say(shuttle.home())
+        send(shuttle.home())
         with Watch(live.pid) as memory:
             began = time.monotonic()
             while not shuttle.done:
                 for message in shuttle.step():
-                    say(message)
+                    send(message)
                 while (left := began + shuttle.robot.t - time.monotonic()) > 0:
                     rclpy.spin_once(node, timeout_sec=left)
         live.terminate()
     return np.array(memory.megabytes)
 
 
-def _said(message: Any) -> object:
-    return parse_output(message.data)
-
-
 class Watch:
-    """The memory of a process, once a second [MB]."""
+    """The memory of a process, once per second [MB]."""
 
     def __init__(self, process: int) -> None:
         self.megabytes: list[float] = []
@@ -149,7 +134,7 @@ class Watch:
             pages = int(self._file.read_text().split()[1])
             self.megabytes.append(pages * os.sysconf("SC_PAGE_SIZE") / 1e6)
 
-    def __enter__(self) -> Watch:
+    def __enter__(self) -> Self:
         self._thread.start()
         return self
 
@@ -159,16 +144,11 @@ class Watch:
 
 
 def main() -> None:
-    """Soak, and print what came of it."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--minutes", type=float, default=10.0)
-    parser.add_argument("--ros", action="store_true")
-    parser.add_argument("--record", type=Path)
-    told = parser.parse_args()
-    shuttle = Shuttle(60.0 * told.minutes)
-    memory = (by_ros if told.ros else by_tcp)(shuttle, told.record)
+    options = monte_carlo.parsed(__doc__, minutes=10.0, ros=False, record=Path)
+    shuttle = Shuttle(60.0 * options.minutes)
+    memory = (by_ros if options.ros else by_tcp)(shuttle, options.record)
     each = memory[29::30] if memory.size > 60 else memory
-    print("memory [MB], each half minute:" if memory.size > 60 else "memory [MB], each second:")
+    print("memory [MB], every 30 s:" if memory.size > 60 else "memory [MB], every second:")
     print(" ".join(f"{m:.1f}" for m in each))
     warm = memory[int(min(WARM_S, memory.size / 2)) :]
     per_minute = 60.0 * float(np.polyfit(np.arange(warm.size), warm, 1)[0])
@@ -179,7 +159,7 @@ def main() -> None:
         f"99 % {np.quantile(ms, 0.99):.1f} ms, worst {ms.max():.1f} ms"
     )
     arrived = [far for state, far in shuttle.endings if state == "arrived"]
-    far = f", at most {100 * max(arrived):.1f} cm off" if arrived else ""
+    far = f", error at most {100 * max(arrived):.1f} cm" if arrived else ""
     print(f"homings: {len(arrived)} of {len(shuttle.endings)} arrived{far}")
     print(f"load average: {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
 

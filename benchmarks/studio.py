@@ -1,23 +1,21 @@
-"""How often does the studio draw? `python -m benchmarks.studio` counts in Chromium.
+"""Frame rate of the studio: `python -m benchmarks.studio [--seconds 20]` measures it in Chromium.
 
-Of 40 landmarks six were moved; four estimators (robust and the paper's three) watch at 10 Hz, for
-20 s. Prints pictures a second, the slowest of them, and how much of real time the simulation kept
-up with. The goal is 60 pictures a second on two cores that nobody else uses.
+40 landmarks, six of which were moved, and four estimators (robust and the paper's three) at 10 Hz.
+Prints frames per second, the slowest frame, and the speed of the simulation relative to real time.
+The goal is 60 frames per second on two idle cores.
 """
 
-from __future__ import annotations
-
-import argparse
 import sys
 import tempfile
 import time
 from pathlib import Path
 
+from benchmarks import monte_carlo
 from homeward.lab.simulation.simulate import load_scenario, scenario_yaml
 
 TESTS = Path(__file__).parents[1] / "tests"
 ESTIMATORS = "robust,ekf,a-ekf,pi-ekf"
-SETTLES_S = 3.0
+SETTLES_S, LANDMARKS = 3.0, 40
 COUNT = """
 new Promise((done) => {
   const times = [], begun = studio.frame.t, began = performance.now();
@@ -34,15 +32,11 @@ new Promise((done) => {
 
 
 def main() -> None:
-    """Measure, and print a line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--landmarks", type=int, default=40)
-    options = parser.parse_args()
+    options = monte_carlo.parsed(__doc__, seconds=20.0)
     sys.path[:0] = [str(TESTS), str(TESTS / "studio")]
-    from chromium import studio  # the hand that tests drag with, too
+    from chromium import studio  # the browser of the tests
 
-    changes = {"landmarks.count": options.landmarks, "moved.count": 6, "rates.bearings": 10.0}
+    changes = {"landmarks.count": LANDMARKS, "moved.count": 6, "rates.bearings": 10.0}
     with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
         scene = Path(folder) / "scene.yaml"
         scene.write_text(scenario_yaml(load_scenario("paper-homing", changes)), encoding="utf-8")
@@ -50,8 +44,8 @@ def main() -> None:
             time.sleep(SETTLES_S)
             rate, late, worst, kept = page.find(COUNT.replace("SECONDS", str(options.seconds)))
     print(
-        f"{options.landmarks} landmarks, {ESTIMATORS}: {rate:.1f} pictures a second, 99 % within "
-        f"{late:.0f} ms, the slowest {worst:.0f} ms; {100 * kept:.0f} % of real time"
+        f"{LANDMARKS} landmarks, {ESTIMATORS}: {rate:.1f} frames per second, 99 % within "
+        f"{late:.0f} ms, slowest {worst:.0f} ms; {100 * kept:.0f} % of real time"
     )
 
 

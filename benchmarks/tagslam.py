@@ -1,24 +1,22 @@
-"""Bearings of real tags against the solution of the authors' own graph.
+"""Bearings of real tags against the solution of their authors' pose graph.
 
-    python -m benchmarks.tagslam [DATA]
+    python -m benchmarks.tagslam
 
-The recordings of tagslam_tags hold corners of AprilTags in calibrated fisheye and time-of-flight
-cameras, and their authors' poses of rig and tags, in space. Both are turned into bearings in the
-camera's own frame, and compared. The authors' solution was made from these corners: it is no
-independent truth, but one to which every tag, pose and camera had to agree. Corners that detectors
-got wrong are left in.
+The recordings of tagslam_tags (in HOMEWARD_DATA, else ../shared/data) contain corners of AprilTags
+in calibrated fisheye and time-of-flight cameras, and their authors' 3D poses of rig and tags. Both
+are converted to bearings in the camera's frame, and compared. The authors' solution was made from
+the same corners: it is no independent ground truth, but consistent with all tags, poses and
+cameras. Wrongly detected corners are included.
 """
 
-from __future__ import annotations
-
 import math
-import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from benchmarks.mrclam import data
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.camera import tag_bearings
 from homeward.drives.cameras.lens import Lens
@@ -27,10 +25,9 @@ from homeward.drives.ros.messages.decoding import Decoder
 from homeward.geometry.angles import wrap
 from homeward.io.settings import read_tree
 
-PIXEL_SIGMA = 0.5
-"""As bags are read [px]."""
+PIXEL_SIGMA = 0.5  # as in the reader of bags [px]
 OPTICAL = np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], float)
-"""From optical axes to x ahead, y left, z up."""
+"""From the optical frame to x ahead, y left, z up."""
 
 
 @dataclass(frozen=True)
@@ -38,24 +35,9 @@ class Compared:
     """One camera of one recording; arrays over its sightings."""
 
     name: str
-    error: np.ndarray
-    """Bearing minus the authors' [rad]."""
-    sigma: np.ndarray
-    """[rad]"""
-    distance: np.ndarray
-    """[m]"""
-
-
-def rotation(q) -> np.ndarray:
-    """Rotation matrix of a quaternion message."""
-    x, y, z, w = np.array([q.x, q.y, q.z, q.w]) / math.hypot(q.x, q.y, q.z, q.w)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    error: np.ndarray  # bearing minus the authors' [rad]
+    sigma: np.ndarray  # [rad]
+    distance: np.ndarray  # [m]
 
 
 def vector(p) -> np.ndarray:
@@ -72,44 +54,42 @@ def decoded(path: Path):
 
 
 def solution(folder: Path):
-    """The authors' poses of the rig by stamp, and the last places of the tags."""
     rig, tags = {}, {}
     for topic, stamp, message in decoded(folder / "reference.bag"):
         if topic == "/tf":
-            for told in message.transforms:
-                if told.child_frame_id.startswith("tag_"):
-                    tags[told.child_frame_id[4:]] = vector(told.transform.translation)
+            for frame in message.transforms:
+                if frame.child_frame_id.startswith("tag_"):
+                    tags[frame.child_frame_id[4:]] = vector(frame.transform.translation)
         else:
             pose = message.pose.pose
-            rig[stamp] = vector(pose.position), rotation(pose.orientation)
+            turn = Rotation.from_quat([*vector(pose.orientation), pose.orientation.w])
+            rig[stamp] = vector(pose.position), turn.as_matrix()
     return rig, tags
 
 
 def compared(folder: Path) -> list[Compared]:
-    """Every camera of a recording whose place on the rig the authors told."""
     rig, tags = solution(folder)
     cameras, mounts = (read_tree(folder / f) for f in ("cameras.yaml", "camera_poses.yaml"))
     found = []
-    for name, told in cameras.items():
+    for name, camera in cameras.items():
         mount = mounts.get(name)
         if mount is None:
             continue
         turn = np.array([*mount["pose"]["rotation"].values()][:3], float)
-        assert not turn.any(), "a camera that is turned on the rig"
+        assert not turn.any(), "a camera that is rotated on the rig"
         lens = read_calibration(folder, f"cameras.yaml#{name}")
-        rows = sightings(folder, told["tagtopic"], lens, rig, tags)
+        rows = sightings(folder, camera["tagtopic"], lens, rig, tags)
         found.append(Compared(f"{folder.name} {name} {lens.model}", *rows.T))
     return found
 
 
 def sightings(folder: Path, topic: str, lens: Lens, rig, tags) -> np.ndarray:
-    """Error, sigma [rad] and distance [m], a row each."""
     level = lens.model_copy(update={"tilt_sigma": 1e-9})
     rows = []
     for name, stamp, message in decoded(folder / "tag_detections.bag"):
         if name != topic:
             continue
-        # Poses are stamped by any of the cameras that were taken together.
+        # Poses have the stamp of one of the synchronised cameras.
         nearest = min(rig, key=lambda at: abs(at - stamp))
         if abs(nearest - stamp) > 20e6:
             continue
@@ -127,18 +107,15 @@ def sightings(folder: Path, topic: str, lens: Lens, rig, tags) -> np.ndarray:
 
 
 def main() -> None:
-    data = sys.argv[1] if len(sys.argv) > 1 else os.environ.get("HOMEWARD_DATA", "../shared/data")
-    print(f"{'camera':28} {'seen':>5} {'median':>8} {'RMS':>8} {'95 %':>8} {'mean':>8} {'chi2':>6}")
-    for folder in sorted((Path(data) / "tagslam_tags").glob("test_*")):
+    print("errors in deg, chi-square: median over the expected one")
+    print(f"{'camera':28} {'seen':>5} {'median':>7} {'RMS':>7} {'95 %':>7} {'mean':>7} {'chi2':>6}")
+    for folder in sorted((data() / "tagslam_tags").glob("test_*")):
         for row in compared(folder):
             off = np.degrees(row.error)
-            figures = (
-                np.median(np.abs(off)),
-                np.sqrt(np.mean(off**2)),
-                np.quantile(np.abs(off), 0.95),
-            )
+            median, most = np.quantile(np.abs(off), [0.5, 0.95])
             chi2 = np.median((row.error / row.sigma) ** 2) / 0.4549
-            texts = " ".join(f"{value:7.3f}d" for value in (*figures, off.mean()))
+            figures = (median, np.sqrt(np.mean(off**2)), most, off.mean())
+            texts = " ".join(f"{value:7.3f}" for value in figures)
             print(f"{row.name:28} {off.size:5d} {texts} {chi2:6.2f}")
 
 

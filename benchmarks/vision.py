@@ -1,13 +1,11 @@
-"""The camera front-end on images: direction home, honest uncertainty, false accepts, speed.
+"""The camera front-end on images: direction home, NEES, false accepts, runtime.
 
-`python -m benchmarks.vision [--part antworld|chain|route|speed|rooms|strangers|light ...]` prints
-the figures of goals 1 to 5. antworld_rendered and alife_outdoor_panoramas are looked for in
-HOMEWARD_DATA, else in ../shared/data; rooms are rendered here.
+`python -m benchmarks.vision [--part NAME ...] [--seeds 6]` prints the figures of these parts:
+antworld, chain, route, speed, rooms, strangers, light, tilt, light-strangers. The data sets
+antworld_rendered and alife_outdoor_panoramas are read from HOMEWARD_DATA, else from
+../shared/data; rooms are rendered.
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -16,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import monte_carlo
+from benchmarks.antworld import antworld, chained
 from benchmarks.mrclam import data
-from benchmarks.panoramas.antworld import Grid, antworld, chained
 from benchmarks.timing import clock, in_turns
 from homeward.geometry.angles import wrap
 from homeward.runs.scoring import normalised_squared
@@ -26,40 +25,38 @@ from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 
 CHI_SQUARE_2_95 = 5.991
-SAME = "light as it was"
+SAME = "same light"
 LIGHTS = SAME, "exposure", "lamp", "sun"
-"""Of the second picture; home's has a lamp in the middle."""
+"""Light of the second picture; home's has a lamp in the middle."""
 TILTS = {"tilt of 2 deg": 0.035, "tilt of 5 deg": 0.087}
-"""Roll and pitch of both pictures, one standard deviation [rad]."""
-LEAST_TILT = 0.005
+"""Standard deviation of roll and pitch of both pictures [rad]."""
+MIN_TILT = 0.005
 ROUTE = Equirectangular(tilt_sigma=0.05)
 
 
 def route() -> None:
-    """Goal 3: the real outdoor route, 120 x 25 pixels: which way back to where the robot was.
+    """Print the direction back on a real outdoor route of 6.8 m, 120 x 25 pixels.
 
-    The robot drives along its axis, so that where it was lies behind it; there is no other truth
-    to compare with. The route is 6.8 m long.
+    The only ground truth is that earlier positions are behind the robot.
     """
     folder = data() / "alife_outdoor_panoramas" / "robot_data"
     count = len(list(folder.glob("snapshot_*.png")))
     step = 6.8 / count
     views = [extract(read_grey(folder / f"snapshot_{k}.png"), ROUTE) for k in range(0, count, 2)]
     for gap in (5, 10, 20):
-        told = [
+        right = [
             abs(seen.home_direction) > math.pi / 2
             for k in range(gap, len(views))
             if (seen := compare(views[k - gap], views[k], ROUTE)).has_direction
         ]
         total = len(views) - gap
         print(
-            f"outdoor route, some {2 * gap * step:.2f} m back: a direction in {len(told)} of "
-            f"{total} frames ({len(told) / total:.0%}), the right sense in {np.mean(told):.0%}"
+            f"outdoor route, {2 * gap * step:.2f} m back: a direction in {len(right)} of "
+            f"{total} frames ({len(right) / total:.0%}), correct sense in {np.mean(right):.0%}"
         )
 
 
 def speed(rounds: int = 15) -> None:
-    """Goal 4: processor time of one frame on one core, beside OpenCV's SIFT on the same image."""
     opencv().setNumThreads(1)
     plain, camera = opencv().SIFT_create(), Equirectangular()
     for width, most in ((512, 35), (768, 60)):
@@ -74,16 +71,16 @@ def speed(rounds: int = 15) -> None:
         taken = in_turns(timed, rounds)
         frame = taken["features"] + taken["comparison"]
         print(
-            f"{width}x{width // 4}: {1e3 * np.median(frame):.0f} ms a frame, best "
+            f"{width}x{width // 4}: {1e3 * np.median(frame):.0f} ms per frame, best "
             f"{1e3 * frame.min():.0f} (goal {most}): features "
             f"{1e3 * np.median(taken['features']):.0f}, comparison "
             f"{1e3 * np.median(taken['comparison']):.0f}; {np.median(frame / taken['SIFT']):.2f} "
-            "times what SIFT alone takes (detectAndCompute, as OpenCV sets it)"
+            "times SIFT alone (detectAndCompute with OpenCV's defaults)"
         )
 
 
 def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)) -> None:
-    """Goals 1 and 5: rendered sparse rooms, three boxes moved since home, and perhaps the light."""
+    """Print the errors in rendered sparse rooms with three boxes moved since home."""
     from homeward.lab.simulation.render.room.presets import PLANS
 
     for light, width in product(lights, widths):
@@ -92,7 +89,7 @@ def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)
             for seed in range(seeds):
                 home, now, truth = rendered(name, seed, width, light)
                 total += 1
-                seen = _compared(home, now, TILTS.get(light, LEAST_TILT))
+                seen = _compared(home, now, TILTS.get(light, MIN_TILT))
                 if not seen.has_direction:
                     refused += 1
                     continue
@@ -106,20 +103,20 @@ def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)
 def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused: int) -> None:
     nees = normalised_squared(errors, covariance)
     off = np.degrees(np.abs(errors))
-    # Sum of n values with two degrees of freedom each: normal enough for so many.
+    # The sum of n values with two degrees of freedom each is nearly normal.
     band = 2 + np.array([-1.96, 1.96]) * 2 / math.sqrt(len(nees))
     low, high = np.median(off, axis=0), np.quantile(off, 0.95, axis=0)
     print(
         f"{words}: {len(off)} of {len(off) + refused} pairs up to 3 m accepted; "
         f"heading {low[1]:.2f} median, {high[1]:.2f} deg at 95 % (goal 0.1); "
         f"direction {low[0]:.2f} median, {high[0]:.2f} deg at 95 % (goal 0.3); "
-        f"NEES mean {nees.mean():.2f} (2, interval {band[0]:.2f} to {band[1]:.2f}), "
-        f"median {np.median(nees):.2f} (1.39), inside 95 %: {(nees < CHI_SQUARE_2_95).mean():.0%}"
+        f"NEES mean {nees.mean():.2f} (expected 2, 95 %: {band[0]:.2f} to {band[1]:.2f}), median "
+        f"{np.median(nees):.2f} (1.39), in the 95 % region {(nees < CHI_SQUARE_2_95).mean():.0%}"
     )
 
 
 def strangers(seeds: int, light: str) -> None:
-    """Goal 5: false accepts between rooms that have nothing in common but kinds of texture."""
+    """Print the false accepts between rooms that only share kinds of texture."""
     from homeward.lab.simulation.render.room.presets import PLANS
 
     views = [
@@ -148,7 +145,7 @@ def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Compariso
 
 
 def relit(scenario: Any, light: str) -> Any:
-    """Return a scenario whose light is another one than when home was stored."""
+    """Return a scenario with another light than that of home's picture."""
     from homeward.lab.simulation.render.room.settings import Light, Lighting, Sun
 
     changes: dict[str, Any] = {"home_light": Lighting()}
@@ -171,14 +168,14 @@ def relit(scenario: Any, light: str) -> Any:
 def rendered(
     name: str, seed: int, width: int, light: str = SAME
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a room's home image, one from up to 3 m away, and true direction and heading."""
+    """Return a home image, another from up to 3 m away, and true direction and heading."""
     from homeward.geometry.frames import Polar, from_polar
     from homeward.lab.simulation.render.drive import Eye
     from homeward.lab.simulation.render.room.presets import room
 
     scenario = relit(room(name, seed, distance=(0.3, 3.0)), light)
     camera = scenario.camera.model_copy(
-        update={"width": width, "height": width // 4, "tilt_sigma": TILTS.get(light, LEAST_TILT)}
+        update={"width": width, "height": width // 4, "tilt_sigma": TILTS.get(light, MIN_TILT)}
     )
     eye = Eye(scenario.model_copy(update={"camera": camera}))
     start = eye.scenario.start
@@ -196,25 +193,20 @@ def _grey(image: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    """Print the figures."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--count", type=int, default=200, help="antworld pairs at each distance")
-    parser.add_argument("--seeds", type=int, default=6, help="of each room")
-    parts: dict[str, Callable[[argparse.Namespace], None]] = {
-        "antworld": lambda o: antworld(o.count),
-        "chain": lambda _: chained(Grid()),
+    parts: dict[str, Callable[[int], None]] = {
+        "antworld": lambda _: antworld(200),
+        "chain": lambda _: chained(),
         "route": lambda _: route(),
         "speed": lambda _: speed(),
-        "rooms": lambda o: rooms(o.seeds, [SAME]),
-        "strangers": lambda o: strangers(o.seeds, SAME),
-        "light": lambda o: rooms(o.seeds, LIGHTS, [1024]),
-        "tilt": lambda o: rooms(o.seeds, list(TILTS), [1024]),
-        "light-strangers": lambda o: strangers(o.seeds, "sun"),
+        "rooms": lambda seeds: rooms(seeds, [SAME]),
+        "strangers": lambda seeds: strangers(seeds, SAME),
+        "light": lambda seeds: rooms(seeds, LIGHTS, [1024]),
+        "tilt": lambda seeds: rooms(seeds, list(TILTS), [1024]),
+        "light-strangers": lambda seeds: strangers(seeds, "sun"),
     }
-    parser.add_argument("--part", nargs="*", default=list(parts), choices=list(parts))
-    options = parser.parse_args()
+    options = monte_carlo.parsed(__doc__, seeds=6, part=parts)
     for part in options.part:
-        parts[part](options)
+        parts[part](options.seeds)
 
 
 if __name__ == "__main__":

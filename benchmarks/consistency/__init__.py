@@ -1,1 +1,1 @@
-"""The gate: is the localiser as good, and as honest, as it was? See `python -m` of this package."""
+"""The consistency gate: accuracy and consistency of the localiser against a baseline."""

@@ -1,14 +1,12 @@
-"""Is the localiser as accurate and as consistent as it was? Exit code 1 where it is not.
+"""Accuracy and consistency of the localiser against a baseline; exit code 1 if it is worse.
 
 `python -m benchmarks.consistency [--quick] [--scenario NAME ...] [--seeds 50] [--keep FOLDER]` runs
 the localiser on simulated drives, and compares their figures with the bands of baseline.json.
-`--sabotage` shows on the same drives that wrong estimators are caught.
-`--save FILE` keeps the figures of each run, and `--against FILE` prints how many times as large
-they are as those that were kept. `--update-baseline` renews the baseline; where a figure became
-worse, it needs `--reason`.
+`--sabotage` shows on the same drives that wrong estimators are detected. `--save FILE` writes the
+figures of each run as JSON, and `--against FILE` prints their ratio to those of an earlier file.
+`--update-baseline` replaces the baseline of these scenarios; if a figure became worse, it needs
+`--reason TEXT`. `--quick` means 2 drives of each scenario.
 """
-
-from __future__ import annotations
 
 import json
 import math
@@ -27,7 +25,7 @@ QUICK_SEEDS = 2
 
 
 def table(results: Mapping[str, Sequence[Figures]], baseline: bands.Baseline) -> int:
-    """Print all figures with their bands, and return how many are outside."""
+    """Print all figures with their bands, and return the number outside."""
     print(f"{'':18}" + "".join(f"{name:>13}" for name in FIGURES))
     failed = {}
     for scenario, runs in results.items():
@@ -47,7 +45,7 @@ def table(results: Mapping[str, Sequence[Figures]], baseline: bands.Baseline) ->
 
 
 def _limits(name: str, entries: Mapping[str, bands.Values], drives: int) -> str:
-    """Return the band of a figure in a dozen characters; empty where it has none."""
+    """Return the band of a figure in at most 12 characters; empty if it has none."""
     low, high = bands.band(name, entries.get(name, []), drives)
     if math.isnan(low) or math.isnan(high):
         return ""
@@ -57,7 +55,7 @@ def _limits(name: str, entries: Mapping[str, bands.Values], drives: int) -> str:
 
 
 def weaknesses(baseline: bands.Baseline) -> None:
-    """Print in which scenarios NEES or NIS clearly differs from its theoretical value."""
+    """Print the scenarios whose NEES or NIS clearly differs from its theoretical value."""
     found = {scenario: bands.weaknesses(entries) for scenario, entries in baseline.items()}
     for name, expected in bands.THEORY.items():
         words = ", ".join(f"{s} {off[name]:.2f}" for s, off in found.items() if name in off)
@@ -65,8 +63,8 @@ def weaknesses(baseline: bands.Baseline) -> None:
             print(f"known weakness: {name} is not {expected:g} in the baseline: {words}")
 
 
-def caught(results: Results, baseline: bands.Baseline) -> int:
-    """Print in which scenarios each sabotage is caught; return how many are caught nowhere."""
+def detected(results: Results, baseline: bands.Baseline) -> int:
+    """Print the scenarios that detect each sabotage; return the number of undetected ones."""
     missed = 0
     for sabotage, scenarios in results.items():
         if sabotage == AS_IT_IS:
@@ -77,7 +75,7 @@ def caught(results: Results, baseline: bands.Baseline) -> int:
         fails = {s: bands.failures(baseline[s], scenarios[s]) for s in where}
         by = sorted({name for failed in fails.values() for name in failed})
         missing = [s for s, failed in fails.items() if not failed]
-        words = f"caught in {len(where) - len(missing)} of {len(where)} scenarios"
+        words = f"detected in {len(where) - len(missing)} of {len(where)} scenarios"
         print(f"sabotage: {sabotage}: {words}, by {', '.join(by)}", end="")
         print(f"; not in {', '.join(missing)}" if missing else "")
         missed += len(missing) == len(where)
@@ -85,9 +83,9 @@ def caught(results: Results, baseline: bands.Baseline) -> int:
 
 
 def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
-    """Print how many times as large figures are as those of the same drives that were kept."""
+    """Print the ratio of figures to those of the same drives in a file."""
     before = json.loads(file.read_text())
-    print(f"\ntimes as large as in {file}, on the drives of both")
+    print(f"\nratio to {file}, on common drives")
     print(f"{'':18}" + "".join(f"{name:>11}" for name in FIGURES))
     for scenario, runs in results.items():
         pairs = list(zip(runs, before.get(scenario, []), strict=False))
@@ -102,16 +100,9 @@ def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
 
 
 def main() -> int:
-    """Run, print, and return the exit code."""
-    parser = monte_carlo.parser(__doc__, keep=True)
-    parser.add_argument("--scenario", nargs="*", choices=SCENARIOS, default=list(SCENARIOS))
-    parser.add_argument("--seeds", type=int, default=50, help="drives of each scenario")
-    parser.add_argument("--quick", action="store_true", help=f"{QUICK_SEEDS} drives of each")
-    parser.add_argument("--sabotage", action="store_true", help="and show what is caught")
-    parser.add_argument("--save", type=Path, metavar="FILE", help="for figures of each run, JSON")
-    parser.add_argument("--against", type=Path, metavar="FILE", help="that was saved before")
-    parser.add_argument("--update-baseline", action="store_true", help="of these scenarios")
-    parser.add_argument("--reason", metavar="TEXT", help="why a worse baseline is accepted")
+    flags = {"quick": False, "sabotage": False, "update_baseline": False, "reason": str}
+    files = {"save": Path, "against": Path, **monte_carlo.HARNESS}
+    parser = monte_carlo.parser(__doc__, scenario=SCENARIOS, seeds=50, **flags, **files)
     options = parser.parse_args()
     seeds = QUICK_SEEDS if options.quick else options.seeds
     if seeds < 1 or options.jobs < 1:
@@ -123,14 +114,12 @@ def main() -> int:
     good = results[AS_IT_IS]
     baseline = dict(bands.read())
     if not options.update_baseline and (new := [s for s in good if s not in baseline]):
-        print(f"gate: FAILED: no baseline yet of {', '.join(new)}; --update-baseline makes it")
+        print(f"gate: FAILED: no baseline yet for {', '.join(new)}; --update-baseline makes it")
         return 1
     if options.update_baseline:
         if (worse := bands.worse(baseline, good)) and not options.reason:
             print("\n".join(worse))
-            print(
-                "gate: FAILED: baseline not renewed, these became worse; --reason TEXT accepts it"
-            )
+            print("gate: FAILED: baseline not replaced: these became worse; accept with --reason")
             return 1
         baseline |= bands.measure(good)
         bands.write(baseline, options.reason or "no figure became worse")
@@ -139,7 +128,7 @@ def main() -> int:
     failed = table(good, baseline)
     weaknesses({s: baseline[s] for s in good})
     if sabotages:
-        failed += caught(results, baseline)
+        failed += detected(results, baseline)
     if options.save:
         options.save.write_text(json.dumps(good, indent=1))
     if options.against:

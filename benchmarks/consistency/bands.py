@@ -1,16 +1,14 @@
-"""Bands of the gate: how far the figures may differ from those of the baseline.
+"""Bands of the gate: allowed differences of the figures from those of the baseline.
 
-The baseline holds each figure of each drive, and the gate runs the same drives. A band is the mean
-of the baseline over these drives, plus or minus `WIDTH` sampling spreads: the standard deviation
-from drive to drive over the root of the number of drives. Drives and noise are the same, so a
-change that leaves the estimates alone stays in the middle of every band; a change that moves a
-figure by more than chance could, had the drives been drawn again, is outside.
+The baseline contains each figure of each drive, and the gate runs the same drives. A band is the
+mean of the baseline over these drives, plus or minus `WIDTH` sampling spreads: the standard
+deviation between drives over the root of the number of drives. Drives and noise are the same, so a
+change without effect on the estimates stays in the middle of every band. A change is outside if it
+moves a figure by more than a new draw of the drives could.
 
 Shares of time, precision and recall have a lower limit, the share of wrong answers and the error
 an upper one, NEES and NIS both: an estimator can be overconfident or too conservative.
 """
-
-from __future__ import annotations
 
 import json
 import math
@@ -20,12 +18,10 @@ from pathlib import Path
 from benchmarks.consistency.measures import FIGURES, Figures, together
 
 BASELINE = Path(__file__).with_name("baseline.json")
-THEORY = {"nees": 3.0, "nis": 1.0}
-"""Means where the estimator is consistent."""
+THEORY = {"nees": 3.0, "nis": 1.0}  # means of a consistent estimator
 FLOORS = ("pose", "sure", "precision", "recall")
 CEILINGS = ("wrong", "far", "error")
-WIDTH = 2.0
-"""Half-width of a band [sampling spreads]."""
+WIDTH = 2.0  # half-width of a band [sampling spreads]
 MIN_SPREAD = {
     "pose": 0.02,
     "sure": 0.02,
@@ -34,14 +30,11 @@ MIN_SPREAD = {
     "precision": 0.05,
     "recall": 0.05,
 }
-"""Assumed spread from drive to drive of a share that is the same on all drives of the baseline."""
-MIN_DRIVES = 10
-"""Drives of a scenario from which the spread can be estimated."""
+"""Minimum spread between drives, for a share that is the same on all drives of the baseline."""
+MIN_DRIVES = 10  # minimum number of drives of a scenario for an estimate of the spread
 
-Values = Sequence[float | None]
-"""One figure by drive; None where a drive does not have it."""
-Baseline = Mapping[str, Mapping[str, Values]]
-"""By scenario and figure."""
+Values = Sequence[float | None]  # one figure by drive; None if a drive does not have it
+Baseline = Mapping[str, Mapping[str, Values]]  # by scenario and figure
 
 
 def band(name: str, values: Values, drives: int) -> tuple[float, float]:
@@ -56,7 +49,7 @@ def band(name: str, values: Values, drives: int) -> tuple[float, float]:
     half = WIDTH * spread / math.sqrt(max(number, 1))
     if name == "error":
         return -math.inf, centre * math.exp(half)
-    if name in THEORY:  # positive, and skewed: the same ratio to each side
+    if name in THEORY:  # positive and skewed: the same ratio on each side
         ratio = 1.0 + half / centre
         return centre / ratio, centre * ratio
     low = -math.inf if name in CEILINGS else centre - half
@@ -65,7 +58,7 @@ def band(name: str, values: Values, drives: int) -> tuple[float, float]:
 
 
 def failures(entries: Mapping[str, Values], runs: Sequence[Figures]) -> dict[str, str]:
-    """Return which figures of some drives of a scenario are outside their bands, and by what."""
+    """Return the figures of some drives of a scenario outside their bands, with a description."""
     failed = {}
     for name, values in entries.items():
         expected = together(name, values[: len(runs)])[0]
@@ -83,7 +76,7 @@ def failures(entries: Mapping[str, Values], runs: Sequence[Figures]) -> dict[str
 
 
 def worse(old: Baseline, results: Mapping[str, Sequence[Figures]]) -> list[str]:
-    """Return the figures of new results that are worse than an old baseline's bands allow.
+    """Return the figures of new results that are worse than the bands of an old baseline.
 
     A NEES or NIS that left its band towards its theoretical value is an improvement.
     """
@@ -111,7 +104,6 @@ def weaknesses(entries: Mapping[str, Values]) -> dict[str, float]:
 
 
 def read(file: Path = BASELINE) -> Baseline:
-    """Return the committed baseline."""
     scenarios: Baseline = json.loads(file.read_text())["scenarios"]
     return scenarios
 

@@ -1,37 +1,24 @@
-"""What may go wrong on a drive beside what the simulator itself does wrong.
+"""Faults of a drive in addition to those of the simulator.
 
-Of a simulation where it changes what is seen, of a trial where it changes what is told.
+Those that change sightings apply to a simulation, those that change logs or settings to a trial.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import replace
 
 import numpy as np
 
-from benchmarks.consistency.trial import Trial, now_and_then
+from benchmarks.consistency.trial import Trial, spells
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
 from homeward.lab.simulation.simulate import Simulation
 
-WALKED_M = 4.0
-"""People walk to and fro in a square of so many metres to each side of home."""
+WALKED_M = 4.0  # half side of the square around home in which people walk [m]
 
 
 def with_walkers(still: Simulation, count: int, speed: float) -> tuple[Simulation, frozenset[str]]:
-    """Let landmarks be people who walk from where home saw them to one place after the other.
-
-    Parameters
-    ----------
-    still : Simulation
-        The drive, all of them standing.
-    count : int
-        How many walk.
-    speed : float
-        How fast [m/s].
-    """
+    """Replace `count` landmarks by people who walk at a speed [m/s] from where home saw them."""
     rng, seen = np.random.default_rng([still.scenario.seed, 4]), still.drive.sightings
     assert still.drive.truth is not None
     ids, places = np.array(still.world.ids), still.world.in_home_frame
@@ -50,7 +37,7 @@ def with_walkers(still: Simulation, count: int, speed: float) -> tuple[Simulatio
 
 
 def with_swapped_ids(right: Simulation, pairs: int, begin: float, end: float) -> Simulation:
-    """Let pairs of landmarks be taken for each other from `begin` to `end` [s]."""
+    """Swap the ids of pairs of landmarks from `begin` to `end` [s]."""
     rng, seen = np.random.default_rng([right.scenario.seed, 5]), right.drive.sightings
     chosen = rng.choice(np.array(right.world.ids, object), (pairs, 2), replace=False).tolist()
     other = dict(chosen) | {b: a for a, b in chosen}
@@ -61,7 +48,7 @@ def with_swapped_ids(right: Simulation, pairs: int, begin: float, end: float) ->
 
 
 def on_a_cart(places: np.ndarray, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Return places (q, 2) [m] of which some that are side by side were moved as one body."""
+    """Return positions (q, 2) [m]; some neighbouring ones were moved as one rigid body."""
     first = int(rng.integers(len(places)))
     load = (first + np.arange(count)) % len(places)
     turn, shift = rng.uniform(-0.6, 0.6), rng.uniform(0.5, 1.5)
@@ -74,43 +61,32 @@ def on_a_cart(places: np.ndarray, rng: np.random.Generator, count: int) -> np.nd
     return moved
 
 
-def home_untold(whole: Trial) -> Trial:
-    """Return the same drive with home bearings that come without a deviation."""
+def without_home_sigma(whole: Trial) -> Trial:
+    """Return the same drive with home bearings of unspecified sigma."""
     home = {n: HomeBearing(b.bearing, math.nan) for n, b in whole.drive.home.items()}
     return replace(whole, drive=replace(whole.drive, home=home))
 
 
-def bearings_untold(whole: Trial) -> Trial:
-    """Return the same drive with no deviation of bearings told, home's included."""
-    settings = whole.drive.settings
-    sensor = settings.sensor.model_copy(update={"bearing_sigma": None})
-    told = settings.model_copy(update={"sensor": sensor})
-    whole = home_untold(whole)
-    return replace(whole, drive=replace(whole.drive, settings=told))
+def without_bearing_sigma(whole: Trial) -> Trial:
+    """Return the same drive with bearings of unspecified sigma, home's included."""
+    sensor = whole.drive.settings.sensor.model_copy(update={"bearing_sigma": None})
+    settings = whole.drive.settings.model_copy(update={"sensor": sensor})
+    whole = without_home_sigma(whole)
+    return replace(whole, drive=replace(whole.drive, settings=settings))
 
 
 def stalling(whole: Trial, seed: int, every_s: float, for_s: float) -> Trial:
-    """Return the same drive with odometry that now and then reports zero though the robot goes on.
-
-    Parameters
-    ----------
-    whole : Trial
-        With sound odometry.
-    seed : int
-        Of when it fails.
-    every_s, for_s : float
-        How often in the mean, and for how long [s].
-    """
+    """Return the same drive with odometry that sometimes reports zero; times as in `spells`."""
     o = whole.drive.odometry
-    fails = now_and_then(o.t, np.random.default_rng([seed, 6]), every_s, for_s)
+    fails = spells(o.t, np.random.default_rng([seed, 6]), every_s, for_s)
     dead = replace(o, v=np.where(fails, 0.0, o.v), omega=np.where(fails, 0.0, o.omega))
     return replace(whole, drive=replace(whole.drive, odometry=dead))
 
 
 def bearings_late(whole: Trial, seconds: float) -> Trial:
-    """Return the same drive with bearings whose stamps are `seconds` after the pose they show.
+    """Return the same drive with bearings stamped `seconds` too late.
 
-    A pose is due at the stamps, so it lags, too, unless the drive gives `bearings_late`.
+    Poses are evaluated at the stamps, so they lag, too, unless the drive has `bearings_late`.
     """
     seen = whole.drive.sightings
     late = replace(whole.drive, sightings=replace(seen, t=seen.t + seconds))

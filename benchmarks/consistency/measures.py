@@ -1,7 +1,5 @@
 """The figures of one run, and of several runs of one scenario."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 
@@ -12,37 +10,30 @@ from homeward.estimator import Status
 from homeward.runs.scoring import errors, score
 from homeward.track import Track
 
-SURE = (Status.LOCALISED, Status.COASTING)
-"""An answer to rely on."""
-WRONG = 4.0
-"""A sure answer is wrong when it is farther off than so many of its sigmas."""
-MOST_NEES = 30.0
-"""A larger NEES counts as so much: how often an answer is wrong is a figure of its own, and
-one wrong run would hide all others. Chance alone exceeds it once in a million rows."""
+SURE = (Status.LOCALISED, Status.COASTING)  # status of a reliable pose
+WRONG = 4.0  # A reliable pose with a larger error is wrong [sigmas]
+MAX_NEES = 30.0
+"""Limit of NEES: wrong poses have a figure of their own, and one wrong run would dominate the mean.
+By chance it is exceeded once in a million rows."""
 
 FIGURES = {
-    "pose": "share of the time with a pose",
+    "pose": "availability: share of the time with a pose",
     "sure": "share of the time localised or coasting",
-    "error": "position error over the posterior Cramer-Rao bound, root mean square over the rows",
-    "nees": "normalised estimation error squared of x, y and heading; 3 when consistent",
-    "nis": "normalised innovation squared of the sightings taken; 1 when consistent",
-    "wrong": "share of the sure time beyond 4 sigma",
-    "far": "share of the time with a pose beyond 4 sigma",
-    "precision": "share of the landmarks called moved that were; 1 where there are none of either",
-    "recall": "share of the landmarks that moved that are called so",
-    "rmse": "position error [m], for the record",
+    "error": "RMSE ratio to the posterior Cramer-Rao bound",
+    "nees": "normalised estimation error squared of x, y and heading; 3 if consistent",
+    "nis": "normalised innovation squared of the accepted sightings; 1 if consistent",
+    "wrong": "share of the time localised or coasting with an error beyond 4 sigma",
+    "far": "share of the time with a pose with an error beyond 4 sigma",
+    "precision": "share of the landmarks reported as moved that did; 1 if there are none",
+    "recall": "share of the moved landmarks that are reported",
+    "rmse": "RMSE of the position [m], for information",
 }
-"""What each figure is."""
 
-Figures = dict[str, float | None]
-"""Of one run, by name; None where there is none."""
+Figures = dict[str, float | None]  # of one run, by name; None if undefined
 
 
 def figures(track: Track, trial: Trial) -> Figures:
-    """Measure one run.
-
-    The rows are those of the bearing stamps. The bound takes part where it is finite.
-    """
+    """Return the figures of one run, at the bearing stamps, where the bound is finite."""
     metrics, off = score(track, trial.drive.truth), errors(track, trial.drive.truth)
     index = np.searchsorted(trial.stamps, off.t)
     at_stamp = trial.stamps[np.minimum(index, trial.stamps.size - 1)] == off.t
@@ -58,7 +49,7 @@ def figures(track: Track, trial: Trial) -> Figures:
         "pose": metrics.pose_share,
         "sure": sum(metrics.status_shares.get(s, 0.0) for s in SURE),
         "error": math.sqrt(ratio.mean()) if ratio.size else None,
-        "nees": float(np.minimum(off.nees[at_stamp], MOST_NEES).mean()) if len(e) else None,
+        "nees": float(np.minimum(off.nees[at_stamp], MAX_NEES).mean()) if len(e) else None,
         "nis": metrics.innovation_nis_mean,
         "wrong": float(far[status].mean()) if status.any() else None,
         "far": float(far.mean()) if far.size else None,
@@ -69,10 +60,10 @@ def figures(track: Track, trial: Trial) -> Figures:
 
 
 def together(name: str, values: Sequence[float | None]) -> tuple[float, float, int]:
-    """Return centre, spread from run to run, and number of the runs that have a figure.
+    """Return centre, spread between runs, and number of the runs that have a figure.
 
-    Errors are averaged by their logarithms, lest one run that went astray be all that counts; the
-    spread of an error is that of its logarithm.
+    Errors have the geometric mean, so that a single diverged run does not dominate; their spread is
+    that of the logarithm.
     """
     there = np.array([v for v in values if v is not None], float)
     if not there.size:

@@ -1,7 +1,5 @@
 """The runs of the gate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
@@ -13,14 +11,12 @@ from benchmarks.monte_carlo import Run, grid, run_all
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 
-AS_IT_IS = "as it is"
-"""The estimator without sabotage."""
-Results = dict[str, dict[str, list[Figures]]]
-"""Figures by sabotage, scenario and seed."""
+AS_IT_IS = "as it is"  # the estimator without sabotage
+Results = dict[str, dict[str, list[Figures]]]  # figures by sabotage, scenario and seed
 
 
 def one(scenario: str, seed: int, sabotages: Sequence[str] = ()) -> dict[str, Figures]:
-    """Run the localiser on one drive of a scenario; return its figures, and those of sabotage."""
+    """Run the localiser on one drive of a scenario; return its figures, and those of sabotages."""
     named = SCENARIOS[scenario]
     trial = named.make(named.first + seed)
     track = run(trial.drive, Localizer(trial.drive.home, **trial.drive.settings.robot))

@@ -1,10 +1,8 @@
-"""What an estimator that is wrong would have answered: the gate must catch each.
+"""Results of wrong estimators, each of which the gate must detect.
 
-The truth steers in all scenarios, so an answer that is changed afterwards is the same as one that
-was given so: each is made of the track of the estimator as it is.
+Ground truth steers in all scenarios, so changing the track of the estimator afterwards is
+equivalent to a wrong estimator.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,12 +17,10 @@ from homeward.track import Track
 
 @dataclass(frozen=True)
 class Sabotage:
-    """One way to be wrong."""
+    """One kind of wrong estimator."""
 
-    of: Callable[[Track], Track]
-    """Of the track of a good estimator makes that of a bad one."""
-    only_where_some_moved: bool = False
-    """Whether nothing of it shows where no landmark was moved."""
+    of: Callable[[Track], Track]  # changes the track of a good estimator
+    only_if_moved: bool = False  # whether it has an effect only if landmarks moved
 
 
 def _covariances(factor: float) -> Callable[[Track], Track]:
@@ -52,10 +48,7 @@ def _no_answer(track: Track) -> Track:
 
 
 def _unverified(track: Track) -> Track:
-    return replace(
-        track,
-        status=[Status.UNVERIFIED if s in SURE else s for s in track.status],
-    )
+    return replace(track, status=[Status.UNVERIFIED if s in SURE else s for s in track.status])
 
 
 def _called_moved(moved: bool) -> Callable[[Track], Track]:
@@ -72,12 +65,11 @@ SABOTAGES = {
     "innovation variances x 0.25": Sabotage(_innovations(0.5)),
     "never answers": Sabotage(_no_answer),
     "always unverified": Sabotage(_unverified),
-    "never names what moved": Sabotage(_called_moved(False), only_where_some_moved=True),
-    "calls everything moved": Sabotage(_called_moved(True)),
+    "reports nothing as moved": Sabotage(_called_moved(False), only_if_moved=True),
+    "reports everything as moved": Sabotage(_called_moved(True)),
 }
-"""By name."""
 
 
 def shows_in(sabotage: str, scenario: str) -> bool:
-    """Say whether a sabotage makes any difference in a scenario."""
-    return SCENARIOS[scenario].moves or not SABOTAGES[sabotage].only_where_some_moved
+    """Return whether a sabotage has an effect in a scenario."""
+    return SCENARIOS[scenario].moves or not SABOTAGES[sabotage].only_if_moved

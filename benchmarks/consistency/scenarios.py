@@ -1,11 +1,9 @@
-"""The scenarios: each makes, of a seed, a drive of its own and its bound.
+"""The scenarios: each makes a drive and its bound from a seed.
 
-Every layout, way and noise follows from the seed, and from nothing that an estimator says. All are
-made at one size; larger and smaller worlds are the same drives scaled, so that whatever differs
-there is a length that the estimator should not know.
+Layout, path and noise depend only on the seed, not on an estimator. All drives have the same size;
+larger and smaller worlds are the same drives scaled, so that any difference in the figures reveals
+a length that the estimator assumes.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Callable
@@ -14,15 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.consistency.hardships import (
-    bearings_late,
-    bearings_untold,
-    home_untold,
-    on_a_cart,
-    stalling,
-    with_swapped_ids,
-    with_walkers,
-)
+from benchmarks.consistency import hardships as faults
 from benchmarks.consistency.trial import (
     Leg,
     Trial,
@@ -30,42 +20,23 @@ from benchmarks.consistency.trial import (
     scaled,
     slipping,
     trial,
-    untold,
     wandering,
+    without,
 )
 from homeward.drives.settings import Mount
 from homeward.geometry.frames import Pose
-from homeward.lab.simulation.scenario import (
-    Listed,
-    Moved,
-    Noise,
-    OdometryErrors,
-    OnSurfaces,
-    Rates,
-    Ring,
-    Room,
-    RoomPose,
-    Scenario,
-    StartPose,
-    Visibility,
-    Waypoints,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation, load_scenario, simulate
 
-DRIVE_S, LEG_S = 80.0, 50.0
-"""How long a drive, and each leg of one in two, takes [s]."""
-CARRIED_S = 2.0
-"""So long nothing is logged while the robot is carried [s]."""
+DRIVE_S, LEG_S = 80.0, 50.0  # duration of a drive, and of each leg of a drive with two [s]
+CARRIED_S = 2.0  # gap in the log while the robot is carried [s]
 MOUNT = Mount(x=0.3, y=-0.1, yaw=0.2)
-"""Of a camera that does not sit at the robot's centre [m, m, rad]."""
-SWAPPED_S = 30.0, 40.0
-"""From when until when ids are swapped [s]."""
-LATE_S = 0.1, 0.4
-"""Smallest and largest delay of a camera's stamps [s]."""
-SOON_S = 15.0
-"""So long is a drive of which only the beginning matters [s]."""
+"""Extrinsics of a camera away from the robot's centre [m, m, rad]."""
+SWAPPED_S = 30.0, 40.0  # start and end of swapped ids [s]
+LATE_S = 0.1, 0.4  # minimum and maximum delay of a camera's stamps [s]
+SOON_S = 15.0  # duration of a drive of which only the beginning matters [s]
 NARROW = {90: 32, 60: 48}
-"""Landmarks in all round, by a camera's field of view [deg]: home sees about eight of them."""
+"""Number of landmarks by the camera's field of view [deg]: home sees about eight of them."""
 
 
 @dataclass(frozen=True)
@@ -73,19 +44,14 @@ class Named:
     """A scenario of the gate."""
 
     about: str
-    """In a few words."""
-    make: Callable[[int], Trial]
-    """Of a seed of the simulator."""
-    first: int = 0
-    """Its seeds begin here: scenarios with equal ones are compared drive by drive."""
+    make: Callable[[int], Trial]  # makes a drive from a seed of the simulator
+    first: int = 0  # first seed: scenarios with the same one are compared drive by drive
     exact: bool = True
-    """Whether the estimator is told all that is true, so that chi-square says what is right."""
-    moves: bool = False
-    """Whether landmarks move, so that there is something to be named."""
+    """Whether the estimator has all parameters, so that NEES and NIS have their expected values."""
+    moves: bool = False  # whether landmarks move
 
 
-def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> Scenario:
-    """Return a random path of the gate."""
+def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> sim.Scenario:
     changes = {"name": "consistency"} | changes
     return wandering(seed, 0, 40, (0.5, 2.0), speed=0.3, seconds=seconds, turned=0.5, **changes)
 
@@ -95,32 +61,32 @@ def _room(seed: int, **changes: Any) -> Trial:
 
 
 def _camera(seed: int, degrees: int) -> Trial:
-    landmarks = Ring(count=NARROW[degrees], distance=(2.5, 5.0))
-    view = Visibility(probability=0.8, field_of_view=math.radians(degrees))
+    landmarks = sim.Ring(count=NARROW[degrees], distance=(2.5, 5.0))
+    view = sim.Visibility(probability=0.8, field_of_view=math.radians(degrees))
     return _room(seed, landmarks=landmarks, visibility=view)
 
 
 def _noisy(seed: int) -> Trial:
-    noise = Noise(bearing_sigma=0.05, home_sigma=0.05)
-    return _room(seed, noise=noise, odometry=OdometryErrors(speed_sigma=0.03, turn_sigma=0.05))
+    noise = sim.Noise(bearing_sigma=0.05, home_sigma=0.05)
+    return _room(seed, noise=noise, odometry=sim.OdometryErrors(speed_sigma=0.03, turn_sigma=0.05))
 
 
 def _outliers(seed: int) -> Trial:
-    return _room(seed, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.1))
+    return _room(seed, noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.1))
 
 
 def _then(before: Simulation, places: np.ndarray, start: Pose, **changes: Any) -> Simulation:
-    """Return a further leg: other places of the landmarks, other noise, begun at `start`."""
+    """Return a second leg: other positions of the landmarks, other noise, from `start`."""
     case = before.scenario
     at = {n: (float(x), float(y)) for n, (x, y) in zip(before.world.ids, places, strict=True)}
-    other = _course(case.seed + 1_000_000, LEG_S, landmarks=Listed(at=at), **changes)
-    begun = StartPose(x=start.x, y=start.y, heading=start.heading, prior=False)
+    other = _course(case.seed + 1_000_000, LEG_S, landmarks=sim.Listed(at=at), **changes)
+    begun = sim.StartPose(x=start.x, y=start.y, heading=start.heading, prior=False)
     return simulate(other.model_copy(update={"start": begun}))
 
 
 def _moved_on_the_way(seed: int, count: int = 2, all_in: int = 12, **changes: Any) -> Trial:
-    """Some landmarks are put elsewhere in mid-drive, seen from home to another side."""
-    landmarks = Ring(count=all_in, distance=(2.5, 5.0))
+    """Some landmarks are moved in mid-drive to another direction from home."""
+    landmarks = sim.Ring(count=all_in, distance=(2.5, 5.0))
     first = simulate(_course(seed, LEG_S, landmarks=landmarks, **changes))
     rng, places = np.random.default_rng([seed, 2]), first.world.in_home_frame
     for i in rng.choice(len(places), count, replace=False):
@@ -132,10 +98,10 @@ def _moved_on_the_way(seed: int, count: int = 2, all_in: int = 12, **changes: An
 
 
 def _few(seed: int) -> Trial:
-    """Of ten landmarks, three or four of which are in sight at a time, three move in mid-drive."""
-    view = Visibility(probability=0.7, field_of_view=math.pi)
-    quick = Rates(odometry=20.0, bearings=20.0, truth=10.0)
-    noise = Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.05)
+    """Three of ten landmarks move in mid-drive; three or four are in view at a time."""
+    view = sim.Visibility(probability=0.7, field_of_view=math.pi)
+    quick = sim.Rates(odometry=20.0, bearings=20.0, truth=10.0)
+    noise = sim.Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.05)
     return _moved_on_the_way(seed, 3, 10, visibility=view, rates=quick, noise=noise)
 
 
@@ -150,15 +116,15 @@ def _kidnapped(seed: int) -> Trial:
 
 
 def _corridor(seed: int) -> Trial:
-    """Up a corridor, whose walls carry the landmarks, and back."""
+    """Along a corridor with landmarks on its walls, and back."""
     return _room(
         seed,
-        home=RoomPose(x=10.0, y=1.2),
-        room=Room(bounds=(0.0, 0.0, 24.0, 2.4)),
-        landmarks=OnSurfaces(count=24, spacing=1.0),
-        visibility=Visibility(probability=0.8, range=(0.0, 7.0)),
-        start=StartPose(x=8.0, y=1.0, heading=0.2, prior=False),
-        trajectory=Waypoints(
+        home=sim.RoomPose(x=10.0, y=1.2),
+        room=sim.Room(bounds=(0.0, 0.0, 24.0, 2.4)),
+        landmarks=sim.OnSurfaces(count=24, spacing=1.0),
+        visibility=sim.Visibility(probability=0.8, range=(0.0, 7.0)),
+        start=sim.StartPose(x=8.0, y=1.0, heading=0.2, prior=False),
+        trajectory=sim.Waypoints(
             speed=0.4,
             duration=DRIVE_S,
             points=((11, 1.6), (14, 0.8), (17, 1.4), (20, 1.0), (20.6, 1.5), (17, 1), (8, 1.2)),
@@ -170,12 +136,12 @@ def _teach_and_return(seed: int) -> Trial:
     """From home out into a hall until none of its landmarks is seen, and back home."""
     return _room(
         seed,
-        home=RoomPose(x=4.0, y=4.0),
-        room=Room(bounds=(0.0, 0.0, 24.0, 10.0), shelves=((9.0, 3.0, 10.0, 7.0),)),
-        landmarks=OnSurfaces(count=40, spacing=1.0),
-        visibility=Visibility(probability=0.8, range=(0.0, 6.0)),
-        start=StartPose(x=4.0, y=4.0, heading=0.0, prior=False),
-        trajectory=Waypoints(
+        home=sim.RoomPose(x=4.0, y=4.0),
+        room=sim.Room(bounds=(0.0, 0.0, 24.0, 10.0), shelves=((9.0, 3.0, 10.0, 7.0),)),
+        landmarks=sim.OnSurfaces(count=40, spacing=1.0),
+        visibility=sim.Visibility(probability=0.8, range=(0.0, 6.0)),
+        start=sim.StartPose(x=4.0, y=4.0, heading=0.0, prior=False),
+        trajectory=sim.Waypoints(
             speed=0.5,
             duration=120.0,
             points=((6, 2.5), (12, 2), (19, 3), (21, 6), (18, 8), (12, 8), (6, 7.5), (3, 5)),
@@ -185,75 +151,82 @@ def _teach_and_return(seed: int) -> Trial:
 
 
 def _walkers(seed: int, count: int = 8, **changes: Any) -> Trial:
-    """Some landmarks are people who walk about from where home saw them."""
-    landmarks = Ring(count=16, distance=(2.5, 5.0))
-    walks, who = with_walkers(simulate(_course(seed, landmarks=landmarks, **changes)), count, 0.3)
+    """Some landmarks are people who walk."""
+    landmarks = sim.Ring(count=16, distance=(2.5, 5.0))
+    walks, who = faults.with_walkers(
+        simulate(_course(seed, landmarks=landmarks, **changes)), count, 0.3
+    )
     whole = trial(Leg(walks))
     return replace(whole, moved=whole.moved | who)
 
 
 def _swapped_ids(seed: int, **changes: Any) -> Trial:
-    return trial(Leg(with_swapped_ids(simulate(_course(seed, **changes)), 3, *SWAPPED_S)))
+    return trial(Leg(faults.with_swapped_ids(simulate(_course(seed, **changes)), 3, *SWAPPED_S)))
 
 
 def _cart(seed: int) -> Trial:
-    """In mid-drive a cart is moved that carries four landmarks side by side."""
+    """A cart with four neighbouring landmarks is moved in mid-drive."""
     first = simulate(_course(seed, LEG_S))
     rng, begins = np.random.default_rng([seed, 7]), float(first.drive.odometry.t[-1]) + 0.2
-    places = on_a_cart(first.world.in_home_frame, rng, 4)
+    places = faults.on_a_cart(first.world.in_home_frame, rng, 4)
     return trial(Leg(first), Leg(_then(first, places, first.final_pose), begins))
 
 
 def _home_noisy(seed: int) -> Trial:
-    return home_untold(_room(seed, noise=Noise(bearing_sigma=0.01, home_sigma=0.1)))
+    return faults.without_home_sigma(
+        _room(seed, noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.1))
+    )
 
 
 def _soon(seed: int) -> Trial:
-    """The beginning of a drive with a quick robot and a quick camera."""
+    """The beginning of a drive with a fast robot and a fast camera."""
     points = _course(seed).trajectory.model_copy(update={"speed": 0.4, "duration": SOON_S})
-    rates = Rates(odometry=20.0, bearings=10.0, truth=10.0)
-    return _room(seed, trajectory=points, rates=rates, visibility=Visibility())
+    rates = sim.Rates(odometry=20.0, bearings=10.0, truth=10.0)
+    return _room(seed, trajectory=points, rates=rates, visibility=sim.Visibility())
 
 
 def _late(seed: int) -> Trial:
     """The warehouse, with long straights, and a camera whose stamps are late."""
     delay = float(np.random.default_rng([seed, 9]).uniform(*LATE_S))
     warehouse = load_scenario("warehouse").model_copy(update={"seed": seed})
-    return bearings_late(trial(Leg(simulate(warehouse))), delay)
+    return faults.bearings_late(trial(Leg(simulate(warehouse))), delay)
 
 
 HARDSHIPS: dict[str, tuple[dict[str, Any], Callable[[Trial, int], Trial]]] = {
     "outliers": ({"wrong_ids": 0.1}, lambda whole, seed: whole),
-    "home-noisy": ({"home_sigma": 0.03}, lambda whole, seed: home_untold(whole)),
-    "bearings-untold": ({"bearing_sigma": 0.03}, lambda whole, seed: bearings_untold(whole)),
-    "moved": ({"moved": Moved(count=5)}, lambda whole, seed: whole),
+    "home-noisy": ({"home_sigma": 0.03}, lambda whole, seed: faults.without_home_sigma(whole)),
+    "bearings-unknown": (
+        {"bearing_sigma": 0.03},
+        lambda whole, seed: faults.without_bearing_sigma(whole),
+    ),
+    "moved": ({"moved": sim.Moved(count=5)}, lambda whole, seed: whole),
     "camera-120": (
-        {"visibility": Visibility(probability=0.8, field_of_view=math.radians(120))},
+        {"visibility": sim.Visibility(probability=0.8, field_of_view=math.radians(120))},
         lambda whole, seed: whole,
     ),
-    "odometry-untold": ({}, lambda whole, seed: untold(whole, odometry=True)),
+    "odometry-unknown": ({}, lambda whole, seed: without(whole, odometry=True)),
     "slipping": ({}, lambda whole, seed: slipping(whole, seed, 0.4, 15.0, 1.0)),
-    "stalling": ({}, lambda whole, seed: stalling(whole, seed, 30.0, 1.0)),
+    "stalling": ({}, lambda whole, seed: faults.stalling(whole, seed, 30.0, 1.0)),
     "lagging": ({}, lambda whole, seed: lagging(whole, 0.2)),
     "walkers": ({}, lambda whole, seed: whole),
     "swapped-ids": ({}, lambda whole, seed: whole),
 }
-"""Changes of the course (those of noise by its own names), and of what is logged."""
+"""Changes of the scenario (those of noise by their names), and of the log."""
 
 
 def _three_hardships(seed: int) -> Trial:
-    """Three hardships at once, drawn at random."""
+    """Three random faults at once."""
     rng = np.random.default_rng([seed, 8])
     names = sorted(rng.choice(sorted(HARDSHIPS), 3, replace=False).tolist())
     course = {k: v for name in names for k, v in HARDSHIPS[name][0].items()}
     noise = {"bearing_sigma": 0.01, "home_sigma": 0.01}
-    noise |= {key: course.pop(key) for key in list(course) if key in Noise.model_fields}
-    course |= {"noise": Noise(**noise), "landmarks": Ring(count=16, distance=(2.5, 5.0))}
+    noise |= {key: course.pop(key) for key in list(course) if key in sim.Noise.model_fields}
+    course |= {"noise": sim.Noise(**noise), "landmarks": sim.Ring(count=16, distance=(2.5, 5.0))}
     drive, who = simulate(_course(seed, **course)), frozenset[str]()
     if "walkers" in names:
-        drive, who = with_walkers(drive, 4, 0.3)
+        drive, who = faults.with_walkers(drive, 4, 0.3)
     if "swapped-ids" in names:
-        drive = with_swapped_ids(drive, 3, *SWAPPED_S)
+        drive = faults.with_swapped_ids(drive, 3, *SWAPPED_S)
     whole = trial(Leg(drive))
     for name in names:
         whole = HARDSHIPS[name][1](whole, seed)
@@ -261,36 +234,34 @@ def _three_hardships(seed: int) -> Trial:
 
 
 SCENARIOS = {
-    "room": Named("10 m across, all round, all told", _room),
+    "room": Named("10 m across, all round, all parameters given", _room),
     "table": Named("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1)),
     "site": Named("the same drives, 100 m across", lambda s: scaled(_room(s), 10.0)),
     "camera-90": Named("camera of 90 deg", lambda s: _camera(s, 90), 100),
     "camera-60": Named("camera of 60 deg", lambda s: _camera(s, 60), 200),
-    "mount-told": Named("camera 0.3 m ahead, turned, told", lambda s: _room(s, sensor=MOUNT)),
-    "mount-untold": Named(
-        "the same drives, camera's place not told",
-        lambda s: untold(_room(s, sensor=MOUNT), mount=True),
+    "mount-given": Named("camera extrinsics given", lambda s: _room(s, sensor=MOUNT)),
+    "mount-unknown": Named(
+        "the same drives, extrinsics not given",
+        lambda s: without(_room(s, sensor=MOUNT), mount=True),
         exact=False,
     ),
-    "noisy": Named("bearings of 3 deg, odometry three to five times worse", _noisy, 300),
-    "odometry-untold": Named(
-        "as room, nothing told of the odometry",
-        lambda s: untold(_room(s), odometry=True),
-        exact=False,
+    "noisy": Named("bearings of 3 deg, three to five times the odometry noise", _noisy, 300),
+    "odometry-unknown": Named(
+        "as room, odometry noise not given", lambda s: without(_room(s), odometry=True), exact=False
     ),
     "slipping": Named(
-        "so, and wheels lose 40 % for 1.5 s every 10 s",
-        lambda s: slipping(untold(_room(s), odometry=True), s, 0.4, 10.0, 1.5),
+        "the same, and wheels slip by 40 % for 1.5 s every 10 s",
+        lambda s: slipping(without(_room(s), odometry=True), s, 0.4, 10.0, 1.5),
         exact=False,
     ),
     "lagging": Named(
-        "so, and odometry stamped 0.2 s late",
-        lambda s: lagging(untold(_room(s), odometry=True), 0.2),
+        "as odometry-unknown, and odometry stamped 0.2 s late",
+        lambda s: lagging(without(_room(s), odometry=True), 0.2),
         exact=False,
     ),
     "outliers": Named("10 % of the ids wrong", _outliers, 400),
     "moved": Named(
-        "4 of 12 moved since home", lambda s: _room(s, moved=Moved(count=4)), 500, moves=True
+        "4 of 12 moved since home", lambda s: _room(s, moved=sim.Moved(count=4)), 500, moves=True
     ),
     "moved-on-the-way": Named("2 of 12 move in mid-drive", _moved_on_the_way, 600, moves=True),
     "kidnapped": Named("lifted and set down elsewhere", _kidnapped, 700),
@@ -298,40 +269,40 @@ SCENARIOS = {
     "teach-and-return": Named("out of sight of home and back", _teach_and_return, 900),
     "moved-most": Named(
         "8 of 12 moved since home, by 6 to 57 deg",
-        lambda s: _room(s, moved=Moved(count=8, fault=(0.1, 1.0))),
+        lambda s: _room(s, moved=sim.Moved(count=8, fault=(0.1, 1.0))),
         1000,
         moves=True,
     ),
     "walkers": Named("half of 16 are people who walk", _walkers, 1100, moves=True),
     "home-noisy": Named(
-        "home bearings ten times noisier, not told", _home_noisy, 1200, exact=False
+        "ten times the noise of home bearings, not given", _home_noisy, 1200, exact=False
     ),
     "outliers-30": Named(
         "30 % of the ids wrong",
-        lambda s: _room(s, noise=Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.3)),
+        lambda s: _room(s, noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.3)),
         1300,
     ),
     "few": Named(
-        "3 of 10 move in mid-drive, seen at 20 Hz by a camera of 180 deg that misreads ids",
+        "3 of 10 move in mid-drive, seen at 20 Hz by a camera of 180 deg with wrong ids",
         _few,
         1900,
         moves=True,
     ),
-    "soon": Named("the first 15 s, quicker", _soon, 1400),
+    "soon": Named("the first 15 s, faster", _soon, 1400),
     "soon-lagging": Named(
-        "so, and odometry stamped 0.3 s late, not told",
-        lambda s: lagging(untold(_soon(s), odometry=True), 0.3),
+        "the same, and odometry stamped 0.3 s late, not given",
+        lambda s: lagging(without(_soon(s), odometry=True), 0.3),
         1400,
         exact=False,
     ),
     "swapped-ids": Named("three pairs swap ids for 10 s", _swapped_ids, 1500),
     "stalling": Named(
-        "now and then odometry says 0 for 1.5 s, and is not told",
-        lambda s: stalling(untold(_room(s), odometry=True), s, 15.0, 1.5),
+        "odometry sometimes reports 0 for 1.5 s, noise not given",
+        lambda s: faults.stalling(without(_room(s), odometry=True), s, 15.0, 1.5),
         1600,
         exact=False,
     ),
-    "cart": Named("4 of 12 moved as one in mid-drive", _cart, 1700, moves=True),
+    "cart": Named("4 of 12 moved as one body in mid-drive", _cart, 1700, moves=True),
     "late": Named(
         "a warehouse, bearings stamped 0.1 to 0.4 s late, not specified",
         _late,
@@ -339,6 +310,5 @@ SCENARIOS = {
         exact=False,
         moves=True,
     ),
-    "three-hardships": Named("three hardships at once", _three_hardships, 1800, exact=False),
+    "three-hardships": Named("three faults at once", _three_hardships, 1800, exact=False),
 }
-"""By name."""

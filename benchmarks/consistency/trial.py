@@ -1,9 +1,7 @@
-"""One simulated drive, of one leg or several, and its bound.
+"""One simulated drive, of one or several legs, and its bound.
 
 Between two legs of a drive the world changes, or the robot is carried.
 """
-
-from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
@@ -13,32 +11,20 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.settings import OdometryNoise, Sensor
-from homeward.lab.simulation.scenario import (
-    Noise,
-    OdometryErrors,
-    Rates,
-    Ring,
-    Scenario,
-    StartPose,
-    Visibility,
-    Waypoints,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation
 from homeward.lab.studies.study.trial import Trial, drive_bound
 
-SAME_PLACE_M = 1e-6
-"""A landmark that stands so near to where it stood has not moved [m]."""
+SAME_PLACE_M = 1e-6  # maximum shift of a landmark that has not moved [m]
 
 
 @dataclass(frozen=True)
 class Leg:
-    """A part of a drive in which the world stays as it is."""
+    """A part of a drive with a static world."""
 
     simulation: Simulation
-    begins: float = 0.0
-    """[s]"""
-    carried: bool = False
-    """Whether the robot was carried to where it begins."""
+    begins: float = 0.0  # [s]
+    carried: bool = False  # whether the robot was carried to its start
 
 
 def wandering(
@@ -51,23 +37,12 @@ def wandering(
     seconds: float,
     turned: float = 1.0,
     **changes: Any,
-) -> Scenario:
+) -> sim.Scenario:
     """Return a random path among 12 landmarks all round home, with white noise and no start prior.
 
-    Parameters
-    ----------
-    seed, stream : int
-        Seed of the scenario, and of the path together with the stream.
-    count : int
-        Number of waypoints.
-    reach : tuple of float
-        Smallest and largest distance of waypoints from home [m].
-    speed, seconds : float
-        Of the drive [m/s, s].
-    turned : float
-        The heading at the start, over the direction of the first waypoint.
-    **changes
-        Other fields of the scenario.
+    It has `count` waypoints at distances from home within `reach` [m], at `speed` [m/s]. `stream`
+    is part of the path's seed; `turned` is the initial heading over the direction of the first
+    waypoint; `changes` are other fields of the scenario.
     """
     rng = np.random.default_rng([seed, stream])
     far, way = rng.uniform(*reach, count), rng.uniform(-math.pi, math.pi, count)
@@ -78,43 +53,43 @@ def wandering(
     given: dict[str, Any] = {
         "name": "wandering",
         "seed": seed,
-        "landmarks": Ring(count=12, distance=(2.5, 5.0)),
-        "visibility": Visibility(probability=0.8),
-        "noise": Noise(bearing_sigma=0.01, home_sigma=0.01),
-        "rates": Rates(odometry=20.0, bearings=5.0, truth=10.0),
-        "odometry": OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
-        "start": StartPose(x=points[0][0], y=points[0][1], heading=heading, prior=False),
-        "trajectory": Waypoints(speed=speed, duration=seconds, points=points[1:]),
+        "landmarks": sim.Ring(count=12, distance=(2.5, 5.0)),
+        "visibility": sim.Visibility(probability=0.8),
+        "noise": sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
+        "rates": sim.Rates(odometry=20.0, bearings=5.0, truth=10.0),
+        "odometry": sim.OdometryErrors(speed_sigma=0.01, turn_sigma=0.01),
+        "start": sim.StartPose(x=points[0][0], y=points[0][1], heading=heading, prior=False),
+        "trajectory": sim.Waypoints(speed=speed, duration=seconds, points=points[1:]),
     }
-    return Scenario(**(given | changes))
+    return sim.Scenario(**(given | changes))
 
 
 def trial(*legs: Leg) -> Trial:
-    """Join the legs of one drive, and find its bound."""
+    """Join the legs of one drive, and compute its bound."""
     first = legs[0].simulation
     drive = _joined(legs)
     case, ids = first.scenario, list(first.world.ids)
     places = np.array([leg.simulation.world.in_home_frame for leg in legs])
-    # A landmark that moves on the way is another one from then on, which home never saw.
+    # A landmark that moves in mid-drive is a new one from then on, without a home bearing.
     fresh = np.ones(places.shape[:2], bool)
     fresh[1:] = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) > SAME_PLACE_M
     number = np.maximum.accumulate(np.where(fresh, fresh.cumsum().reshape(fresh.shape) - 1, 0))
     marks = places[fresh]
-    told = np.zeros(len(marks), bool)
-    told[: len(ids)] = [i in drive.home and i not in first.world.moved for i in ids]
+    stored = np.zeros(len(marks), bool)
+    stored[: len(ids)] = [i in drive.home and i not in first.world.moved for i in ids]
 
     stamps = np.unique(drive.sightings.t)
     leg_of = np.searchsorted([leg.begins for leg in legs], stamps, side="right") - 1
     row = np.searchsorted(stamps, drive.sightings.t)
     column = number[leg_of[row], [ids.index(n) for n in drive.sightings.landmark]]
     carried = np.array([leg.carried for leg in legs])[leg_of[1:]] & (np.diff(leg_of) > 0)
-    _, bound = drive_bound(drive, case, marks, column, ~told, carried=carried)
+    _, bound = drive_bound(drive, case, marks, column, ~stored, carried=carried)
     shifted = {n for n, new in zip(ids, fresh[1:].any(axis=0), strict=True) if new}
     return Trial(drive, frozenset(shifted | set(first.world.moved)), stamps, bound)
 
 
 def _joined(legs: tuple[Leg, ...]) -> Drive:
-    """Return one drive of all legs, at home and in its settings the first one."""
+    """Return one drive of all legs, with home and settings of the first."""
     drives = [leg.simulation.drive for leg in legs]
     tables = {}
     for name, kind in {"odometry": Odometry, "sightings": Sightings, "truth": Truth}.items():
@@ -126,7 +101,7 @@ def _joined(legs: tuple[Leg, ...]) -> Drive:
 
 
 def scaled(whole: Trial, factor: float) -> Trial:
-    """Return the same drive in a world so many times as large, and as fast and as noisy."""
+    """Return the same drive with all lengths scaled by a factor."""
     drive = whole.drive
     assert drive.truth is not None
     known = drive.settings.odometry
@@ -146,8 +121,8 @@ def scaled(whole: Trial, factor: float) -> Trial:
     )
 
 
-def untold(whole: Trial, *, mount: bool = False, odometry: bool = False) -> Trial:
-    """Return the same drive with the camera's place, or the odometry's noise, left out of it."""
+def without(whole: Trial, *, mount: bool = False, odometry: bool = False) -> Trial:
+    """Return the same drive without the camera's extrinsics, or the odometry's noise."""
     settings = whole.drive.settings
     left_out: dict[str, object] = {}
     if mount:
@@ -161,35 +136,21 @@ def untold(whole: Trial, *, mount: bool = False, odometry: bool = False) -> Tria
 
 
 def slipping(whole: Trial, seed: int, share: float, every_s: float, for_s: float) -> Trial:
-    """Return the same drive with wheels that now and then turn more than the robot goes.
-
-    Parameters
-    ----------
-    whole : Trial
-        With firm wheels.
-    seed : int
-        Of when they slip.
-    share : float
-        Of their way that is lost then.
-    every_s, for_s : float
-        How often in the mean, and for how long [s].
-    """
+    """Return the same drive with wheels that sometimes slip, by a share; times as in `spells`."""
     o = whole.drive.odometry
-    slips = now_and_then(o.t, np.random.default_rng([seed, 1]), every_s, for_s)
+    slips = spells(o.t, np.random.default_rng([seed, 1]), every_s, for_s)
     faster = replace(o, v=np.where(slips, o.v / (1.0 - share), o.v))
     return replace(whole, drive=replace(whole.drive, odometry=faster))
 
 
-def now_and_then(
-    t: np.ndarray, rng: np.random.Generator, every_s: float, for_s: float
-) -> np.ndarray:
-    """Return which times (n,) lie in spells; they begin so often in the mean, and last so long."""
+def spells(t: np.ndarray, rng: np.random.Generator, every_s: float, for_s: float) -> np.ndarray:
+    """Return which times (n,) are in spells, which start `every_s` on average and last `for_s`."""
     starts = np.cumsum(rng.exponential(every_s, int(3 * t[-1] / every_s) + 3))
     before = np.searchsorted(starts, t, side="right") - 1
     return np.asarray((before >= 0) & (t - starts[before] < for_s))
 
 
 def lagging(whole: Trial, seconds: float) -> Trial:
-    """Return the same drive with odometry that is stamped so much too late [s]."""
+    """Return the same drive with odometry stamped `seconds` too late."""
     o = whole.drive.odometry
     return replace(whole, drive=replace(whole.drive, odometry=replace(o, t=o.t + seconds)))

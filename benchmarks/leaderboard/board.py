@@ -1,7 +1,5 @@
 """The tables of the leaderboard, failures first."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -11,22 +9,12 @@ from benchmarks.leaderboard.families import Family
 from benchmarks.leaderboard.runs import Row
 from benchmarks.monte_carlo import column
 from homeward.io.naming import number, share
-from homeward.lab.studies.study.statistics import (
-    Interval,
-    adjusted,
-    geometric_mean,
-    interval,
-    known,
-    mean,
-    paired,
-)
+from homeward.lab.studies.study import statistics as stats
 from homeward.lab.studies.study.summary import probability, with_interval
 from homeward.runs.report.files import markdown
 
-LEAST_POSE = 0.5
-"""A run with a pose for less of the time has failed."""
-MOST_WRONG = 0.5
-"""A run that is beyond 4 sigma for more of the time with a pose has failed."""
+MIN_POSE = 0.5  # minimum availability of a pose in a run that has not failed
+MAX_WRONG = 0.5  # maximum share of the time with a pose that is beyond 4 sigma
 
 
 @dataclass(frozen=True)
@@ -37,19 +25,17 @@ class Entry:
     rows: Sequence[Row]
 
     def column(self, key: str) -> np.ndarray:
-        """Return a figure of each drive, NaN where there is none."""
         return column(self.rows, key)
 
     @property
     def failed(self) -> np.ndarray:
-        """Which drives it failed on."""
         pose, wrong = self.column("pose"), self.column("wrong")
-        good = (pose >= LEAST_POSE) & (wrong <= MOST_WRONG) & np.isfinite(self.column("rmse"))
+        good = (pose >= MIN_POSE) & (wrong <= MAX_WRONG) & np.isfinite(self.column("rmse"))
         return np.asarray(~good)
 
     @property
     def rmse(self) -> np.ndarray:
-        """RMSE of each drive [m]; NaN where it failed."""
+        """RMSE of each drive [m]; NaN if it failed."""
         return np.where(self.failed, np.nan, self.column("rmse"))
 
 
@@ -65,21 +51,24 @@ def entries(rows: Sequence[Row], names: Sequence[str], families: Sequence[str]) 
 def overall(found: Sequence[Entry]) -> list[list[str]]:
     """Return the table over all families, the fewest failures first; ratios to the first named."""
     first = found[0]
-    head = ["estimator", "failed", "without a pose", "beyond 4 sigma", f"RMSE / {first.name}", "p"]
-    head += ["RMSE / bound", "NEES", "moved named", "s a drive"]
-    p = adjusted([np.nan if e is first else paired(e.rmse, first.rmse).p for e in found])
+    head = ["estimator", "failed", "availability", "beyond 4 sigma"]
+    head += [f"RMSE ratio to {first.name}", "p", "RMSE / bound", "NEES"]
+    head += ["exact detection rate", "runtime [s]"]
+    p = stats.adjusted(
+        [np.nan if e is first else stats.paired(e.rmse, first.rmse).p for e in found]
+    )
     rows = [
         [
             e.name,
             f"{share(float(e.failed.mean()))} of {e.failed.size}",
-            share(1.0 - float(np.nan_to_num(e.column("pose")).mean())),
-            share(mean(e.column("wrong"))),
+            share(float(np.nan_to_num(e.column("pose")).mean())),
+            share(stats.mean(e.column("wrong"))),
             "" if e is first else with_interval(ratio(e.rmse, first.rmse)),
             probability(value),
-            number(geometric_mean(e.column("to_bound"))),
-            number(known(e.column("nees"), np.median)),
-            share(mean(e.column("named"))),
-            number(known(e.column("seconds"), np.median)),
+            number(stats.geometric_mean(e.column("to_bound"))),
+            number(stats.known(e.column("nees"), np.median)),
+            share(stats.mean(e.column("named"))),
+            number(stats.known(e.column("seconds"), np.median)),
         ]
         for e, value in zip(found, p, strict=True)
     ]
@@ -100,24 +89,23 @@ def by_family(
     for family in families:
         cells = []
         for entry in entries(rows, names, [family]):
-            told = number(known(entry.rmse, np.median))
+            rmse = number(stats.known(entry.rmse, np.median))
             failed = share(float(entry.failed.mean())) if entry.failed.any() else ""
-            cells.append(f"{told} ({failed})" if told and failed else told or failed)
+            cells.append(f"{rmse} ({failed})" if rmse and failed else rmse or failed)
         table.append([family, *cells])
     return table
 
 
-def ratio(rmse: np.ndarray, other: np.ndarray) -> Interval:
-    """Return how many times as large an RMSE is in the geometric mean over the drives of both."""
+def ratio(rmse: np.ndarray, other: np.ndarray) -> stats.Interval:
+    """Return the geometric mean over common drives of the ratio of two RMSEs."""
     logarithms = np.log(rmse) - np.log(other)
     logarithms = logarithms[np.isfinite(logarithms)]
-    return interval(lambda values, axis=-1: np.exp(np.mean(values, axis=axis)), logarithms)
+    return stats.interval(lambda values, axis=-1: np.exp(np.mean(values, axis=axis)), logarithms)
 
 
 def page(
     rows: Sequence[Row], names: Sequence[str], families: Mapping[str, Family], command: str
 ) -> str:
-    """Return docs/understand/leaderboard.md."""
     there = {f: family for f, family in families.items() if any(r["family"] == f for r in rows)}
     parts = [HEAD.format(command=command, first=names[0])]
     for real, title in ((False, "Simulated drives"), (True, "Real drives")):
@@ -141,27 +129,25 @@ def page(
 
 HEAD = """# Leaderboard
 
-Made by `{command}`; the tables below are what it wrote. Every estimator
-runs over the same drives, each with its default settings.
+Generated by `{command}`. Every estimator runs on the same drives with its
+default settings.
 
-- **failed**, told first, and by which estimators are ranked: the share of drives that ended in an
-  error, had a pose for less than half of the time, or were farther off than 4 of their own sigmas
-  for more than half of the time with a pose.
-- **without a pose**, **beyond 4 sigma**: shares of the time, and of the time with a pose; by chance
-  0.03 % would be beyond.
-- **RMSE / {first}**: how many times as far off, in the geometric mean over the drives on which
-  neither failed, with its 95 % interval (bootstrap over drives); **p**: Wilcoxon's signed-rank test
-  over all drives, a failure being worse than any RMSE, adjusted for the number of estimators
-  (Benjamini and Hochberg).
-- **RMSE / bound**: over the posterior Cramer-Rao bound, where it is known, failures too.
-- **NEES** of (x, y, heading), median over the drives: 3 when consistent. **moved named**: share of
-  drives in which exactly the landmarks that moved were named. **s a drive**: processor time, the
-  median.
+- **failed**: share of drives that ended in an error, had a pose for less than half of the time, or
+  had an error beyond 4 sigma for more than half of the time with a pose. It ranks the estimators.
+- **availability**: share of the time with a pose. **beyond 4 sigma**: share of that time with an
+  error beyond 4 sigma; 0.03 % if consistent.
+- **RMSE ratio to {first}**: geometric mean over the drives on which neither failed, with its 95 %
+  interval (bootstrap over drives). **p**: Wilcoxon's signed-rank test over all drives, a failure
+  being worse than any RMSE, adjusted for the number of estimators (Benjamini and Hochberg).
+- **RMSE / bound**: ratio to the posterior Cramer-Rao bound where it is known, failures included.
+- **NEES** of (x, y, heading), median over the drives: 3 if consistent. **exact detection rate**:
+  share of drives in which exactly the moved landmarks were reported. **runtime**: median processor
+  time per drive.
 
-`robust` finds home by itself. What needs a start prior is told the true start (with sigmas of 5 cm
-and 0.05 rad), since no drive here has a prior: a kind start, from which odometry alone
-(`dead_reckoning:make`, the [template](../do/estimators.md)) goes far on drives of a minute or two.
-`--estimator robust,package.module:make` adds an estimator of your own; `--keep FOLDER` keeps
-finished runs, and a later command continues from them, also with further estimators.
+`robust` needs no start prior. Other estimators get the true start, with sigmas of 5 cm and
+0.05 rad, since the drives have no prior. From this start, odometry alone (`dead_reckoning:make`,
+the [template](../do/estimators.md)) is accurate on drives of one or two minutes.
+`--estimator robust,package.module:make` adds your own estimator. `--keep FOLDER` keeps finished
+runs, so that a later command continues from them, also with further estimators.
 """
-FAMILIES = "Median RMSE [m] over the drives that did not fail; in brackets the share that did:\n"
+FAMILIES = "Median RMSE [m] of the drives that did not fail; in brackets the share that failed:\n"

@@ -1,6 +1,4 @@
-"""The drives: the simulated families of the consistency gate, and real ones, made harder or not."""
-
-from __future__ import annotations
+"""The drives: simulated families of the consistency gate, and real ones, original and harder."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,8 +10,7 @@ from homeward.lab.studies.study.trial import Recording, Trial, recorded_trial
 
 ROBOTS = (1, 2, 3, 4, 5)
 SET_6 = "MRCLAM_Dataset6"
-FALSIFIED = 3
-"""Of 15 home bearings."""
+FALSIFIED = 3  # of 15 home bearings
 HOME_NOISE_DEG = 0.5
 
 
@@ -22,16 +19,12 @@ class Family:
     """Drives of one kind, each with a number."""
 
     about: str
-    """In a few words."""
-    make: Callable[[int], Trial]
-    """The drive of a number."""
+    make: Callable[[int], Trial]  # returns the drive of a number
     real: bool = False
-    copies: int = 1
-    """Drives that each seed stands for."""
+    copies: int = 1  # number of drives per seed
 
 
 def simulated() -> dict[str, Family]:
-    """Return the families of the consistency gate, by name."""
     return {
         name: Family(named.about, lambda k, named=named: named.make(named.first + k))
         for name, named in SCENARIOS.items()
@@ -39,11 +32,11 @@ def simulated() -> dict[str, Family]:
 
 
 def real() -> dict[str, Family]:
-    """Return the families of real drives whose data are there, by name."""
+    """Return the families of real drives whose data are available, by name."""
     if not (data() / SET_6).is_dir():
         return {}
     about = "UTIAS MRCLAM set 6, five robots, a camera of 66 deg"
-    wrong = f"the same, {FALSIFIED} of 15 home bearings wrong by 0.2 to 0.6 rad"
+    wrong = f"the same, errors of 0.2 to 0.6 rad in {FALSIFIED} of 15 home bearings"
     half = "the same, half of the sightings dropped"
     changes = {
         "utias-6": (about, {}),
@@ -57,7 +50,7 @@ def real() -> dict[str, Family]:
 
 
 def _recorded(change: dict[str, float], number: int) -> Trial:
-    """Return one robot's drive; home's noise, and what is made harder, follow from the seed."""
+    """Return one robot's drive; home's noise and the changes depend on the seed."""
     seed, robot = divmod(number, len(ROBOTS))
     recording = Recording(
         drive=str(data() / SET_6),

@@ -1,7 +1,5 @@
 """The runs of the leaderboard: any estimator on any drive."""
 
-from __future__ import annotations
-
 import math
 import sys
 import time
@@ -20,20 +18,16 @@ from homeward.runs.single_run import with_start
 from homeward.track import run as follow
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "do" / "estimator"
-BASELINE = "dead_reckoning:make"
-"""The template of the documentation: what odometry alone comes to."""
+BASELINE = "dead_reckoning:make"  # the template of the documentation: odometry alone
 WRONG_SIGMAS = 4.0
-Row = dict[str, Any]
-"""One estimator on one drive; None where a figure is not known."""
+Row = dict[str, Any]  # one estimator on one drive; None if a figure is unknown
 
 
 def everybody() -> list[str]:
-    """Return the estimators of homeward and of installed packages, and the baseline."""
     return [*estimator_names(), BASELINE]
 
 
 def begin() -> None:
-    """Let a process find the baseline."""
     if str(TEMPLATE) not in sys.path:
         sys.path.append(str(TEMPLATE))
 
@@ -44,20 +38,20 @@ def _trial(family: str, number: int) -> Trial:
 
 
 def one(run: Run) -> Row:
-    """Return the figures of one run, or the reason why there are none."""
+    """Return the figures of one run, or the error."""
     begin()
     trial = _trial(run.scenario, run.seed)
     began = time.process_time()
     try:
         _, drive = with_start(trial.drive, run.estimator)
         track = follow(drive, make_estimator(run.estimator, drive))
-    except Exception as error:  # of one in a thousand runs; the others go on
+    except Exception as error:  # the other runs continue
         return {"error": f"{type(error).__name__}: {error}"}
     seconds = time.process_time() - began
     metrics, off = score(track, drive.truth), errors(track, drive.truth)
     total = off.weight.sum()
     far = off.nees_position > WRONG_SIGMAS**2
-    judged = any(m.moved is not None for m in track.landmarks)
+    tested = any(m.moved is not None for m in track.landmarks)
     named = {m.landmark for m in track.landmarks if m.moved}
     accuracy = metrics.accuracy
     row = {
@@ -66,10 +60,10 @@ def one(run: Run) -> Row:
         "wrong": float(off.weight[far].sum() / total) if total > 0 else None,
         "nees": None if accuracy is None else accuracy.nees_mean,
         "to_bound": figures(track, trial)["error"],
-        "named": named == trial.moved if judged else None,
+        "named": named == trial.moved if tested else None,
         "seconds": seconds,
     }
-    # A track that diverged to infinity is counted by its share of wrong poses.
+    # A track that diverged to infinity counts by its share of wrong poses.
     return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 

@@ -1,1 +1,1 @@
-"""The same filter by others: plain NumPy, FilterPy, Stone Soup, dynamax, and C++ by hand."""
+"""The same filter in plain NumPy, FilterPy, Stone Soup, dynamax, JAX and hand-written C++."""

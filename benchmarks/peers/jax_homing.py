@@ -1,9 +1,7 @@
-"""The closed homing loop in JAX, as one would write it there: jit, vmap, scan and jacfwd.
+"""The closed homing loop in idiomatic JAX: jit, vmap, scan and jacfwd.
 
-The same model, filter, law and noise levels as homeward's; its random numbers are JAX's own.
+Model, filter, law and noise levels are homeward's; the random numbers are JAX's.
 """
-
-from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial

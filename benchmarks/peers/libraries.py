@@ -1,9 +1,13 @@
-"""The filter on FilterPy, Stone Soup and dynamax, each by its own classes and functions."""
+"""The filter with FilterPy, Stone Soup and dynamax, and in hand-written C++ (limit.cpp)."""
 
-from __future__ import annotations
-
+import ctypes
+import os
+import shlex
+import subprocess
+import tempfile
 from collections.abc import Callable
 from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 
@@ -14,7 +18,7 @@ Q = np.diag(INPUT_VARIANCE)
 
 
 class FilterPyFilter:
-    """`filterpy.kalman.ExtendedKalmanFilter`, its prediction given F and Q of each sample."""
+    """`filterpy.kalman.ExtendedKalmanFilter`, given F and Q of each sample."""
 
     def __init__(self, scene: Scene) -> None:
         from filterpy.kalman import ExtendedKalmanFilter
@@ -31,7 +35,6 @@ class FilterPyFilter:
         self.eye = np.eye(n)
 
     def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
-        """Predict and update."""
         rows = 3 + np.flatnonzero(mask)
         self.filter.predict(u)
         self.filter.update(
@@ -43,7 +46,6 @@ class FilterPyFilter:
 
     @property
     def x(self) -> np.ndarray:
-        """The estimate."""
         return np.asarray(self.filter.x)
 
 
@@ -93,7 +95,7 @@ class StoneSoupFilter:
 
         class Predictor(ExtendedKalmanPredictor):
             def _transition_matrix(self, prior, **kwargs):
-                # By its order of calls, the function has been taken already.
+                # Stone Soup calls `function` before.
                 return self.transition_model.jacobian(prior, **kwargs)
 
         self.motion = Motion(size=n)
@@ -107,7 +109,6 @@ class StoneSoupFilter:
         self.n = n
 
     def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
-        """Predict and update."""
         LinearGaussian, Detection, SingleHypothesis, StateVector = self.parts
         self.motion.u = u
         self.now += timedelta(seconds=DT)
@@ -119,21 +120,15 @@ class StoneSoupFilter:
 
     @property
     def x(self) -> np.ndarray:
-        """The estimate."""
         return np.asarray(self.state.state_vector, float).ravel()
 
 
 def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """Return dynamax's extended Kalman filter over many runs at once, compiled.
+    """Return dynamax's extended Kalman filter over many runs, compiled.
 
-    Its process noise cannot depend on the state, so it is given homeward's Gu Q Gu' of every
-    sample, (steps, n, n), in place of computing it. A landmark out of sight is a row of H that is
-    zero.
-
-    Returns
-    -------
-    callable
-        From bearings (runs, steps, q) to the estimates (runs, steps, n).
+    It maps bearings (runs, steps, q) to estimates (runs, steps, n). Its process noise cannot depend
+    on the state, so it is homeward's Gu Q Gu' of each sample, (steps, n, n). An unseen landmark is
+    a zero row of H.
     """
     import jax
     import jax.numpy as jnp
@@ -157,8 +152,8 @@ def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], n
         k4 = rates(x + DT * k3, u)
         return x + DT / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
-    # dynamax updates before it predicts: a first sample without a sighting starts it. It predicts
-    # by input and noise of the sample to come.
+    # dynamax updates before it predicts: it starts with a sample without sightings. It predicts
+    # with input and noise of the next sample.
     blind = jnp.zeros((1, q))
     mask = jnp.concatenate([blind, jnp.asarray(scene.mask)])
     noise = jnp.where(mask > 0, BEARING_VARIANCE, 1.0)
@@ -181,3 +176,29 @@ def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], n
 
     batch = jax.jit(jax.vmap(run))
     return lambda bearings: np.asarray(batch(jnp.asarray(bearings)))
+
+
+FLAGS = ("-O3", "-march=native", "-ffast-math", "-fPIC", "-shared", "-std=c++17")
+
+
+class Limit:
+    """The filter, a whole run in one call."""
+
+    def __init__(self) -> None:
+        source = Path(__file__).with_name("limit.cpp")
+        compiler = shlex.split(os.environ.get("CXX", "c++"))
+        with tempfile.TemporaryDirectory() as folder:
+            library = Path(folder) / "limit.so"
+            subprocess.run([*compiler, *FLAGS, "-o", str(library), str(source)], check=True)
+            self.function = ctypes.CDLL(str(library)).limit
+
+    def run(self, scene: Scene) -> np.ndarray:
+        numbers = np.array(
+            [DT, GUARD**2, *INPUT_VARIANCE, WALK, BEARING_VARIANCE, *scene.stored], float
+        )
+        x, P = scene.state.copy(), scene.covariance.copy()
+        track = np.zeros((scene.steps, x.size))
+        arrays = [numbers, scene.control, scene.bearings, scene.mask, x, P, track]
+        first, *rest = (ctypes.c_void_p(a.ctypes.data) for a in arrays)
+        self.function(first, ctypes.c_int64(scene.steps), *rest)
+        return track

@@ -1,9 +1,7 @@
-"""The EKF in plain NumPy, as one would write it: Jacobians by hand, stage by stage, full matrices.
+"""The EKF in idiomatic plain NumPy: manual Jacobians, stage by stage, full matrices.
 
-FilterPy and Stone Soup are given `step`, too, so that they differ in their own work alone.
+FilterPy and Stone Soup use `step`, too, so that only their own work differs.
 """
-
-from __future__ import annotations
 
 import numpy as np
 
@@ -59,7 +57,7 @@ def step(
 
 
 class PlainFilter:
-    """The filter, one `step` a sample."""
+    """The filter, one `step` per sample."""
 
     def __init__(self, scene: Scene, parameters: bool = False) -> None:
         self.stored, self.parameters, n = scene.stored, parameters, scene.state.size
@@ -71,7 +69,6 @@ class PlainFilter:
         self.Q, self.walk, self.eye = np.diag(INPUT_VARIANCE), WALK * np.eye(n), np.eye(n)
 
     def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
-        """Predict and update."""
         self.x, G, B = step(self.x, u, self.stored, self.parameters)
         self.P = G @ self.P @ G.T + B @ self.Q @ B.T + self.walk
         rows = 3 + np.flatnonzero(mask)
@@ -83,7 +80,7 @@ class PlainFilter:
 
 
 def process_noise(scene: Scene, track: np.ndarray) -> np.ndarray:
-    """Return Gu Q Gu' and the walk of every sample, from the estimates before it."""
+    """Return Gu Q Gu' and the random walk of each sample, from the estimates before it."""
     noise = np.zeros((scene.steps, 10, 10))
     before = np.vstack([scene.state, track[:-1]])
     for k in range(scene.steps):

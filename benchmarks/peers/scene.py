@@ -1,6 +1,4 @@
-"""The one problem that homeward and its peers are timed on, and homeward's answer to it."""
-
-from __future__ import annotations
+"""The problem on which homeward and its peers are timed."""
 
 from dataclasses import dataclass
 
@@ -12,44 +10,35 @@ from homeward.lab.filters.ekf import ExtendedKalmanFilter, augmented_ekf
 DT = 0.05
 GUARD = 0.01
 INPUT_VARIANCE = np.array([0.01**2, 0.02**2])
-WALK = 1e-6
-"""Added to the variance of every state at every sample."""
+WALK = 1e-6  # added to the variance of every state at every sample
 BEARING_VARIANCE = 0.02**2
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A recorded run: what the robot commanded and saw, with q landmarks all known from the start.
+    """A recorded run: commands and bearings of q landmarks, all known from the start.
 
-    Bearings are not wrapped, so that a peer may take plain differences.
+    Bearings are not wrapped, so that peers may use plain differences.
     """
 
-    stored: np.ndarray
-    """(q,) [rad]"""
-    state: np.ndarray
-    """(3 + q,), the first estimate."""
-    covariance: np.ndarray
-    """(3 + q, 3 + q)"""
-    control: np.ndarray
-    """(steps, 2)"""
-    bearings: np.ndarray
-    """(steps, q) [rad]"""
-    mask: np.ndarray
-    """(steps, q), 1 where seen; the same number of landmarks at every sample."""
+    stored: np.ndarray  # (q,) [rad]
+    state: np.ndarray  # (3 + q,), the first estimate
+    covariance: np.ndarray  # (3 + q, 3 + q)
+    control: np.ndarray  # (steps, 2)
+    bearings: np.ndarray  # (steps, q) [rad]
+    mask: np.ndarray  # (steps, q), 1 where seen; the same number of landmarks in every sample
 
     @property
     def steps(self) -> int:
-        """Samples."""
         return len(self.control)
 
     @property
     def q(self) -> int:
-        """Landmarks."""
         return self.stored.size
 
 
 def make_scene(steps: int, q: int = 7, seen: int = 5, seed: int = 1) -> Scene:
-    """Return a run on a weaving path some way off home, `seen` of q landmarks in sight."""
+    """Return a run on a weaving path away from home, with `seen` of q landmarks in view."""
     rng = np.random.default_rng(seed)
     angles = 2 * np.pi * np.arange(q) / q + rng.uniform(-0.3, 0.3, q) * 7 / q
     landmarks = rng.uniform(1, 2, q)[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
@@ -80,7 +69,6 @@ def _look(pose: np.ndarray, landmarks: np.ndarray) -> np.ndarray:
 
 
 def given(scene: Scene, kind: ExtendedKalmanFilter) -> dict[str, object]:
-    """Return what homeward's filter is given at the start."""
     n, known = kind.model.n, 3 + scene.q
     state, covariance = np.zeros(n), np.zeros((n, n))
     state[:known], state[known:] = scene.state, scene.stored[list(kind.model.estimated)]
@@ -101,10 +89,8 @@ def given(scene: Scene, kind: ExtendedKalmanFilter) -> dict[str, object]:
 
 
 def series(scene: Scene) -> dict[str, np.ndarray]:
-    """Return what changes from sample to sample."""
     return {"control": scene.control, "bearings": scene.bearings, "mask": scene.mask}
 
 
 def every_parameter(q: int) -> ExtendedKalmanFilter:
-    """Return the A-EKF that estimates every home bearing."""
     return augmented_ekf(q, guard=GUARD)

@@ -1,1 +1,1 @@
-"""Places that last: thirty days in a warehouse, and what robots make of each other's places."""
+"""Places: thirty days in a warehouse, and places shared between robots."""

@@ -1,17 +1,14 @@
-"""Places that last: thirty days in a warehouse, and robots that use each other's places.
+"""Places: thirty days in a warehouse, and robots that share places.
 
-`python -m benchmarks.places [--days 30] [--seeds 3] [--quick] [--save FILE]` drives each day
-through a warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % go and
-as many come; beside the place: no memory (home's bearings stored anew each morning), home's
-bearings of the first day alone, resection of each look on all that was seen last, and on what of it
-a persistence filter believes. `--real` is MRCLAM set 6: the place that one robot made serves the
-others. Nothing is tuned to it; data as in `benchmarks.mrclam`. `--large` is ten places of 500
-landmarks, and a year of daily visits.
+`python -m benchmarks.places [--days 30] [--seeds 3] [--save FILE]` drives each day through a
+warehouse of 20 by 12 m with 40 landmarks, of which each night 10 % are moved, 5 % are removed and
+as many are added. The place is compared with no memory (home bearings stored again each morning),
+with the home bearings of the first day, and with resection of each frame on all landmarks seen
+last, or on those that a persistence filter accepts. `--real` is MRCLAM set 6: `--makers` make
+places that the other `--robots` use. Nothing is tuned to it; data as in `benchmarks.mrclam`.
+`--large` is ten places of 500 landmarks, and a year of daily visits.
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import json
 import math
@@ -21,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from benchmarks.mrclam import HOME as MRCLAM_HOME
 from benchmarks.mrclam import data
 from benchmarks.places.large import large, year
@@ -38,24 +36,22 @@ from homeward.places.visiting import first_place, merged
 from homeward.runs.scoring import errors, statistics
 from homeward.track import Track, run
 
-OUTSIDE = 20.0
-"""A pose farther off than the hall is long counts as so far off [m]."""
+OUTSIDE = 20.0  # maximum error that counts, the length of the hall [m]
 Look = Callable[[float, dict[str, float]], np.ndarray | None]
-"""Returns the pose (3,) by what is seen at a time [s] of a drive."""
-HOW = ("place", "no memory", "first day's home", "believes all", "persistence filter")
+"""Pose (3,) from the bearings at a time [s] of a drive."""
+HOW = ("place", "no memory", "first day's home", "resection", "persistence filter")
 
 
 @dataclass
 class Day:
-    """One drive."""
+    """Time of the first pose, RMSE [m] and availability of one drive."""
 
     first_s: float
     rmse: float
     pose_share: float
 
 
-def judged(track: Track, drive: Drive, after_s: float = 0.0) -> Day:
-    """Return when the first pose came, the RMSE after some time, and how long there was a pose."""
+def evaluated(track: Track, drive: Drive, after_s: float = 0.0) -> Day:
     first = track.t[track.has_pose][0] - track.t[0] if track.has_pose.any() else math.inf
     e = errors(track, drive.truth)
     late = e.t > track.t[0] + after_s
@@ -64,24 +60,24 @@ def judged(track: Track, drive: Drive, after_s: float = 0.0) -> Day:
 
 
 def visit(drive: Drive, place: Place | None, when: float) -> tuple[Track, Place]:
-    """Run a drive in a place, or without one; return what came out, and the place after it."""
+    """Run a drive in a place, or without one; return its track, and the place after it."""
     there = drive if place is None else place.visited_by(drive, when)
     localizer = Localizer(there.home, known=there.known, **there.settings.robot)
     track = run(there, localizer)
-    told = collect_visit(localizer, there, track, when)
-    after = first_place("place", localizer, told) if place is None else merged(place, told)
+    data = collect_visit(localizer, there, track, when)
+    after = first_place("place", localizer, data) if place is None else merged(place, data)
     return track, after
 
 
 def memories(known: KnownLandmarks, changes: float) -> dict[str, Look]:
-    """Return how frames are resected on what was seen last, `changes` going in a day."""
+    """Return the resections on landmarks seen last; a share of `changes` goes per day."""
     survey = {n: (m.x, m.y) for n, m in known.landmarks.items()}
     naive, filtered = Resection(survey), PersistentResection(survey, changes, BEARING_SIGMA)
-    return {"believes all": lambda _, seen: naive.look(seen), "persistence filter": filtered.look}
+    return {"resection": lambda _, seen: naive.look(seen), "persistence filter": filtered.look}
 
 
 def resected(drive: Drive, look: Look) -> Day:
-    """Return what a memory is worth by which each look, at its time, is resected alone."""
+    """Return the figures of a drive whose frames are resected one by one."""
     first, off, frames = math.inf, [], 0
     for t, seen, _ in drive.sightings.stamps():
         frames += 1
@@ -92,8 +88,7 @@ def resected(drive: Drive, look: Look) -> Day:
     return Day(first, float(np.sqrt(np.mean(np.square(off)))), len(off) / frames)
 
 
-def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
-    """Return the figures of each day."""
+def days(seed: int, number: int) -> list[dict[str, object]]:
     hall, rows, place = Warehouse(seed), [], None
     first_home, last_known, bound = {}, dict[str, tuple[float, float]](), math.nan
     for day in range(number):
@@ -104,20 +99,18 @@ def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
         bound = bound if day else home_bound(drive, hall)
         before = place
         track, place = visit(drive, place, float(day))
-        row["place"] = dataclasses.asdict(judged(track, drive))
-        if others:
-            fresh = run(drive, Localizer(drive.home, **drive.settings.robot)) if day else track
-            row["no memory"] = dataclasses.asdict(judged(fresh, drive))
-            after_s = max(row[how]["first_s"] for how in ("place", "no memory"))
-            row["both"] = [judged(t, drive, after_s).rmse for t in (track, fresh)]
-            first_home = first_home or drive.home
-            old = run(drive, Localizer(first_home, **drive.settings.robot)) if day else track
-            row["first day's home"] = dataclasses.asdict(judged(old, drive))
-            if before is not None:
-                changes = hall.moved_share + hall.gone_share
-                for how, look in memories(before.known(float(day)), changes).items():
-                    row[how] = dataclasses.asdict(resected(drive, look))
+        row["place"] = dataclasses.asdict(evaluated(track, drive))
+        fresh = run(drive, Localizer(drive.home, **drive.settings.robot)) if day else track
+        row["no memory"] = dataclasses.asdict(evaluated(fresh, drive))
+        after_s = max(row[how]["first_s"] for how in ("place", "no memory"))
+        row["both"] = [evaluated(t, drive, after_s).rmse for t in (track, fresh)]
+        first_home = first_home or drive.home
+        old = run(drive, Localizer(first_home, **drive.settings.robot)) if day else track
+        row["first day's home"] = dataclasses.asdict(evaluated(old, drive))
         if before is not None:
+            changes = hall.moved_share + hall.gone_share
+            for how, look in memories(before.known(float(day)), changes).items():
+                row[how] = dataclasses.asdict(resected(drive, look))
             number_of = place.visits[-1].number
             named = {e.landmark for e in place.events if e.visit == number_of and e.what == "moved"}
             seen = set(drive.sightings.landmark.tolist())
@@ -128,17 +121,14 @@ def days(seed: int, number: int, others: bool) -> list[dict[str, object]]:
             last_known[name] = hall.places[name]
         row["home_sigma"] = place.home_sigma("home", float(day))
         row["home_error"], row["home_bound"] = home_error(place, hall), bound
-        row["landmarks"], row["verdict"] = len(place.map.names), place.visits[-1].verdict
+        row["landmarks"], row["outcome"] = len(place.map.names), place.visits[-1].verdict
         rows.append(row)
-        tell(seed, row)
+        print_day(seed, row)
     return rows
 
 
 def home_bound(drive: Drive, hall: Warehouse) -> float:
-    """Return how well home can be known at best, by its one look at what stands exactly known [m].
-
-    It is the Cramer-Rao bound of the RMS error, and nothing that is seen later makes it smaller.
-    """
+    """Return the Cramer-Rao bound of home's RMS error, from its one frame and an exact map [m]."""
     there = np.array([between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in drive.home])
     square = (there**2).sum(axis=1)
     ones = np.ones(len(there))
@@ -148,7 +138,7 @@ def home_bound(drive: Drive, hall: Warehouse) -> float:
 
 
 def home_error(place: Place, hall: Warehouse) -> float:
-    """Return how far home is off for one who sees what stands, the map laid onto the truth [m]."""
+    """Return the error of home after alignment of the static landmarks with ground truth [m]."""
     now = place.visits[-1].when
     fresh = [n for n in place.map.names if place.persistence[n].last == now and n in hall.places]
     fresh = [n for n in fresh if place.persistence[n].stands > 0.5]
@@ -165,18 +155,16 @@ def home_error(place: Place, hall: Warehouse) -> float:
     return float(abs(q0 - turn / abs(turn) * p0))
 
 
-def tell(seed: int, row: dict[str, object]) -> None:
-    """Print a day in a line."""
+def print_day(seed: int, row: dict[str, object]) -> None:
     parts = [f"seed {seed} day {row['day']:2d}"]
     parts += [f"{h} {row[h]['first_s']:.1f} s {row[h]['rmse']:.3f} m" for h in HOW if h in row]
     parts.append(f"home {row['home_error']:.3f} +- {row['home_sigma']:.3f}")
-    parts.append(f"{row['landmarks']} landmarks {row['verdict']} {row.get('moved', '')}")
+    parts.append(f"{row['landmarks']} landmarks {row['outcome']} {row.get('moved', '')}")
     print(" | ".join(parts), flush=True)
 
 
 def table(rows: list[dict[str, object]]) -> None:
-    """Print what came of all days but the first."""
-    print("| | first pose, median, worst [s] | RMSE, median, worst day [m] | days with a pose |")
+    print("| | first pose: median, worst [s] | RMSE: median, worst day [m] | days with a pose |")
     print("|---" * 4 + "|")
     later = [row for row in rows if row["day"]]
     for how in HOW:
@@ -193,28 +181,27 @@ def table(rows: list[dict[str, object]]) -> None:
         )
     right, false, missed = np.sum([row["moved"] for row in later], axis=0)
     print(
-        f"moved since they were seen last: precision {right / (right + false):.3f}, "
-        f"recall {right / (right + missed):.3f} ({right} named, {false} falsely, {missed} not)"
+        f"moved since they were seen last: precision {right / (right + false):.3f}, recall "
+        f"{right / (right + missed):.3f} ({right} detected, {false} falsely, {missed} missed)"
     )
     last = max(row["day"] for row in rows)
     ends = [row for row in rows if row["day"] == last]
     print(
-        f"home on day {last}: off by "
+        f"error of home on day {last}: "
         + ", ".join(
             f"{row['home_error']:.3f} m (sigma {row['home_sigma']:.3f}, bound of the RMS "
             f"{row['home_bound']:.3f})"
             for row in ends
         )
     )
-    if "no memory" in rows[-1]:
-        worse = [f"day {r['day']}" for r in later if r["place"]["rmse"] > r["no memory"]["rmse"]]
-        print(f"days on which the place is worse than a fresh map: {', '.join(worse) or 'none'}")
-        worse = [f"day {row['day']}" for row in later if row["both"][0] > row["both"][1]]
-        print(f"... over the time in which both have a pose: {', '.join(worse) or 'none'}")
+    worse = [f"day {r['day']}" for r in later if r["place"]["rmse"] > r["no memory"]["rmse"]]
+    print(f"days on which the place is worse than a new map: {', '.join(worse) or 'none'}")
+    worse = [f"day {row['day']}" for row in later if row["both"][0] > row["both"][1]]
+    print(f"... over the time in which both have a pose: {', '.join(worse) or 'none'}")
 
 
 def real(makers: Iterable[int], robots: Iterable[int]) -> None:
-    """Print what the place of one robot is to others, in MRCLAM set 6."""
+    """Print the figures of robots in the place of another one, in MRCLAM set 6."""
     drives = {
         r: read_mrclam(data() / "MRCLAM_Dataset6", r, MRCLAM_HOME, math.radians(0.5), 0)
         for r in {*robots, *makers}
@@ -224,7 +211,7 @@ def real(makers: Iterable[int], robots: Iterable[int]) -> None:
         alone[r] = visit(drive, None, 0.0)
     print(
         "| place of | robot | five seen after [s] | first pose: in the place, alone [s] "
-        "| RMSE: in the place, alone [m] | the same from 300 s on [m] | verdict |"
+        "| RMSE: in the place, alone [m] | the same from 300 s on [m] | outcome |"
     )
     print("|---" * 7 + "|")
     for maker in makers:
@@ -233,13 +220,13 @@ def real(makers: Iterable[int], robots: Iterable[int]) -> None:
                 continue
             drive, place = drives[r], alone[maker][1]
             track, after = visit(drive, place, 1.0)
-            now, was = judged(track, drive), judged(alone[r][0], drive)
+            now, was = evaluated(track, drive), evaluated(alone[r][0], drive)
             both = np.intersect1d(  # where both have a pose
                 track.t[track.has_pose], alone[r][0].t[alone[r][0].has_pose]
             )[0]
             after_s = float(both - track.t[0])
-            there, by_itself = (judged(t, drive, after_s).rmse for t in (track, alone[r][0]))
-            late = [judged(t, drive, 300.0).rmse for t in (track, alone[r][0])]
+            there, by_itself = (evaluated(t, drive, after_s).rmse for t in (track, alone[r][0]))
+            late = [evaluated(t, drive, 300.0).rmse for t in (track, alone[r][0])]
             print(
                 f"| {maker} | {r} | {five_seen(drive, place):.0f} "
                 f"| {now.first_s:.0f}, {was.first_s:.0f} | {there:.3f}, {by_itself:.3f} "
@@ -249,7 +236,6 @@ def real(makers: Iterable[int], robots: Iterable[int]) -> None:
 
 
 def five_seen(drive: Drive, place: Place) -> float:
-    """Return when five landmarks of a place were seen [s]."""
     seen: set[str] = set()
     for t, look, _ in drive.sightings.stamps():
         seen |= {n for n in look if n in place.persistence}
@@ -259,17 +245,16 @@ def five_seen(drive: Drive, place: Place) -> float:
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--days", type=int, default=30)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--quick", action="store_true", help="six days, one seed, the place alone")
-    parser.add_argument("--save", type=Path, help="write the figures of all days as JSON")
-    parser.add_argument("--real", action="store_true")
-    parser.add_argument("--large", action="store_true", help="ten of 500 landmarks; a year of one")
-    parser.add_argument("--makers", type=int, nargs="*", default=[1, 3])
-    parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
-    options = parser.parse_args()
+    options = monte_carlo.parsed(
+        __doc__,
+        days=30,
+        seeds=3,
+        save=Path,
+        real=False,
+        large=False,
+        makers=[1, 3],
+        robots=[1, 2, 3, 4, 5],
+    )
     if options.real:
         real(options.makers, options.robots)
         return
@@ -277,8 +262,7 @@ def main() -> None:
         large()
         year()
         return
-    number, seeds = (6, 1) if options.quick else (options.days, options.seeds)
-    rows = [row for seed in range(seeds) for row in days(seed, number, not options.quick)]
+    rows = [row for seed in range(options.seeds) for row in days(seed, options.days)]
     table(rows)
     if options.save:
         options.save.write_text(json.dumps(rows), encoding="utf-8")

@@ -1,10 +1,8 @@
-"""Large places and long ones: ten of 500 landmarks, and a year of daily visits.
+"""Large places: ten with 500 landmarks, and a year of daily visits.
 
-The places are made, not driven: maps as a robot makes them, each landmark off by 3 cm, all by a
-scale of 1 %. What drives in them afterwards is simulated as everywhere.
+The maps are synthetic: each landmark has an error of 3 cm, and all a scale error of 1 %. The drives
+in these places are simulated.
 """
-
-from __future__ import annotations
 
 import math
 import tempfile
@@ -16,17 +14,7 @@ import numpy as np
 
 from benchmarks.places.warehouse import BEARING_SIGMA
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.lab.simulation.scenario import (
-    Listed,
-    Noise,
-    OdometryErrors,
-    Rates,
-    Room,
-    Scenario,
-    StartPose,
-    Visibility,
-    Waypoints,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import simulate
 from homeward.localizer.localizer import Localizer
 from homeward.places.files import load_place, save_place
@@ -36,25 +24,21 @@ from homeward.places.place import Place, StoredHome, Visit
 from homeward.places.visit_data import Frames, VisitData
 from homeward.places.visiting import merged
 
-HALL = 60.0, 40.0
-"""[m]"""
+HALL = 60.0, 40.0  # [m]
 NUMBER, COUNT = 10, 500
 SIGMA, SCALE_SIGMA = 0.03, 0.01
-REACH = 10.0
-"""Of the camera [m]."""
+REACH = 10.0  # range of the camera [m]
 Places = dict[str, tuple[float, float]]
-HOME = StoredHome(0.0, {f"P{i}": HomeBearing(0.1) for i in range(6)})
-"""Its bearings are not used."""
+HOME = StoredHome(0.0, {f"P{i}": HomeBearing(0.1) for i in range(6)})  # its bearings are not used
 
 
-def goods(rng: np.random.Generator, count: int, size: tuple[float, float]) -> Places:
-    """Return where goods stand in a hall, home in its corner."""
+def random_places(rng: np.random.Generator, count: int, size: tuple[float, float]) -> Places:
+    """Return the positions of landmarks in a hall; home is in its corner."""
     xy = rng.uniform((0.0, 0.0), size, (count, 2))
     return {f"P{i}": (float(x), float(y)) for i, (x, y) in enumerate(xy)}
 
 
 def mapped(places: Mapping[str, tuple[float, float]], rng: np.random.Generator) -> JointMap:
-    """Return a map of goods as a robot makes one."""
     truth = np.array(list(places.values())) * (1.0 + SCALE_SIGMA * rng.normal())
     mean = (truth + SIGMA * rng.normal(size=truth.shape)).ravel()
     covariance = SIGMA**2 * np.eye(mean.size) + SCALE_SIGMA**2 * np.outer(truth, truth)
@@ -62,7 +46,6 @@ def mapped(places: Mapping[str, tuple[float, float]], rng: np.random.Generator) 
 
 
 def made(name: str, places: Places, rng: np.random.Generator) -> Place:
-    """Return a place after its first visit."""
     home = np.zeros(3), np.diag([1e-4, 1e-4, 1e-5])
     there = mapped(places, rng).with_home("home", {}, (0.0, 0.0, 0.0), *home).at_home("home")
     visit = Visit(1, 0.0, "first", rng.bytes(8).hex(), "first", new=len(places), of=len(places))
@@ -71,30 +54,30 @@ def made(name: str, places: Places, rng: np.random.Generator) -> Place:
 
 
 def kidnapped(places: Places, seed: int) -> Drive:
-    """Return the drive of a robot that was put into a hall of these goods by night."""
+    """Return the drive of a robot that starts anywhere in a hall."""
     rng = np.random.default_rng([seed, 1])
     x, y = rng.uniform((10.0, 10.0), np.array(HALL) - 10.0)
     ahead = rng.uniform(-math.pi, math.pi)
     there = (x + 8.0 * math.cos(ahead), y + 8.0 * math.sin(ahead))
-    scenario = Scenario(
+    scenario = sim.Scenario(
         name="kidnapped",
         seed=seed,
-        room=Room(bounds=(-1.0, -1.0, HALL[0] + 1.0, HALL[1] + 1.0)),
-        landmarks=Listed(at=places),
-        visibility=Visibility(probability=0.9, field_of_view=math.tau, range=(0.3, REACH)),
-        noise=Noise(bearing_sigma=BEARING_SIGMA),
-        rates=Rates(odometry=10.0, bearings=5.0, truth=10.0),
-        odometry=OdometryErrors(speed_sigma=0.005, turn_sigma=0.005),
-        start=StartPose(x=x, y=y, heading=ahead, prior=False),
-        trajectory=Waypoints(speed=0.4, points=(there,), duration=20.0),
+        room=sim.Room(bounds=(-1.0, -1.0, HALL[0] + 1.0, HALL[1] + 1.0)),
+        landmarks=sim.Listed(at=places),
+        visibility=sim.Visibility(probability=0.9, field_of_view=math.tau, range=(0.3, REACH)),
+        noise=sim.Noise(bearing_sigma=BEARING_SIGMA),
+        rates=sim.Rates(odometry=10.0, bearings=5.0, truth=10.0),
+        odometry=sim.OdometryErrors(speed_sigma=0.005, turn_sigma=0.005),
+        start=sim.StartPose(x=x, y=y, heading=ahead, prior=False),
+        trajectory=sim.Waypoints(speed=0.4, points=(there,), duration=20.0),
     )
     return simulate(scenario).drive
 
 
 def relocated(drive: Drive, place: Place) -> tuple[float, float, float]:
-    """Return when a robot knows where it is in a place, of its time and ours [s]; how far off [m].
+    """Return driving and computing time until the first pose in a place [s], and its error [m].
 
-    Infinity and NaN where it does not.
+    Infinity and NaN if there is none.
     """
     began, twists = time.perf_counter(), drive.odometry
     there = place.visited_by(drive, 1.0)
@@ -112,8 +95,7 @@ def relocated(drive: Drive, place: Place) -> tuple[float, float, float]:
 
 
 def large() -> None:
-    """Print how long ten places of 500 landmarks take."""
-    halls = [goods(np.random.default_rng(i), COUNT, HALL) for i in range(NUMBER)]
+    halls = [random_places(np.random.default_rng(i), COUNT, HALL) for i in range(NUMBER)]
     places = [made(f"hall {i}", h, np.random.default_rng([i, 2])) for i, h in enumerate(halls)]
     with tempfile.TemporaryDirectory() as scratch:
         began = time.perf_counter()
@@ -127,18 +109,18 @@ def large() -> None:
         f"{NUMBER} places of {COUNT} landmarks, {size / NUMBER / 1e6:.1f} MB each: "
         f"saved in {saved - began:.1f} s, loaded in {loaded - saved:.1f} s"
     )
-    for where, of in (("where it is", 0), ("in another one", 1)):
+    for where, of in (("its place", 0), ("another place", 1)):
         rows = np.array([relocated(kidnapped(halls[i], i), places[i - of]) for i in range(NUMBER)])
         found = np.isfinite(rows[:, 0])
-        print(f"a robot told that it is {where}: {found.sum()} of {NUMBER} with a pose", end="")
+        print(f"a robot with the map of {where}: {found.sum()} of {NUMBER} with a pose", end="")
         if found.any():
             first, _, off = rows[found].T
             print(
                 f", after {np.median(first):.1f} s of driving (worst {first.max():.1f}), "
-                f"{off.max():.2f} m off at most",
+                f"error at most {off.max():.2f} m",
                 end="",
             )
-        print(f"; {np.median(rows[:, 1]):.1f} s of computing (worst {rows[:, 1].max():.1f})")
+        print(f"; runtime {np.median(rows[:, 1]):.1f} s (worst {rows[:, 1].max():.1f})")
     some = {n: p for n, p in halls[0].items() if p[0] < 0.4 * HALL[0]}
     began = time.perf_counter()
     merged(places[0], VisitData("a drive", "0", 1.0, mapped(some, np.random.default_rng(3))))
@@ -146,9 +128,9 @@ def large() -> None:
 
 
 def year(days: int = 365) -> None:
-    """Print what a place is after a year of daily visits: 40 goods, 3 of which go a day."""
+    """Print the size of a place over a year: 40 landmarks, 3 of which are replaced per day."""
     rng, size = np.random.default_rng(0), (20.0, 12.0)
-    standing, number = goods(rng, 40, size), 40
+    standing, number = random_places(rng, 40, size), 40
     place, began = made("hall", standing, rng), time.perf_counter()
     with tempfile.TemporaryDirectory() as scratch:
         for day in range(1, days + 1):
@@ -159,17 +141,16 @@ def year(days: int = 365) -> None:
             eyes = np.array([(x, y, 0.0) for x in (3.0, 10.0, 17.0) for y in (3.0, 9.0)] * 20)
             near = [[n for n, p in standing.items() if math.dist(p, eye[:2]) < 6.0] for eye in eyes]
             frames = Frames(eyes, near, None)
-            told = VisitData(
-                "a drive", rng.bytes(8).hex(), float(day), mapped(standing, rng), frames
-            )
-            place = merged(place, told)
+            digest, there = rng.bytes(8).hex(), mapped(standing, rng)
+            place = merged(place, VisitData("a drive", digest, float(day), there, frames))
             if day in (30, days // 2, days):
                 folder = Path(scratch, str(day))
                 save_place(place, folder)
                 held = sum(p.stat().st_size for p in folder.glob("**/*"))
                 print(
                     f"day {day}: {len(place.persistence)} landmarks, {len(place.visits)} visits, "
-                    f"{held / 1e3:.0f} kB on disk, home known to "
+                    f"{held / 1e3:.0f} kB on disk, sigma of home "
                     f"{place.home_sigma('home', float(day)):.3f} m"
                 )
-    print(f"{number} goods came and went; {(time.perf_counter() - began) / days:.2f} s a visit")
+    seconds = (time.perf_counter() - began) / days
+    print(f"{number} landmarks in total; {seconds:.2f} s per visit")

@@ -1,6 +1,4 @@
-"""A warehouse of 20 by 12 m over many days: goods are moved, go and come each night."""
-
-from __future__ import annotations
+"""A warehouse of 20 by 12 m over many days: landmarks are moved, removed and added each night."""
 
 import math
 from dataclasses import dataclass, field
@@ -8,23 +6,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.lab.simulation.scenario import (
-    Listed,
-    Noise,
-    OdometryErrors,
-    Rates,
-    Repeat,
-    Room,
-    RoomPose,
-    Scenario,
-    StartPose,
-    Teach,
-    Visibility,
-    Waypoints,
-)
+from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import simulate
 
-ROOM = Room(
+ROOM = sim.Room(
     bounds=(0.0, 0.0, 20.0, 12.0),
     shelves=(
         (3.0, 3.0, 8.5, 3.8),
@@ -33,27 +18,24 @@ ROOM = Room(
         (11.5, 8.2, 17.0, 9.0),
     ),
 )
-HOME = RoomPose(x=4.5, y=6.0, heading=0.3)
+HOME = sim.RoomPose(x=4.5, y=6.0, heading=0.3)
 ROUND = ((18.5, 1.5), (18.5, 6.0), (10.0, 6.0), (10.0, 10.5), (1.5, 10.5), (1.5, 6.0), (10.0, 1.5))
-"""Ways round the shelves, begun anywhere, in either direction."""
+"""Waypoints round the shelves, from any of them, in either direction."""
 BEARING_SIGMA = math.radians(0.5)
-APART, AISLE = 0.4, 0.7
-"""Goods stand so far from each other, and from the line that is driven [m]."""
-PUSHED = (0.3, 2.0)
-"""Half of those that are moved are pushed so far; the others are put anywhere [m]."""
+APART, AISLE = 0.4, 0.7  # minimum distance between landmarks, and from the driven line [m]
+PUSHED = (0.3, 2.0)  # shift of half of the moved landmarks; the others are put anywhere [m]
 
 
 @dataclass
 class Warehouse:
-    """Where goods stand, day by day; a seed is all that there is to choose."""
+    """Positions of landmarks, day by day, from a seed."""
 
     seed: int
     count: int = 40
     moved_share: float = 0.1
     gone_share: float = 0.05
     places: dict[str, tuple[float, float]] = field(default_factory=dict)
-    moved: set[str] = field(default_factory=set)
-    """Since the day before."""
+    moved: set[str] = field(default_factory=set)  # since the previous day
     gone: set[str] = field(default_factory=set)
     day: int = 0
 
@@ -64,7 +46,7 @@ class Warehouse:
             self._put_new()
 
     def night(self) -> None:
-        """Let it become the next day: some moved, some gone, as many new."""
+        """Proceed to the next day: some landmarks moved, some gone, as many new."""
         rng, names = self._rng, sorted(self.places)
         change, going = round(self.moved_share * self.count), round(self.gone_share * self.count)
         picked = [str(n) for n in rng.choice(names, change + going, replace=False)]
@@ -78,34 +60,36 @@ class Warehouse:
         self.day += 1
 
     def drive(self) -> Drive:
-        """Return a drive of this day, begun somewhere; its home bearings are of this day, too."""
+        """Return a drive of this day from a random start; home bearings are of this day, too."""
         rng = np.random.default_rng([self.seed, self.day, 1])
         first, way = int(rng.integers(len(ROUND))), int(rng.choice([-1, 1]))
         points = [ROUND[(first + way * i) % len(ROUND)] for i in range(len(ROUND) + 1)]
         start = np.array(points[0]) + rng.uniform(-0.3, 0.3, 2)
         scenario = self.scenario(
-            StartPose(x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False),
-            Waypoints(speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0),
+            sim.StartPose(
+                x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False
+            ),
+            sim.Waypoints(speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0),
             1000 * self.seed + self.day,
         )
         return simulate(scenario).drive
 
     def scenario(
-        self, start: StartPose, trajectory: Waypoints | Teach | Repeat, seed: int
-    ) -> Scenario:
-        """Return what is driven on this day; its home bearings are of this day, too."""
-        return Scenario(
+        self, start: sim.StartPose, trajectory: sim.Waypoints | sim.Teach | sim.Repeat, seed: int
+    ) -> sim.Scenario:
+        """Return the scenario of a drive on this day; home bearings are of this day, too."""
+        return sim.Scenario(
             name=f"day {self.day}",
             seed=seed,
             room=ROOM,
             home=HOME,
-            landmarks=Listed(at=self.places),
-            visibility=Visibility(
+            landmarks=sim.Listed(at=self.places),
+            visibility=sim.Visibility(
                 probability=0.9, field_of_view=math.radians(240), range=(0.3, 8.0)
             ),
-            noise=Noise(bearing_sigma=BEARING_SIGMA, home_sigma=BEARING_SIGMA),
-            rates=Rates(odometry=10.0, bearings=5.0, truth=10.0),
-            odometry=OdometryErrors(
+            noise=sim.Noise(bearing_sigma=BEARING_SIGMA, home_sigma=BEARING_SIGMA),
+            rates=sim.Rates(odometry=10.0, bearings=5.0, truth=10.0),
+            odometry=sim.OdometryErrors(
                 speed_sigma=0.005,
                 turn_sigma=0.005,
                 speed_scale_sigma=0.005,
@@ -121,14 +105,12 @@ class Warehouse:
         self._next += 1
 
     def _free(self) -> tuple[float, float]:
-        """Return a place where there is room, anywhere."""
         while True:
             x, y = self._rng.uniform([0.0, 0.0], [20.0, 12.0])
             if self._is_free(float(x), float(y)):
                 return float(x), float(y)
 
     def _pushed(self, place: tuple[float, float]) -> tuple[float, float]:
-        """Return a place where there is room, not far from one."""
         for _ in range(1000):
             way, far = self._rng.uniform(-math.pi, math.pi), self._rng.uniform(*PUSHED)
             x, y = place[0] + far * math.cos(way), place[1] + far * math.sin(way)
@@ -148,6 +130,6 @@ class Warehouse:
 
 
 def _along(a: np.ndarray, b: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Return how far along segments the nearest point to (x, y) is [1]."""
+    """Return the share of each segment before the point nearest to (x, y)."""
     way = b - a
     return np.asarray((((x, y) - a) * way).sum(axis=1) / (way * way).sum(axis=1))

@@ -1,1 +1,1 @@
-"""Routes: taught once, and driven again after goods were moved."""
+"""Routes: taught once, and repeated after landmarks were moved."""

@@ -1,17 +1,14 @@
-"""Routes: how far off a repeat is from what was taught, after goods were moved.
+"""Routes: errors of a repeat relative to the taught route, after landmarks were moved.
 
-`python -m benchmarks.routes [--seeds 5] [--quick] [--save FILE]` teaches a route of 30 m with five
-way points once in the warehouse of `benchmarks.places`, on the first drive of a new place, then
-moves 0, 10, 30 and 50 % of its 40 landmarks (half of them by 0.3 to 2 m, half anywhere) and drives
-it again: steered by the localiser in the place; by odometry alone, from the true pose; and from
-home to home, one each 2 m, by the bearings of each alone: the paper's A-EKF with a right
-prior, and the law of Tron and Daniilidis with a right compass. And with the place, 30 % moved:
-pushed off by 1.5 m on the way, and begun elsewhere. Nothing is tuned to it.
+`python -m benchmarks.routes [--seeds 5] [--save FILE]` teaches a route of 30 m with five waypoints
+once in the warehouse of `benchmarks.places`, on the first drive of a new place. Then it moves 0,
+10, 30 and 50 % of the 40 landmarks (half of them by 0.3 to 2 m, half anywhere) and repeats the
+route: with the localiser in the place; with odometry only, from the true pose; and from home to
+home, one each 2 m, from their bearings only, with the paper's A-EKF (true prior) or the law of Tron
+and Daniilidis (true compass). With the place and 30 % moved, the robot is also pushed aside by
+1.5 m, or starts elsewhere. Nothing is tuned to it.
 """
 
-from __future__ import annotations
-
-import argparse
 import json
 import math
 import tempfile
@@ -20,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from benchmarks.places.warehouse import HOME, Warehouse
 from benchmarks.routes.rivals import DeadReckoning, from_home_to_home, homes_on_the_way
 from homeward.control.following import Path as Line
@@ -38,78 +36,69 @@ from homeward.registry import make_estimator
 from homeward.track import run
 
 POINTS = ((1.5, 10.5), (10.0, 10.5), (10.0, 6.0), (18.5, 6.0), (18.5, 1.5))
-"""In room coordinates [m]; the way begins at `BEGIN`."""
+"""In room coordinates [m]; the route starts at `BEGIN`."""
 BEGIN, ELSEWHERE = (1.5, 6.0), (6.0, 6.0)
-SPEED, DWELL_S, LONGEST_S = 0.4, 3.0, 300.0
+SPEED, DWELL_S, MAX_S = 0.4, 3.0, 300.0
 SHARES = (0.0, 0.1, 0.3, 0.5)
-PUSH = Push(at=84.0, y=1.5, turn=0.5)
-"""Half way, in the middle aisle."""
+PUSH = Push(at=84.0, y=1.5, turn=0.5)  # half way, in the middle aisle
 NEAR, STAYS, STAYS_M = 0.1, 0.25, 2.0
-"""One is on the route once so near to it, and within so much for the next metres [m]."""
-FOLLOW = ("place", "odometry")
-"""They follow the route; the others drive from home to home."""
+"""The robot is on the route if nearer than this, and nearer than this for the next metres [m]."""
+FOLLOW = ("place", "odometry")  # methods that follow the route; the others drive from home to home
 HOW = (*FOLLOW, "a-ekf", "tron")
 
 
 @dataclass
 class Figures:
-    """How far off one repeat was."""
+    """Errors of one repeat."""
 
-    rms: float
-    """Beside the way that was taught, by the truth [m]."""
+    rms: float  # distance from the taught path, in ground truth [m]
     worst: float
     at_stops: list[float]
-    """From where it stood at the way points when it was taught [m]; empty if it makes no stops, or
-    did not come to the end."""
-    done: float
-    """Share of the way that was driven; 1: the robot came to its end, as it thinks."""
-    entered_s: float = 0.0
-    """When it was on the route, first or again [s]."""
+    """Distance from the stops at the waypoints when taught [m]; empty without stops, or if the
+    robot did not reach the end."""
+    done: float  # driven share of the route; 1 if the robot reports the end
+    entered_s: float = 0.0  # time at which it was on the route, first or again [s]
 
 
 @dataclass
 class Lesson:
-    """A route as it was taught."""
+    """A taught route."""
 
     scenario: Scenario
-    truth: np.ndarray
-    """(n, 4): t [s] and pose in the home frame."""
+    truth: np.ndarray  # (n, 4): t [s] and pose in the home frame
     place: Place
 
     @property
     def line(self) -> Line:
-        """The way that was truly driven."""
         return Line(self.truth[:, 1:3])
 
     @property
     def stops(self) -> np.ndarray:
-        """(5, 2): where it truly stood at way points, the end among them [m]."""
+        """(5, 2): true positions at the waypoints, with the end [m]."""
         rows = [row for row, _ in stops(self.truth[:, 0], self.truth[:, 1:])]
         return self.truth[[*rows, -1], 1:3]
 
 
 def true_way(simulation: Simulation) -> np.ndarray:
-    """Return time and true pose, (n, 4)."""
     truth = simulation.drive.truth
     return np.column_stack([truth.t, truth.x, truth.y, truth.heading])
 
 
 def teach(seed: int) -> Lesson:
-    """Drive it by hand, once, in a new place."""
     hall = Warehouse(seed)
     start = StartPose(x=BEGIN[0], y=BEGIN[1], heading=math.pi / 2, prior=False)
-    by_hand = Teach(speed=SPEED, points=POINTS, dwell=DWELL_S, duration=LONGEST_S)
+    by_hand = Teach(speed=SPEED, points=POINTS, dwell=DWELL_S, duration=MAX_S)
     scenario = hall.scenario(start, by_hand, 1000 * seed)
     made = simulate(scenario)
     drive = made.drive
     localizer = Localizer(drive.home, **drive.settings.robot)
-    told = collect_visit(localizer, drive, run(drive, localizer), 0.0)
-    told = told.store_route("round", smooth(drive, localizer.settings))
-    return Lesson(scenario, true_way(made), first_place("hall", localizer, told))
+    data = collect_visit(localizer, drive, run(drive, localizer), 0.0)
+    data = data.store_route("round", smooth(drive, localizer.settings))
+    return Lesson(scenario, true_way(made), first_place("hall", localizer, data))
 
 
 def changed(seed: int, share: float) -> Warehouse:
-    """Return the hall of the same seed after a share of its goods was moved."""
+    """Return the hall of the same seed after a share of its landmarks was moved."""
     hall = Warehouse(seed, moved_share=share, gone_share=0.0)
     hall.night()
     return hall
@@ -118,17 +107,17 @@ def changed(seed: int, share: float) -> Warehouse:
 def again(
     seed: int, share: float, at: tuple[float, float], push: Push | None, place: str
 ) -> Scenario:
-    """Return the repeat of a day on which so many goods were moved, begun near a point."""
+    """Return the repeat after a share of the landmarks was moved, starting near a point."""
     rng = np.random.default_rng([seed, 7])
     x, y = np.array(at) + rng.uniform(-0.2, 0.2, 2)
     heading = math.pi / 2 + rng.uniform(-0.2, 0.2)
-    repeat = Repeat(place=place, route="round", speed=SPEED, duration=LONGEST_S, push=push)
+    repeat = Repeat(place=place, route="round", speed=SPEED, duration=MAX_S, push=push)
     start = StartPose(x=x, y=y, heading=heading, prior=False)
     return changed(seed, share).scenario(start, repeat, 1000 * seed + 1 + round(100 * share))
 
 
 def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) -> Figures:
-    """Return how far off a true way, (n, 4), was, once it was on the route, again after `since`."""
+    """Return the errors of a true path, (n, 4), while it is on the route, again after `since`."""
     t, off = way[:, 0], distance(lesson.line, way[:, 1:3])
     went = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way[:, 1:3], axis=0).T))])
     stays = np.array([(off[(went >= m) & (went < m + STAYS_M)] < STAYS).all() for m in went])
@@ -136,10 +125,10 @@ def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) ->
     first, again = (some[0] if some.size else len(way) for some in (on, on[t[on] > since]))
     row = np.arange(len(way))
     counted = off[(row >= again) | ((row >= first) & (t < since))]
-    stood = way[[*(row for row, _ in stops(t, way[:, 1:])), -1], 1:3]
-    # From the end backwards: one that began elsewhere has left out the first ones.
-    both = min(len(stood), len(lesson.stops)) if done == 1.0 else 0
-    misses = (stood[::-1][:both] - lesson.stops[::-1][:both])[::-1]
+    reached = way[[*(row for row, _ in stops(t, way[:, 1:])), -1], 1:3]
+    # From the end backwards: a robot that started elsewhere left out the first ones.
+    both = min(len(reached), len(lesson.stops)) if done == 1.0 else 0
+    misses = (reached[::-1][:both] - lesson.stops[::-1][:both])[::-1]
     return Figures(
         float(np.sqrt(np.mean(counted**2))) if counted.size else math.nan,
         float(counted.max()) if counted.size else math.nan,
@@ -150,7 +139,6 @@ def figures(lesson: Lesson, way: np.ndarray, done: float, since: float = 0.0) ->
 
 
 def distance(line: Line, points: np.ndarray) -> np.ndarray:
-    """Return how far points (m, 2) are from a line [m]."""
     a, b = line.points[:-1], line.points[1:]
     keep = np.hypot(*(b - a).T) > 0
     a, way = a[keep], (b - a)[keep]
@@ -162,7 +150,7 @@ def distance(line: Line, points: np.ndarray) -> np.ndarray:
 
 
 def driven_share(lesson: Lesson, way: np.ndarray) -> float:
-    """Return how much of the way lies behind the last place that was near it."""
+    """Return the share of the route before the last position near it."""
     near = way[distance(lesson.line, way[:, 1:3]) < 0.5]
     if not len(near):
         return 0.0
@@ -170,7 +158,7 @@ def driven_share(lesson: Lesson, way: np.ndarray) -> float:
 
 
 def drive_again(lesson: Lesson, scenario: Scenario, how: str) -> tuple[Figures, np.ndarray]:
-    """Repeat it in one way; return how far off it was, and the true way."""
+    """Repeat the route with a method; return the errors and the true path."""
     push = scenario.trajectory.push
     since = push.at if push else 0.0
     if how in FOLLOW:
@@ -185,28 +173,25 @@ def drive_again(lesson: Lesson, scenario: Scenario, how: str) -> tuple[Figures, 
         homes = homes_on_the_way(lesson.scenario, lesson.truth[:, 1:])
         way, done = from_home_to_home(scenario, homes, how)
     found = figures(lesson, way, done, since)
-    # Who drives from home to home makes no stops.
+    # Driving from home to home has no stops.
     return (found if how in FOLLOW else replace(found, at_stops=[])), way
 
 
-def one_seed(seed: int, shares: tuple[float, ...], others: bool) -> list[dict[str, object]]:
-    """Return the figures of one hall."""
+def one_seed(seed: int) -> list[dict[str, object]]:
     lesson, rows = teach(seed), []
     route = lesson.place.routes["round"].poses
     off = distance(lesson.line, route[:, :2])
-    print(f"seed {seed}: taught {len(route)} nodes, off by {np.sqrt(np.mean(off**2)):.3f} m RMS")
+    print(f"seed {seed}: taught {len(route)} nodes, RMSE {np.sqrt(np.mean(off**2)):.3f} m")
     with tempfile.TemporaryDirectory() as folder:
         save_place(lesson.place, Path(folder) / "hall")
         where = str(Path(folder) / "hall")
-        plans = [(f"{share:.0%} moved", share, BEGIN, None, how) for share in shares for how in HOW]
+        plans = [(f"{share:.0%} moved", share, BEGIN, None, how) for share in SHARES for how in HOW]
         plans += [("pushed off", 0.3, BEGIN, PUSH, "place")]
         plans += [("begun elsewhere", 0.3, ELSEWHERE, None, "place")]
         for case, share, at, push, how in plans:
-            if how != "place" and not others:
-                continue
             found, way = drive_again(lesson, again(seed, share, at, push, where), how)
             print(
-                f"  {case}, {how}: RMS {found.rms:.3f} m, worst {found.worst:.3f}, at way points "
+                f"  {case}, {how}: RMS {found.rms:.3f} m, worst {found.worst:.3f}, at waypoints "
                 f"{[round(m, 3) for m in found.at_stops]}, {found.done:.0%} driven, on it after "
                 f"{found.entered_s:.1f} s",
                 flush=True,
@@ -222,10 +207,9 @@ def one_seed(seed: int, shares: tuple[float, ...], others: bool) -> list[dict[st
 
 
 def table(rows: list[dict[str, object]]) -> None:
-    """Print what came of all halls."""
     print(
-        "| | | beside the way: RMS, median and worst hall, worst moment [m] "
-        "| at way points: median, worst [m] | on it after, median, worst [s] | came to the end |"
+        "| | | distance from the path: RMS of median and worst hall, maximum [m] "
+        "| at waypoints: median, worst [m] | on it after: median, worst [s] | reached the end |"
     )
     print("|---" * 6 + "|")
     for case, how in dict.fromkeys((r["case"], r["how"]) for r in rows if "how" in r):
@@ -242,14 +226,8 @@ def table(rows: list[dict[str, object]]) -> None:
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--quick", action="store_true", help="one seed, 30 %% moved, place alone")
-    parser.add_argument("--save", type=Path, help="write figures and ways as JSON")
-    options = parser.parse_args()
-    shares, seeds = ((0.3,), 1) if options.quick else (SHARES, options.seeds)
-    rows = [r for seed in range(seeds) for r in one_seed(seed, shares, not options.quick)]
+    options = monte_carlo.parsed(__doc__, seeds=5, save=Path)
+    rows = [row for seed in range(options.seeds) for row in one_seed(seed)]
     table(rows)
     if options.save:
         options.save.write_text(json.dumps(rows), encoding="utf-8")

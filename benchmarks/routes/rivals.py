@@ -1,6 +1,4 @@
-"""What a route is driven by otherwise: odometry alone, and from home to home by bearings."""
-
-from __future__ import annotations
+"""Alternatives for repeating a route: odometry only, and from home to home with bearings."""
 
 import dataclasses
 import math
@@ -24,17 +22,14 @@ from homeward.lab.simulation.world import build_world
 from homeward.odometry.validity import TWIST_VALIDITY_S
 from homeward.registry import make_estimator
 
-APART = 2.0
-"""Homes on the way are so far apart [m]."""
-FIXED = 3
-"""A home that sees fewer landmarks than fix a pose is none."""
-LEG_S = 60.0
-"""A home that is not reached so long after the one before is never reached [s]."""
+APART = 2.0  # distance between homes along the route [m]
+MIN_SEEN = 3  # minimum number of landmarks at a home
+LEG_S = 60.0  # maximum time from one home to the next [s]
 AGAIN = Homing(speed=0.4, stop_radius=0.1, landmark_distance=4.0, drives_unlocalised=True)
 
 
 class DeadReckoning:
-    """An estimator that believes odometry, and begins where the robot truly is."""
+    """An estimator that uses only odometry, from the true start."""
 
     name, notes = "odometry", ()
 
@@ -43,24 +38,20 @@ class DeadReckoning:
         self._t, self._pose, self._twist = 0.0, start, Twist(0.0, 0.0)
 
     def odometry(self, t: float, v: float, omega: float) -> None:
-        """Take a twist."""
         self._pose = self._at(t)
         self._t, self._twist = t, Twist(v, omega)
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> Estimate:
-        """Look away."""
         return self.estimate(t)
 
     def estimate(self, t: float) -> Estimate:
-        """Predict."""
         pose = self._at(t)
         pose = pose._replace(heading=wrap(pose.heading))
-        return Estimate(t, Status.LOCALISED, "believed", pose, np.zeros((3, 3)))
+        return Estimate(t, Status.LOCALISED, "dead reckoning", pose, np.zeros((3, 3)))
 
     def landmarks(self) -> list:
-        """Return nothing."""
         return []
 
     def _at(self, t: float) -> Pose:
@@ -68,90 +59,73 @@ class DeadReckoning:
 
 
 class StoredHome(NamedTuple):
-    """A home on the way: where it truly is, and what the camera saw there."""
+    """A home on the route: its true pose, and its bearings."""
 
     pose: Pose
     seen: dict[str, float]
 
 
 def homes_on_the_way(taught: Scenario, truth: np.ndarray) -> list[StoredHome]:
-    """Return homes along a true way, (n, 3), as a camera of the day of teaching saw them."""
+    """Return homes along a true path, (n, 3), as seen on the day of teaching."""
     camera = Camera(taught, build_world(taught))
     driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(truth[:, :2], axis=0).T))])
     number = max(round(driven[-1] / APART), 1)
-    # The last of rows as far along: where the robot stood and turned, as it left.
+    # Of several rows at one position, the last: as the robot left, after rotation on the spot.
     rows = np.searchsorted(driven, driven[-1] * np.arange(1, number + 1) / number, side="right") - 1
     poses = [Pose(*truth[i].tolist()) for i in rows.tolist()]
     homes = [StoredHome(pose, camera.look(pose)) for pose in poses]
-    return [home for home in homes if len(home.seen) >= FIXED]
+    return [home for home in homes if len(home.seen) >= MIN_SEEN]
 
 
 def from_home_to_home(
     scenario: Scenario, homes: list[StoredHome], by: str
 ) -> tuple[np.ndarray, float]:
-    """Drive from each home to the next, by nothing but what the camera saw there.
+    """Drive from each home to the next, using only its bearings.
 
-    The way from one home to the next is known as truly as it was taught, so that a filter begins
-    with the right prior.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Of the day of the repeat.
-    homes : list of StoredHome
-        Those on the way.
-    by : str
-        a-ekf, the paper's filter; or a law by bearings, with a compass that is right.
-
-    Returns
-    -------
-    ndarray, shape (n, 4)
-        Time [s] and true pose.
-    float
-        The share of homes that were reached.
+    `by` is a-ekf, the paper's filter with the true prior, or a law that uses bearings, with a true
+    compass. Returned are time [s] and true pose, (n, 4), and the share of reached homes.
     """
     robot, rows = LiveRobot(scenario), list[tuple[float, ...]]()
-    believed = robot.pose
+    start_pose = robot.pose
     for number, home in enumerate(homes):
-        leg = (_filtered if by == "a-ekf" else _faced)(robot, home, believed, by)
+        leg = (_filtered if by == "a-ekf" else _faced)(robot, home, start_pose, by)
         begun = robot.t
         while leg.drive():
             rows.append((robot.t, *robot.pose))
             if robot.t - begun > LEG_S:
                 return np.array(rows), number / len(homes)
-        believed = leg.end
+        start_pose = leg.end
     return np.array(rows), 1.0
 
 
 @dataclasses.dataclass
 class _Leg:
-    """The way to one home."""
+    """The drive to one home."""
 
     robot: LiveRobot
     home: StoredHome
     control: Control
-    end: Pose
-    """Where the robot believes it is."""
+    end: Pose  # estimated pose of the robot
 
-    def believes(self) -> Belief:
+    def belief(self) -> Belief:
         """Sense; return the estimate in the frame of home."""
         raise NotImplementedError
 
     def drive(self) -> bool:
         """Drive a step; return whether home is not reached yet."""
-        belief = self.believes()
+        belief = self.belief()
         twist = self.control.twist(self.robot.t, belief)
         self.robot.command(twist or Twist(0.0, 0.0), hold=2 * self.robot.period)
         return twist is not None
 
 
 class _filtered(_Leg):
-    def __init__(self, robot: LiveRobot, home: StoredHome, believed: Pose, by: str) -> None:
+    def __init__(self, robot: LiveRobot, home: StoredHome, start_pose: Pose, by: str) -> None:
         super().__init__(
-            robot, home, GoalControl(PointGoal("home", 0.0, 0.0), limits_of(AGAIN)), believed
+            robot, home, GoalControl(PointGoal("home", 0.0, 0.0), limits_of(AGAIN)), start_pose
         )
-        there = to_polar(between(home.pose, believed))
-        start = Start(
+        there = to_polar(between(home.pose, start_pose))
+        prior = Start(
             R=max(float(there.R), 0.05),
             theta=float(there.theta),
             alpha=float(there.alpha),
@@ -159,13 +133,12 @@ class _filtered(_Leg):
             sigma_theta=0.1,
             sigma_alpha=0.1,
         )
-        told = robot.drive.settings.model_copy(update={"start": start})
+        settings = robot.drive.settings.model_copy(update={"start": prior})
         stored = {name: HomeBearing(b) for name, b in home.seen.items()}
-        drive = dataclasses.replace(robot.drive, home=stored, settings=told)
+        drive = dataclasses.replace(robot.drive, home=stored, settings=settings)
         self._estimator = make_estimator(by, drive, {"engine": "interpreter"})
 
-    def believes(self) -> Belief:
-        """See `_Leg`."""
+    def belief(self) -> Belief:
         sensed = self.robot.step()
         self._estimator.odometry(sensed.t, *sensed.twist)
         if sensed.seen:
@@ -182,16 +155,15 @@ class _filtered(_Leg):
 
 
 class _faced(_Leg):
-    def __init__(self, robot: LiveRobot, home: StoredHome, believed: Pose, by: str) -> None:
+    def __init__(self, robot: LiveRobot, home: StoredHome, start_pose: Pose, by: str) -> None:
         slope = law_named(by)
         assert slope is not None
         goal = BearingGoal(slope, home.seen, AGAIN.landmark_distance)
         control = GoalControl(goal, limits_of(AGAIN))
-        super().__init__(robot, home, control, believed)
+        super().__init__(robot, home, control, start_pose)
         self._seen: dict[str, float] = {}
 
-    def believes(self) -> Belief:
-        """See `_Leg`."""
+    def belief(self) -> Belief:
         looked = self.robot.pose.heading - self.home.pose.heading
         sensed = self.robot.step()
         if sensed.seen is not None:

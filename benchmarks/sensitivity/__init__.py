@@ -1,1 +1,1 @@
-"""What does each number in the localiser do? See `python -m` of this package."""
+"""Sensitivity of the localiser to each of its numbers."""

@@ -1,13 +1,11 @@
-"""What does each number in the localiser do? Each is halved and doubled, alone.
+"""Sensitivity of the localiser to each of its numbers, halved and doubled one at a time.
 
 `python -m benchmarks.sensitivity FOLDER [--only NAME ...] [--seeds 1] [--robots 1 2 3 4 5]` runs
-the scenarios of `benchmarks.consistency` and real drives (MRCLAM set 6, where it is) with each
-number of the source and the settings halved, then doubled. The folder keeps what was found, and the
-same command continues from it. `--report` only prints what the folder holds: what changes nothing
-to the last bit, and what changes much.
+the scenarios of `benchmarks.consistency` and real drives (MRCLAM set 6, if available) with each
+number of the source and the settings halved, then doubled; `--only` selects tunables by parts of
+their names. The folder keeps finished runs, from which the same command continues. `--report` only
+prints the folder's results: numbers without any effect, to the last bit, and with a large one.
 """
-
-from __future__ import annotations
 
 import math
 import pickle
@@ -28,15 +26,14 @@ from homeward.lab.studies.study.trial import Trial, unknown_bound
 from homeward.localizer.settings import LocalizerSettings
 
 FACTORS = (0.5, 2.0)
-MUCH = 0.1
-"""A figure that changes by more than this share, or a share of the time by so much, does much."""
+LARGE = 0.1
+"""A larger relative change of a figure, or change of a share of the time, is a large effect."""
 SHARES = ("pose", "sure", "wrong", "precision", "recall")
 Rows = Mapping[tuple[str, float], Mapping[str, Figures]]
 """Figures by tunable and factor, then by drive."""
 
 
 def drives(seeds: int, robots: Sequence[int]) -> dict[str, Trial]:
-    """Return all drives by name."""
     found = {
         f"{name} {seed}": named.make(named.first + seed)
         for name, named in SCENARIOS.items()
@@ -51,7 +48,6 @@ def drives(seeds: int, robots: Sequence[int]) -> dict[str, Trial]:
 
 
 def rows_of(found: Mapping[Run, Figures]) -> Rows:
-    """Return the figures of each variant and drive."""
     rows: dict[tuple[str, float], dict[str, Figures]] = {}
     for run, figures in found.items():
         tunable, factor = run.estimator.rsplit(" x ", 1)
@@ -63,7 +59,7 @@ def rows_of(found: Mapping[Run, Figures]) -> Rows:
 
 
 def largest(now: Figures, then: Figures) -> tuple[float, str]:
-    """Return the largest change of a figure of one drive, and in words which."""
+    """Return the largest change of a figure of one drive, and its description."""
     changes = [(0.0, "")]
     for name in FIGURES:
         a, b = now.get(name), then.get(name)
@@ -76,7 +72,7 @@ def largest(now: Figures, then: Figures) -> tuple[float, str]:
 
 
 def report(rows: Rows, tunables: Sequence[Tunable], left_out: Sequence[str]) -> None:
-    """Print what does nothing, what does little, and what does much."""
+    """Print the numbers without effect, with a small and with a large one."""
     inert, little, much, broken = [], [], [], []
     for tunable in map(str, tunables):
         effects: list[tuple[float, str]] = []
@@ -92,30 +88,28 @@ def report(rows: Rows, tunables: Sequence[Tunable], left_out: Sequence[str]) -> 
                     effects.append((max(size, 1e-12), f"x {factor:g}: {drive}: {words}"))
         if effects:
             size, words = max(effects)
-            group = inert if size == 0 else much if size > MUCH else little
+            group = inert if size == 0 else much if size > LARGE else little
             group.append((size, f"{tunable}: {words}" if words else tunable))
     for words, group in (
-        ("change nothing anywhere, to the last bit", inert),
-        ("change something, but no figure of any drive by more than 10 %", little),
+        ("have no effect, to the last bit", inert),
+        ("have an effect, but change no figure of any drive by more than 10 %", little),
         ("change a figure of some drive by more than 10 %; the largest change of each", much),
     ):
         print(f"\n{len(group)} {words}:")
         print("\n".join(f"  {line}" for _, line in sorted(group, reverse=True)))
     for words, lines in (
         ("break a run", broken),
-        ("are made of others, number a column or have no value, and are left out", left_out),
+        ("are computed from others, number a column or have no value, and are left out", left_out),
     ):
         print(f"\n{len(lines)} {words}:\n" + "\n".join(f"  {line}" for line in lines))
 
 
 def main() -> None:
-    """Run what is missing, and report."""
-    parser = monte_carlo.parser(__doc__)
-    parser.add_argument("folder", type=Path, help="for what was found, to continue from")
-    parser.add_argument("--only", nargs="*", help="tunables whose names contain one of these")
-    parser.add_argument("--seeds", type=int, default=1, help="drives of each scenario")
-    parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
-    parser.add_argument("--report", action="store_true", help="run nothing")
+    parser = monte_carlo.parser(
+        __doc__, seeds=1, robots=[1, 2, 3, 4, 5], report=False, jobs=monte_carlo.HARNESS["jobs"]
+    )
+    parser.add_argument("folder", type=Path, help="for finished runs")
+    parser.add_argument("--only", nargs="*", help="parts of names of tunables")
     options = parser.parse_args()
     in_source, in_settings = constants(), fields(LocalizerSettings())
     tunables = [

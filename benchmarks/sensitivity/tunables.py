@@ -1,10 +1,8 @@
-"""Every number that somebody chose: constants in the source, and fields of the settings.
+"""All tunable numbers: constants in the source, and fields of the settings.
 
-A constant is changed where it is written, while its module is imported: what is made of it, and
-every module that imports it, has the changed one. So this needs a process of its own for each.
+A constant is changed at its definition, while its module is imported, so that values computed from
+it and modules that import it have the changed one. So each change needs a process of its own.
 """
-
-from __future__ import annotations
 
 import ast
 import importlib.util
@@ -28,22 +26,18 @@ CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*$")
 
 @dataclass(frozen=True)
 class Tunable:
-    """A number that somebody chose."""
+    """A tunable number."""
 
-    module: str
-    """Where it is written; empty for a field of the settings."""
-    name: str
-    """Of the constant, or of the field, dots between."""
+    module: str  # module of its definition; empty for a field of the settings
+    name: str  # name of the constant, or dotted path of the field
     value: str
-    """As it is."""
 
     def __str__(self) -> str:
-        """Return its place and name."""
         return f"{self.module.removeprefix(PACKAGE + '.') or 'settings'}:{self.name}"
 
 
 def scaled(value: Any, factor: float) -> Any:
-    """Return a number or numbers times a factor; whole ones stay whole, and at least 1."""
+    """Return a number or numbers times a factor; integers stay integers, at least 1."""
     if isinstance(value, tuple):
         return tuple(scaled(v, factor) for v in value)
     if isinstance(value, int):
@@ -52,14 +46,9 @@ def scaled(value: Any, factor: float) -> Any:
 
 
 def constants(package: str = PACKAGE) -> tuple[list[Tunable], list[str]]:
-    """Find the constants of a package.
+    """Return the literal constants of a package, and descriptions of those left out.
 
-    Returns
-    -------
-    found : list of Tunable
-        Numbers, and tuples and arrays of them, that are written out.
-    left_out : list of str
-        Numbers made of other ones, or that number a column, and are no choice.
+    Left out are numbers computed from others, and indices of columns.
     """
     spec = importlib.util.find_spec(package)
     assert spec is not None
@@ -104,7 +93,7 @@ def _assigned(tree: ast.Module) -> Iterator[tuple[str, ast.expr]]:
 
 
 def _value(expression: ast.expr) -> Any:
-    """Return what an expression of written numbers is; None for anything else."""
+    """Return the value of an expression of literal numbers; None for anything else."""
     names = {n.id for n in ast.walk(expression) if isinstance(n, ast.Name)}
     if names - {"np", "math"}:
         return None
@@ -116,7 +105,7 @@ def _value(expression: ast.expr) -> Any:
 
 
 def _columns(tree: ast.Module) -> Iterator[str]:
-    """Yield the constants that stand alone in square brackets: they number columns."""
+    """Yield the constants that are alone in square brackets: indices of columns."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Subscript):
             index = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
@@ -124,7 +113,7 @@ def _columns(tree: ast.Module) -> Iterator[str]:
 
 
 class _Loader(SourceFileLoader):
-    """Imports a module with one constant changed; nothing of it is kept for the next time."""
+    """Imports a module with one constant changed, without a cache."""
 
     def __init__(self, spec: ModuleSpec, name: str, factor: float) -> None:
         assert spec.origin is not None
@@ -132,7 +121,6 @@ class _Loader(SourceFileLoader):
         self._constant, self._factor = name, factor
 
     def get_code(self, fullname: str) -> Any:
-        """Compile the changed source."""
         path = self.get_filename(fullname)
         tree = ast.parse(self.get_data(path))
         changed = f"{self._constant} = _scaled({self._constant}, {self._factor!r})"
@@ -151,7 +139,6 @@ class _Finder(MetaPathFinder):
         self._tunable, self._factor = tunable, factor
 
     def find_spec(self, fullname: str, path: Any, target: Any = None) -> ModuleSpec | None:
-        """Find the one module."""
         if fullname != self._tunable.module:
             return None
         spec = PathFinder.find_spec(fullname, path, target)
@@ -161,13 +148,13 @@ class _Finder(MetaPathFinder):
 
 
 def change(tunable: Tunable, factor: float) -> None:
-    """Let this process have a constant changed; the package must not have been imported yet."""
+    """Change a constant in this process, which must not have imported the package yet."""
     assert not any(m.startswith(PACKAGE) for m in sys.modules)
     sys.meta_path.insert(0, _Finder(tunable, factor))
 
 
 def fields(settings: BaseModel, before: str = "") -> tuple[list[Tunable], list[str]]:
-    """Find the numbers in settings, as `constants` does in source."""
+    """Return the numbers in settings, as `constants` for source."""
     found, left_out = [], []
     for name in type(settings).model_fields:
         value, full = getattr(settings, name), before + name
@@ -183,7 +170,7 @@ def fields(settings: BaseModel, before: str = "") -> tuple[list[Tunable], list[s
 
 
 def changed(settings: Settings, name: str, factor: float) -> Settings:
-    """Return settings with one field times a factor; of a probability it is the odds."""
+    """Return settings with one field times a factor; for a probability, its odds."""
     plain = settings.model_dump()
     *way, last = name.split(".")
     inner: Any = plain

@@ -21,27 +21,15 @@ from homeward.track import Track, run
 if TYPE_CHECKING:
     from homeward.localizer.settings import LocalizerSettings
 
-SMOOTHED = " smoothed"
-"""Ends the name of a drive whose whole track is corrected at its end."""
-
-
-AS_IT_IS = "as it is"
-"""The variant without a change."""
+SMOOTHED = " smoothed"  # suffix of the name of a drive whose track is smoothed
+AS_IT_IS = "as it is"  # the variant without a change
 
 
 def variant(trials: Path, tunables: Mapping[str, Tunable], run: Run) -> dict[str, Any]:
     """Return the figures of one variant on all drives, by drive and name.
 
-    A process of its own runs it, which has not imported the localiser.
-
-    Parameters
-    ----------
-    trials : Path
-        Pickled dict of drives by name.
-    tunables : mapping of str to Tunable
-        All of them by name.
-    run : Run
-        Its estimator is the name of a tunable, or `AS_IT_IS`, and the factor.
+    It runs in a new process, which has not imported the localiser. `trials` is a pickled dict of
+    drives by name; the run's estimator is the name of a tunable, or `AS_IT_IS`, and the factor.
     """
     name, factor = run.estimator.rsplit(" x ", 1)
     given = trials, tunables.get(name), float(factor)
@@ -52,7 +40,7 @@ def variant(trials: Path, tunables: Mapping[str, Tunable], run: Run) -> dict[str
 
 
 def serve() -> None:
-    """Run the variant of standard input, and write its figures to standard output."""
+    """Run the variant from standard input, and write its figures to standard output."""
     sys.stdout.buffer.write(pickle.dumps(_done(*pickle.load(sys.stdin.buffer))))
 
 
@@ -66,14 +54,14 @@ def _done(trials: Path, tunable: Tunable | None, factor: float) -> dict[str, Any
         settings = LocalizerSettings()
         if tunable is not None and not tunable.module:
             settings = changed(settings, tunable.name, factor)
-    except Exception as error:  # a number that makes no sense may break an import, too
+    except Exception as error:  # a senseless number may break an import, too
         return {f"{name}|digest": _words(error) for name in drives}
     found = {name: _outcome(name, trial, settings) for name, trial in drives.items()}
     return {f"{name}|{key}": v for name, one in found.items() for key, v in one.items()}
 
 
 def _outcome(name: str, trial: Trial, settings: LocalizerSettings) -> dict[str, Any]:
-    """Return the figures of one drive and a digest of the track, or why there is none."""
+    """Return the figures of one drive and a digest of the track, or the error."""
     from homeward.localizer.localizer import Localizer
     from homeward.localizer.smoothing import smooth
 
@@ -83,7 +71,7 @@ def _outcome(name: str, trial: Trial, settings: LocalizerSettings) -> dict[str, 
             track = smooth(drive, settings)
         else:
             track = run(drive, Localizer(drive.home, settings=settings, **drive.settings.robot))
-    except Exception as error:  # whatever a number that makes no sense breaks
+    except Exception as error:  # a senseless number may break anything
         return {"digest": _words(error)}
     return {"digest": _digest(track), **figures(track, trial)}
 

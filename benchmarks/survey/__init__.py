@@ -1,1 +1,1 @@
-"""A full survey makes a reflector-navigation system: how accurate, beside what peers do."""
+"""Reflector navigation on a full survey, against peers."""

@@ -1,16 +1,13 @@
-"""Reflector navigation: accuracy in the industry's terms, and MRCLAM with what is surveyed there.
+"""Reflector navigation: accuracy in the industry's terms, and MRCLAM with surveyed landmarks.
 
 `python -m benchmarks.survey [--seeds 4] [--moved 0 1 3] [--bearing-deg 0.1] [--survey-mm 5]` drives
-round a hall of 20 by 12 m with 12 reflectors, of which some were moved since the survey: how
-far readings scatter at a stop (static repeatability), how far they are off on the way (dynamic
-accuracy), and what one look tells from nothing (first fix). `--mrclam [--robots 1 2 ...]` runs the
-drives of MRCLAM set 6 with their landmarks' survey, and with two distances alone; `--known` chooses
-rows. The data are looked for as by `benchmarks.mrclam`.
+round a hall of 20 by 12 m with 12 reflectors, some of them moved since the survey. It prints the
+scatter at a stop (static repeatability), the error while driving (dynamic accuracy), and the error
+from a single frame without a prior (first fix). `--mrclam [--robots 1 2 ...]` runs the drives of
+MRCLAM set 6 with their landmarks' survey, and with two distances only. The data are read as in
+`benchmarks.mrclam`.
 """
 
-from __future__ import annotations
-
-import argparse
 import dataclasses
 import itertools
 import math
@@ -18,6 +15,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from benchmarks.mrclam import AFTER_S, HOME, data, map_scale, rmse_of, surveyed_places
 from benchmarks.survey.hall import DT, EVERY, SPEED_SIGMA, TURN_SIGMA, Hall, make_hall
 from benchmarks.survey.peers import ParticleFilter, Resection
@@ -30,16 +28,15 @@ from homeward.runs.scoring import errors
 from homeward.track import run
 
 PARTICLE_SIGMA = 0.02
-"""What the particle filter is told of bearings [rad]: much less, and it dies out."""
-RESTS = 10
-"""After so many readings at a stop it has come to rest; a stop with fewer says nothing."""
-HOW = ("homeward", "homeward, odometry not told", "resection", "particles")
+"""Bearing sigma of the particle filter [rad]: with a much smaller one, it loses all particles."""
+RESTS = 10  # number of readings at a stop until the robot is at rest; stops with fewer do not count
+HOW = ("homeward", "homeward, odometry not given", "resection", "particles")
 Reading = tuple[int, float, float, float, Pose]
-"""At which stop, x [m], y [m], heading [rad], and the truth."""
+"""Number of the stop, x [m], y [m], heading [rad], ground truth."""
 
 
 def readings(hall: Hall, how: str, sigma: float, survey_sigma: float) -> Iterator[Reading]:
-    """Yield a reading for each look that has one."""
+    """Yield a reading for each frame with a pose."""
     robust, peer = None, None
     if how.startswith("homeward"):
         robust = localizer(hall, sigma, survey_sigma, how == "homeward")
@@ -51,21 +48,21 @@ def readings(hall: Hall, how: str, sigma: float, survey_sigma: float) -> Iterato
         if robust is not None:
             robust.odometry(s.t, *s.twist)
             if s.seen is not None and (a := robust.bearings(s.t, s.seen)).pose is not None:
-                yield s.stands, *a.pose, s.truth
+                yield s.stop, *a.pose, s.truth
         elif peer is not None:
             if s.seen is not None and (found := peer.look(s.seen)) is not None:
-                yield s.stands, *found.tolist(), s.truth
+                yield s.stop, *found.tolist(), s.truth
             peer.odometry(DT, *s.twist)
     if robust is not None:
         named = {m.landmark for m in robust.landmarks() if m.moved}
         hall.survey["exact"] = (float(named == hall.moved), 0.0)
 
 
-def localizer(hall: Hall, sigma: float, survey_sigma: float, told: bool = True) -> Localizer:
-    """Return ours, told the survey, the noise of bearings, and perhaps that of the odometry."""
+def localizer(hall: Hall, sigma: float, survey_sigma: float, odometry: bool = True) -> Localizer:
+    """Return our localiser with the survey, and the noise of bearings and perhaps odometry."""
     places = {n: {"x": x, "y": y} for n, (x, y) in hall.survey.items()}
     known = {"frame": "home", "sigma": max(survey_sigma, 1e-3), "landmarks": places}
-    if not told:
+    if not odometry:
         return Localizer({}, known=known, sensor={"bearing_sigma": sigma})
     return Localizer(
         {},
@@ -79,11 +76,11 @@ def localizer(hall: Hall, sigma: float, survey_sigma: float, told: bool = True) 
 def first_fixes(
     seeds: int, moved: int, how: str, sigma: float, survey_sigma: float
 ) -> tuple[list[float], int]:
-    """Return how far first fixes are off [m], each from one look of a hall's, and how many."""
+    """Return the errors of first fixes [m], each from a single frame, and the number of frames."""
     off, looks = [], 0
     for seed in range(seeds):
         hall = make_hall(seed, moved, sigma, survey_sigma)
-        for s in [s for s in hall.samples if s.seen is not None and s.stands < 0][::40]:
+        for s in [s for s in hall.samples if s.seen is not None and s.stop < 0][::40]:
             looks += 1
             if how == "homeward":
                 robust = localizer(hall, sigma, survey_sigma)
@@ -97,11 +94,10 @@ def first_fixes(
 
 
 def industry(seeds: int, gone: list[int], sigma: float, survey_sigma: float) -> None:
-    """Print the table of the hall."""
     print(
         "| moved | | static repeatability, 2 sigma [mm] | station error [mm] "
-        "| dynamic RMS, 95 % [mm] | heading RMS [mrad] | first fix median, 95 % [mm] | given "
-        "| named exactly |\n" + 9 * "|---" + "|"
+        "| dynamic RMSE, 95 % [mm] | heading RMSE [mrad] "
+        "| first fix: median, 95 % [mm] | availability | exact detection |\n" + 9 * "|---" + "|"
     )
     for moved, how in itertools.product(gone, HOW):
         scatter, bias, way, turn, exact = [], [], [], [], 0
@@ -135,16 +131,16 @@ def industry(seeds: int, gone: list[int], sigma: float, survey_sigma: float) -> 
 
 
 def surveyed(falsified: int, seed: int) -> tuple[dict[str, object], set[str]]:
-    """Return the survey of MRCLAM set 6 in its own frame, and which places of it are false."""
+    """Return the survey of MRCLAM set 6 in its own frame, and the landmarks with a false one."""
     places, rng = surveyed_places(), np.random.default_rng(seed)
     false = set(rng.choice(list(places), falsified, replace=False).tolist())
-    told = {}
+    given = {}
     for name, place in places.items():
         way = rng.uniform(0.0, math.tau)
         shift = rng.uniform(0.3, 2.0) * np.array([math.cos(way), math.sin(way)])
         x, y = place + shift * (name in false)
-        told[name] = {"x": float(x), "y": float(y)}
-    return {"sigma": 0.01, "landmarks": told}, false
+        given[name] = {"x": float(x), "y": float(y)}
+    return {"sigma": 0.01, "landmarks": given}, false
 
 
 def two_distances() -> dict[str, object]:
@@ -160,13 +156,10 @@ def _apart(places: dict[str, np.ndarray], a: str, b: str) -> float:
     return float(np.hypot(*(places[a] - places[b])))
 
 
-def mrclam(robots: list[int], only: list[str]) -> None:
-    """Print the table of MRCLAM set 6, of all that may be known or only some."""
-    print(
-        "| known | robot | causal RMSE [m] | smoothed [m] | map scale | named |\n"
-        + 6 * "|---"
-        + "|"
-    )
+def mrclam(robots: list[int]) -> None:
+    """Print the table of MRCLAM set 6, with different prior information."""
+    print("| known | robot | RMSE, causal [m] | smoothed [m] | map scale | detected |")
+    print(6 * "|---" + "|")
     cases = {
         "nothing": ({}, set()),
         "two distances": (two_distances(), set()),
@@ -174,8 +167,6 @@ def mrclam(robots: list[int], only: list[str]) -> None:
         "survey, 3 of 15 false": surveyed(3, 0),
     }
     for case, (known, false) in cases.items():
-        if only and case not in only:
-            continue
         both, scales = [], []
         for robot in robots:
             drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, HOME, math.radians(0.5), 0)
@@ -188,12 +179,12 @@ def mrclam(robots: list[int], only: list[str]) -> None:
             scales.append(map_scale(robust))
             both.append(rmse)
             named = {n for n, p in robust.chart.map.registration.survey.wrong.items() if p > 0.5}
-            words = "exactly" if named == false else f"{sorted(named)} for {sorted(false)}"
+            words = "exactly" if named == false else f"{sorted(named)}, false {sorted(false)}"
             figures = " | ".join(f"{figure:.3f}" for figure in (*rmse, scales[-1]))
             print(f"| {case} | {robot} | {figures} | {words} |", flush=True)
         causal, final = np.mean(both, axis=0)
         off = 100.0 * np.mean(np.abs(np.array(scales) - 1.0))
-        print(f"| {case} | mean | {causal:.3f} | {final:.3f} | off by {off:.1f} % | |", flush=True)
+        print(f"| {case} | mean | {causal:.3f} | {final:.3f} | error {off:.1f} % | |", flush=True)
 
 
 def _checked(known: dict[str, object], drive: Drive) -> object:
@@ -201,18 +192,12 @@ def _checked(known: dict[str, object], drive: Drive) -> object:
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=4)
-    parser.add_argument("--moved", type=int, nargs="*", default=[0, 1, 3])
-    parser.add_argument("--bearing-deg", type=float, default=0.1)
-    parser.add_argument("--survey-mm", type=float, default=5.0)
-    parser.add_argument("--mrclam", action="store_true")
-    parser.add_argument("--robots", type=int, nargs="*", default=[1, 2, 3, 4, 5])
-    parser.add_argument("--known", nargs="*", default=[], help="rows of the MRCLAM table")
-    options = parser.parse_args()
+    noise = {"bearing_deg": 0.1, "survey_mm": 5.0}
+    options = monte_carlo.parsed(
+        __doc__, seeds=4, moved=[0, 1, 3], mrclam=False, robots=[1, 2, 3, 4, 5], **noise
+    )
     if options.mrclam:
-        mrclam(options.robots, options.known)
+        mrclam(options.robots)
     else:
         sigma = math.radians(options.bearing_deg)
         industry(options.seeds, options.moved, sigma, 1e-3 * options.survey_mm)

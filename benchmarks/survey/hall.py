@@ -1,7 +1,5 @@
 """A hall with surveyed reflectors, and a vehicle that drives round it and stops at stations."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -9,45 +7,38 @@ import numpy as np
 
 from homeward.geometry.frames import Pose, Twist, advance, bearing
 
-LONG, WIDE, SEES = 20.0, 12.0, 14.0
-"""The hall, and how far reflectors are seen [m]."""
-DT, EVERY = 0.1, 2
-"""A twist comes so often [s], and a look with every so many."""
-SPEED, STANDS_S = 0.8, 8.0
+LONG, WIDE, SEES = 20.0, 12.0, 14.0  # size of the hall, and range of the scanner [m]
+DT, EVERY = 0.1, 2  # interval of odometry [s], and number of twists per frame of bearings
+SPEED, STOP_S = 0.8, 8.0
 SPEED_SIGMA, TURN_SIGMA, SPEED_SCALE = 0.02, 0.005, 0.02
-"""White noise of the odometry [m/s, rad/s at 1 Hz], and by how much its speed is too small [1]."""
+"""White noise of the odometry [m/s, rad/s at 1 Hz], and scale error of its speed [1]."""
 STATIONS = ((0.0, 0.0), (7.0, 3.0), (-7.0, 3.0), (-7.0, -3.0), (7.0, -3.0))
 
 
 @dataclass(frozen=True)
 class Sample:
-    """What comes at one time."""
+    """Inputs at one time."""
 
     t: float
     truth: Pose
-    twist: tuple[float, float]
-    """As odometry has it."""
-    seen: dict[str, float] | None
-    """Bearings, where there is a look."""
-    stands: int
-    """At which stop, from 0; -1 on the way."""
+    twist: tuple[float, float]  # of odometry
+    seen: dict[str, float] | None  # bearings, if there is a frame
+    stop: int  # number of the stop, from 0; -1 while driving
 
 
 @dataclass(frozen=True)
 class Hall:
     """One drive through a hall."""
 
-    survey: dict[str, tuple[float, float]]
-    """Where reflectors were surveyed [m]."""
-    moved: set[str]
-    """Which of them were moved since."""
+    survey: dict[str, tuple[float, float]]  # surveyed positions of reflectors [m]
+    moved: set[str]  # reflectors moved since
     samples: list[Sample]
 
 
 def make_hall(
     seed: int, moved: int, bearing_sigma: float, survey_sigma: float, reflectors: int = 12
 ) -> Hall:
-    """Return a drive of some three minutes, of which a seed is all that there is to choose."""
+    """Return a drive of about three minutes from a seed."""
     rng = np.random.default_rng(seed)
     along = (np.arange(reflectors) + rng.uniform(-0.3, 0.3, reflectors)) / reflectors
     places = {f"R{i}": _on_wall(2.0 * (LONG + WIDE) * s) for i, s in enumerate(along.tolist())}
@@ -62,7 +53,7 @@ def make_hall(
 
 
 def _on_wall(s: float) -> np.ndarray:
-    """Return the point of the walls so far along them [m]."""
+    """Return the point of the walls at a distance along them [m]."""
     end = direction = np.zeros(2)
     for corner, way, length in (
         ((-LONG / 2, -WIDE / 2), (1, 0), LONG),
@@ -101,7 +92,7 @@ def _drive(places: dict[str, np.ndarray], rng: np.random.Generator, sigma: float
             v = min(SPEED, away) * max(math.cos(off), 0.0)
             pose = take(Twist(max(v, 0.05), max(min(1.5 * off, 0.6), -0.6)), -1)
             t += DT
-        for _ in range(round(STANDS_S / DT)):
+        for _ in range(round(STOP_S / DT)):
             pose = take(Twist(0.0, 0.0), stop)
             t += DT
     return samples

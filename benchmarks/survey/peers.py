@@ -1,7 +1,5 @@
 """The peers: a plain resection from each look, and a particle filter on the surveyed map."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -13,16 +11,15 @@ STEPS = 8
 
 
 class Resection:
-    """Least squares of all bearings of a look, from its best triple: every bearing is believed."""
+    """Least squares of all bearings of a frame, from its best triple, without outlier rejection."""
 
     def __init__(self, survey: dict[str, tuple[float, float]]) -> None:
         self._survey = survey
 
     def odometry(self, dt: float, v: float, omega: float) -> None:
-        """Take a twist, which it does not need."""
+        """Do nothing."""
 
     def look(self, seen: dict[str, float]) -> np.ndarray | None:
-        """Return the pose (3,), or None."""
         seen = {n: b for n, b in seen.items() if n in self._survey}
         if len(seen) < 3:
             return None
@@ -43,7 +40,7 @@ class Resection:
 
 
 class ParticleFilter:
-    """Monte Carlo localisation with the equations of Beluga, given where the robot is at first.
+    """Monte Carlo localisation with the equations of Beluga, from a known start.
 
     Its bearing model weighs a particle by 1 + sum p^3, p = exp(-error^2 / (2 sigma^2)); its
     differential drive adds noise to rotation, translation and rotation in proportion to them
@@ -64,7 +61,7 @@ class ParticleFilter:
         self._weights = np.full(particles, 1.0 / particles)
 
     def odometry(self, dt: float, v: float, omega: float, alpha: float = 0.1) -> None:
-        """Take a twist; a robot that stands is not moved."""
+        """Process a twist; a robot at rest is not moved."""
         if not v and not omega:
             return
         half, shift = 0.5 * omega * dt, v * dt
@@ -78,7 +75,6 @@ class ParticleFilter:
         self._poses[:, 2] += last
 
     def look(self, seen: dict[str, float]) -> np.ndarray | None:
-        """Return the mean pose (3,)."""
         places = np.array([self._survey[n] for n in seen])
         error = _residuals(self._poses[:, None], places, np.array(list(seen.values())))
         weight = 1.0 + np.exp(-1.5 * (error / self._sigma) ** 2).sum(axis=1)

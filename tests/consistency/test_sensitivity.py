@@ -121,7 +121,7 @@ def test_what_was_found_is_reported(capsys):
     names = ("inert", "little", "much", "breaks")
     report(rows, [Tunable("", name, "1") for name in names], ["x = 1"])
     told = capsys.readouterr().out
-    assert "1 change nothing anywhere, to the last bit:\n  settings:inert" in told
+    assert "1 have no effect, to the last bit:\n  settings:inert" in told
     assert "by more than 10 %:\n  settings:little: x 0.5: room 0: error 1 -> 1.02" in told
     assert "settings:much: x 2: room 0: error 1 -> 1.5" in told
     assert "settings:breaks x 2: room 0: ValueError: no" in told

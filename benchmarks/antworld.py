@@ -1,6 +1,7 @@
-"""The antworld grid of panoramas (rendered by others): direction home, and home along keyframes."""
+"""The antworld data set, a grid of rendered panoramas: direction home, and homing by keyframes.
 
-from __future__ import annotations
+The baselines are two methods without features: the image difference compass and min-warping.
+"""
 
 import csv
 import math
@@ -9,22 +10,17 @@ from functools import cache
 import numpy as np
 
 from benchmarks.mrclam import data
-from benchmarks.panoramas.baselines import compass, min_warping
 from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, Features, compare, extract
 from homeward.vision.cameras.image_files import read_grey
 
 CAMERA = Equirectangular(horizon=0.8, tilt_sigma=0.005)
-"""Rendered without any tilt; the horizon was read off the pictures."""
-NORTH = math.pi / 2
-"""The middle column of the pictures looks along y."""
-BLIND_AT_MOST = 3
-"""A robot that has recognised no keyframe for so many steps stops."""
+"""Rendered without tilt; the horizon was read from the pictures."""
+NORTH = math.pi / 2  # direction of the middle column of the pictures
+MAX_BLIND = 3  # the robot stops after this number of steps without a recognised keyframe
 
 
 class Grid:
-    """The antworld grid."""
-
     def __init__(self) -> None:
         folder = data() / "antworld_rendered"
         with (folder / "grid.csv").open(encoding="utf-8", newline="") as stream:
@@ -48,7 +44,7 @@ class Grid:
         return math.atan2(y, x) - NORTH
 
     def pairs(self, steps: int, count: int, seed: int = 0) -> list[tuple[int, int]]:
-        """Return pairs so many cells apart along a row or column of the grid."""
+        """Return pairs `steps` cells apart along a row or column of the grid."""
         rng, found = np.random.default_rng(seed), []
         ways = ((steps, 0), (-steps, 0), (0, steps), (0, -steps))
         while len(found) < count:
@@ -65,16 +61,13 @@ def degrees_off(angle: float, truth: float) -> float:
 
 
 def antworld(count: int) -> None:
-    """Goal 2: direction home in the antworld, beside the baselines."""
     grid = Grid()
     for steps in (1, 2, 3, 5):
         pairs = grid.pairs(steps, count)
         off, heading, refused, warped, turned = [], [], 0, [], []
         for home, now in pairs:
-            seen, truth = (
-                compare(grid.view(home), grid.view(now), CAMERA),
-                grid.home_direction(home, now),
-            )
+            seen = compare(grid.view(home), grid.view(now), CAMERA)
+            truth = grid.home_direction(home, now)
             if seen.has_direction:
                 off.append(degrees_off(seen.home_direction, truth))
                 heading.append(degrees_off(seen.heading, 0.0))
@@ -94,31 +87,31 @@ def antworld(count: int) -> None:
         )
 
 
-def chained(grid: Grid, first: int = 0, routes: int = 12) -> None:
-    """Goal 2, second part: along a path of 1.5 m, home again from keyframe to keyframe."""
-    ends = [back_along_keyframes(grid, seed) for seed in range(first, first + routes)]
+def chained(routes: int = 12) -> None:
+    """Print how robots drive home from keyframe to keyframe, along a path of 1.5 m."""
+    grid = Grid()
+    ends = [back_along_keyframes(grid, seed) for seed in range(routes)]
     off, taken, blind = np.array(ends).T
     print(
-        f"antworld, chain: from 1.5 m back along keyframes 0.1 m apart, {np.sum(off <= 0.1)} of "
-        f"{routes} ended within 0.1 m of home; {np.median(taken):.0f} steps of 0.1 m or 0.14 m, "
-        f"{np.median(blind):.0f} of them as remembered (medians)"
+        f"antworld, chain: {np.sum(off <= 0.1)} of {routes} ended within 0.1 m of home, from 1.5 m "
+        f"along keyframes 0.1 m apart; medians: {np.median(taken):.0f} steps of 0.1 m or 0.14 m, "
+        f"{np.median(blind):.0f} of them by the stored odometry"
     )
 
 
 def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
     """Drive back along a path of the grid.
 
-    Each keyframe is kept with the way that odometry told from it to the one before. Where no
-    keyframe nearer home tells a direction, that way is driven, turned by what the image says of the
-    heading. The robot is at a keyframe when no parallax shows: one whose direction is merely
-    uncertain may still be far. Returned are the distance from home at the end [m], the steps taken,
-    and how many of them were driven as remembered.
+    Each keyframe is stored with the odometry to the keyframe before. If no keyframe nearer home
+    gives a direction, that odometry is followed, rotated by the heading from the image. The robot
+    is at a keyframe if there is no parallax; an uncertain direction does not suffice. Returned are
+    the distance from home at the end [m], the number of steps, and of those by stored odometry.
     """
     rng = np.random.default_rng(seed)
     row, start = int(rng.integers(0, 31)), int(rng.integers(0, 16))
     path = [(start + k, row) if seed % 2 else (row, start + k) for k in range(16)]
     here, goal, taken, blind, unseen = np.array(path[-1]), len(path) - 2, 0, 0, 0
-    while taken < 60 and unseen < BLIND_AT_MOST and tuple(here.tolist()) in grid.at:
+    while taken < 60 and unseen < MAX_BLIND and tuple(here.tolist()) in grid.at:
         now = grid.view(grid.at[tuple(here.tolist())])
         window = range(max(goal - 2, 0), min(goal + 3, len(path)))
         seen = {g: compare(grid.view(grid.at[path[g]]), now, CAMERA) for g in window}
@@ -138,3 +131,73 @@ def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
         here = here + np.rint([math.cos(way), math.sin(way)]).astype(int)
         taken += 1
     return 0.1 * float(np.hypot(*(here - path[0]))), taken, blind
+
+
+def compass(home: np.ndarray, now: np.ndarray) -> float:
+    """Return the heading now in the home frame [rad]: the rotation of least image difference.
+
+    Zeil, Hofmann and Chahl, "Catchment areas of panoramic snapshots in outdoor scenes", JOSA A
+    2003.
+    """
+    a, b = _centred(home), _centred(now)
+    # Correlation for all rotations at once, row by row.
+    spectrum = np.fft.rfft(a, axis=1) * np.conj(np.fft.rfft(b, axis=1))
+    correlation = np.fft.irfft(spectrum.sum(axis=0), a.shape[1])
+    shift = int(correlation.argmax())
+    angle = 2 * math.pi * shift / a.shape[1]
+    # Columns run clockwise: a scene shifted to the right by `shift` is a rotation to the right.
+    return -math.remainder(angle, math.tau)
+
+
+def min_warping(home: np.ndarray, now: np.ndarray) -> tuple[float, float]:
+    """Return heading now and direction of home from now [rad].
+
+    Search over heading, direction and, per column, distance (Moeller, Krzykawski and Gerstmayr,
+    "Three 2D-warping schemes for visual robot navigation", Auton. Robots 2010): a column at home
+    that lies at x to the direction of travel is looked for at every y now that triangulates, at
+    the least cost; the costs are summed over the columns.
+    """
+    a, b = _centred(_shrunk(home)), _centred(_shrunk(now))
+    width = a.shape[1]
+    cost = 1.0 - _normal(a).T @ _normal(b)
+    columns = np.arange(width)
+    best = (math.inf, 0.0, 0.0)
+    allowed = _allowed(width)
+    for turn in range(width):
+        turned = cost[:, (columns + turn) % width]
+        for travel in range(0, width, 2):
+            place = (columns + travel) % width
+            rolled = turned[place[:, None], place]
+            total = float(np.where(allowed, rolled, np.inf).min(axis=1).sum())
+            if total < best[0]:
+                best = (total, turn, travel)
+    _, turn, travel = best
+    step = math.tau / width
+    heading = math.remainder(turn * step, math.tau)
+    away = (width / 2 - 0.5 - travel) * step
+    return heading, math.remainder(away + math.pi - heading, math.tau)
+
+
+def _allowed(width: int) -> np.ndarray:
+    """Return the columns now that a column at home may move to, both relative to the travel."""
+    x = np.arange(width)
+    # A point to the right of the direction of travel moves further right, up to the back.
+    x, y = x[:, None], x[None, :]
+    right = (x <= width // 2) & (y >= x) & (y <= width // 2)
+    left = (x > width // 2) & (y <= x) & (y > width // 2)
+    grown = np.abs(y - x) <= width // 6
+    return (right | left) & grown
+
+
+def _shrunk(image: np.ndarray, width: int = 72) -> np.ndarray:
+    edges = np.linspace(0, image.shape[1], width + 1).astype(int)[:-1]
+    sizes = np.diff(np.append(edges, image.shape[1]))
+    return np.add.reduceat(image.astype(float), edges, axis=1) / sizes
+
+
+def _centred(image: np.ndarray) -> np.ndarray:
+    return image - image.mean(axis=1, keepdims=True)
+
+
+def _normal(image: np.ndarray) -> np.ndarray:
+    return image / np.maximum(np.linalg.norm(image, axis=0, keepdims=True), 1e-9)
