@@ -150,7 +150,7 @@ def test_what_fits_no_log_is_refused(log, tmp_path):
     ("name", "header", "words"),
     [
         ("bearings.csv", "t,landmark,bearing", "no sightings"),
-        ("home.csv", "landmark,bearing", "saw at home"),
+        ("home.csv", "landmark,bearing", "no home bearings found"),
     ],
 )
 def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):

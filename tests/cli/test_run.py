@@ -44,7 +44,7 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
     file.write_text("\n".join([head, *map(",".join, degrees)]) + "\n")
     where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
     result = done(call(command, short, *where[command]))
-    (line,) = [row for row in result.stdout.splitlines() if "in degrees?" in row]
+    (line,) = [row for row in result.stdout.splitlines() if "if they are in degrees" in row]
     beyond = sum(abs(float(cells[2])) > math.tau for cells in degrees)
     assert line.startswith(f"Note: {beyond} bearings beyond a full turn")
 
