@@ -44,7 +44,7 @@ def test_a_data_set_is_written_whole_and_repeats(tmp_path):
     assert sum(row["moved"] == "1" for row in rows(a / "things.csv")) == 3
 
 
-def test_truth_starts_where_the_scenario_says(tmp_path):
+def test_ground_truth_starts_at_the_start_of_the_scenario(tmp_path):
     render("office", "--out", tmp_path / "a")
     first, start = rows(tmp_path / "a" / "truth.csv")[0], room("office").start
     assert math.hypot(float(first["x"]), float(first["y"])) == pytest.approx(start.R, abs=1e-3)
@@ -58,16 +58,16 @@ def test_a_shorter_drive_replaces_a_longer_one_with_all_its_images(tmp_path):
     assert sorted(p.name for p in (out / "images").iterdir()) == [f"{i:06d}.png" for i in (1, 2)]
 
 
-def test_the_camera_is_told_in_images_yaml(tmp_path):
+def test_the_camera_is_given_in_images_yaml(tmp_path):
     changes = (*SMALL, "camera.projection=cylindrical", "camera.roll=0.1")
     assert render("study", "--out", tmp_path / "a", changes=changes).exit_code == 0
-    told = yaml.safe_load((tmp_path / "a" / "images.yaml").read_text())
-    assert told["camera"]["model"] == "cylindrical"
-    assert told["camera"]["roll"] == 0.1
+    result = yaml.safe_load((tmp_path / "a" / "images.yaml").read_text())
+    assert result["camera"]["model"] == "cylindrical"
+    assert result["camera"]["roll"] == 0.1
 
 
 def test_the_loop_is_closed_by_images(tmp_path):
-    """What the front-end saw on the way is an ordinary drive, beside the images it saw it in."""
+    """The sightings are an ordinary drive, next to their images."""
     out = tmp_path / "a"
     changes = ("camera.width=256", "camera.height=64", "trajectory.duration=2")
     done(render("bedroom", "--out", out, "--estimator", "robust", changes=changes))

@@ -66,10 +66,10 @@ def test_the_version_is_said_in_every_way():
     (said,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert homeward.__version__ == said
     assert call("--version").stdout == f"homeward {said}\n"
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-m", "homeward", "--version"], capture_output=True, text=True, check=True
     )
-    assert told.stdout == f"homeward {said}\n"
+    assert reported.stdout == f"homeward {said}\n"
     assert f"version: {said}\n" in (ROOT / "CITATION.cff").read_text()
 
 
@@ -83,8 +83,10 @@ def test_what_is_not_asked_for_is_not_imported():
     names = (
         "import sys, homeward; print(sorted(m for m in sys.modules if m.startswith('homeward')))"
     )
-    told = subprocess.run([sys.executable, "-c", names], capture_output=True, text=True, check=True)
-    assert told.stdout == "['homeward']\n"
+    reported = subprocess.run(
+        [sys.executable, "-c", names], capture_output=True, text=True, check=True
+    )
+    assert reported.stdout == "['homeward']\n"
 
 
 def test_the_sample_is_opened_from_python_by_its_name(tmp_path, monkeypatch):
@@ -96,7 +98,7 @@ def test_the_sample_is_opened_from_python_by_its_name(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_every_command_has_help_that_says_the_exit_statuses(name):
+def test_every_command_has_help_with_the_exit_statuses(name):
     shown = call(name, "-h").stdout
     assert shown == call(name, "--help").stdout
     assert "1 no result" in " ".join(shown.split())
@@ -121,7 +123,7 @@ def test_help_is_wrapped_at_words_and_never_cut(width):
         assert "..." not in shown
 
 
-def test_what_a_run_says_is_wrapped_at_words_and_notes_stand_out(short, tmp_path):
+def test_output_is_wrapped_at_words_and_notes_are_highlighted(short, tmp_path):
     width = 32
     (short / "drive.yaml").write_text("sensor: {x: 0.2}\n")
     shown = on_terminal(width, "run", short, "--estimator", "ekf", "--out", tmp_path / "o")
@@ -138,7 +140,7 @@ def test_a_table_too_wide_for_the_terminal_becomes_a_list(short):
     assert all(len(line) <= 40 or " " not in line.strip() for line in shown.splitlines())
 
 
-def test_a_row_of_a_list_stands_apart_and_begins_with_what_it_has(monkeypatch, capsys):
+def test_rows_of_a_list_are_indented_and_begin_with_their_first_cell(monkeypatch, capsys):
     monkeypatch.setattr(terminal, "_width", lambda stream: 30)
     head = ["scenario", "estimator", "RMSE [m]", "heading [deg]"]
     terminal.table([head, ["wide hall", "ekf", "0.1", "2"], ["", "robust", "", "1"]])
@@ -153,8 +155,8 @@ def test_a_row_of_a_list_stands_apart_and_begins_with_what_it_has(monkeypatch, c
 def test_shell_completion_can_be_shown(monkeypatch):
     # It is the shell among its parents that a command would ask; tests may have none.
     monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))
-    told = CliRunner().invoke(app, ["--show-completion"], env={"SHELL": "/bin/bash"})
-    assert "complete" in told.output
+    reported = CliRunner().invoke(app, ["--show-completion"], env={"SHELL": "/bin/bash"})
+    assert "complete" in reported.output
 
 
 def test_without_out_a_run_goes_where_its_drive_is_named(short, tmp_path, monkeypatch):
@@ -265,7 +267,7 @@ def test_a_study_whose_every_run_fails_is_no_answer(tmp_path, monkeypatch):
 @pytest.mark.parametrize("when", [0.05, 1.5])
 def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
     words = ["simulate", "circle", "--set", "trajectory.duration=100000", "--out", tmp_path / "x"]
-    # Tests that run in the background are started with it ignored, and so is what they start.
+    # Background jobs ignore SIGINT, and so do their children.
     heard = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
     with program(*words, stderr=subprocess.PIPE, text=True, **heard) as running:
         time.sleep(when)
@@ -277,7 +279,7 @@ def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
         # 130 in a shell either way: where it comes within code that is run from a string, as a
         # dataclass is made, CPython ends by the signal itself, though it was caught.
         assert running.wait(60) in (130, -signal.SIGINT), said
-    assert said in ("homeward: stopped\n", "")  # typer says nothing while it reads the words
+    assert said in ("homeward: stopped\n", "")  # typer prints nothing while it parses
 
 
 def test_what_an_extra_needs_is_said_with_a_way_that_works():
@@ -286,12 +288,12 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
     for package in ("bokeh.plotting", "casadi", "dask", "rosbags.typesys", "websockets"):
-        told = missing_extra_error(ModuleNotFoundError(name=package))
-        named |= set(re.findall(r"the extra (\w+)", str(told)))
+        reported = missing_extra_error(ModuleNotFoundError(name=package))
+        named |= set(re.findall(r"the extra (\w+)", str(reported)))
     assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
-    told = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
-    # Without a compiler the interpreter stands in.
-    assert named == told == set(extras) - {"bench", "compiler", "dev", "docs"}
+    reported = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
+    # Without a compiler the interpreter is used.
+    assert named == reported == set(extras) - {"bench", "compiler", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()
@@ -304,8 +306,8 @@ def test_settings_are_listed_for_all_that_has_any():
     listed = call("settings").stdout
     assert all(f"homeward settings {name}" in listed for name in OTHERS)
     for name in OTHERS:
-        told = call("settings", name).stdout
-        assert all(f"{key.name}=" in told for key in keys(other_model(name)))
+        reported = call("settings", name).stdout
+        assert all(f"{key.name}=" in reported for key in keys(other_model(name)))
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
     assert "choose one of: robust" in refused(call("settings", "kalman"))
 
@@ -318,6 +320,6 @@ def test_every_default_that_is_listed_can_be_set(name):
 
 
 def test_listed_defaults_are_those_of_the_model_that_holds_them():
-    told = {key.name: key.default for key in keys(other_model("rooms"))}
-    assert told["rates.truth"] == "20.0"  # a room's, not those of any drive
-    assert told["boxes.*.at"] == "needed"
+    reported = {key.name: key.default for key in keys(other_model("rooms"))}
+    assert reported["rates.truth"] == "20.0"  # a room's, not those of any drive
+    assert reported["boxes.*.at"] == "needed"

@@ -46,7 +46,7 @@ def narrow(tmp_path_factory):
 
 
 def truths(folder):
-    """What the camera saw at home in truth, by landmark: all that stands there."""
+    """True home bearings by landmark."""
     world = simulate(validated(Scenario, ROUND)).world
     eye = compose(Pose(**HOME), Pose(0.15, 0.0, 0.0))
     off = world.places - np.array([eye.x, eye.y])
@@ -69,10 +69,10 @@ def test_run_finds_home_by_a_turn(narrow, tmp_path):
     assert yaml.safe_load((out / "run.yaml").read_text())["home_spin"] == [0.0, 14.0]
 
 
-def test_drive_yaml_says_when_home_was(narrow, tmp_path):
+def test_drive_yaml_gives_the_time_at_home(narrow, tmp_path):
     folder = shutil.copytree(narrow, tmp_path / "said")
-    told = yaml.safe_load((folder / "drive.yaml").read_text())
-    (folder / "drive.yaml").write_text(yaml.safe_dump({**told, "home": {"spin": [0, 14]}}))
+    reported = yaml.safe_load((folder / "drive.yaml").read_text())
+    (folder / "drive.yaml").write_text(yaml.safe_dump({**reported, "home": {"spin": [0, 14]}}))
     by_option, by_file = open_drive(narrow, home_spin=(0.0, 14.0)), open_drive(folder)
     assert by_file.home == by_option.home
     out = tmp_path / "kept"
@@ -120,7 +120,7 @@ def test_what_is_no_turn_is_refused_and_nothing_is_written(narrow, tmp_path, spa
     assert not out.exists()
 
 
-def test_what_drive_yaml_says_of_home_must_be_one_thing_in_order(narrow, tmp_path):
+def test_home_in_drive_yaml_must_be_one_valid_span(narrow, tmp_path):
     folder = shutil.copytree(narrow, tmp_path / "said")
     for said, words in (
         ("{spin: [14, 0]}", "[from, until]"),

@@ -10,7 +10,7 @@ from homeward.drives.opening import sample_drive
 FILES = [sample_drive() / f"{name}.csv" for name in ("odometry", "bearings", "home", "truth")]
 
 
-def test_it_says_and_draws_first_and_writes_when_told(tmp_path):
+def test_it_reports_and_draws_first_and_writes_with_out(tmp_path):
     picture, out = tmp_path / "new" / "seen.png", tmp_path / "mine"
     shown = done(call("import", *FILES, "--picture", picture))
     assert "omega" in shown.stdout
@@ -32,10 +32,10 @@ def test_nothing_is_left_of_what_is_refused(tmp_path):
 
 
 def test_info_as_json(tmp_path):
-    told = json.loads(call("info", "sample", "--json").stdout)
-    assert [topic["name"] for topic in told["topics"]][:2] == ["odometry.csv", "bearings.csv"]
-    assert told["topics"][0]["rate_hz"] == 20.0
+    reported = json.loads(call("info", "sample", "--json").stdout)
+    assert [topic["name"] for topic in reported["topics"]][:2] == ["odometry.csv", "bearings.csv"]
+    assert reported["topics"][0]["rate_hz"] == 20.0
     (tmp_path / "odometry.csv").write_text("t,v,omega\n0,1,0\n")
-    told = json.loads(call("info", tmp_path, "--json").stdout)
-    assert told["topics"][0]["rate_hz"] is None
-    assert "no bearings.csv" in told["remarks"][-1]
+    reported = json.loads(call("info", tmp_path, "--json").stdout)
+    assert reported["topics"][0]["rate_hz"] is None
+    assert "no bearings.csv" in reported["remarks"][-1]

@@ -1,4 +1,4 @@
-"""`--json`: what commands answer to programs, and the page that says so."""
+"""`--json`: output of commands for programs, and its page."""
 
 import json
 import re
@@ -49,13 +49,13 @@ def test_all_commands_that_answer_do_so_for_programs():
 
 def test_an_import_and_a_simulation(drive, tmp_path):
     files = [drive / f"{name}.csv" for name in ("odometry", "bearings", "home")]
-    told = said("import", *files, "--picture", tmp_path / "i.png", "--out", tmp_path / "i")
-    assert set(told) == documented("import")
-    assert [c["as"] for c in told["columns"] if c["is"] == "odometry"] == ["t", "v", "omega"]
-    assert Path(told["folder"]).is_dir()
-    told = said("simulate", "circle", "--out", tmp_path / "s")
-    assert set(told) == documented("simulate")
-    assert told["moved"].keys() <= set(told["landmarks"])
+    result = said("import", *files, "--picture", tmp_path / "i.png", "--out", tmp_path / "i")
+    assert set(result) == documented("import")
+    assert [c["as"] for c in result["columns"] if c["is"] == "odometry"] == ["t", "v", "omega"]
+    assert Path(result["folder"]).is_dir()
+    result = said("simulate", "circle", "--out", tmp_path / "s")
+    assert set(result) == documented("simulate")
+    assert result["moved"].keys() <= set(result["landmarks"])
 
 
 @pytest.fixture
@@ -64,43 +64,43 @@ def drive(tmp_path):
 
 
 def test_a_run(drive, tmp_path):
-    told = said("run", drive, "--out", tmp_path / "run")
-    assert set(told) == documented("run")
-    assert told["metrics"] == json.loads((tmp_path / "run" / "metrics.json").read_text())
-    assert {m["landmark"] for m in told["landmarks"] if m["moved"]} <= {"L01", "L02", "L08"}
+    result = said("run", drive, "--out", tmp_path / "run")
+    assert set(result) == documented("run")
+    assert result["metrics"] == json.loads((tmp_path / "run" / "metrics.json").read_text())
+    assert {m["landmark"] for m in result["landmarks"] if m["moved"]} <= {"L01", "L02", "L08"}
 
 
 def test_several_estimators(drive, tmp_path):
-    told = said("run", drive, "--estimator", "ekf,ukf", "--out", tmp_path / "runs")
-    assert set(told) == documented("run", 1)
-    first, second = told["runs"]
+    result = said("run", drive, "--estimator", "ekf,ukf", "--out", tmp_path / "runs")
+    assert set(result) == documented("run", 1)
+    first, second = result["runs"]
     assert first["metrics"]["position_rmse_m"] < 1
     assert first["failure"] is None
     assert second["estimator"] == "ukf"
 
 
-def test_what_bearings_tell(drive, tmp_path):
-    told = said("plan", "--landmarks", "2", "--out", tmp_path / "model")
-    assert set(told) == documented("plan", 1)
-    assert (told["rank"], told["unknowns"]) == (4, 5)
-    told = said("plan", "--drive", drive, "--window", "40", "--out", tmp_path / "observed")
-    assert set(told) == documented("plan", 2)
-    assert told["whole"]["position_sigma_m"] > 0
+def test_what_bearings_determine(drive, tmp_path):
+    result = said("plan", "--landmarks", "2", "--out", tmp_path / "model")
+    assert set(result) == documented("plan", 1)
+    assert (result["rank"], result["unknowns"]) == (4, 5)
+    result = said("plan", "--drive", drive, "--window", "40", "--out", tmp_path / "observed")
+    assert set(result) == documented("plan", 2)
+    assert result["whole"]["position_sigma_m"] > 0
 
 
 def test_a_plan(tmp_path):
     plans = Path(__file__).resolve().parents[2] / "src/homeward/data/plans"
     coarse = tmp_path / "coarse.yaml"
     coarse.write_text((plans / "warehouse.yaml").read_text().replace("grid: 0.1", "grid: 1.0"))
-    told = said("plan", coarse, "--out", tmp_path / "plan")
-    assert set(told) == documented("plan")
-    assert 0 <= told["safe_share"] <= told["share"] <= 1
-    assert all(m["share_without"] <= told["share"] for m in told["landmarks"])
+    result = said("plan", coarse, "--out", tmp_path / "plan")
+    assert set(result) == documented("plan")
+    assert 0 <= result["safe_share"] <= result["share"] <= 1
+    assert all(m["share_without"] <= result["share"] for m in result["landmarks"])
 
 
 def test_settings():
-    told = said("settings", "ekf")
-    assert set(told) == documented("settings")
+    result = said("settings", "ekf")
+    assert set(result) == documented("settings")
     plain = call("settings", "ekf").output
-    assert all(f"{key['name']}={key['default']}" in plain for key in told["keys"])
+    assert all(f"{key['name']}={key['default']}" in plain for key in result["keys"])
     assert {"robust", "ekf", "plan"} <= set(said("settings")["settings"])

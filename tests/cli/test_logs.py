@@ -30,7 +30,7 @@ def test_info_lists_topics_and_prints_the_topics_file_that_is_used(log, tmp_path
     assert "3604" in odometry
     assert "20.0 Hz" in odometry
     topics = tmp_path / "topics.yaml"
-    topics.write_text(result.stdout.partition("would say it:\n")[2])
+    topics.write_text(result.stdout.partition("to change them):\n")[2])
     assert read_settings(topics, LogSettings).odometry.topic == "/homeward/odometry"
     assert call("info", log, "--topics", topics).stdout == result.stdout
 
@@ -42,7 +42,7 @@ def test_info_of_a_drive_folder(tmp_path):
     assert "neither" in refused(call("info", tmp_path / "notes.txt"))
 
 
-def test_info_of_an_unfinished_drive_folder_says_what_is_there_and_what_is_missing(tmp_path):
+def test_info_of_an_unfinished_drive_folder_lists_present_and_missing_files(tmp_path):
     shutil.copy(sample_drive() / "odometry.csv", tmp_path)
     result = done(call("info", tmp_path))
     assert f"{tmp_path}: drive folder" in result.stdout
@@ -55,15 +55,15 @@ def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
     assert "use homeward import to convert" in refused(call("info", tmp_path))
 
 
-def test_info_knows_folders_of_images_and_of_mrclam(tmp_path):
+def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
     images, mrclam = tmp_path / "images", tmp_path / "mrclam"
     shutil.copytree(sample_drive(), images)
     (images / "bearings.csv").unlink()
     (images / "images.csv").write_text("t,file\n0.5,a.png\n1.0,a.png\n")
     (images / "a.png").touch()
-    told = call("info", images).stdout
-    assert "folder of images" in told
-    assert re.search(r"images.csv +t,file +2 +2.0 Hz", told)
+    reported = call("info", images).stdout
+    assert "folder of images" in reported
+    assert re.search(r"images.csv +t,file +2 +2.0 Hz", reported)
     mrclam.mkdir()
     (mrclam / "Barcodes.dat").touch()
     (mrclam / "Robot2_Odometry.dat").touch()
@@ -93,8 +93,8 @@ def test_a_log_without_bearings_names_the_way_out(tmp_path):
     assert "name its topics under bearings in a topics file" in line
 
 
-def test_info_says_why_a_drive_would_be_refused(tmp_path):
-    """In the words with which it is; what is there, is told all the same."""
+def test_info_reports_why_a_drive_would_be_refused(tmp_path):
+    """The log is described with its errors."""
     folder = tmp_path / "drive"
     shutil.copytree(sample_drive(), folder)
     file = folder / "bearings.csv"
@@ -102,15 +102,15 @@ def test_info_says_why_a_drive_would_be_refused(tmp_path):
     cells = [row.partition(",") for row in rows]
     late = [f"{float(t) + 5000},{rest}" for t, _, rest in cells]
     file.write_text("\n".join([head, *late]) + "\n")
-    told = done(call("info", folder))
-    assert "odometry.csv" in told.stdout
-    *_, last = told.stdout.splitlines()
+    reported = done(call("info", folder))
+    assert "odometry.csv" in reported.stdout
+    *_, last = reported.stdout.splitlines()
     words = refused(call("run", folder, "--out", tmp_path / "out"))
     assert "the first of the bearings is 4,8" in words
     assert last == f"Note: homeward run cannot use it: {words.partition('drive: ')[2]}."
 
 
-def test_info_says_that_most_bearings_are_beyond_the_odometry(tmp_path):
+def test_info_reports_bearings_beyond_the_odometry(tmp_path):
     folder = tmp_path / "drive"
     shutil.copytree(sample_drive(), folder)
     file = folder / "odometry.csv"
@@ -124,8 +124,8 @@ def test_convert_there_and_back(log, tmp_path):
     assert "3604 twists" in result.stdout
     for name in ("odometry.csv", "bearings.csv", "home.csv", "truth.csv"):
         assert (back / name).read_bytes() == (sample_drive() / name).read_bytes(), name
-    told = [yaml.safe_load((f / "drive.yaml").read_text()) for f in (back, sample_drive())]
-    assert DriveSettings(**told[0]) == DriveSettings(**told[1])
+    reported = [yaml.safe_load((f / "drive.yaml").read_text()) for f in (back, sample_drive())]
+    assert DriveSettings(**reported[0]) == DriveSettings(**reported[1])
     assert "exists already" in refused(call("convert", log, back))
 
 

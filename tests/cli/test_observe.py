@@ -48,7 +48,7 @@ def test_the_sample_drive(tmp_path):
     assert yaml.safe_load((out / "observe.yaml").read_text())["window"] == 60.0
 
 
-def test_a_drive_that_tells_nothing_is_drawn_too():
+def test_an_empty_drive_is_drawn_too():
     drive, _, _ = prepare(RunSettings(drive="sample"))
     two = {k: v for k, v in drive.home.items() if k in ("L03", "L04")}
     view = observe_drive(

@@ -17,7 +17,7 @@ from homeward.drives.opening import sample_drive
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 20.0
 ELSEWHERE = ("live", "studio", "see", "--live", "merge", "P17")
-"""Words of commands that talk, or need what is not here: they have tests of their own."""
+"""Commands that are interactive or need other resources; they have their own tests."""
 DRIVES = {"monday": 20.0, "tuesday": 22.0, "wednesday": 18.0, "thursday": 43.0, "friday": 10.0}
 """Lengths [s]; a home is stored where the robot was on Thursday at 42 s."""
 DEGREES = 57.29577951308232
@@ -56,7 +56,7 @@ def test_commands_run_as_they_stand(page, here):
                 (made / name).write_text("\n".join([rows[0], *head]) + "\n")
 
 
-def test_csv_of_ones_own_as_its_page_says(here):
+def test_commands_of_the_csv_page(here):
     def table(name):
         return [row.split(",") for row in (sample_drive() / name).read_text().splitlines()[1:1000]]
 

@@ -29,7 +29,7 @@ def another_day(folder, seconds=40.0):
 
 @pytest.fixture(scope="module")
 def visited(tmp_path_factory):
-    """A folder with a place after two drives; the second stored a home at its end, and its way."""
+    """A folder with a place after two drives; the second stored a home and its route."""
     folder = tmp_path_factory.mktemp("places")
     hall, out = folder / "hall", folder / "out"
     day = first_seconds(folder / "day", 40.0)
@@ -51,7 +51,7 @@ def hall(visited, tmp_path):
     return tmp_path / "hall"
 
 
-def test_info_says_what_is_known(hall):
+def test_info_describes_the_place(hall):
     said = call("place", "info", hall).output
     assert "11 landmarks, 11 probably in place" in said
     assert "two visits from 2026-11-01 to 2026-11-02" in said
@@ -148,12 +148,12 @@ def test_forget_and_undo(hall):
 
 
 @pytest.mark.parametrize("left", [0, 1])
-def test_a_place_of_which_hardly_a_landmark_is_left_is_told_of(hall, left, tmp_path):
+def test_info_of_a_place_with_few_landmarks_left(hall, left, tmp_path):
     landmarks = load_place(hall).map.names
     done(call("place", "forget", hall, *landmarks[left:]))
     assert "cannot be found any more" in done(call("place", "info", hall)).output
-    told = json.loads(done(call("place", "info", hall, "--json")).output)
-    assert [home["sigma_m"] for home in told["homes"]] == [None, None]
+    result = json.loads(done(call("place", "info", hall, "--json")).output)
+    assert [home["sigma_m"] for home in result["homes"]] == [None, None]
     done(call("place", "view", hall, "--out", tmp_path / "hall.html"))
 
 
@@ -222,7 +222,7 @@ def test_what_cannot_be_is_refused_in_one_line(hall, visited, words, refusal, tm
     assert not out.exists()
 
 
-def test_another_place_is_told_and_kept_apart(hall, tmp_path):
+def test_a_drive_in_another_place_is_not_merged(hall, tmp_path):
     """The ids of a drive stand elsewhere: it is no drive through this place."""
     drive = open_drive(first_seconds(tmp_path / "drive", 30.0))
     ids = sorted(set(drive.sightings.landmark.tolist()))
@@ -238,15 +238,15 @@ def test_another_place_is_told_and_kept_apart(hall, tmp_path):
     assert load_place(hall).persistence == load_place(hall, 2).persistence
 
 
-def test_a_place_is_told_to_programs(visited):
-    told = json.loads(call("place", "info", visited / "hall", "--json").stdout)
-    assert [home["home"] for home in told["homes"]] == ["home", "dock 3"]
-    assert told["homes"][0]["x"] == told["homes"][0]["y"] == 0.0 < told["homes"][1]["sigma_m"]
-    assert [visit["stayed"] for visit in told["visits"]] == [0, 11]
-    assert len(told["landmarks"]) == 11
-    assert [route["route"] for route in told["routes"]] == ["round"]
-    assert told["routes"][0]["length_m"] > 7
-    assert all(0.9 < mark["stays"] <= 1.0 for mark in told["landmarks"])
+def test_info_of_a_place_as_json(visited):
+    result = json.loads(call("place", "info", visited / "hall", "--json").stdout)
+    assert [home["home"] for home in result["homes"]] == ["home", "dock 3"]
+    assert result["homes"][0]["x"] == result["homes"][0]["y"] == 0.0 < result["homes"][1]["sigma_m"]
+    assert [visit["stayed"] for visit in result["visits"]] == [0, 11]
+    assert len(result["landmarks"]) == 11
+    assert [route["route"] for route in result["routes"]] == ["round"]
+    assert result["routes"][0]["length_m"] > 7
+    assert all(0.9 < mark["stays"] <= 1.0 for mark in result["landmarks"])
 
 
 def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
@@ -254,7 +254,9 @@ def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
     settings = drive.settings.model_copy(update={"start": None})
     save_drive(replace(drive, settings=settings), tmp_path / "d")
     more = "--update", "--store-home", "early", "--home-at", "0.0", "--when", "2026-11-01"
-    told = call("run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o")
-    assert told.exit_code == 1
-    assert "home 'early' cannot be stored: the robot has no pose there" in told.stderr
+    result = call(
+        "run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o"
+    )
+    assert result.exit_code == 1
+    assert "home 'early' cannot be stored: the robot has no pose there" in result.stderr
     assert list(load_place(tmp_path / "hall").homes) == ["home"]

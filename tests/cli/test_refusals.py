@@ -81,11 +81,11 @@ REFUSED = {
     "render office": "`homeward simulate ROOM --images`",
     "compare a.png b.png": "`homeward see HOME.png NOW.png`",
 }
-"""Words to what the line says."""
+"""Arguments and the expected error."""
 
 
 @pytest.mark.parametrize("words", REFUSED)
-def test_a_mistake_is_told_in_one_plain_line(words, tmp_path):
+def test_a_mistake_is_reported_in_one_plain_line(words, tmp_path):
     if "--images" in words:
         pytest.importorskip("cv2", reason="pictures need the extra `vision`")
     line = refused(call(*shlex.split(words), "--out", tmp_path / "out"))

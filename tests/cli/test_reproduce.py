@@ -68,7 +68,7 @@ def test_every_case_and_filter_has_a_row(result):
     table = rows(result)
     assert [(r.case, r.filter) for r in table] == [(c, f) for c in CASES for f in FILTERS]
     assert sum(r.printed is not None for r in table) == len(PRINTED) * (len(FILTERS) - 1)
-    # Table 3 stands beside the closed loop of its caption and the open loop of its text.
+    # Table 3 is next to the closed loop of its caption and the open loop of its text.
     assert PRINTED["1"] == PRINTED["4"]
     for row in table:
         assert np.all(row.low <= row.median)
@@ -98,7 +98,7 @@ def test_runs_are_the_same_whatever_else_is_run(result, tmp_path):
 
 
 def test_from_the_exact_start_no_filter_beats_dead_reckoning(result):
-    """The truth follows the command exactly, so that bearings can only mislead."""
+    """Ground truth follows the command exactly, so that bearings can only mislead."""
     for case in CASES:
         outcome = result.outcomes[case]
         alone = outcome.of(DEAD_RECKONING)
@@ -134,7 +134,7 @@ def test_with_m_of_ht_and_the_exact_start_the_pi_ekf_beats_the_ekf(tmp_path):
     assert 0.0 < beats_printed(outcome, "2", "EKF") < 0.5
 
 
-def test_the_verdict_follows_the_settings(result, tmp_path):
+def test_the_result_follows_the_settings(result, tmp_path):
     exact = sentences(result)
     assert len(exact) == 3
     assert "exact start" in exact[1]
@@ -147,7 +147,7 @@ def test_the_verdict_follows_the_settings(result, tmp_path):
     assert "odometry beats every filter" not in other[2]
 
 
-def test_the_verdict_follows_the_results(result):
+def test_the_conclusion_follows_the_results(result):
     swapped = {}
     for case, outcome in result.outcomes.items():
         errors = outcome.rmse.copy()
@@ -250,7 +250,7 @@ def test_meanings_of_Q_and_R_matter():
 
 
 def test_one_parameter_finds_the_single_fault():
-    """Case 3: the estimated home bearing comes nearer to the truth than what home stored."""
+    """Case 3: the estimated home bearing comes nearer to ground truth than the stored one."""
     settings = PaperSettings()
     better = 0
     for k in range(10):

@@ -61,7 +61,7 @@ def test_a_filter_runs_on_images(world):
     run = run_filter("EKF", "2", world, SETTINGS)
     assert len(run.t) == 40
     assert np.isfinite(run.errors).all()
-    # Some image told something: the bearings' variances have shrunk.
+    # Some images were used: the bearings' variances have shrunk.
     assert run.variance[-1, 3:].min() < run.variance[0, 3:].min()
 
 
@@ -94,7 +94,7 @@ def test_dead_reckoning_looks_at_no_image(world):
 
 
 def test_faults_obtained_are_counted_where_fewer_came_than_were_asked_for(world, monkeypatch):
-    """Rooms decide how many landmarks lie on moved boxes; the blocks keep what they gave."""
+    """Rooms decide how many landmarks lie on moved boxes; the blocks keep the number."""
     some = replace(world, moved=np.arange(7) < 1)
     monkeypatch.setattr("homeward.lab.studies.paper.layouts.draw", lambda *_: some)
     block = Block(SETTINGS, "2", (DEAD_RECKONING,), 0, 1)

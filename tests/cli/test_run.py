@@ -110,24 +110,24 @@ def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
     assert [p.name for p in foreign.iterdir()] == ["thesis.tex"]
 
 
-def test_a_start_from_the_truth_is_said_plainly(short, tmp_path):
+def test_a_start_from_ground_truth_is_noted(short, tmp_path):
     out = tmp_path / "out"
     ekf = ["--estimator", "ekf"]
     result = call("run", short, "--start", "truth", "--out", out, page=True)
-    assert "taken from the truth" in result.stdout
-    assert "taken from the truth" in (out / "report.html").read_text()
-    # Without a prior in drive.yaml the truth is all there is to start from.
+    assert "comes from ground truth" in result.stdout
+    assert "comes from ground truth" in (out / "report.html").read_text()
+    # Without a prior in drive.yaml, the start comes from ground truth.
     settings = yaml.safe_load((short / "drive.yaml").read_text())
     del settings["start"]
     (short / "drive.yaml").write_text(yaml.safe_dump(settings))
-    assert "taken from the truth" in call("run", short, *ekf, "--out", out).stdout
-    assert "taken from the truth" not in call("run", short, "--out", out).stdout
+    assert "comes from ground truth" in call("run", short, *ekf, "--out", out).stdout
+    assert "comes from ground truth" not in call("run", short, "--out", out).stdout
     (short / "truth.csv").unlink()
     assert "start prior" in refused(call("run", short, *ekf, "--out", out))
-    assert "no truth" in refused(call("run", short, "--out", out, "--start", "truth"))
+    assert "no ground truth" in refused(call("run", short, "--out", out, "--start", "truth"))
 
 
-def test_run_without_truth_has_no_errors_to_tell(short, tmp_path):
+def test_run_without_ground_truth_has_no_errors(short, tmp_path):
     (short / "truth.csv").unlink()
     out = tmp_path / "out"
     done(call("run", short, "--out", out))
@@ -205,9 +205,7 @@ def test_sample_ships_with_its_command():
     assert sum(p.stat().st_size for p in folder.iterdir()) < 500_000
 
 
-def test_without_a_compiler_the_run_says_so_and_names_the_engine_that_ran(
-    short, tmp_path, monkeypatch
-):
+def test_without_a_compiler_the_run_names_the_engine_that_ran(short, tmp_path, monkeypatch):
     monkeypatch.setenv("CC", str(tmp_path / "nothing"))
     out = tmp_path / "out"
     result = done(call("run", short, "--estimator", "ekf", "--set", "engine=native", "--out", out))

@@ -6,7 +6,7 @@ from homeward.geometry.frames import Twist
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.simulation.trajectories import make_control
-from homeward.live.messages import Departure, EventOut, StoreRoute
+from homeward.live.messages import EventOut, GoalMessage, StoreRoute
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
@@ -41,7 +41,7 @@ class Rig:
     def step(self):
         now = self.robot.t
         for message in self.player.step():
-            if isinstance(message, Departure):
+            if isinstance(message, GoalMessage):
                 self.asked = self.robot.distance
             for spoilt in self.spoil(message):
                 self.session.receive(spoilt, now)
@@ -79,7 +79,7 @@ def texts(rig):
 
 
 def asked(rig, *messages):
-    """What is said to messages, in words."""
+    """Texts of the events and errors."""
     before = len(texts(rig))
     for message in messages:
         rig.session.receive(message, rig.robot.t)

@@ -1,4 +1,4 @@
-"""The client of the manual: what it says is understood, and what it hears it drives."""
+"""The client of the manual: its messages are valid, and it follows the commands."""
 
 import re
 import socket
@@ -27,7 +27,7 @@ class Robot:
         raise Stops(v, omega)
 
 
-def test_the_manuals_client_speaks_the_schema_and_drives_what_it_is_told():
+def test_the_manuals_client_follows_the_schema_and_the_commands():
     (code,) = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     heard = []
     with socket.create_server(("127.0.0.1", 0)) as server:
@@ -43,11 +43,11 @@ def test_the_manuals_client_speaks_the_schema_and_drives_what_it_is_told():
 
         thread = threading.Thread(target=serve)
         thread.start()
-        told = {"given": Robot()}
+        result = {"given": Robot()}
         code = code.replace("7707", str(server.getsockname()[1]))
         with pytest.raises(Stops) as stopped:
-            exec(code.replace("robot = ...", "robot = given  #"), told)
-        told["link"].close()
+            exec(code.replace("robot = ...", "robot = given  #"), result)
+        result["link"].close()
     assert stopped.value.args == (0.1, -0.2)
     thread.join(20.0)
     assert [m.type for m in heard[:3]] == ["hello", "home", "go_home"]

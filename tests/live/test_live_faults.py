@@ -129,7 +129,7 @@ def test_homes_are_bounded():
     for k in range(MAX_HOMES + 5):
         session.receive(SetHome(bearings=HOME, name=f"home {k}"), 0.0)
         words = said(session)
-    assert words == [f"{MAX_HOMES} homes are kept already; store home under one of their names"]
+    assert words == [f"already {MAX_HOMES} homes; replace one of them by its name"]
     assert len(session.localisation.homes) == MAX_HOMES
     session.receive(SetHome(bearings={"a": 0.3}, name="home 3"), 0.0)
     assert said(session) == ["home 'home 3' has one landmark"]

@@ -1,4 +1,4 @@
-"""A session in a place that lasts: it knows where it is, and tells the place what it saw."""
+"""A session in a place: the robot is localised in it, and the place is updated."""
 
 import os
 import shutil
@@ -19,16 +19,16 @@ from homeward.live.messages import (
     Answer,
     BearingsIn,
     GoHome,
-    MountIs,
     Reset,
     SavePlace,
+    SetExtrinsics,
     SetHome,
     StoreHome,
     line_of,
 )
+from homeward.live.place_session import open_place
 from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import open_place
 from homeward.places.files import load_place, newest
 from homeward.places.visit_data import fingerprint
 
@@ -41,7 +41,7 @@ def hall(tmp_path_factory):
     folder = tmp_path_factory.mktemp("places") / "hall"
     rig = Rig(0, place=open_place(folder, update=True), **LANDMARKS)
     rig.until(lambda r: r.player.ending)
-    assert "a new place, with 12 landmarks" in rig.session.localisation.conclude()
+    assert "a new place, with 12 landmarks" in rig.session.localisation.finalise()
     return folder
 
 
@@ -62,41 +62,41 @@ def in_place(folder, update=False, seed=0, keep=None, place=None, **rates):
 
 
 def error(rig):
-    """How far the answer is from the truth, in the frame of the simulator's home [m]."""
+    """Error of the answer, in the frame of the simulator's home [m]."""
     pose = rig.session.belief(rig.robot.t).pose
     return np.hypot(pose.x - rig.robot.pose.x, pose.y - rig.robot.pose.y)
 
 
-def test_the_robot_knows_at_once_where_it_is_and_a_place_that_is_only_read_stays_as_it_is(place):
+def test_the_robot_is_localised_at_once_and_a_read_only_place_is_unchanged(place):
     rig = in_place(place).until(localised, 1.5)
     assert error(rig) < 0.05
     rig.until(lambda r: r.player.ending)
     assert rig.player.ending.state == "arrived"
     assert rig.robot.distance < 0.05
-    assert "is not looked at" in texts(rig)[0]
+    assert "is ignored" in texts(rig)[0]
     for message in (SavePlace(), StoreHome(name="dock 3")):
-        assert "left as it is" in asked(rig, message)
+        assert "read-only" in asked(rig, message)
     assert "no home 'attic' in the place; there are home" in asked(rig, GoHome(name="attic"))
-    assert rig.session.localisation.conclude() is None
+    assert rig.session.localisation.finalise() is None
     assert newest(place) == 1
 
 
-def test_where_it_is_driven_to_stays_when_the_map_is_begun_anew(place):
+def test_the_goal_remains_when_the_map_is_begun_again(place):
     rig = in_place(place, update=True).until(driving)
-    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' stored" in asked(rig, StoreHome(name="dock 3"))
     assert "12 stayed" in asked(rig, SavePlace())
     assert asked(rig, GoHome(name="dock 3")) == ""
     goal = rig.session.localisation.goal
     assert np.hypot(goal.x, goal.y) > 0.3
-    for anew in (Reset(), MountIs(x=0.0, y=0.0, yaw=0.0)):
-        asked(rig, anew)
+    for again_ in (Reset(), SetExtrinsics(x=0.0, y=0.0, yaw=0.0)):
+        asked(rig, again_)
         now = rig.session.localisation.goal
         assert [now.x, now.y] == pytest.approx([goal.x, goal.y], abs=0.05)
 
 
 def test_a_home_that_is_gone_with_its_map_is_not_driven_to(place):
     rig = in_place(place, update=True).until(driving)
-    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' stored" in asked(rig, StoreHome(name="dock 3"))
     dock = rig.robot.pose
     rig.until(lambda r: np.hypot(r.robot.pose.x - dock.x, r.robot.pose.y - dock.y) > 0.3)
     asked(rig, GoHome(name="dock 3"))
@@ -110,16 +110,16 @@ def test_a_new_place_that_was_saved_looks_at_no_other_home(tmp_path):
     rig.until(lambda r: r.player.ending)
     assert "a new place" in asked(rig, SavePlace())
     other = SetHome(name="dock", bearings={"L1": 0.1, "L2": 1.0, "L3": 2.0})
-    assert "is not looked at" in asked(rig, other)
+    assert "is ignored" in asked(rig, other)
     assert "no home" not in asked(rig, SavePlace())
 
 
 def commuted(folder, keep=None, place=None):
-    """A session that stores a dock on its way, drives home, and back to the dock."""
+    """A session that stores a dock while driving, drives home, and back to the dock."""
     rig = in_place(folder, update=True, keep=keep, place=place).until(localised)
     rig.until(driving)
     dock = rig.robot.pose
-    assert "home 'dock 3' is here" in asked(rig, StoreHome(name="dock 3"))
+    assert "home 'dock 3' stored" in asked(rig, StoreHome(name="dock 3"))
     assert "already" in asked(rig, StoreHome(name="dock 3"))
     rig.until(lambda r: r.player.ending)
     assert rig.robot.distance < 0.05
@@ -160,7 +160,7 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
         rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
     recorder.close()
     answers = [a for a in rig.answers if isinstance(a, Answer)]
-    assert "stayed" in rig.session.localisation.conclude()
+    assert "stayed" in rig.session.localisation.finalise()
     shutil.rmtree(place / "0001")
     before = sorted(p.name for p in folder.glob("**/*"))
     assert replay(folder / SESSION) == (len(answers), None)
@@ -183,11 +183,11 @@ def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_p
     with single_threaded_blas():
         rig = Rig(0, recorder.keep, place=visited, **LANDMARKS).until(localised)
         rig.until(driving)
-        assert "home 'dock' is here" in asked(rig, StoreHome(name="dock"))
+        assert "home 'dock' stored" in asked(rig, StoreHome(name="dock"))
         assert "a new place" in asked(rig, SavePlace(), GoHome(name="dock"))
         rig.until(lambda r: r.player.ending)
     recorder.close()
-    rig.session.localisation.conclude()
+    rig.session.localisation.finalise()
     saved, drive = load_place(tmp_path / "hall"), open_drive(tmp_path / "drive")
     assert list(saved.homes) == ["home", "dock"]
     assert saved.visits[0].evidence == fingerprint(drive)
@@ -213,8 +213,8 @@ def test_another_place_is_kept_apart(place):
     rig.until(lambda r: r.robot.t > 12.0)
     assert not localised(rig)
     assert "not merged" in asked(rig, SavePlace())
-    with pytest.raises(HomewardError, match="did not know where it was"):
-        in_place(place, update=True).session.localisation.conclude()
+    with pytest.raises(HomewardError, match="was never localised"):
+        in_place(place, update=True).session.localisation.finalise()
     now = load_place(place)
     assert now.visits[-1].verdict == "apart"
     assert (now.map.mean == load_place(place, 1).map.mean).all()
@@ -250,7 +250,7 @@ def test_two_robots_that_save_one_place_both_merge_their_visits(place):
     assert newest(place) == 3
     assert len(load_place(place).visits) == before + 2
     # The first robot's visit is in version 2 up to here, and counts once.
-    assert "holds this visit up to its last save" in asked(rigs[0], SavePlace())
+    assert "contains this visit up to its last save" in asked(rigs[0], SavePlace())
     asked(rigs[0], Reset())
     rigs[0].until(lambda r: r.robot.t > 20.0)
     assert "stayed" in asked(rigs[0], SavePlace())
@@ -258,7 +258,7 @@ def test_two_robots_that_save_one_place_both_merge_their_visits(place):
 
 
 def lines_of_a_drive():
-    """What a client says that drives in circles for a while."""
+    """Messages of a client that drives in circles."""
     rig = Rig(0, **LANDMARKS)
     lines = [line_of(rig.player.home())]
     while rig.robot.t < 20.0:
@@ -276,13 +276,13 @@ KILLED = (
 
 def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path):
     place, lines = tmp_path / "hall", lines_of_a_drive()
-    told = ["live", "--place", str(place), "--update"]
-    first = [sys.executable, "-m", "homeward", *told]
+    result = ["live", "--place", str(place), "--update"]
+    first = [sys.executable, "-m", "homeward", *result]
     made = subprocess.run(first, input=lines, capture_output=True, text=True, check=True)
     assert made.stderr.startswith("hall: a new place, with ")
     assert '"estimate"' in made.stdout
     again = lines.replace('"t":', '"t":1000')  # another drive
-    killed = [sys.executable, "-c", KILLED, *told]
+    killed = [sys.executable, "-c", KILLED, *result]
     assert subprocess.run(killed, input=again, capture_output=True, text=True).returncode == -9
     assert any(p.name.startswith(".") for p in place.iterdir())  # it was cut short in the midst
     assert newest(place) == 1
@@ -293,7 +293,7 @@ def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("result", "words"),
     [
         (["--update"], "needs --place"),
         (["--place", "nowhere"], "nowhere"),
@@ -302,9 +302,9 @@ def test_a_session_that_is_killed_while_it_saves_leaves_the_place_whole(tmp_path
         (["--place", "{place}", "--home", "{place}/0001/homes.csv"], "bearing"),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_begins(place, told, words, tmp_path):
-    told = [word.format(place=place) for word in told]
-    out = CliRunner().invoke(app, ["live", "--record", str(tmp_path / "r"), *told])
+def test_what_cannot_be_is_refused_before_anything_begins(place, result, words, tmp_path):
+    result = [word.format(place=place) for word in result]
+    out = CliRunner().invoke(app, ["live", "--record", str(tmp_path / "r"), *result])
     assert (out.exit_code, words in out.stderr) == (2, True), out.stderr
     assert not (tmp_path / "r").exists()
 

@@ -29,11 +29,11 @@ from homeward.live.messages import (
     SavePlace,
     StoreRoute,
 )
+from homeward.live.place_session import open_place
 from homeward.live.recording import SESSION, Recorder, replay
 from homeward.live.server import Address, Server
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import open_place
 from homeward.places.files import load_place, newest
 
 LANDMARKS = {"landmarks.count": 12}
@@ -57,7 +57,7 @@ def taught(folder, keep=None, place=None):
     way = []
 
     def over(rig):
-        if any("a route begins" in text for text in texts(rig)):
+        if any("the route begins" in text for text in texts(rig)):
             way.append(rig.robot.pose)
         return rig.player.ending
 
@@ -73,7 +73,7 @@ def school(tmp_path_factory):
     assert rig.player.succeeded
     words = re.fullmatch("route round is taught: (.*) m, two way points", rig.player.last_words)
     assert float(words[1]) == pytest.approx(2.4, abs=0.11)
-    assert "a new place" in rig.session.localisation.conclude()
+    assert "a new place" in rig.session.localisation.finalise()
     return folder, way
 
 
@@ -82,13 +82,13 @@ def later(folder, task, update=False, **changes):
     return Rig(0, place=open_place(folder, update), task=task, **LATER | changes)
 
 
-def now_says(words):
-    """Whether the last command says that."""
+def has_reason(words):
+    """Whether the last command has this reason."""
     return lambda rig: rig.commands and words in rig.commands[-1][1].reason
 
 
 def words_of(rig):
-    """What was said with the commands, each once."""
+    """Reasons of the commands, each once."""
     return list(dict.fromkeys(command.reason for _, command in rig.commands))
 
 
@@ -104,7 +104,7 @@ def test_what_is_taught_is_driven_again_on_another_day(school, moved):
     rng = np.random.default_rng(1)
     for name in rng.choice(rig.robot.world.ids, moved, replace=False):
         rig.robot.move_landmark(str(name), *rng.uniform(-0.5, 0.5, 2).tolist())
-    rig.until(now_says("following round"))
+    rig.until(has_reason("following round"))
     begun, drove = rig.robot.t, []
 
     def over(rig):
@@ -118,29 +118,29 @@ def test_what_is_taught_is_driven_again_on_another_day(school, moved):
     assert np.sqrt(np.mean(far**2)) < 0.06
     assert far.max() < 0.2
     assert math.dist(rig.robot.pose[:2], way[-1, :2]) < 0.08
-    told = ["waiting at way point 2", "arrived at the end of round"]
-    assert [word for word in words_of(rig) if word in told] == told
+    result = ["waiting at way point 2", "arrived at the end of round"]
+    assert [word for word in words_of(rig) if word in result] == result
     assert newest(folder) == 1
 
 
-def test_on_the_way_it_is_blocked_lost_and_stopped_and_says_which(school):
-    rig = later(school[0], FollowRoute(name="round")).until(now_says("following round"))
-    for _ in range(5):  # somebody stands in its way
+def test_reasons_of_a_blocked_lost_and_stopped_robot_are_reported(school):
+    rig = later(school[0], FollowRoute(name="round")).until(has_reason("following round"))
+    for _ in range(5):  # an obstacle ahead
         asked(rig, Obstacle(distance=0.1))
     assert rig.standing()
     assert "blocked: an obstacle nearer than 0.3 m" in rig.commands[-1][1].reason
     assert rig.commands[-1][1].value == 0.1
     clear = [Obstacle(distance=5.0)]
     rig.spoil = lambda message: [message, *clear]
-    rig.until(now_says("following round"))
+    rig.until(has_reason("following round"))
     rig.spoil = lambda m: [
         m.model_copy(update={"bearings": {}}) if isinstance(m, BearingsIn) else m,
         *clear,
     ]
-    rig.until(now_says("lost"))
+    rig.until(has_reason("lost"))
     assert (rig.state, rig.standing()) == ("held", True)
     rig.spoil = lambda message: [message, *clear]
-    rig.until(now_says("following round"))
+    rig.until(has_reason("following round"))
     asked(rig, EStop(engaged=True))
     assert (rig.state, rig.standing()) == ("failed", True)
     asked(rig, EStop(engaged=False))
@@ -151,8 +151,8 @@ def test_on_the_way_it_is_blocked_lost_and_stopped_and_says_which(school):
     assert rig.player.succeeded
 
 
-def test_who_gets_nowhere_gives_up_and_says_why(school):
-    rig = later(school[0], FollowRoute(name="round")).until(now_says("following round"))
+def test_a_robot_without_progress_gives_up_with_a_reason(school):
+    rig = later(school[0], FollowRoute(name="round")).until(has_reason("following round"))
     rig.spoil = lambda message: [message, Obstacle(distance=0.1)]
     rig.until(lambda r: r.player.ending)
     assert rig.player.ending.state == "failed"
@@ -161,9 +161,7 @@ def test_who_gets_nowhere_gives_up_and_says_why(school):
     )
 
 
-def test_a_route_can_be_driven_in_the_session_that_taught_it_and_after_its_map_was_begun_anew(
-    school, tmp_path
-):
+def test_a_route_can_be_driven_in_its_session_and_after_its_map_was_begun_again(school, tmp_path):
     folder = shutil.copytree(school[0], tmp_path / "hall")
     rig = later(folder, StoreRoute(name="again"), update=True, **TAUGHT)
     rig.until(lambda r: r.player.ending)
@@ -171,13 +169,13 @@ def test_a_route_can_be_driven_in_the_session_that_taught_it_and_after_its_map_w
     assert "stayed" in asked(rig, SavePlace())
     assert list(load_place(folder).routes) == ["round", "again"]
     asked(rig, FollowRoute(name="again"), Reset())
-    rig.until(lambda r: r.state == "arrived")  # it stands where the route ends
+    rig.until(lambda r: r.state == "arrived")  # it stops where the route ends
 
 
 def test_what_cannot_be_is_refused_in_words(school, tmp_path):
     rig = later(school[0], GoHome()).until(lambda r: r.player.ending)
     for message in (BeginRoute(), StoreRoute(name="other")):
-        assert "left as it is" in asked(rig, message)
+        assert "read-only" in asked(rig, message)
     assert "no route 'other'; there are round" in asked(rig, FollowRoute(name="other"))
     assert "no landmark 'door'" in asked(rig, GoToLandmark(name="door"))
     alone = Rig(0)
@@ -211,22 +209,22 @@ def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
     with single_threaded_blas():  # as hosts of sessions do
         rig, _ = taught(tmp_path / "hall", recorder.keep, place)
         asked(rig, SavePlace(), FollowRoute(name="round"))
-        rig.until(lambda r: r.state == "arrived")  # it stands where the route ends
+        rig.until(lambda r: r.state == "arrived")  # it stops where the route ends
     recorder.close()
     answers = sum(isinstance(said, Answer) for said in rig.answers)
     assert replay(tmp_path / "drive" / SESSION) == (answers, None)
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("result", "words"),
     [
         (["--trajectory", "repeat"], "takes --route NAME with"),
         (["--route", "round"], "takes --route NAME with"),
         (["--trajectory", "repeat", "--route", "r", "--place", "hall"], "takes no --place"),
     ],
 )
-def test_a_simulated_robot_is_told_what_it_lacks(told, words):
-    out = CliRunner().invoke(app, ["simulate", "warehouse", "--live", "1", *told])
+def test_a_simulated_robot_gets_errors_for_missing_options(result, words):
+    out = CliRunner().invoke(app, ["simulate", "warehouse", "--live", "1", *result])
     assert (out.exit_code, words in out.stderr) == (2, True), out.stderr
 
 
@@ -246,10 +244,10 @@ def test_a_simulated_robot_teaches_a_route_over_tcp(tmp_path):
     assert opened.wait(20.0)
     changes = TAUGHT | {"start.prior": False, "moved.count": 0, "noise.bearing_sigma": 0.01}
     del changes["trajectory.kind"]
-    told = [f"--set={key}={json.dumps(value)}" for key, value in changes.items()]
+    result = [f"--set={key}={json.dumps(value)}" for key, value in changes.items()]
     route = ["--trajectory", "teach", "--route", "round", "--pace", "1"]
     said = CliRunner().invoke(
-        app, ["simulate", "paper-homing", "--live", str(server.ports[0]), *route, *told]
+        app, ["simulate", "paper-homing", "--live", str(server.ports[0]), *route, *result]
     )
     loop.call_soon_threadsafe(serving.cancel)
     thread.join()

@@ -22,10 +22,10 @@ from homeward.live.messages import (
     StoreHome,
     TurnHome,
 )
+from homeward.live.place_session import PlaceSession
 from homeward.live.recording import SESSION, Recorder, read_drive, replay
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import PlaceSession
 
 NARROW = {
     "trajectory.spin": 0.5,
@@ -78,7 +78,7 @@ def test_a_turn_that_is_broken_off_stores_nothing(message):
         assert rig.standing()
 
 
-def test_the_robot_stands_in_time_when_a_sensor_dies_while_it_turns_and_turns_on_afterwards():
+def test_the_robot_stops_in_time_when_a_sensor_dies_in_a_turn_and_continues():
     rig = Rig(1, **NARROW).until(lambda r: r.robot.t > 3.0)
     sound, died = rig.spoil, rig.robot.t
     rig.spoil = lambda m: [] if isinstance(m, BearingsIn) else [m]
@@ -104,7 +104,7 @@ def test_who_is_sent_elsewhere_looks_at_home_no_more():
     assert said[-1].text == "home 'there' has two landmarks"  # of the last second, standing
 
 
-def test_who_drives_away_meanwhile_has_no_home_and_is_told():
+def test_a_robot_that_drives_away_meanwhile_gets_no_home_and_an_error():
     session = Session()
     session.receive(LookRound(), 0.0)
     for k in range(100):
@@ -189,7 +189,7 @@ def test_looks_that_never_end_are_refused_and_so_are_none():
         looks.home()
 
 
-def test_who_is_told_to_turn_on_the_way_home_goes_there_no_more():
+def test_a_turn_replaces_the_drive_home():
     rig = Rig(2, **NARROW).until(driving, 110.0)
     rig.session.receive(TurnHome(name="other"), rig.robot.t)
     rig.step()
@@ -203,5 +203,5 @@ def test_the_first_home_of_a_place_may_be_one_of_a_turn_and_the_next_ones_are_in
     rig.session.receive(LookRound(), rig.robot.t)
     rig.session.receive(StoreHome(name="dock"), rig.robot.t)
     rig.step()
-    assert "home 'dock' is here" in events(rig)[-1]
+    assert "home 'dock' stored" in events(rig)[-1]
     assert rig.session.localisation.place.homes == ("dock",)

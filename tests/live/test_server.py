@@ -69,7 +69,7 @@ def test_a_robot_comes_home_over_tcp():
     ("first", "words"),
     [
         (b"GET / HTTP/1.1\r\n\r\n", "not JSON"),
-        (b'{"type":"estop","engaged":false}\n', "say hello first"),
+        (b'{"type":"estop","engaged":false}\n', "the first message must be hello"),
         (b'{"type":"hello"}\n', "wrong token"),
         (b'{"type":"hello","token":"guess"}\n', "wrong token"),
         (b'{"type":"hello","version":7}\n', "must be 1"),
@@ -108,7 +108,7 @@ def test_bad_lines_are_answered_and_an_endless_one_ends_the_talk():
 
 
 class Talkative(Session):
-    """Says much to all whenever somebody says anything."""
+    """Sends much to all clients for each message."""
 
     def process(self):
         return [*super().process(), Hello(token="x" * 60_000)]
@@ -175,7 +175,7 @@ def test_others_than_this_machine_need_a_token():
         async with serving(tcp=Address("0.0.0.0", 0)):
             pass
 
-    with pytest.raises(InputError, match="give a token"):
+    with pytest.raises(InputError, match="set a token"):
         asyncio.run(whole())
 
 
@@ -248,7 +248,9 @@ def test_a_session_over_stdin_answers_every_line_and_ends_with_it(tmp_path):
     command = [sys.executable, "-m", "homeward", "live", "--replay"]
     again = subprocess.run([*command, str(tmp_path / "r" / "session.jsonl")], capture_output=True)
     assert again.stdout.decode() == "300 answers, all equal to the last bit\n"
-    assert LiveSettings().queue == 200  # less than what came: stdin waits for the estimator
+    assert (
+        LiveSettings().queue == 200
+    )  # less than the number received: stdin waits for the estimator
 
 
 LOOK = '{"type":"bearings","t":%d,"bearings":{}}\n'

@@ -1,4 +1,4 @@
-"""The engine of a live session, on a clock that is told to it."""
+"""The core of a live session, on a clock of the test."""
 
 import itertools
 import math
@@ -20,12 +20,12 @@ from homeward.live.messages import (
     EventOut,
     GoHome,
     GoToLandmark,
-    MountIs,
     Obstacle,
     OdometryIn,
     Reset,
+    SetExtrinsics,
     SetHome,
-    StartIn,
+    SetStart,
     StoreHome,
 )
 from homeward.live.session import Session
@@ -44,7 +44,7 @@ def test_home_is_found_though_a_landmark_is_moved_on_the_way():
         if rig.player.ending.state == "arrived":
             arrived += 1
             assert rig.robot.distance < 0.05
-        else:  # who is not sure stands, and says so: with seed 4, docs/do/live.md
+        else:  # a robot that is not localised stops with a reason: with seed 4, docs/do/live.md
             assert "not localised: unverified" in rig.player.ending.reason
     assert arrived >= 2
 
@@ -99,9 +99,7 @@ def repeating(kind):
         (repeating(OdometryIn), "no odometry for"),
     ],
 )
-def test_the_robot_is_told_to_stand_in_time_when_a_sensor_dies_and_goes_on_when_it_is_back(
-    spoil, words
-):
+def test_the_robot_is_held_in_time_when_a_sensor_dies_and_continues_when_it_is_back(spoil, words):
     rig = Rig(2, **QUICK).until(driving)
     sound, rig.spoil, died = rig.spoil, spoil, rig.robot.t
     rig.until(Rig.standing)
@@ -125,7 +123,7 @@ def test_who_is_held_for_long_gives_up_and_is_left_to_others():
     assert rig.session.tick(rig.robot.t) is None
 
 
-def test_the_robot_stands_at_once_when_it_sees_nothing_for_longer_than_it_may_coast():
+def test_the_robot_stops_at_once_without_landmarks_for_longer_than_it_may_coast():
     rig = Rig(3).until(driving)
     began = rig.robot.t
     rig.spoil = lambda m: [m.model_copy(update={"bearings": {}})] if hasattr(m, "bearings") else [m]
@@ -142,7 +140,7 @@ def uncalibrated(rig):
     return rig
 
 
-def test_without_calibrated_odometry_a_blind_robot_stands_within_a_second():
+def test_without_calibrated_odometry_a_blind_robot_stops_within_a_second():
     rig = uncalibrated(Rig(3)).until(driving)
     began, before = rig.robot.t, rig.robot.pose
     rig.spoil = lambda m: [m.model_copy(update={"bearings": {}})] if hasattr(m, "bearings") else [m]
@@ -211,7 +209,7 @@ def test_a_camera_at_the_limit_does_not_make_the_robot_start_and_stop():
     assert sum(a != b for a, b in itertools.pairwise(states)) <= 2
 
 
-def test_the_robot_stands_where_it_is_too_uncertain():
+def test_the_robot_stops_where_it_is_too_uncertain():
     rig = Rig(0, settings=LiveSettings(limits=Limits(largest_sigma=1e-4)))
     rig.until(lambda r: r.player.ending)
     assert rig.player.ending.state == "failed"
@@ -270,7 +268,7 @@ def test_who_is_sent_elsewhere_is_not_stopped_by_what_was_refused_before():
     assert rig.player.ending.state == "arrived"
 
 
-def test_the_robot_stands_before_an_obstacle_and_when_nobody_tells_of_them_any_more():
+def test_the_robot_stops_before_an_obstacle_and_without_obstacle_messages():
     rig = Rig(5).until(driving)
     rig.session.receive(Obstacle(distance=0.2), rig.robot.t)
     rig.step()
@@ -280,7 +278,7 @@ def test_the_robot_stands_before_an_obstacle_and_when_nobody_tells_of_them_any_m
     rig.step()
     assert rig.state == "driving"
     rig.until(Rig.standing)
-    assert "nothing said of obstacles" in rig.commands[-1][1].reason
+    assert "no obstacle message for" in rig.commands[-1][1].reason
 
 
 def test_a_stamp_from_the_future_is_left_out_and_a_clock_set_ahead_or_back_is_followed():
@@ -324,7 +322,7 @@ def test_the_queue_is_bounded_and_throws_away_old_bearings_first():
         session.receive(OdometryIn(t=0.01 * k, v=0.1, omega=0.0), 0.01 * k)
         session.receive(BearingsIn(t=0.01 * k, bearings={"a": 0.1}), 0.01 * k)
         assert session.waiting <= 10
-    assert session.counts["samples thrown away, as too many waited"] == 191
+    assert session.counts["samples dropped: the queue is full"] == 191
     assert not any(isinstance(out, Answer) for out in session.process())
 
 
@@ -357,7 +355,7 @@ def test_samples_come_in_while_the_estimator_works():
     assert not worker.is_alive()
 
 
-def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
+def test_home_is_stored_only_at_rest_with_landmarks_in_view():
     session = Session()
 
     def run(*messages):
@@ -365,7 +363,7 @@ def test_home_is_stored_only_by_a_robot_that_stands_and_sees():
             session.receive(message, 0.0)
         return [out for out in session.process() if isinstance(out, EventOut)]
 
-    assert "nothing is seen" in run(StoreHome(name="dock"))[0].text
+    assert "no landmark in view" in run(StoreHome(name="dock"))[0].text
     seen = {"a": 3.14159, "b": 0.5, "c": -1.0}
     see = [BearingsIn(t=0.1 * k, bearings=seen) for k in range(1, 30)]
     roll = [OdometryIn(t=0.1 * k, v=0.2, omega=0.0) for k in range(1, 30)]
@@ -418,7 +416,7 @@ def test_who_is_sent_to_a_home_that_is_none_goes_nowhere():
 def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
     rig = Rig(0)
     pose = rig.robot.pose
-    rig.session.receive(StartIn(x=pose.x, y=pose.y, heading=pose.heading), 0.0)
+    rig.session.receive(SetStart(x=pose.x, y=pose.y, heading=pose.heading), 0.0)
     for _ in range(10):
         rig.step()
     assert rig.session.localisation.fix.estimate.pose is not None
@@ -427,14 +425,14 @@ def test_a_start_gives_a_pose_at_once_and_a_reset_takes_it():
     assert rig.session.belief(rig.robot.t).pose is None
 
 
-def test_where_the_camera_sits_can_be_told_on_the_way():
+def test_extrinsics_can_be_given_while_driving():
     rig = Rig(0).until(lambda r: r.robot.t > 2.0)
     localisation, before = rig.session.localisation, rig.session.localisation.drive.settings
-    rig.session.receive(MountIs(x=0.2, y=-0.1, yaw=0.5), rig.robot.t)
+    rig.session.receive(SetExtrinsics(x=0.2, y=-0.1, yaw=0.5), rig.robot.t)
     list(rig.session.process())
     now = localisation.drive.settings.sensor
     assert now == before.sensor.model_copy(update={"x": 0.2, "y": -0.1, "yaw": 0.5})
-    assert localisation.fix.estimate.status is Status.WAITING  # the map was begun anew
+    assert localisation.fix.estimate.status is Status.WAITING  # the map was begun again
 
 
 def test_the_belief_is_carried_on_by_odometry():
@@ -446,9 +444,9 @@ def test_the_belief_is_carried_on_by_odometry():
     assert answers[-1].status is Status.LOCALISED
 
 
-def test_a_robot_may_be_told_that_it_is_at_home():
+def test_a_start_at_home_is_accepted():
     rig = Rig()
-    rig.session.receive(StartIn(x=0.0, y=0.0, heading=0.0), 0.0)
+    rig.session.receive(SetStart(x=0.0, y=0.0, heading=0.0), 0.0)
     for _ in range(50):
         rig.step()
     estimate = rig.session.localisation.fix.estimate

@@ -85,7 +85,9 @@ def test_maps_keep_their_scale_where_errors_last():
     )
     localizer = Localizer(drive.home, **drive.settings.robot)
     track = run(drive, localizer)
-    assert any(n.startswith("Errors of") and "last for some" in n for n in localizer.notes)
+    assert any(
+        n.startswith("Bearing errors of") and "correlated over" in n for n in localizer.notes
+    )
     found = figures(track, drive, whole)
     assert abs(found["scale"]) < 1.0  # 3.5 and more where they are counted as white
     assert found["pose"] > 95.0

@@ -49,7 +49,7 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     window = rig.localizer.chart.map.smoother
     yaw, x, y = window.state.calibration[MOUNT]
     assert (x, y, yaw) == pytest.approx(tuple(mount), abs=0.03)
-    (note,) = (n for n in rig.localizer.notes if "camera" in n)
+    (note,) = (n for n in rig.localizer.notes if "extrinsics" in n)
     said = ", ".join(f"{n}: {v:.2f}" for n, v in (("x", x), ("y", y), ("yaw", yaw)))
     assert said.replace("-0.00", "0.00") in note
 
@@ -57,9 +57,9 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
 def test_only_what_nobody_told_is_named():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0})
     rig.drive(60)
-    (note,) = (n for n in rig.localizer.notes if "camera" in n)
-    assert "camera (yaw) was taken to be 0" in note
-    found = note.partition("would be ")[2]
+    (note,) = (n for n in rig.localizer.notes if "extrinsics" in n)
+    assert "extrinsics (yaw) were not given" in note
+    found = note.partition("drive.yaml: ")[2]
     assert float(found.removeprefix("yaw: ").removesuffix(".")) == pytest.approx(0.3, abs=0.03)
 
 
@@ -68,7 +68,7 @@ def test_a_camera_at_the_centre_is_left_there(seed):
     rig = mounted(Pose(0.0, 0.0, 0.0), seed, {})
     rig.drive(60)
     assert not rig.localizer.chart.extrinsics.contradicted
-    assert not any("camera" in n for n in rig.localizer.notes)
+    assert not any("extrinsics" in n for n in rig.localizer.notes)
 
 
 def test_what_was_told_is_not_doubted():

@@ -152,7 +152,7 @@ def test_what_is_told_is_believed_but_for_clear_evidence():
     for _ in range(3):
         noise.update(np.full((2, 2), 900.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
     assert (noise.scales[:, 0] > 4.0).all()
-    assert "odometry errs" in noise.notes[0]
+    assert "Estimated odometry noise" in noise.notes[0]
     for _ in range(20):
         noise.update(np.full((2, 2), 10.0) / noise.scales, np.full((2, 2), 100.0), 100, 100)
     assert (noise.scales[:, 0] == 1.0).all()

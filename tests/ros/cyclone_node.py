@@ -1,7 +1,7 @@
 """A simulated robot that speaks by another vendor's DDS: Eclipse Cyclone, without any ROS.
 
 It drives in circles until it is localised, asks for the way home, and drives by cmd_vel. A line of
-JSON tells its end: {"state", "distance", "poses", "transform", "twists"}.
+JSON describes its end: {"state", "distance", "poses", "transform", "twists"}.
 """
 
 import json
@@ -184,17 +184,17 @@ class Robot:
 
     def say(self, message):
         if isinstance(message, OdometryIn):
-            told = Odometry(header=self.header(message.t, "odom"))
-            told.twist.twist.linear.x, told.twist.twist.angular.z = message.v, message.omega
-            self.odometry.write(told)
+            result = Odometry(header=self.header(message.t, "odom"))
+            result.twist.twist.linear.x, result.twist.twist.angular.z = message.v, message.omega
+            self.odometry.write(result)
         elif isinstance(message, BearingsIn):
             seen = {self.ids[i]: b for i, b in message.bearings.items()}
-            told = PoseArray(header=self.header(message.t, "camera"))
+            result = PoseArray(header=self.header(message.t, "camera"))
             for name in self.ids.values():
                 there = name in seen  # at the origin: not seen
                 x, y = (math.cos(seen[name]), math.sin(seen[name])) if there else (0.0, 0.0)
-                told.poses.append(Pose(position=Point(x=x, y=y)))
-            self.bearings.write(told)
+                result.poses.append(Pose(position=Point(x=x, y=y)))
+            self.bearings.write(result)
         else:
             self.asked |= isinstance(message, GoHome)
             if isinstance(message, SetHome):
@@ -211,15 +211,15 @@ class Robot:
             self.heard["twists"] += 1
             if self.asked:
                 self.player.robot.command(Command(twist.linear.x, twist.angular.z), 0.2)
-        for told in self.said.take(100):
-            said = parse_output(told.data)
+        for result in self.said.take(100):
+            said = parse_output(result.data)
             if isinstance(said, Answer):
                 self.player.on_message(said)
             elif isinstance(said, Commanded) and said.state in ("arrived", "failed"):
                 self.player.ending = said
         self.heard["poses"] += len(self.poses.take(100))
-        for told in self.transforms.take(100):
-            self.heard["transform"] = [told.header.frame_id, told.child_frame_id]
+        for result in self.transforms.take(100):
+            self.heard["transform"] = [result.header.frame_id, result.child_frame_id]
 
     def drive(self):
         deadline = time.monotonic() + 30.0

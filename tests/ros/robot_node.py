@@ -1,7 +1,7 @@
 """A simulated robot as a node of ROS 2: odometry and bearings out, cmd_vel in.
 
 `python robot_node.py SEED [EPOCH]`; with an EPOCH [s] it is the simulator whose clock all go by.
-Its base stands when it hears no command for 0.2 s, as a real one must.
+Its base stops without a command for 0.2 s, as a real one must.
 It writes a line of JSON a period: t, true distance from home, speed; "move" on stdin moves L1.
 """
 

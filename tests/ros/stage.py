@@ -16,7 +16,7 @@ from homeward.lab.simulation.simulate import load_scenario
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).parent
 DOMAIN = os.getpid() % 90 + 1
-"""Of DDS: runs beside each other do not hear each other."""
+"""DDS domain, so that parallel runs are separate."""
 
 
 def has_tf(python):
@@ -26,7 +26,7 @@ def has_tf(python):
 
 
 class Running:
-    """A process that says a line of JSON a time."""
+    """A process that writes JSON lines."""
 
     def __init__(self, *command, quiet=False, paths=(), **more):
         paths = os.pathsep.join(map(str, (ROOT / "src", ROOT / "tests" / "live", *paths)))
@@ -95,16 +95,16 @@ class Stage:
 
     def start(self, **parameters):
         parameters = {"home": self.tmp_path / "home.csv", **parameters}
-        told = [
+        result = [
             word for k, v in parameters.items() if v is not None for word in ("-p", f"{k}:={v}")
         ]
-        told = ["--params-file", str(ROOT / "docs" / "do" / "ros" / "homeward.yaml"), *told]
+        result = ["--params-file", str(ROOT / "docs" / "do" / "ros" / "homeward.yaml"), *result]
         since = len(self.witness.lines)
-        self.node = Running(self.python, "-m", "homeward.ros", "--ros-args", *told, quiet=True)
+        self.node = Running(self.python, "-m", "homeward.ros", "--ros-args", *result, quiet=True)
         self.hear("/diagnostics", longest=120.0, since=since)  # a busy machine takes long to start
         return self.node
 
-    def tell(self, **what):
+    def send(self, **what):
         self.witness.say(json.dumps(what))
 
     def hear(self, topic, condition=lambda value: True, longest=60.0, since=None):
@@ -116,14 +116,14 @@ class Stage:
         return self.witness.until(fits, longest, since)[1]
 
     def look_round(self, least=8.0):
-        """Drive in circles until localised, and so many seconds at least."""
-        self.tell(twist=[0.15, 0.3])
+        """Drive in circles until localised, for at least `seconds`."""
+        self.send(twist=[0.15, 0.3])
         time.sleep(least)
         self.hear("/homeward/said", lambda s: s.get("status") == "localised")
-        self.tell(twist=None)
+        self.send(twist=None)
 
     def go(self):
-        self.tell(call="go_home")
+        self.send(call="go_home")
         self.hear("cmd_vel", lambda c: c[0] > 0.1)
 
     def memory(self):
@@ -131,8 +131,8 @@ class Stage:
         pages = Path(f"/proc/{self.node.process.pid}/statm").read_text().split()[1]
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
-    def stands(self, longest=5.0):
-        """How long until the robot, which moves now, stands [s]; by its own clock."""
+    def time_to_stop(self, longest=5.0):
+        """Time until the moving robot stops, by its own clock [s]."""
         began = len(self.robot.lines)
         t = self.robot.lines[-1][1]["t"]
         return self.robot.until(lambda r: r["v"] < 1e-6, longest, began)[1]["t"] - t

@@ -18,7 +18,7 @@ def scan(ranges, angle_min, farthest=8.0):
 
 @pytest.mark.parametrize("angle_min", [-math.pi, 0.0])
 @pytest.mark.parametrize("degrees", [-15, 0, 15])
-def test_what_stands_ahead_is_seen_by_scanners_that_begin_behind_and_ahead(angle_min, degrees):
+def test_obstacles_ahead_are_seen_by_scanners_that_begin_behind_and_ahead(angle_min, degrees):
     ranges = [5.0] * 360
     ranges[round(degrees - math.degrees(angle_min)) % 360] = 0.4
     assert obstacle_in(scan(ranges, angle_min), 0.35).distance == 0.4
@@ -27,11 +27,11 @@ def test_what_stands_ahead_is_seen_by_scanners_that_begin_behind_and_ahead(angle
 @pytest.mark.parametrize(
     ("ahead", "free"), [(-math.inf, 0.0), (math.inf, 8.0), (math.nan, 8.0), (0.05, 8.0), (3.0, 3.0)]
 )
-def test_ranges_that_are_none_mean_what_rep_117_says(ahead, free):
+def test_infinite_ranges_follow_rep_117(ahead, free):
     assert obstacle_in(scan([ahead] * 360, 0.0), 0.35).distance == free
 
 
-def test_a_scanner_that_sees_endlessly_far_tells_of_a_free_way():
+def test_a_scanner_with_infinite_range_reports_a_free_path():
     assert obstacle_in(scan([math.inf] * 8, 0.0, math.inf), 0.35).distance > 1e3
 
 

@@ -17,8 +17,8 @@ LOOPBACK = """<CycloneDDS><Domain>
 def test_a_robot_that_speaks_cyclone_drives_home_by_the_node(tmp_path):
     python, place = environment("jazzy"), cyclone()
     node = Running(python, "-m", "homeward.ros", quiet=True)
-    told = {"paths": [place], "CYCLONEDDS_URI": LOOPBACK}
-    robot = Running(sys.executable, str(HERE / "cyclone_node.py"), str(DOMAIN), **told)
+    result = {"paths": [place], "CYCLONEDDS_URI": LOOPBACK}
+    robot = Running(sys.executable, str(HERE / "cyclone_node.py"), str(DOMAIN), **result)
     try:
         end = robot.until(lambda line: True, 150.0, 0)[1]
     finally:

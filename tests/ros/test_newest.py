@@ -1,4 +1,4 @@
-"""Tasks that take long, as seen by whoever gives them."""
+"""Long tasks of a worker, as seen by its callers."""
 
 import threading
 
@@ -29,7 +29,7 @@ def test_who_gives_never_waits_and_the_newest_alone_is_done():
     work.close()
 
 
-def test_what_goes_wrong_is_raised_where_it_can_be_told_and_the_next_one_is_done():
+def test_an_error_is_raised_by_take_and_the_next_task_runs():
     ready = threading.Semaphore(0)
     work = Newest(ready.release)
     work.give(lambda: 1 / 0)

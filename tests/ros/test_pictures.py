@@ -1,4 +1,4 @@
-"""A robot that hands its pictures to the node: they are seen there, beside everything else."""
+"""A robot that sends its images to the node, which detects the tags."""
 
 import statistics
 import sys
@@ -30,16 +30,16 @@ def stage(ros, tmp_path):
 def drive_about(stage):
     """Drive a little and look round, and so on: each tag is seen from several places."""
     for twist, seconds in (((0.15, 0.3), 4.0), ((0.0, 0.8), 8.0)) * 3:
-        stage.tell(twist=twist)
+        stage.send(twist=twist)
         time.sleep(seconds)
-    stage.tell(twist=(0.0, 0.4))
+    stage.send(twist=(0.0, 0.4))
     stage.hear("/homeward/said", lambda s: s.get("status") == "localised", 30.0)
-    stage.tell(twist=None)
+    stage.send(twist=None)
 
 
 def test_home_by_a_turn_and_back_again_by_pictures(stage):
     stage.hear("/homeward/said", lambda s: "no home yet" in s.get("reason", ""), 30.0, 0)
-    stage.tell(call="turn_home")
+    stage.send(call="turn_home")
     stored = stage.hear("/homeward/said", lambda s: "is stored" in s.get("text", ""), 40.0)
     number, _, rest = stored["value"]["text"].partition("stored: ")[2].partition(" ")
     assert int(number) >= 12

@@ -17,7 +17,7 @@ from homeward.places.files import load_place, newest
 HOMINGS = int(os.environ.get("HOMEWARD_HOMINGS", "2"))
 
 
-def test_the_robot_comes_home_though_a_landmark_is_moved_and_all_topics_tell(stage):
+def test_the_robot_comes_home_with_a_moved_landmark_and_all_topics_are_published(stage):
     stage.node.end()
     stage.node = stage.start(record=stage.tmp_path / "drive")
     distances = []
@@ -40,8 +40,8 @@ def test_the_robot_comes_home_though_a_landmark_is_moved_and_all_topics_tell(sta
     assert max(distances) < 0.05, distances
     lines = list(stage.witness.lines)
     asked = {x["value"]: x["at"] for _, x in lines if x["topic"] == "bearings"}
-    told = {x["value"][3]: x["at"] for _, x in lines if x["topic"] == "/homeward/pose"}
-    latencies = sorted(max(told[t] - asked[t], 0.0) for t in told if t in asked)
+    result = {x["value"][3]: x["at"] for _, x in lines if x["topic"] == "/homeward/pose"}
+    latencies = sorted(max(result[t] - asked[t], 0.0) for t in result if t in asked)
     assert len(latencies) > 100
     times = [x["at"] for _, x in lines if x["topic"] == "/homeward/map_to_odom"]
     rate = len(times) / (times[-1] - times[0])
@@ -61,24 +61,24 @@ def test_the_robot_comes_home_though_a_landmark_is_moved_and_all_topics_tell(sta
     )
 
 
-def test_the_robot_stands_when_the_node_is_killed_or_hangs_and_the_node_says_so_of_the_robot(stage):
+def test_the_robot_stops_when_the_node_is_killed_or_hangs(stage):
     stage.look_round()
     stage.go()
     stage.node.process.kill()
-    assert stage.stands() <= 0.3  # the base's own 0.2 s after the last command, and its step
+    assert stage.time_to_stop() <= 0.3  # the base's own 0.2 s after the last command, and its step
     stage.node.end()
     stage.node = stage.start()
     stage.look_round()
     stage.go()
     stage.node.process.send_signal(signal.SIGSTOP)
-    assert stage.stands() <= 0.3
+    assert stage.time_to_stop() <= 0.3
     stage.node.process.send_signal(signal.SIGCONT)
     since = len(stage.witness.lines)
     stage.hear("cmd_vel", lambda c: c[0] > 0.1)
     stage.robot.process.kill()
     died = time.monotonic()
-    stood = stage.hear("cmd_vel", lambda c: c == [0.0, 0.0], 5.0, since)["at"]
-    assert stood - died <= 0.3
+    stopped = stage.hear("cmd_vel", lambda c: c == [0.0, 0.0], 5.0, since)["at"]
+    assert stopped - died <= 0.3
     stage.hear("/diagnostics", lambda text: "no odometry for" in text)
 
 
@@ -87,9 +87,9 @@ def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
     place = stage.tmp_path / "hall"
     stage.node = stage.start(place=place, place_update="true")
     stage.look_round(20.0)
-    stage.tell(name=["store_home", "dock 3"])
-    stage.hear("/homeward/said", lambda s: "home 'dock 3' is here" in s.get("text", ""))
-    stage.tell(call="save_place")
+    stage.send(name=["store_home", "dock 3"])
+    stage.hear("/homeward/said", lambda s: "home 'dock 3' stored" in s.get("text", ""))
+    stage.send(call="save_place")
     stage.hear("/homeward/said", lambda s: "hall: a new place, with" in s.get("text", ""))
     stage.go()
     stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 30.0)
@@ -97,26 +97,26 @@ def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
     assert newest(place) == 2  # again at the end, whole
     assert list(load_place(place).homes) == ["home", "dock 3"]
     stage.node = stage.start(place=place)
-    stage.tell(twist=[0.15, 0.3])
+    stage.send(twist=[0.15, 0.3])
     stage.hear("/homeward/said", lambda s: s.get("status") == "localised", 30.0)
-    stage.tell(twist=None)
-    stage.tell(name=["go_home", "dock 3"])
+    stage.send(twist=None)
+    stage.send(name=["go_home", "dock 3"])
     stage.hear("cmd_vel", lambda c: c[0] > 0.1)
     stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 30.0)
     dock = load_place(place).home_pose("dock 3")
     far = abs(math.hypot(dock.x, dock.y) - stage.robot.lines[-1][1]["distance"])
     assert far < 0.06
-    stage.tell(call="save_place")
-    stage.hear("/homeward/said", lambda s: "left as it is" in s.get("text", ""))
+    stage.send(call="save_place")
+    stage.hear("/homeward/said", lambda s: "read-only" in s.get("text", ""))
 
 
-def test_the_node_waits_for_the_transform_that_tells_where_the_camera_sits(stage):
+def test_the_node_waits_for_the_transform_of_the_camera(stage):
     if not has_tf(stage.python):
         pytest.skip("tf2_msgs could not be made")
     for frame, words in (("lens", "no bearings yet"), ("camera", "localised")):
         stage.node.end()
         stage.node = stage.start(camera_frame=frame)
-        stage.tell(twist=[0.15, 0.3])
+        stage.send(twist=[0.15, 0.3])
         time.sleep(3.0)
         stage.hear("/diagnostics", lambda text, words=words: words in text)
 
@@ -124,25 +124,25 @@ def test_the_node_waits_for_the_transform_that_tells_where_the_camera_sits(stage
 def test_services_and_lifecycle(stage):
     stage.look_round()
     stage.go()
-    stage.tell(estop=True)
+    stage.send(estop=True)
     assert stage.hear("/homeward/estop")["value"]
-    assert stage.stands() <= 0.3
-    stage.tell(call="go_home")
+    assert stage.time_to_stop() <= 0.3
+    stage.send(call="go_home")
     stage.hear("/homeward/said", lambda s: s.get("state") == "held" and "stop" in s["reason"])
-    stage.tell(estop=False)
+    stage.send(estop=False)
     stage.hear("/homeward/said", lambda s: s.get("state") == "failed" and "stop" in s["reason"])
     stage.go()
     since = len(stage.witness.lines)
-    stage.tell(transition="deactivate")
+    stage.send(transition="deactivate")
     assert stage.hear("/homeward/change_state", since=since)["value"]
-    assert stage.stands() <= 0.3
+    assert stage.time_to_stop() <= 0.3
     for transition in ("cleanup", "configure", "activate"):
         since = len(stage.witness.lines)
-        stage.tell(transition=transition)
+        stage.send(transition=transition)
         assert stage.hear("/homeward/change_state", since=since)["value"]
     stage.hear("/diagnostics", lambda text: text.startswith("mapping"))
     time.sleep(1.5)
-    stage.tell(call="store_home")
+    stage.send(call="store_home")
     stage.hear("/homeward/said", lambda s: "12 landmarks" in s.get("text", ""))
     stage.hear("/homeward/said", lambda s: s.get("pose") is not None)
     x, y, _ = stage.hear("/homeward/said", lambda s: s.get("pose") is not None)["value"]["pose"]
@@ -152,18 +152,18 @@ def test_services_and_lifecycle(stage):
 def test_a_start_is_taken_and_an_obstacle_stops_the_robot(stage):
     stage.node.end()
     stage.node = stage.start(scan_topic="scan")
-    stage.tell(start=[1.0, 0.5, 0.3])
-    stage.hear("/homeward/said", lambda s: s.get("pose") is not None, 30.0)  # it stands
+    stage.send(start=[1.0, 0.5, 0.3])
+    stage.hear("/homeward/said", lambda s: s.get("pose") is not None, 30.0)  # it is at rest
     stage.node.end()
     stage.node = stage.start(scan_topic="scan")
-    stage.tell(scan=8.0)
+    stage.send(scan=8.0)
     stage.look_round()
     stage.go()
-    stage.tell(scan=0.2)
-    assert stage.stands() <= 0.5  # a scan every 0.05 s
+    stage.send(scan=0.2)
+    assert stage.time_to_stop() <= 0.5  # a scan every 0.05 s
     stage.hear("/homeward/said", lambda s: "an obstacle nearer than" in s.get("reason", ""))
-    stage.tell(scan=None)
-    stage.hear("/homeward/said", lambda s: "nothing said of obstacles" in s.get("reason", ""))
+    stage.send(scan=None)
+    stage.hear("/homeward/said", lambda s: "no obstacle message for" in s.get("reason", ""))
 
 
 def test_by_simulated_time_stamps_are_the_simulators_and_watchdogs_are_not(ros, tmp_path):
@@ -176,7 +176,7 @@ def test_by_simulated_time_stamps_are_the_simulators_and_watchdogs_are_not(ros, 
         now = began + stage.robot.lines[-1][1]["t"]
         assert abs(1e-9 * said - now) < 5.0  # Unix time is fifty years ahead
         stage.go()
-        stage.robot.process.kill()  # and with it the clock stands
+        stage.robot.process.kill()  # which stops the clock, too
         stage.hear("cmd_vel", lambda c: c == [0.0, 0.0], 5.0)
         stage.hear("/diagnostics", lambda text: "no odometry for" in text)
     finally:

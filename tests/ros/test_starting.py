@@ -1,4 +1,4 @@
-"""A node that cannot do what its parameters say tells why, in one line, and ends."""
+"""A node with invalid parameters reports why, in one line, and ends."""
 
 import subprocess
 
@@ -7,7 +7,7 @@ from ros.stage import ROOT
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("result", "words"),
     [
         ("home:=/there/is/no/home.csv", "cannot be read: No such file"),
         (
@@ -16,8 +16,8 @@ from ros.stage import ROOT
         ),
     ],
 )
-def test_what_cannot_be_is_said_in_one_line(ros, told, words):
-    command = [ros, "-m", "homeward.ros", "--ros-args", "-p", told]
+def test_what_cannot_be_is_said_in_one_line(ros, result, words):
+    command = [ros, "-m", "homeward.ros", "--ros-args", "-p", result]
     ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=120)
     (line,) = ended.stderr.splitlines()
     assert words in line

@@ -1,4 +1,4 @@
-"""Hears everything that is said on ROS 2, a line of JSON each, and says what stdin tells it to.
+"""Witness node: writes all received messages as JSON lines, and publishes what stdin requests.
 
 In: {"twist": [v, omega]} until the next one, {"twist": null}, {"call": "go_home"},
 {"estop": true}, {"transition": "deactivate"}, {"scan": m} until the next one,
@@ -73,11 +73,11 @@ class Witness(Node):
 
     def heard(self, topic, read):
         def hear(message):
-            self.tell(topic, read(message))
+            self.send(topic, read(message))
 
         return hear
 
-    def tell(self, topic, value):
+    def send(self, topic, value):
         line = {"at": time.monotonic(), "topic": topic, "value": value}
         sys.stdout.write(json.dumps(line) + "\n")
         sys.stdout.flush()
@@ -123,7 +123,7 @@ class Witness(Node):
         client = self.create_client(kind, name)
         client.wait_for_service(5.0)
         future = client.call_async(request)
-        future.add_done_callback(lambda f: self.tell(name, f.result().success))
+        future.add_done_callback(lambda f: self.send(name, f.result().success))
 
 
 rclpy.init()

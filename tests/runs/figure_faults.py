@@ -1,4 +1,4 @@
-"""What is wrong with a figure to look at: ticks that collide, texts that are cut."""
+"""Faults of figures: ticks that collide, texts that are cut."""
 
 from itertools import combinations, pairwise
 

@@ -1,4 +1,4 @@
-"""Made-up results of a study, for tests of what it draws and writes."""
+"""Made-up results of a study, for tests of its figures and files."""
 
 import numpy as np
 import yaml
@@ -10,7 +10,7 @@ from homeward.lab.studies.study.settings import load_study
 
 
 def made_up_study(folder, decades=1.0, label="A-EKF", **changes):
-    """Return results that nobody computed, spread over so many decades."""
+    """Return made-up results, spread over `decades`."""
     study = {
         "name": "made up",
         "runs": 12,

@@ -1,4 +1,4 @@
-"""Figures to look at: labels that collide with nothing and are whole, and what is noted."""
+"""Figures to look at: labels that collide with nothing and are whole, and notes."""
 
 from dataclasses import replace
 
@@ -130,7 +130,7 @@ def test_who_lies_below_its_bound_is_noted(tmp_path):
 
 
 def said(figure):
-    """Return all that a figure says."""
+    """Return all texts of a figure."""
     axes = figure.axes[0]
     words = [t.get_text() for t in axes.get_yticklabels()]
     marks = [str(line.get_marker()) for line in figure.legends[0].get_lines()]

@@ -17,5 +17,5 @@ def test_no_two_names_at_home_are_written_over_each_other(seed):
     assert len({radii[k] for k in np.flatnonzero((bearings >= 0.3) & (bearings <= 0.33))}) == 3
 
 
-def test_a_name_that_stands_alone_stands_at_the_circle():
+def test_a_single_label_is_at_the_circle():
     assert len(set(label_radii(np.array([-2.0, 0.0, 1.0])))) == 1

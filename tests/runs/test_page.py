@@ -72,7 +72,7 @@ def html(tmp_path_factory):
 def test_page_fetches_nothing(html):
     read = Page(html)
     assert all(a.startswith(("#", "data:")) for a in read.addresses)
-    assert "default-src 'none'" in html, "whatever a script asks for, the browser refuses"
+    assert "default-src 'none'" in html, "the browser refuses all requests of scripts"
     assert len(read.scripts) == 4
     assert len(html) < 2_000_000
 
@@ -86,7 +86,7 @@ def test_data_in_the_page_are_strict_json(html):
     assert len(seen["t"]) == len(seen["pose"]) == 200
 
 
-def test_page_says_what_happened(html):
+def test_page_contains_the_summary(html):
     text = " ".join(Page(html).text.split())
     drive, track = made_up()
     said_first = sentence(track, score(track, drive.truth))
@@ -164,35 +164,35 @@ def test_a_vague_or_distant_landmark_does_not_shrink_the_map():
     assert map_limits(track, drive.truth)[1] < 10
 
 
-def test_moments_tell_what_became_of_each_bearing():
+def test_moments_have_the_use_of_each_bearing():
     drive, track = made_up()
-    judged = track.innovations
+    scored = track.innovations
     unknown = dataclasses.replace(
         track,
-        innovations=Innovations(*(getattr(judged, f.name)[4:] for f in dataclasses.fields(judged))),
+        innovations=Innovations(*(getattr(scored, f.name)[4:] for f in dataclasses.fields(scored))),
     )
-    told = moments(drive, unknown)
-    assert [fate for _, _, fate in told["seen"][0]] == [NEW] * 4
-    fates = [fate for seen in told["seen"][1:] for _, _, fate in seen]
+    result = moments(drive, unknown)
+    assert [fate for _, _, fate in result["seen"][0]] == [NEW] * 4
+    fates = [fate for seen in result["seen"][1:] for _, _, fate in seen]
     assert set(fates) == {USED, REJECTED}
-    assert fates.count(REJECTED) == int((~judged.accepted[4:]).sum())
-    assert told["pose"][19] is None
-    assert told["pose"][20] == pytest.approx(
+    assert fates.count(REJECTED) == int((~scored.accepted[4:]).sum())
+    assert result["pose"][19] is None
+    assert result["pose"][20] == pytest.approx(
         [track.x[20], track.y[20], track.heading[20]], abs=1e-4
     )
-    assert told["known"][19] == -1
-    row = told["history"][told["known"][-1]]
+    assert result["known"][19] == -1
+    row = result["history"][result["known"][-1]]
     assert row[0] == [1.0, 2.0, 10]
     assert row[3] is None
 
 
 def test_a_long_drive_has_no_more_moments_than_a_page_holds():
     drive, track = made_up(seconds=3600.0)
-    told = moments(drive, track)
-    assert len(told["t"]) <= MAX_MOMENTS + 2
-    assert told["t"][0] == 0.0
-    assert told["t"][-1] == pytest.approx(track.t[-1] - track.t[0], abs=1e-3)
-    assert max(np.diff(told["t"])) < 2 * 3600 / MAX_MOMENTS
+    result = moments(drive, track)
+    assert len(result["t"]) <= MAX_MOMENTS + 2
+    assert result["t"][0] == 0.0
+    assert result["t"][-1] == pytest.approx(track.t[-1] - track.t[0], abs=1e-3)
+    assert max(np.diff(result["t"])) < 2 * 3600 / MAX_MOMENTS
 
 
 def test_mean_nis_lies_in_its_interval_as_often_as_it_should():

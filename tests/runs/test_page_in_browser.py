@@ -137,7 +137,7 @@ def test_names_are_text_and_never_markup(desktop):
 
 
 @needs_chromium
-def test_a_landmark_tells_of_itself_when_hovered(played):
+def test_a_landmark_has_a_tooltip(played):
     assert played["wrong"] == []
     tip = " ".join(played["tips"])
     assert HOSTILE[0] in tip

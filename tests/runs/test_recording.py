@@ -199,7 +199,7 @@ def test_paths_and_series(run, file):
     assert [s.partition(":")[0] for s in status] == ["mapping", "localised", "coasting"]
 
 
-def test_images_at_most_every_half_second(run, file):
+def test_images_have_an_interval_of_half_a_second(run, file):
     images = read(file, "/camera/image/compressed")
     assert [t / NANO for t, _ in images] == run[1].t[[0, 10]].tolist()
     assert images[0][1].format == "png"
@@ -312,20 +312,20 @@ def test_a_run_with_little_to_show_is_written_too(tmp_path, rows):
     assert len(read(tmp_path / "run.mcap", "/homeward/home")) == (rows > 0)
 
 
-def test_status_is_told_when_it_changes_and_each_second(run, file):
+def test_status_is_written_when_it_changes_and_each_second(run, file):
     messages = read(file, "/diagnostics")
-    told = [m.status[0].message.partition(":")[0] for _, m in messages]
-    assert [told[0], told[-1]] == ["mapping", "coasting"]
+    reported = [m.status[0].message.partition(":")[0] for _, m in messages]
+    assert [reported[0], reported[-1]] == ["mapping", "coasting"]
     assert {m.status[0].level for _, m in messages} == {0, 1}
     assert np.diff([t for t, _ in messages]).max() <= 1.1 * NANO
     assert "3 are needed" in messages[0][1].status[0].message
 
 
-def test_evo_finds_the_error_that_we_tell(run, file, tmp_path):
+def test_evo_computes_the_same_error(run, file, tmp_path):
     drive, track = run
     ours = score(track, drive.truth).as_dict()["position_rmse_m"]
-    told = evo("evo_ape", "mcap", file, "/homeward/truth", "/homeward/pose", home=tmp_path)
-    assert float(re.search(r"rmse\s+(\S+)", told)[1]) == pytest.approx(ours, rel=1e-3)
+    reported = evo("evo_ape", "mcap", file, "/homeward/truth", "/homeward/pose", home=tmp_path)
+    assert float(re.search(r"rmse\s+(\S+)", reported)[1]) == pytest.approx(ours, rel=1e-3)
     listed = evo("evo_traj", "mcap", file, "/homeward/pose", "/homeward/truth", home=tmp_path)
     assert f"{int(track.has_pose.sum())} poses" in listed
 
@@ -341,8 +341,8 @@ def test_evo_reads_the_trajectory(run, file, tmp_path):
             for t, x, y, h in (map(float, row) for row in rows)
         )
     )
-    told = evo("evo_ape", "tum", truth, tmp_path / "trajectory.tum", home=tmp_path)
-    assert float(re.search(r"rmse\s+(\S+)", told)[1]) == pytest.approx(0.05, rel=1e-6)
+    reported = evo("evo_ape", "tum", truth, tmp_path / "trajectory.tum", home=tmp_path)
+    assert float(re.search(r"rmse\s+(\S+)", reported)[1]) == pytest.approx(0.05, rel=1e-6)
 
 
 def test_times_count_from_the_epoch_of_the_log(tmp_path):

@@ -97,7 +97,7 @@ def test_run_yaml_holds_every_setting_and_the_versions(folder):
 
 
 @pytest.mark.usefixtures("unplotted")
-def test_an_estimator_that_says_nothing_of_landmarks(tmp_path):
+def test_an_estimator_without_landmarks(tmp_path):
     drive, track = made_up()
     silent = dataclasses.replace(track, landmarks=[LandmarkEstimate(i) for i in "abcd"])
     assert "does not detect moved landmarks" in write_run(tmp_path, drive, silent, {})

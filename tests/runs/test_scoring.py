@@ -50,7 +50,7 @@ def track(t, x=0.0, y=0.0, heading=0.0, sigma=0.1, status=None, **other):
 
 
 def still(t, x=0.0, y=0.0, heading=0.0):
-    """Return the truth of a robot that stands still."""
+    """Return ground truth of a robot at rest."""
     t = np.asarray(t, float)
     return Truth(t, np.full(t.size, x), np.full(t.size, y), np.full(t.size, heading))
 
@@ -109,20 +109,20 @@ def test_half_a_second_is_no_gap():
 
 
 def test_headings_are_compared_around_pi():
-    judged = errors(track(steps(1), heading=-3.1), still(steps(1), heading=3.1))
-    np.testing.assert_allclose(judged.heading, 2 * math.pi - 6.2)
+    scored = errors(track(steps(1), heading=-3.1), still(steps(1), heading=3.1))
+    np.testing.assert_allclose(scored.heading, 2 * math.pi - 6.2)
 
 
 def test_theta_is_compared_around_pi():
-    judged = errors(track(steps(1), x=-1.0, y=-0.1), still(steps(1), x=-1.0, y=0.1))
-    np.testing.assert_allclose(judged.theta, 2 * math.atan(0.1))
+    scored = errors(track(steps(1), x=-1.0, y=-0.1), still(steps(1), x=-1.0, y=0.1))
+    np.testing.assert_allclose(scored.theta, 2 * math.atan(0.1))
 
 
 def test_truth_is_interpolated():
     truth = Truth(np.array([0.0, 0.4]), np.array([0.0, 4.0]), np.zeros(2), np.array([3.0, -3.0]))
-    judged = errors(track([0.1, 0.2], x=[1.0, 2.5], heading=math.pi), truth)
-    np.testing.assert_allclose(judged.position, [0.0, 0.5], atol=1e-12)
-    np.testing.assert_allclose(judged.heading[1], 0.0, atol=1e-12)
+    scored = errors(track([0.1, 0.2], x=[1.0, 2.5], heading=math.pi), truth)
+    np.testing.assert_allclose(scored.position, [0.0, 0.5], atol=1e-12)
+    np.testing.assert_allclose(scored.heading[1], 0.0, atol=1e-12)
 
 
 def test_rows_without_a_pose_are_not_scored_but_cost_share():
@@ -150,7 +150,7 @@ def test_a_covariance_that_is_none_counts_as_never_inside():
     json.dumps(metrics.as_dict(), allow_nan=False)
 
 
-def test_honest_errors_score_as_honest():
+def test_consistent_errors_score_as_consistent():
     rng = np.random.default_rng(5)
     n = 20001
     e = 0.1 * rng.normal(size=(n, 3))

@@ -56,7 +56,7 @@ def test_several_estimators_share_a_page_and_one_that_fails_ends_nothing(short, 
     done(call("run", short, "--estimator", "ekf,robust", "--out", out))
 
 
-def test_where_no_estimator_has_a_pose_the_status_says_so(short, bad, tmp_path):
+def test_without_any_pose_the_exit_status_is_1(short, bad, tmp_path):
     twin = (tmp_path / "bad_one.py").read_text()
     (tmp_path / "bad_two.py").write_text(twin)
     words = ["run", short, "--estimator", f"{bad},bad_two:Bad", "--out", tmp_path / "out"]
@@ -64,7 +64,7 @@ def test_where_no_estimator_has_a_pose_the_status_says_so(short, bad, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "reported"),
     [
         (["--estimator", "robust,kalman"], "no estimator 'kalman'"),
         (["--estimator", "robust,robust"], "estimator robust is given twice"),
@@ -73,9 +73,9 @@ def test_where_no_estimator_has_a_pose_the_status_says_so(short, bad, tmp_path):
         (["--estimator", "robust,"], "no estimator ''"),
     ],
 )
-def test_what_cannot_be_compared_is_one_line(short, tmp_path, words, told):
+def test_what_cannot_be_compared_is_one_line(short, tmp_path, words, reported):
     out = tmp_path / "out"
-    assert told in refused(call("run", short, *words, "--out", out))
+    assert reported in refused(call("run", short, *words, "--out", out))
     assert not out.exists()
 
 

@@ -63,7 +63,7 @@ def lesson(site, tmp_path):
     return look
 
 
-def test_what_the_program_knows_is_on_its_page(site):
+def test_all_settings_are_on_their_page(site):
     def page(name):
         return (site / "look-up" / f"{name}.html").read_text(encoding="utf-8")
 
@@ -106,7 +106,7 @@ def test_pages_are_found_read_and_left(site, tmp_path, width, dark):
 
 @needs_chromium
 def test_no_page_scrolls_sideways_on_a_phone_and_none_leads_nowhere(site, tmp_path):
-    pytest.importorskip("websockets", reason="Chromium is told by its own protocol")
+    pytest.importorskip("websockets", reason="Chromium is controlled by its own protocol")
     from studio.chromium import Page
 
     script = """[document.documentElement.scrollWidth - innerWidth, [...document.querySelectorAll(

@@ -25,7 +25,7 @@ def test_summary_of_the_usual_run():
     )
 
 
-def test_one_sentence_says_it():
+def test_one_sentence_has_the_result():
     drive, track = made_up(seconds=180.0)
     assert sentence(track, score(track, drive.truth)) == (
         "Localised for 99 % of 180 s; position error 0.050 m RMSE; "
@@ -41,7 +41,7 @@ def test_one_sentence_says_it():
     )
 
 
-def test_summary_says_when_the_claimed_uncertainty_is_too_small():
+def test_summary_reports_overconfidence():
     drive, track = made_up()
     sure = dataclasses.replace(track, covariance=track.covariance / 100)
     said = summarise(drive, sure, score(sure, drive.truth))
@@ -87,7 +87,7 @@ def test_lists_end():
     assert words.listing([*"abcdefghij"], 3) == "a, b, c and 7 more"
 
 
-def test_what_is_not_known_to_have_moved_is_told():
+def test_landmarks_that_were_not_tested_are_counted():
     drive, track = made_up()
     unmoved = [dataclasses.replace(m, moved=False) for m in track.landmarks]
     track = dataclasses.replace(track, landmarks=unmoved)

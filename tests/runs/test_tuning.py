@@ -20,8 +20,8 @@ from homeward.runs.tuning import Noise, Tuning, tune
 from homeward.track import Innovations
 
 
-def untold(seconds):
-    """A drive of which nothing is told, three times better than is usual, and its truth."""
+def without_noise(seconds):
+    """A drive without noise settings, three times better than the default, and its ground truth."""
     drive = drive_of(1.0, 0.3, 1, 60.0)[0].drive
 
     def cut(table):
@@ -38,8 +38,8 @@ def untold(seconds):
     ), drive.settings
 
 
-def test_what_a_drive_was_made_of_is_learnt_and_honest():
-    drive, true = untold(30.0)
+def test_the_noise_of_a_drive_is_identified_and_consistent():
+    drive, true = without_noise(30.0)
     fractions = []
     found = tune([drive], fractions.append)
     assert fractions == sorted(fractions)
@@ -64,7 +64,7 @@ def likelihoods_of(gain):
 
 
 @pytest.mark.parametrize(("by_chance", "speed"), [(1.0, 0.02), (0.0, 0.02 / 2**7.5)])
-def test_what_lasting_errors_make_likelier_by_chance_is_not_learnt(monkeypatch, by_chance, speed):
+def test_chance_gains_of_correlated_errors_change_nothing(monkeypatch, by_chance, speed):
     chance = np.repeat(np.random.default_rng(1).normal(size=50), 10)  # each error lasts ten looks
     gain = 0.05 + by_chance * (chance - chance.mean())
     monkeypatch.setattr(tuning, "_likelihoods", likelihoods_of(gain))
@@ -73,8 +73,8 @@ def test_what_lasting_errors_make_likelier_by_chance_is_not_learnt(monkeypatch, 
     assert noise == noise._replace(bearing_sigma=0.01, turn_sigma=0.03)
 
 
-def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
-    def judged(late):
+def test_two_runs_are_scored_where_both_have_a_pose():
+    def scored(late):
         t = np.arange(late, 10.0)
         off = np.where(t < 5, 4.0, 1.0)  # the first poses are the worst
         nees, zero = 3.0 * off, np.zeros(t.size)
@@ -84,20 +84,20 @@ def test_two_runs_are_judged_by_the_time_in_which_both_have_a_pose():
             0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0)
         )
 
-    late, soon = checks(judged(5), judged(0))
+    late, soon = checks(scored(5), scored(0))
     assert late == dataclasses.replace(soon, pose_share=late.pose_share)
     assert (late.rmse_m, late.nees, late.nis) == (1.0, 3.0, 1.0)
     assert soon.pose_share > late.pose_share
 
 
 def test_too_short_a_drive_is_refused():
-    drive, _ = untold(2.0)
+    drive, _ = without_noise(2.0)
     with pytest.raises(HomewardError, match="are needed"):
         tune([drive], lambda _: None)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-4])
-def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
+def test_a_robot_at_rest_or_turning_gives_no_odometry_noise(turn):
     places = {f"L{k}": (3.0 * np.cos(k), 3.0 * np.sin(k)) for k in range(6)}
     home = {i: HomeBearing(float(np.arctan2(y, x)), 0.01) for i, (x, y) in places.items()}
     t = np.arange(0.0, 20.0, 0.05)
@@ -119,9 +119,9 @@ def test_a_robot_that_stands_or_only_turns_tells_no_noise_of_its_odometry(turn):
 
 
 def test_deviations_that_sightings_bring_are_left_alone():
-    drive, _ = untold(12.0)
-    told = np.full(drive.sightings.t.size, 0.01)
-    own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=told))
+    drive, _ = without_noise(12.0)
+    result = np.full(drive.sightings.t.size, 0.01)
+    own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=result))
     calls = []
     found = tune([own], calls.append)
     assert not found.has_bearing_noise
@@ -131,10 +131,10 @@ def test_deviations_that_sightings_bring_are_left_alone():
     assert calls[-2] < 1.0
 
 
-def test_the_command_says_what_was_learnt_as_lines_and_as_json(monkeypatch):
+def test_the_command_prints_the_settings_as_lines_and_as_json(monkeypatch):
     check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=np.nan, nees=np.nan)
     found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [check], [check])
-    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
+    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, on_progress: found)
     said = call("tune", "sample").stdout
     lines = said.partition("first halves):\n")[2]
     assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
@@ -149,11 +149,11 @@ def test_lines_that_make_answers_less_consistent_are_reported(monkeypatch):
     before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
     after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
     found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])
-    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, tell: found)
+    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, on_progress: found)
     assert "NEES got worse with these lines" in call("tune", "sample").output
 
 
-def test_the_command_says_so_in_one_line(tmp_path):
+def test_the_command_prints_the_error_in_one_line(tmp_path):
     answer = call("tune", first_seconds(tmp_path / "short", 5.0))
     assert answer.exit_code == 1
     assert "are needed" in answer.stderr

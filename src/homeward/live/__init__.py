@@ -1,1 +1,1 @@
-"""On a robot, live: samples in as they come, a pose and a command home out."""
+"""Live session of a robot: samples in as they arrive, poses and velocity commands out."""

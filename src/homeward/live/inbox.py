@@ -1,4 +1,4 @@
-"""What clients sent and the session has not taken yet; no client keeps the others waiting."""
+"""Input queues of the clients, processed in turns so that no client delays the others."""
 
 from __future__ import annotations
 
@@ -11,52 +11,52 @@ from collections import deque
 from collections.abc import AsyncIterator
 
 from homeward.errors import InputError
-from homeward.live.messages import LONGEST_LINE, EStop, parse
+from homeward.live.messages import MAX_LINE, EStop, parse
 
 Line = bytes | str
 TURN_S = 0.0002
-"""A client reads, or is worked for, for at most this time before others have their turn [s]; 20
-clients then delay a command, or a stop, by 8 ms, less than a command's period of 20 ms."""
-MAX_UNTAKEN = 2**20
-"""A client that sent more than this and has not had its turn is not read on [byte]."""
+"""Maximum time for one client before the others have their turn [s]. 20 clients then delay a
+command, or a stop, by 8 ms, less than a command's period of 20 ms."""
+MAX_PENDING = 2**20
+"""Reading from a client pauses while more than this is not processed [byte]."""
 CHUNK = 2**14
-"""Read at once from a client [byte]; it is split into lines within 1 ms."""
-LINES_AHEAD = 100
-"""Read from stdin before they are looked at."""
+"""Maximum size of one read from a client [byte]; it is split into lines within 1 ms."""
+MAX_LINES_AHEAD = 100
+"""Maximum number of lines that are read from stdin ahead of processing."""
 
 
 class ClientTurn:
-    """A client's turn on the loop's thread."""
+    """Time slice of a client on the loop's thread."""
 
     def __init__(self) -> None:
         self._until = time.monotonic() + TURN_S
 
     async def end(self) -> None:
-        """Let others work when the turn is over; a read of what has arrived never does that."""
+        """Yield to other tasks when the turn is over; reading buffered data never yields."""
         if time.monotonic() >= self._until:
             await asyncio.sleep(0)
             self._until = time.monotonic() + TURN_S
 
 
 class Inbox:
-    """Lines of one client in their order."""
+    """Queue of the lines of one client."""
 
     def __init__(self) -> None:
         self._lines = deque[Line]()
         self._bytes, self._changed = 0, asyncio.Event()
         self.ended = False
-        """Whether no more lines come, or are taken."""
+        """Whether the queue accepts no more lines."""
 
     async def put(self, line: Line) -> None:
-        """Add a line; wait while too much has not been taken."""
-        while self._bytes > MAX_UNTAKEN and not self.ended:
+        """Add a line; wait while the queue is full."""
+        while self._bytes > MAX_PENDING and not self.ended:
             await self._change()
         self._lines.append(line)
         self._bytes += len(line)
         self._changed.set()
 
     async def take(self) -> Line | None:
-        """Return the oldest line, and None after the last one."""
+        """Return the oldest line, or None after the last one."""
         while not self._lines:
             if self.ended:
                 return None
@@ -67,7 +67,7 @@ class Inbox:
         return line
 
     def end(self) -> None:
-        """Let no more lines come."""
+        """Accept no more lines."""
         self.ended = True
         self._changed.set()
 
@@ -77,7 +77,7 @@ class Inbox:
 
 
 def stop_in(line: Line) -> EStop | None:
-    """Return the emergency stop in a line, which must not wait; None for any other line."""
+    """Return the emergency stop in a line, which must not wait in a queue, or None."""
     word = b"estop" if isinstance(line, bytes) else "estop"
     if word not in line:  # type: ignore[operator]
         return None
@@ -89,28 +89,28 @@ def stop_in(line: Line) -> EStop | None:
 
 
 async def tcp_lines(reader: asyncio.StreamReader) -> AsyncIterator[bytes]:
-    """Yield lines until the client is gone, or sends one without an end."""
+    """Yield lines until the client disconnects or sends a line that is too long."""
     rest = b""
     with contextlib.suppress(OSError):
         while chunk := await reader.read(CHUNK):
             *lines, rest = (rest + chunk).split(b"\n")
             for line in filter(None, lines):
                 yield line
-            if len(rest) > LONGEST_LINE:
+            if len(rest) > MAX_LINE:
                 return
-            await asyncio.sleep(0)  # reading what has arrived lets nobody else work
+            await asyncio.sleep(0)  # reading buffered data never yields to other tasks
     if rest:
         yield rest
 
 
 async def stdin_lines() -> AsyncIterator[bytes]:
-    """Yield lines until stdin ends; a thread waits for them."""
+    """Yield lines until stdin ends, read by a thread."""
     loop, read = asyncio.get_running_loop(), asyncio.Queue[bytes]()
-    room = threading.Semaphore(LINES_AHEAD)
+    room = threading.Semaphore(MAX_LINES_AHEAD)
 
     def wait() -> None:
-        # A buffer of its own: as the interpreter ends it locks that of sys.stdin, and aborts where
-        # this thread holds the lock, as it does while it waits for a line.
+        # A separate buffer: at exit the interpreter locks that of sys.stdin, and aborts if this
+        # thread holds the lock, as it does while it waits for a line.
         with (
             contextlib.suppress(RuntimeError),  # the loop was closed meanwhile
             open(sys.stdin.fileno(), "rb", closefd=False) as stdin,
@@ -118,7 +118,7 @@ async def stdin_lines() -> AsyncIterator[bytes]:
             line = b"\n"
             while line:
                 room.acquire()
-                line = stdin.readline(LONGEST_LINE + 1)
+                line = stdin.readline(MAX_LINE + 1)
                 loop.call_soon_threadsafe(read.put_nowait, line)
 
     threading.Thread(target=wait, daemon=True).start()

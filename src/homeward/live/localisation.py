@@ -1,6 +1,6 @@
-"""The slow side of a session: homes, the estimator, and what it answers.
+"""Slow part of a session: homes, the estimator, and its answers.
 
-The order of the messages alone decides what comes of them, so that a recording repeats it.
+The result depends only on the order of the messages, so that a recording repeats it.
 """
 
 from __future__ import annotations
@@ -19,27 +19,27 @@ from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
-from homeward.live.looking import NEAREST_M, Looking
-from homeward.live.sending import NO_PLACE, resolve_goal
-from homeward.live.visiting import PlaceSession
+from homeward.live.goal_resolution import NO_PLACE, resolve_goal
+from homeward.live.home_capture import MIN_R, NOTHING_SEEN, HomeCapture
+from homeward.live.place_session import PlaceSession
 from homeward.localizer.localizer import Localizer
 from homeward.registry import make_estimator, settings_model
 from homeward.runs.report.words import count
 
 Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""
-FIRST = "home"
-"""The name of a home that nobody named."""
-NO_HOME = "no home yet: store_home or turn_home while the robot is there, or send one"
-ANEW = "the map was begun anew"
+DEFAULT_HOME = "home"
+"""Name of a home without a given name."""
+NO_HOME = "no home yet: send store_home or turn_home while the robot is there, or send home"
+NEW_MAP = "the map was begun again"
 MAX_HOMES = 100
-"""Homes, and routes, that a session keeps; one of long ids takes 0.2 MB."""
-AIM_S = 1.0
-"""It is found so often where a landmark is that the robot is sent to [s]."""
+"""Maximum number of homes, and of routes, in a session; one with long ids takes 0.2 MB."""
+GOAL_UPDATE_S = 1.0
+"""Interval at which the position of a landmark that is a goal is updated [s]."""
 
 
 class Fix(NamedTuple):
-    """An answer, and where the robot's odometry frame lies by it."""
+    """An answer, and the pose of the robot's odometry frame that follows from it."""
 
     estimate: Estimate
     odom: Pose | None
@@ -47,10 +47,10 @@ class Fix(NamedTuple):
 
 
 class Localisation:
-    """Home, and an estimator for it, made anew when home or the map is.
+    """Homes, and an estimator for the current home, which is replaced with home or the map.
 
-    `estimator` None: only homes are kept, and nothing is answered. `homes` are added to; in a place
-    that has homes they are not used.
+    With `estimator` None, only homes are kept, and there are no answers. New homes are added to
+    `homes`, which are not used in a place that has homes.
     """
 
     def __init__(
@@ -60,44 +60,44 @@ class Localisation:
         homes: Homes,
         place: PlaceSession | None = None,
     ) -> None:
-        # When a drive was at home is no word for one that is not over.
+        # The time at home applies to a recorded drive only.
         robot = robot.model_copy(update={"home": None})
         self._name, self._robot, self.homes, self.place = estimator, robot, homes, place
-        self.home = FIRST
-        """In whose frame answers are; in a place its first one."""
+        self.home = DEFAULT_HOME
+        """Home in whose frame answers are; in a place its first one."""
         self.goal: Goal | None = None
-        """Where the robot was sent last, in that frame; None before it was."""
-        self._sent: msg.Departure | None = None
-        """By what, as long as it can go there."""
-        self._homeward = msg.GoHome()
-        """The home that it was sent to last."""
-        self._aimed = -math.inf
-        """When it was found last where a landmark is that it is sent to [s]."""
+        """Last goal, in that frame; None before the first."""
+        self._goal_message: msg.GoalMessage | None = None
+        """Message that set the goal, while the goal can be reached."""
+        self._last_go_home = msg.GoHome()
+        """Last message that sent the robot to a home."""
+        self._goal_updated = -math.inf
+        """Time of the last update of a landmark that is the goal [s]."""
         self.goal_lost = ""
-        """Why it cannot go there any more, until somebody has taken that."""
+        """Reason why the goal cannot be reached any more, until `Session` resets it."""
         self.drive: Drive | None = None
-        """Home and settings of the map; another one whenever the map is begun anew."""
+        """Home and settings of the map; replaced whenever the map is begun again."""
         self.estimator: Estimator | None = None
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
-        """The last one."""
-        self._looking = Looking()
+        """Last answer."""
+        self._capture = HomeCapture()
         if estimator is not None:
-            settings_model(estimator)  # whether there is one is not to be said of each message
+            settings_model(estimator)  # fail now for an unknown estimator, not at each message
         if place is not None and place.place is not None:
             self.homes, self.home = {}, place.place.origin
-        if self.in_place or FIRST in homes:
+        if self.in_place or DEFAULT_HOME in homes:
             self._begin(None)
 
     @property
     def in_place(self) -> bool:
-        """Whether homes are those of a place that is known."""
+        """Whether the homes are those of an existing place."""
         return self.place is not None and self.place.place is not None
 
     def do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
-        """Process a message, and return the answer to it; `odom` is the odometry pose at its stamp.
+        """Process a message and return the answer; `odom` is the odometry pose at its stamp.
 
-        `InputError` where it cannot be done; nothing is changed then. `InternalError` at any other
-        error; the map is begun again then.
+        `InputError` where the message cannot be processed; nothing changes then. `InternalError` at
+        any other error; the map is begun again then.
         """
         try:
             return self._do(message, odom)
@@ -108,58 +108,56 @@ class Localisation:
             raise InternalError(error, "the map was begun again") from error
 
     def _do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
-        if isinstance(message, msg.Cancel | msg.EStop | msg.Departure):
-            self._looking.end()
+        if isinstance(message, msg.Cancel | msg.EStop | msg.GoalMessage):
+            self._capture.end()
         match message:
             case msg.OdometryIn():
-                self._looking.odometry(message)
+                self._capture.odometry(message)
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
             case msg.BearingsIn():
                 return self._answer(message, odom)
             case msg.SetHome(name=name) if self.place is not None and self.place.has_homes:
-                text = f"home {quoted(name)} is not looked at: the place knows its homes"
+                text = f"home {quoted(name)} is ignored: the place has its own homes"
                 return msg.EventOut(type="event", text=text)
             case msg.SetHome(name=name) | msg.StoreHome(name=name) if self._is_one_too_many(name):
-                raise InputError(
-                    f"{MAX_HOMES} homes are kept already; store home under one of their names"
-                )
+                raise InputError(f"already {MAX_HOMES} homes; replace one of them by its name")
             case msg.SetHome(name=name, bearings=seen, sigmas=known):
                 home = {i: HomeBearing(b, known.get(i, math.nan)) for i, b in seen.items()}
-                return self._new(name, home)
+                return self._set_home(name, home)
             case msg.StoreHome(name=name) if self._adds_home(name):
                 return self._store(name)
             case msg.StoreHome(name=name):
-                return self._new(name, *self._looking.here())
+                return self._set_home(name, *self._capture.captured())
             case msg.LookRound() | msg.TurnHome():
-                self._looking.begin(self._robot)
+                self._capture.begin(self._robot)
             case msg.SavePlace():
                 return msg.EventOut(type="event", text=self._merge())
             case msg.GoHome(name=str(name)) if self.place is None and name != self.home:
                 if name not in self.homes:
                     there = ", ".join(self.homes) or "none yet"
                     raise InputError(f"no home {quoted(name)}; there is {there}")
-                self.home, self._sent = name, None
+                self.home, self._goal_message = name, None
                 self._begin(None)
-                self._send(message)
+                self._set_goal(message)
             case msg.GoHome(name=None):
-                self._send(self._homeward)
+                self._set_goal(self._last_go_home)
             case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
-                self._send(message)
+                self._set_goal(message)
             case msg.BeginRoute():
                 text = self._required_place().begin_route(self.fix.estimate)
                 return msg.EventOut(type="event", text=text)
             case msg.StoreRoute(name=name):
                 if len(self._required_place().routes) >= MAX_HOMES:
-                    raise InputError(f"{MAX_HOMES} routes are kept already; no more can be stored")
+                    raise InputError(f"already {MAX_HOMES} routes; no more can be stored")
                 text = self._required_place().store_route(name, self._known())
                 return msg.EventOut(type="event", text=text)
-            case msg.StartIn(sigma=sigma):
+            case msg.SetStart(sigma=sigma):
                 polar = to_polar(Pose(message.x, message.y, message.heading))
-                R = max(polar.R, NEAREST_M)
+                R = max(polar.R, MIN_R)
                 sigmas = sigma, sigma / R, message.sigma_heading
                 self._begin(Start.about(polar._replace(R=R), *sigmas))
-            case msg.MountIs(x=x, y=y, yaw=yaw):
+            case msg.SetExtrinsics(x=x, y=y, yaw=yaw):
                 sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
                 self._robot = self._robot.model_copy(update={"sensor": sensor})
                 if self.drive is not None:
@@ -168,8 +166,8 @@ class Localisation:
                 self._begin(None)
         return None
 
-    def conclude(self) -> str | None:
-        """Merge the last visit into the place, if visits are merged; return what it told, in words.
+    def finalise(self) -> str | None:
+        """Merge the last visit into the place, if visits are merged; return the result in words.
 
         `HomewardError` where nothing of the whole session was merged.
         """
@@ -177,7 +175,7 @@ class Localisation:
             return None
         try:
             if not self.place.has_poses:
-                raise HomewardError("the robot did not know where it was")
+                raise HomewardError("the robot was never localised")
             return self._merge()
         except HomewardError as error:
             text = f"the last visit was not merged into the place: {error}"
@@ -186,7 +184,7 @@ class Localisation:
             raise type(error)(text) from error
 
     def landmarks(self) -> msg.LandmarksOut:
-        """Return what is known of all landmarks."""
+        """Return the estimates of all landmarks."""
         return msg.LandmarksOut(
             landmarks=tuple(
                 msg.LandmarkOut(
@@ -200,9 +198,9 @@ class Localisation:
         )
 
     def _answer(self, message: msg.BearingsIn, odom: Pose | None) -> msg.Answer:
-        self._looking.bearings(message)
+        self._capture.bearings(message)
         if self.estimator is None:
-            return _said(Estimate(message.t, Status.WAITING, NO_HOME))
+            return _as_message(Estimate(message.t, Status.WAITING, NO_HOME))
         estimate = self.estimator.bearings(message.t, message.bearings, message.sigmas or None)
         frame = None
         if estimate.pose is not None and odom is not None:
@@ -210,13 +208,14 @@ class Localisation:
         self.fix = Fix(estimate, frame)
         if self.place is not None:
             self.place.see(message, estimate)
-        if isinstance(self._sent, msg.GoToLandmark) and abs(message.t - self._aimed) > AIM_S:
-            self._aimed = message.t
-            self._find_goal()
-        return _said(estimate)
+        follows = isinstance(self._goal_message, msg.GoToLandmark)
+        if follows and abs(message.t - self._goal_updated) > GOAL_UPDATE_S:
+            self._goal_updated = message.t
+            self._update_goal()
+        return _as_message(estimate)
 
     def _merge(self) -> str:
-        """Merge the visit into the place; return what it told."""
+        """Merge the visit into the place; return the result in words."""
         place = self._required_place()
         if self.drive is None or not isinstance(self.estimator, Localizer):
             raise InputError(NO_HOME)
@@ -227,65 +226,65 @@ class Localisation:
             raise InputError(NO_PLACE)
         return self.place
 
-    def _send(self, message: msg.Departure) -> None:
-        """Send the robot where a message says."""
+    def _set_goal(self, message: msg.GoalMessage) -> None:
+        """Set the goal of a message."""
         self.goal = resolve_goal(message, self.home, self.place, self._known)
-        self._sent = message
+        self._goal_message = message
         if isinstance(message, msg.GoHome):
-            self._homeward = message
+            self._last_go_home = message
 
     def _known(self) -> Iterable[LandmarkEstimate]:
         return () if self.estimator is None else self.estimator.landmarks()
 
     def _adds_home(self, name: str) -> bool:
-        """Return whether a home that is stored is one more of the place."""
+        """Whether a home that is stored is a further one of the place."""
         begun = self.drive is not None and name != self.home
         return self.place is not None and (self.in_place or begun)
 
     def _store(self, name: str) -> msg.EventOut:
-        """Store one more home of the place, where the robot is."""
+        """Store the pose of the robot as a further home of the place."""
         assert self.place is not None
-        self._looking.end()  # its landmarks are in the map
-        if (now := self._looking.newest) is None:
-            raise InputError("home cannot be stored: nothing is seen")
+        self._capture.end()  # its landmarks are in the map
+        if (now := self._capture.newest) is None:
+            raise InputError(NOTHING_SEEN)
         text = self.place.store_home(name, self.home, now, self.fix.estimate)
         return msg.EventOut(type="event", text=text)
 
-    def _new(
+    def _set_home(
         self, name: str, seen: dict[str, HomeBearing], start: Start | None = None, words: str = ""
     ) -> msg.EventOut:
-        """Take a home, and begin the map anew; words say how it was found."""
+        """Set home and begin the map again; `words` describe how home was captured."""
         if not seen:
-            raise InputError(f"home {quoted(name)} has no landmarks: nothing is stored")
+            raise InputError(f"home {quoted(name)} has no landmarks: not stored")
         self.homes[name], self.home = seen, name
         self._begin(start)
-        said = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
-        return msg.EventOut(type="event", text=f"home {quoted(name)} {said}")
+        words = f"is stored: {words}" if words else f"has {count(len(seen), 'landmark')}"
+        return msg.EventOut(type="event", text=f"home {quoted(name)} {words}")
 
     def _begin(self, start: Start | None) -> None:
-        """Begin the map anew."""
-        self._looking.end()
+        """Begin the map again."""
+        self._capture.end()
         if self.place is not None:
             self.place.begin()
         if not self.in_place and self.home not in self.homes:
             raise InputError(NO_HOME)
         none = np.empty(0)
         sightings = Sightings(none, np.empty(0, object), none, none)
-        told = self._robot if start is None else self._robot.model_copy(update={"start": start})
+        robot = self._robot if start is None else self._robot.model_copy(update={"start": start})
         odometry = Odometry(none, none, none)
         home = {} if self.in_place else self.homes[self.home]
-        self.drive = drive = Drive("live", odometry, sightings, home, told)
+        self.drive = drive = Drive("live", odometry, sightings, home, robot)
         if self.place is not None:
             drive = self.place.known_by(drive)
-            self._robot = self._robot.model_copy(update={"start": None})  # it was there but once
+            self._robot = self._robot.model_copy(update={"start": None})  # valid only once
         if self._name is not None:
             self.estimator = make_estimator(self._name, drive)
-        self._find_goal()
-        self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, ANEW), None)
+        self._update_goal()
+        self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, NEW_MAP), None)
 
     def _restart(self) -> None:
-        """Begin the map again after an error; without a home and a map where that fails, too."""
-        self._sent = self.goal = None
+        """Begin the map again after an error; without home and map where that fails, too."""
+        self._goal_message = self.goal = None
         try:
             self._begin(None)
         except Exception:
@@ -293,25 +292,25 @@ class Localisation:
             self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, NO_HOME), None)
 
     def _is_one_too_many(self, name: str) -> bool:
-        """Return whether a home of that name is one more than are kept."""
+        """Whether a home of that name would exceed `MAX_HOMES`."""
         homes = self.homes if self.place is None else {*self.homes, *self.place.homes}
         return len(homes) >= MAX_HOMES and name not in homes
 
-    def _find_goal(self) -> None:
-        """Find where the robot was sent, in a map that is begun anew or that knows more."""
-        if self._sent is None:
+    def _update_goal(self) -> None:
+        """Resolve the goal again, in a new map or with new landmark estimates."""
+        if self._goal_message is None:
             return
         try:
-            goal = resolve_goal(self._sent, self.home, self.place, self._known)
-        except InputError as error:  # it was stored, and not saved
-            self.goal = self._sent = None
-            self._homeward, self.goal_lost = msg.GoHome(), str(error)
+            goal = resolve_goal(self._goal_message, self.home, self.place, self._known)
+        except InputError as error:  # the home or route was stored, but not saved
+            self.goal = self._goal_message = None
+            self._last_go_home, self.goal_lost = msg.GoHome(), str(error)
             return
-        if not isinstance(goal, RouteGoal):  # a drive along a route goes on where it was
+        if not isinstance(goal, RouteGoal):  # a drive along a route keeps its progress
             self.goal = goal
 
 
-def _said(estimate: Estimate) -> msg.Answer:
+def _as_message(estimate: Estimate) -> msg.Answer:
     pose, covariance = estimate.pose, estimate.covariance
     six = None if covariance is None else tuple(covariance[np.triu_indices(3)].tolist())
     return msg.Answer(

@@ -1,7 +1,7 @@
-"""The schema of a live session, version 1: one JSON object a line, ``type`` says what it is.
+"""Messages of a live session, version 1: one JSON object per line, of kind ``type``.
 
-Times are seconds on the robot's clock, whatever its epoch; units and signs are as everywhere in
-homeward. `schema` returns all of it as a JSON Schema.
+Times are seconds on the robot's clock with any epoch; units and signs are those of homeward.
+`schema` returns the JSON Schema.
 """
 
 from __future__ import annotations
@@ -18,24 +18,24 @@ from homeward.io.table import is_identifier
 from homeward.io.validation_messages import message
 
 VERSION = 1
-LONGEST_LINE = 2**16
-"""Of a message [byte]."""
-MOST_LANDMARKS = 500
-"""In a message."""
+MAX_LINE = 2**16
+"""Maximum length of a message [byte]."""
+MAX_LANDMARKS = 500
+"""Maximum number of landmarks in a message."""
 MAX_LENGTH = 1e4
-"""Of a distance or a coordinate [m], and of an angle [rad]; the squares of the squares of larger
-numbers lose the last digits of a double."""
+"""Maximum distance or coordinate [m], and angle [rad]; fourth powers of larger numbers lose the
+last digits of a double."""
 MAX_SPEED = 100.0
-"""Of a robot [m/s], [rad/s]; a larger number has another unit."""
+"""Maximum speed of a robot [m/s], [rad/s]; a larger number is in another unit."""
 MIN_SIGMA, MAX_SIGMA = 1e-6, 1e4
-"""Of a standard deviation [m], [rad]: no sensor is better, and a worse one measures nothing."""
+"""Limits of a standard deviation [m], [rad]: no sensor is better, and a worse one is useless."""
 MAX_TIME = 1e11
-"""A double resolves larger stamps to more than 15 us [s]; a larger number has another unit."""
+"""Maximum stamp [s]: doubles resolve larger ones to more than 15 us; they are in another unit."""
 
 
 def _identifier(text: str) -> str:
     if not is_identifier(text):
-        raise ValueError("cannot be a name: printable text, trimmed")
+        raise ValueError("not a name: must be printable, without spaces at its ends")
     return text
 
 
@@ -48,22 +48,22 @@ Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=MAX_SIGMA, allow_inf_nan=False)]
 """[m] or [rad]"""
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
-"""Of a home, or a route."""
-Bearings = Annotated[dict[Id, Bounded], Field(max_length=MOST_LANDMARKS)]
-Sigmas = Annotated[dict[Id, Sigma], Field(max_length=MOST_LANDMARKS)]
+"""Name of a home or a route."""
+Bearings = Annotated[dict[Id, Bounded], Field(max_length=MAX_LANDMARKS)]
+Sigmas = Annotated[dict[Id, Sigma], Field(max_length=MAX_LANDMARKS)]
 
 
 class Hello(Strict):
-    """The first message, both ways."""
+    """First message in both directions."""
 
     type: Literal["hello"] = "hello"
     version: Literal[1] = 1
     token: str | None = None
-    """Where the server asks for one."""
+    """Required if the server has a token."""
 
 
 class OdometryIn(Strict):
-    """A twist that holds from `t` [s] on."""
+    """Twist that is valid from `t` [s] on."""
 
     type: Literal["odometry"] = "odometry"
     t: Time
@@ -72,22 +72,22 @@ class OdometryIn(Strict):
     omega: Speed
     """Anti-clockwise [rad/s]."""
     pose: tuple[Surveyed, Surveyed, Bounded] | None = None
-    """In the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
+    """Pose in the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
 
 
 class BearingsIn(Strict):
-    """What the camera saw at `t` [s], nothing at all included."""
+    """Bearings at `t` [s]; send an empty one if no landmark is in view."""
 
     type: Literal["bearings"] = "bearings"
     t: Time
     bearings: Bearings
-    """Id to bearing from the camera's axis, anti-clockwise [rad]."""
+    """Bearing from the camera's axis, anti-clockwise, by landmark id [rad]."""
     sigmas: Sigmas = {}
-    """Standard deviations of some [rad]."""
+    """Standard deviations of some bearings [rad]."""
 
 
 class SetHome(Strict):
-    """What the camera saw at home; the map begins anew."""
+    """Home bearings; the map begins again."""
 
     type: Literal["home"] = "home"
     bearings: Bearings
@@ -96,11 +96,9 @@ class SetHome(Strict):
 
 
 class StoreHome(Strict):
-    """Home is here: what is seen now, standing, is stored, or what was seen since `LookRound`.
+    """Store home here: bearings of a robot at rest, or those since `LookRound`; a new map begins.
 
-    The map begins anew.
-
-    In a place it is one home more, stored without standing, and the map goes on.
+    In a place it is a further home, stored also while driving, and the map continues.
     """
 
     type: Literal["store_home"] = "store_home"
@@ -108,27 +106,27 @@ class StoreHome(Strict):
 
 
 class LookRound(Strict):
-    """Home is here: what is seen until `StoreHome` is home's; the robot turns, but stays."""
+    """Home is here: capture bearings until `StoreHome`; the robot may turn on the spot."""
 
     type: Literal["look_round"] = "look_round"
 
 
 class TurnHome(Strict):
-    """Home is here: turn round once, and store what is seen meanwhile; the map begins anew."""
+    """Home is here: turn once on the spot and store the bearings; the map begins again."""
 
     type: Literal["turn_home"] = "turn_home"
     name: Name = "home"
 
 
 class GoHome(Strict):
-    """Drive home; to one of another name, the map begins anew, but in a place."""
+    """Drive home; to another home the map begins again, except in a place."""
 
     type: Literal["go_home"] = "go_home"
     name: Name | None = None
 
 
 class GoTo(Strict):
-    """Drive to a point of the home frame."""
+    """Drive to a point in the home frame."""
 
     type: Literal["go_to"] = "go_to"
     x: Bounded
@@ -138,7 +136,7 @@ class GoTo(Strict):
 
 
 class GoToLandmark(Strict):
-    """Drive to a landmark, until it is so near."""
+    """Drive to a landmark, up to a distance of `standoff`."""
 
     type: Literal["go_to_landmark"] = "go_to_landmark"
     name: Id
@@ -147,66 +145,66 @@ class GoToLandmark(Strict):
 
 
 class BeginRoute(Strict):
-    """A route begins here; else it begins with the visit."""
+    """Begin a route here, instead of at the begin of the visit."""
 
     type: Literal["begin_route"] = "begin_route"
 
 
 class StoreRoute(Strict):
-    """The way since a route was begun is one of the place, and ends here."""
+    """Store the path since the begin of the route as a route of the place."""
 
     type: Literal["store_route"] = "store_route"
     name: Name
 
 
 class FollowRoute(Strict):
-    """Drive along a route of the place, from the closest point of entry."""
+    """Drive along a route of the place, from its closest point."""
 
     type: Literal["follow_route"] = "follow_route"
     name: Name
 
 
 class SavePlace(Strict):
-    """Merge what came since the map was begun into the place, now and not at the end only."""
+    """Merge the visit since the map was begun into the place now, not only at the end."""
 
     type: Literal["save_place"] = "save_place"
 
 
 class Cancel(Strict):
-    """Stand, and think no more of driving home."""
+    """Stop, and cancel the goal."""
 
     type: Literal["cancel"] = "cancel"
 
 
 class EStop(Strict):
-    """Emergency stop; while engaged nothing moves, and after it `GoHome` must be said anew."""
+    """Emergency stop: no motion while engaged; afterwards a goal must be sent again."""
 
     type: Literal["estop"] = "estop"
     engaged: bool
 
 
 class Obstacle(Strict):
-    """How far the way ahead is free; once told, it must be told on."""
+    """Free distance ahead; after the first message the robot needs them continuously to drive."""
 
     type: Literal["obstacle"] = "obstacle"
     distance: Annotated[float, Field(ge=0, allow_inf_nan=False)]
     """[m]"""
 
 
-class StartIn(Strict):
-    """About where the robot is in the home frame; the map begins anew."""
+class SetStart(Strict):
+    """Approximate pose of the robot in the home frame; the map begins again."""
 
     type: Literal["start"] = "start"
     x: Bounded
     y: Bounded
     heading: Bounded
     sigma: Sigma = 0.1
-    """Of x and y [m]."""
+    """Standard deviation of x and y [m]."""
     sigma_heading: Sigma = 0.1
     """[rad]"""
 
 
-class MountIs(Mount):
+class SetExtrinsics(Mount):
     """Camera extrinsics on the robot; the map begins again."""
 
     type: Literal["mount"] = "mount"
@@ -216,13 +214,13 @@ class MountIs(Mount):
 
 
 class Reset(Strict):
-    """The map begins anew, anywhere."""
+    """Begin the map again, with the robot anywhere."""
 
     type: Literal["reset"] = "reset"
 
 
 class Answer(Strict):
-    """The answer to bearings, an `Estimate`."""
+    """Answer to bearings: an `Estimate`."""
 
     type: Literal["estimate"] = "estimate"
     t: float
@@ -231,11 +229,11 @@ class Answer(Strict):
     pose: tuple[float, float, float] | None = None
     """x [m], y [m], heading [rad] in the home frame."""
     covariance: tuple[float, ...] | None = None
-    """Of x, y, heading: xx, xy, xh, yy, yh, hh."""
+    """Covariance of x, y, heading: xx, xy, xh, yy, yh, hh."""
 
 
 class Command(Strict):
-    """What to drive; a robot that hears none for `hold` must stand."""
+    """Velocity command; a robot that receives no command for `hold` must stop."""
 
     type: Literal["command"] = "command"
     v: float
@@ -244,15 +242,15 @@ class Command(Strict):
     """[rad/s]"""
     state: Literal["driving", "held", "arrived", "turned", "failed"]
     reason: str
-    """In words that stay the same while the reason lasts."""
+    """Text that is constant while the reason lasts."""
     value: float | None = None
-    """The number that goes with the reason: a time [s], or a distance or standard deviation [m]."""
+    """Value that belongs to the reason: a time [s], or a distance or standard deviation [m]."""
     hold: float
     """[s]"""
 
 
 class LandmarkOut(Strict):
-    """A landmark, as `LandmarkEstimate`; None where nothing is known."""
+    """Estimate of a landmark, as `LandmarkEstimate`; None where unknown."""
 
     landmark: str
     x: float | None = None
@@ -261,14 +259,14 @@ class LandmarkOut(Strict):
 
 
 class LandmarksOut(Strict):
-    """What is known of all landmarks, once a second."""
+    """Estimates of all landmarks, once a second."""
 
     type: Literal["landmarks"] = "landmarks"
     landmarks: tuple[LandmarkOut, ...]
 
 
 class Diagnostics(Strict):
-    """How the session is, once a second."""
+    """State of the session, once a second."""
 
     type: Literal["diagnostics"] = "diagnostics"
     status: Status
@@ -276,19 +274,19 @@ class Diagnostics(Strict):
     homing: str
     """State and reason."""
     faults: tuple[str, ...]
-    """What keeps the robot from driving by itself."""
+    """Reasons why the robot is held."""
     values: dict[str, float] = {}
-    """The number that goes with a fault, in the unit of its limit."""
+    """Value of each fault, in the unit of its limit."""
     counts: dict[str, int]
     """Samples not used, by reason."""
     waiting: int
-    """Samples in the queue."""
+    """Number of samples in the queue."""
     work_ms: float
-    """The longest of the last second's samples took the estimator so long [ms]."""
+    """Maximum time of the estimator for one sample in the last second [ms]."""
 
 
 class EventOut(Strict):
-    """Something was done, in words, or could not be."""
+    """Report of an action, or of an error."""
 
     type: Literal["event", "error"]
     text: str
@@ -312,12 +310,12 @@ Input = (
     | Cancel
     | EStop
     | Obstacle
-    | StartIn
-    | MountIs
+    | SetStart
+    | SetExtrinsics
     | Reset
 )
-Departure = GoHome | GoTo | GoToLandmark | FollowRoute
-"""What sends the robot somewhere."""
+GoalMessage = GoHome | GoTo | GoToLandmark | FollowRoute
+"""Messages that give the robot a goal."""
 Output = Hello | Answer | Command | LandmarksOut | Diagnostics | EventOut
 Message = TypeVar("Message")
 _IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
@@ -325,26 +323,26 @@ _OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="t
 
 
 def parse(line: bytes | str) -> Input:
-    """Return the message in a line; `InputError` says in one line what is wrong with it."""
+    """Return the message in a line; `InputError` with a one-line text where it is invalid."""
     return _parsed(_IN, line)
 
 
 def parse_output(line: bytes | str) -> Output:
-    """Return what a session said in a line; errors as `parse`."""
+    """Return the output message in a line; errors as `parse`."""
     return _parsed(_OUT, line)
 
 
 def line_of(message: Input | Output) -> str:
-    """Return a message as a line; every float comes back to the last bit."""
+    """Return a message as a line; floats are exact."""
     return message.model_dump_json(exclude_none=True) + "\n"
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON Schema of everything that goes in and comes out."""
+    """Return the JSON Schema of all input and output messages."""
     return {"version": VERSION, "in": _IN.json_schema(), "out": _OUT.json_schema()}
 
 
 def _parsed(adapter: TypeAdapter[Message], line: bytes | str) -> Message:
-    if len(line) > LONGEST_LINE:
-        raise InputError(f"a message of more than {LONGEST_LINE:,} bytes")
+    if len(line) > MAX_LINE:
+        raise InputError(f"a message of more than {MAX_LINE:,} bytes")
     return message(adapter, line)

@@ -1,4 +1,4 @@
-"""A recording of a live session: everything in its order, to be replayed, or made a drive of."""
+"""Recording of a live session: all messages in order, for replay and as a drive folder."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from homeward.io.reading import is_there, naming
 from homeward.io.settings import validated
 from homeward.live import messages as msg
 from homeward.live.localisation import Homes, Localisation
+from homeward.live.place_session import PlaceSession
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import PlaceSession
 from homeward.places.files import load_place, save_place
 
 SESSION, PLACE = "session.jsonl", "place"
 FLUSH_EVERY = 50
-"""So many lines at most are lost when the process is killed."""
-LONGEST_HEAD = 2**22
-"""Of the first line [characters]."""
+"""Maximum number of lines that are lost when the process is killed."""
+MAX_HEAD = 2**22
+"""Maximum length of the first line [characters]."""
 NO_ANSWER = "none"
 _ANSWER = '{"type":"estimate"'
 
@@ -42,7 +42,7 @@ class _Visit(Strict):
     when: Finite
     update: bool
     known: bool
-    """Whether it was known; then it lies beside the session, as it was."""
+    """Whether the place existed; then its copy is in the folder of the session."""
 
 
 class _Head(Strict):
@@ -55,7 +55,7 @@ class _Head(Strict):
 
 
 class Recorder:
-    """Writes a session into a new folder, line by line; `InputError` where it cannot be made."""
+    """Writer of a session to a new folder; `InputError` where that cannot be created."""
 
     def __init__(
         self,
@@ -68,7 +68,7 @@ class Recorder:
         if is_there(folder):
             raise InputError("exists already; choose another name", folder)
         known = None if place is None else place.place
-        told = robot.model_copy(update={"bearings_late": None})  # samples are kept on time
+        on_time = robot.model_copy(update={"bearings_late": None})  # recorded stamps are corrected
         seen = {
             name: {i: (h.bearing, h.sigma if h.sigma > 0 else None) for i, h in home.items()}
             for name, home in homes.items()
@@ -77,8 +77,9 @@ class Recorder:
         if place is not None:
             about = {"when": place.when, "update": place.update, "known": known is not None}
             visit = _Visit(name=place.name, **about)
-        head = _Head(settings=settings, robot=told, homes=seen, place=visit).model_dump(mode="json")
-        head["robot"] = told.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        data = _Head(settings=settings, robot=on_time, homes=seen, place=visit)
+        head = data.model_dump(mode="json")
+        head["robot"] = on_time.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         with naming(folder, "cannot be written"):
             folder.mkdir(parents=True)
             self._file: TextIO = (folder / SESSION).open("w", encoding="utf-8")
@@ -89,7 +90,7 @@ class Recorder:
         self._folder, self._lines, self._failure = folder, 0, ""
 
     def keep(self, message: msg.Input | msg.Output) -> None:
-        """Write a message; where that fails the recording ends, with an InputError."""
+        """Write a message; an `InputError` ends the recording."""
         try:
             with naming(self._folder / SESSION, "cannot be written"):
                 self._file.write(msg.line_of(message))
@@ -98,17 +99,17 @@ class Recorder:
                     self._file.flush()
         except HomewardError as error:
             self._failure = str(error)
-            with contextlib.suppress(OSError):  # of what is still in the buffer
+            with contextlib.suppress(OSError):  # from writing the buffer
                 self._file.close()
             raise
 
     def close(self) -> str | None:
-        """Finish, and make the folder a drive folder; delete it where nothing was said.
+        """Finish, and make the folder a drive folder; delete it if there were no messages.
 
-        Return in words why the recording is not whole; None where it is.
+        Return the reason why the recording is incomplete, or None.
         """
         if self._failure:
-            return f"the recording is not whole: {self._failure}"
+            return f"the recording is incomplete: {self._failure}"
         with naming(self._folder / SESSION, "cannot be written"):
             self._file.close()
             if not self._lines:
@@ -121,7 +122,7 @@ class Recorder:
 
 
 def replay(file: Path) -> tuple[int, str | None]:
-    """Repeat a session; return the number of equal answers, and what comes instead of the next."""
+    """Repeat a session; return the number of equal answers, and the first different one or None."""
     localisation, lines = _opened(file, whole=True)
     expected: str | None = None
     same = 0
@@ -133,14 +134,14 @@ def replay(file: Path) -> tuple[int, str | None]:
             if is_answer:
                 same, expected = same + 1, None
             else:
-                # No answer depends on where odometry alone would have the robot.
+                # Answers do not depend on the odometry pose.
                 out = _done(localisation, msg.parse(line))
                 expected = msg.line_of(out) if isinstance(out, msg.Answer) else None
     return same, None
 
 
 def read_drive(file: Path) -> Drive | None:
-    """Return the drive since its map was begun last, in order of time; None if there is none."""
+    """Return the drive since the last begin of the map, in order of time; None if there is none."""
     localisation, lines = _opened(file, whole=False)
     samples = Samples()
     for line in lines:
@@ -163,17 +164,17 @@ def read_drive(file: Path) -> Drive | None:
 def _done(localisation: Localisation, message: msg.Input) -> msg.Output | None:
     try:
         return localisation.do(message, None)
-    except HomewardError:  # as it was in the session
+    except HomewardError:  # the session had the same error
         return None
 
 
 def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
-    """Return a localisation as a session began with, with its estimator if `whole`; its lines."""
+    """Return the initial localisation of a session (estimator only if `whole`) and its lines."""
     with naming(file, "cannot be read"), file.open(encoding="utf-8") as stream:
         try:
-            head = validated(_Head, json.loads(stream.readline(LONGEST_HEAD)))
+            head = validated(_Head, json.loads(stream.readline(MAX_HEAD)))
         except (ValueError, RecursionError):
-            raise InputError("is no session", file) from None
+            raise InputError("not a recorded session: give a session.jsonl", file) from None
     homes = {
         name: {i: HomeBearing(b, np.nan if s is None else s) for i, (b, s) in home.items()}
         for name, home in head.homes.items()
@@ -186,9 +187,9 @@ def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
 
 
 def _lines(file: Path) -> Iterator[str]:
-    """Yield the lines of a session but its head, and but a last one that was not finished."""
+    """Yield the lines of a session without its head and without an incomplete last line."""
     with naming(file, "cannot be read"), file.open(encoding="utf-8") as stream:
-        stream.readline(LONGEST_HEAD)
-        while line := stream.readline(msg.LONGEST_LINE):
+        stream.readline(MAX_HEAD)
+        while line := stream.readline(msg.MAX_LINE):
             if line.endswith("\n"):
                 yield line

@@ -1,8 +1,8 @@
-"""The host of a session: JSON lines on stdin and stdout, on TCP, and as WebSocket messages.
+"""Server of a session: JSON lines on stdin and stdout, on TCP, and as WebSocket messages.
 
-One robot, any number of listeners: whatever anyone sends is for the session, and all hear what it
-says. Messages are taken in on the loop's thread, in turns of 0.2 ms, so that no client
-delays commands or others; the estimator works in a thread of its own.
+One robot, any number of clients: every client can send messages to the session, and receives all of
+its output. Messages are processed on the loop's thread in turns of 0.2 ms, so that no client
+delays commands or other clients; the estimator runs in its own thread.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from typing import Any
 from homeward.errors import HomewardError, InputError
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
-from homeward.live.messages import LONGEST_LINE, EventOut, Hello, Input, Output, line_of, parse
+from homeward.live.messages import MAX_LINE, EventOut, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
 
 HELLO_S = 5.0
-"""Who connects says hello within [s]."""
-MOST_LISTENERS = 20
-MOST_UNREAD = 2**20
-"""Who leaves so much unread is disconnected [byte]."""
-SAID_S = 1.0
-"""Diagnostics and landmarks are told so often [s]."""
+"""A client must send hello within this time [s]."""
+MAX_CLIENTS = 20
+MAX_UNREAD = 2**20
+"""A client with more unread output is disconnected [byte]."""
+DIAGNOSTICS_S = 1.0
+"""Interval of diagnostics and landmarks [s]."""
 MAX_REFUSED = 100
-"""A client of which this number of lines in a row were refused is disconnected."""
+"""A client is disconnected after this number of refused lines in a row."""
 WEBSOCKET_CHUNK = 2**10
-"""Read at once from a WebSocket [byte]; 170 frames, the most that it holds, are parsed in 2 ms."""
+"""Size of a read from a WebSocket [byte]; its at most 170 frames are parsed in 2 ms."""
 CLOSE_S = 1.0
-"""A WebSocket that does not answer when it is closed is dropped after this [s]."""
+"""Timeout for the close of a WebSocket [s]."""
 SWITCH_S = 0.001
-"""The estimator's thread lets the loop's go on after this [s]; Python's own 5 ms add up."""
+"""Thread switch interval [s]; Python's default of 5 ms would delay the loop's thread."""
 WRONG_TOKEN = "wrong token"
 
 
 @dataclass(frozen=True)
 class Address:
-    """Where to listen."""
+    """Host and port to listen at."""
 
     host: str
     port: int
@@ -61,7 +61,7 @@ class Address:
 
 
 def address(text: str) -> Address:
-    """Return the address in ``PORT`` (of this machine alone), or ``HOST:PORT``."""
+    """Parse ``PORT`` (this machine only) or ``HOST:PORT``."""
     host, _, port = text.rpartition(":")
     if not (port.isascii() and port.isdecimal() and int(port) < 2**16):
         raise InputError(f"{text}: must be PORT or HOST:PORT")
@@ -69,28 +69,28 @@ def address(text: str) -> Address:
 
 
 @dataclass(eq=False)
-class _Listener:
-    """Somebody connected: how to tell them a line, how much they left unread, how to end it."""
+class _Client:
+    """A connected client: functions to send a line, to get its unread bytes, and to close it."""
 
-    tell: Callable[[str], None]
+    send: Callable[[str], None]
     unread: Callable[[], int]
     close: Callable[[], None]
 
 
 @dataclass
 class Server:
-    """Serves a new session until it is stopped, or, where it reads stdin, until that ends.
+    """Server of a new session, until it is stopped or stdin, if it is read, ends.
 
-    Everybody must say hello with the `token`, which is required where other machines can connect.
-    `watch` receives everything that the session says.
+    Every client must send hello with the `token`, which is required if other machines can connect.
+    `watch` receives all output of the session.
     """
 
     session: Session
     token: str | None = None
     watch: Callable[[Output], None] | None = None
     ports: list[int] = field(default_factory=list)
-    """Of TCP and WebSocket, as `serve` opened them."""
-    _listeners: set[_Listener] = field(default_factory=set)
+    """Ports of TCP and WebSocket that `serve` opened."""
+    _clients: set[_Client] = field(default_factory=set)
     _work: threading.Event = field(default_factory=threading.Event)
     _done: bool = False
     _failure: BaseException | None = None
@@ -105,11 +105,13 @@ class Server:
     ) -> None:
         """Serve; `opened` receives the ports of TCP and WebSocket, in this order.
 
-        `InputError` where an address cannot be listened at, or may not be without a token.
+        `InputError` where an address cannot be opened, or needs a token.
         """
-        for place in filter(None, (tcp, websocket)):
-            if self.token is None and not place.is_loopback:
-                raise InputError(f"{place.host}: others could connect; give a token")
+        for where in filter(None, (tcp, websocket)):
+            if self.token is None and not where.is_loopback:
+                raise InputError(
+                    f"{where.host}: other machines could connect; set a token in HOMEWARD_TOKEN"
+                )
         sys.setswitchinterval(SWITCH_S)
         loop = asyncio.get_running_loop()
         ended = asyncio.Event()
@@ -128,9 +130,9 @@ class Server:
             if opened is not None:
                 opened(self.ports)
             if stdio:
-                me = _Listener(self._print, lambda: 0, lambda: None)
-                self._listeners.add(me)
-                reading = asyncio.create_task(self._take_stdin(me))
+                stdio_client = _Client(self._print, lambda: 0, lambda: None)
+                self._clients.add(stdio_client)
+                reading = asyncio.create_task(self._process_stdin(stdio_client))
             try:
                 await ended.wait()
             finally:
@@ -139,30 +141,30 @@ class Server:
                 self._done = True
                 self._work.set()
                 await asyncio.to_thread(worker.join)
-                await asyncio.sleep(0)  # what the worker said last is told
+                await asyncio.sleep(0)  # send the worker's last output
                 failure = ticking.exception() if ticking.done() else self._failure
                 ticking.cancel()
-                for listener in list(self._listeners):
-                    listener.close()
+                for client in list(self._clients):
+                    client.close()
         if failure is not None:
             raise failure
 
     def _process(self, loop: asyncio.AbstractEventLoop) -> None:
-        """Let the estimator work, in a thread of its own."""
+        """Run the estimator, in its own thread."""
         try:
             with single_threaded_blas():
                 while not self._done or self.session.waiting:
                     self._work.wait()
                     self._work.clear()
                     for out in self.session.process():
-                        loop.call_soon_threadsafe(self._tell, out)
-        except BaseException as error:  # told by `serve`, which ends
+                        loop.call_soon_threadsafe(self._send, out)
+        except BaseException as error:  # `serve` raises it
             self._failure = error
             self._end()
 
     async def _tick(self) -> None:
-        """Say commands at a steady rate, and now and then how things are."""
-        period, said = 1.0 / self.session.settings.rate, 0.0
+        """Send commands at a steady rate, and diagnostics at `DIAGNOSTICS_S`."""
+        period, last = 1.0 / self.session.settings.rate, 0.0
         due = time.monotonic()
         while True:
             due = max(due + period, time.monotonic())
@@ -170,157 +172,157 @@ class Server:
             now = time.monotonic()
             try:
                 if (command := self.session.tick(now)) is not None:
-                    self._tell(command)
+                    self._send(command)
             except HomewardError as error:
-                self._tell(EventOut(type="error", text=str(error)))
+                self._send(EventOut(type="error", text=str(error)))
                 self._work.set()
-            if now - said >= SAID_S:
-                said = now
-                self._tell(self.session.diagnostics(now))
-                self.session.ask_landmarks()
+            if now - last >= DIAGNOSTICS_S:
+                last = now
+                self._send(self.session.diagnostics(now))
+                self.session.request_landmarks()
                 self._work.set()
 
-    def _tell(self, out: Output) -> None:
-        """Say something to all; who does not read is let go."""
+    def _send(self, out: Output) -> None:
+        """Send a message to all clients; disconnect those that do not read."""
         if self.watch is not None:
             self.watch(out)
         line = line_of(out)
-        for listener in list(self._listeners):
-            if listener.unread() > MOST_UNREAD:
-                self._listeners.discard(listener)
-                listener.close()
+        for client in list(self._clients):
+            if client.unread() > MAX_UNREAD:
+                self._clients.discard(client)
+                client.close()
             else:
-                listener.tell(line)
+                client.send(line)
 
-    def _take(self, message: Input, listener: _Listener) -> None:
+    def _receive(self, message: Input, client: _Client) -> None:
         try:
-            self.session.receive(message, time.monotonic(), listener)
+            self.session.receive(message, time.monotonic(), client)
         finally:
             self._work.set()
 
-    def _take_line(self, line: Line, listener: _Listener) -> bool:
-        """Take a line; return whether it is a message."""
+    def _receive_line(self, line: Line, client: _Client) -> bool:
+        """Process a line; return whether it is a valid message."""
         try:
-            self._take(parse(line), listener)
+            self._receive(parse(line), client)
         except HomewardError as error:
-            self._refuse(str(error), listener)
+            self._refuse(str(error), client)
             return not isinstance(error, InputError)
         return True
 
     async def _converse(
-        self, lines: AsyncIterator[Line], listener: _Listener, is_file: bool = False
+        self, lines: AsyncIterator[Line], client: _Client, is_file: bool = False
     ) -> None:
-        """Take a client's lines in turn with those of others, and a stop as soon as it is read.
+        """Process a client's lines in turn with those of others, but a stop at once.
 
         A file is read no faster than the estimator works, to its end.
         """
         inbox, turn = Inbox(), ClientTurn()
-        taking = asyncio.create_task(self._take_all(inbox, listener, is_file))
+        processing = asyncio.create_task(self._process_inbox(inbox, client, is_file))
         try:
             async for line in lines:
                 if (stop := stop_in(line)) is not None:
-                    self._take(stop, listener)
+                    self._receive(stop, client)
                 elif line.strip():
                     await inbox.put(line)
                 if inbox.ended:
                     break
                 await turn.end()
             inbox.end()
-            await taking
+            await processing
         finally:
-            taking.cancel()
+            processing.cancel()
 
-    async def _take_all(self, inbox: Inbox, listener: _Listener, is_file: bool) -> None:
+    async def _process_inbox(self, inbox: Inbox, client: _Client, is_file: bool) -> None:
         refused, turn = 0, ClientTurn()
         while (line := await inbox.take()) is not None:
             while is_file and self.session.waiting > self.session.settings.queue // 2:
                 await asyncio.sleep(0.001)
-            refused = 0 if self._take_line(line, listener) else refused + 1
+            refused = 0 if self._receive_line(line, client) else refused + 1
             if refused >= MAX_REFUSED and not is_file:
-                self._refuse(f"disconnected: {refused} lines in a row were refused", listener)
+                self._refuse(f"disconnected: {refused} lines in a row were refused", client)
                 inbox.end()
-                await asyncio.sleep(0.01)  # the reason is sent
-                listener.close()
+                await asyncio.sleep(0.01)  # send the reason
+                client.close()
                 return
             await turn.end()
 
-    def _welcome(self, line: Line, listener: _Listener) -> bool:
-        """Return whether a first line says hello as it must; answer it."""
+    def _welcome(self, line: Line, client: _Client) -> bool:
+        """Answer the first line; return whether it is a valid hello."""
         try:
             hello = parse(line)
         except InputError as error:
-            return self._refuse(str(error), listener)
+            return self._refuse(str(error), client)
         if not isinstance(hello, Hello):
-            return self._refuse("say hello first", listener)
-        said = (hello.token or "").encode()
-        if self.token is not None and not hmac.compare_digest(said, self.token.encode()):
-            return self._refuse(WRONG_TOKEN, listener)
-        if len(self._listeners) >= MOST_LISTENERS:
-            return self._refuse("too many connections", listener)
-        listener.tell(line_of(Hello()))
-        self._listeners.add(listener)
+            return self._refuse("the first message must be hello", client)
+        token = (hello.token or "").encode()
+        if self.token is not None and not hmac.compare_digest(token, self.token.encode()):
+            return self._refuse(WRONG_TOKEN, client)
+        if len(self._clients) >= MAX_CLIENTS:
+            return self._refuse(f"too many connections: at most {MAX_CLIENTS}", client)
+        client.send(line_of(Hello()))
+        self._clients.add(client)
         return True
 
-    def _refuse(self, why: str, listener: _Listener) -> bool:
-        listener.tell(line_of(EventOut(type="error", text=why)))
+    def _refuse(self, why: str, client: _Client) -> bool:
+        client.send(line_of(EventOut(type="error", text=why)))
         return False
 
     def _print(self, line: str) -> None:
-        """Say a line on stdout; end where nobody reads it any more."""
+        """Write a line to stdout; end the server when the reader has closed it."""
         try:
             sys.stdout.write(line)
             sys.stdout.flush()
         except BrokenPipeError:
-            with open(os.devnull, "w") as nowhere:  # for what is left in the buffer
+            with open(os.devnull, "w") as nowhere:  # for the rest of the buffer
                 os.dup2(nowhere.fileno(), sys.stdout.fileno())
             self._end()
 
-    async def _take_stdin(self, me: _Listener) -> None:
-        """Take all lines of stdin, and end with it."""
-        await self._converse(stdin_lines(), me, is_file=True)
+    async def _process_stdin(self, client: _Client) -> None:
+        """Process all lines of stdin, and end with it."""
+        await self._converse(stdin_lines(), client, is_file=True)
         while self.session.waiting:
             await asyncio.sleep(0.001)
         self._end()
 
     @contextlib.asynccontextmanager
-    async def _tcp(self, place: Address) -> AsyncIterator[int]:
+    async def _tcp(self, where: Address) -> AsyncIterator[int]:
         """Listen for JSON lines."""
 
         async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            def tell(line: str) -> None:
-                if not writer.transport.is_closing():  # else asyncio complains on stderr
+            def send(line: str) -> None:
+                if not writer.transport.is_closing():  # asyncio would print a warning
                     writer.write(line.encode())
 
             lines = tcp_lines(reader)
-            listener = _Listener(tell, writer.transport.get_write_buffer_size, writer.close)
+            client = _Client(send, writer.transport.get_write_buffer_size, writer.close)
             try:
                 first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
-                if self._welcome(first, listener):
-                    await self._converse(lines, listener)
-            except (OSError, TimeoutError):  # gone, or silent
+                if self._welcome(first, client):
+                    await self._converse(lines, client)
+            except (OSError, TimeoutError):  # disconnected, or silent
                 pass
             except asyncio.CancelledError:  # the server ends; Python 3.11 would print a traceback
                 if not self._done:
                     raise
             finally:
-                self._listeners.discard(listener)
+                self._clients.discard(client)
                 writer.close()
 
         try:
-            server = await asyncio.start_server(serve, place.host, place.port, limit=LONGEST_LINE)
+            server = await asyncio.start_server(serve, where.host, where.port, limit=MAX_LINE)
         except OSError as error:
-            raise _cannot(place, error) from error
+            raise _cannot_listen(where, error) from error
         try:
             yield server.sockets[0].getsockname()[1]
         finally:
             server.close()
 
     @contextlib.asynccontextmanager
-    async def _websocket(self, place: Address) -> AsyncIterator[int]:
-        """Listen for WebSockets, a message a line.
+    async def _websocket(self, where: Address) -> AsyncIterator[int]:
+        """Listen for WebSockets, one message per line.
 
-        Any page that a browser shows may connect to this machine: without a token only pages of
-        this machine are accepted, by their Origin.
+        Any page in a browser can connect to this machine, so without a token the Origin must be a
+        page of this machine.
         """
         import re
 
@@ -331,11 +333,11 @@ class Server:
         origins = None if self.token is not None else [None, own]
 
         async def talk(socket: Any) -> None:
-            socket.transport.max_size = WEBSOCKET_CHUNK  # of asyncio, which reads 256 kB otherwise
+            socket.transport.max_size = WEBSOCKET_CHUNK  # asyncio reads 256 kB by default
             queue: asyncio.Queue[str] = asyncio.Queue()
             unread = [0]
 
-            def tell(line: str) -> None:
+            def enqueue(line: str) -> None:
                 unread[0] += len(line)
                 queue.put_nowait(line)
 
@@ -345,17 +347,17 @@ class Server:
                     await socket.send(line.rstrip("\n"))
                     unread[0] -= len(line)
 
-            listener = _Listener(tell, lambda: unread[0], socket.transport.abort)
+            client = _Client(enqueue, lambda: unread[0], socket.transport.abort)
             sending = asyncio.create_task(send())
             try:
-                if not self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), listener):
-                    await asyncio.sleep(0.01)  # the reason is sent
+                if not self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), client):
+                    await asyncio.sleep(0.01)  # send the reason
                     return
-                await self._converse(aiter(socket), listener)
+                await self._converse(aiter(socket), client)
             except (ConnectionClosed, TimeoutError):
                 pass
             finally:
-                self._listeners.discard(listener)
+                self._clients.discard(client)
                 sending.cancel()
                 with contextlib.suppress(asyncio.CancelledError, ConnectionClosed):
                     await sending
@@ -363,16 +365,16 @@ class Server:
         try:
             async with serve(
                 talk,
-                place.host,
-                place.port,
+                where.host,
+                where.port,
                 origins=origins,
-                max_size=LONGEST_LINE,
+                max_size=MAX_LINE,
                 close_timeout=CLOSE_S,
             ) as server:
                 yield server.sockets[0].getsockname()[1]
         except OSError as error:
-            raise _cannot(place, error) from error
+            raise _cannot_listen(where, error) from error
 
 
-def _cannot(place: Address, error: OSError) -> InputError:
-    return InputError(f"cannot listen at {place.host}:{place.port}: {error.strerror or error}")
+def _cannot_listen(where: Address, error: OSError) -> InputError:
+    return InputError(f"cannot listen at {where.host}:{where.port}: {error.strerror or error}")

@@ -1,4 +1,4 @@
-"""What a live session can be told; the defaults suit a small robot with a camera at 15 Hz."""
+"""Settings of a live session; the defaults suit a small robot with a camera at 15 Hz."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from homeward.io.keys import Strict
 from homeward.registry import DEFAULT
 
 STOPS_WITHIN_S = 0.2
-"""A robot whose sensors die, or that hears no command, stands after this [s]."""
+"""A robot without sensor data or commands stops within this time [s]."""
 
 
 class LiveSettings(Strict):
@@ -21,13 +21,14 @@ class LiveSettings(Strict):
     estimator: str = DEFAULT
     limits: Limits = Limits()
     rate: Annotated[float, Field(ge=20, le=200)] = 50.0
-    """Of commands [Hz]."""
+    """Rate of commands [Hz]."""
     odometry_timeout: Positive = 0.15
-    """Without odometry for so long the robot stands [s]; and it stands within `STOPS_WITHIN_S` if
-    this is at most that less one command's period and the way there."""
+    """The robot stops after this time without odometry [s]; to stop within `STOPS_WITHIN_S`, leave
+    room for one command's period and the transmission."""
     bearings_timeout: Positive = 0.15
-    """Likewise for bearings, were there none in sight; more for cameras slower than 10 Hz [s]."""
+    """The robot stops after this time without a bearings message, which may be empty [s]; use more
+    for cameras slower than 10 Hz."""
     largest_lag: Positive = 0.5
-    """It stands where bearings, or the answer to them, are older than odometry by more [s]."""
+    """The robot stops if bearings, or their answers, are older than odometry by more [s]."""
     queue: Annotated[int, Field(ge=10)] = 200
-    """So many samples may wait for the estimator; then the oldest bearings are thrown away."""
+    """Maximum number of samples that wait for the estimator; the oldest bearings are dropped."""

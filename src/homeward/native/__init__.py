@@ -1,1 +1,1 @@
-"""Programs in C, compiled when first needed, for the processor that runs them."""
+"""C programs, compiled on first use for the processor of this machine."""

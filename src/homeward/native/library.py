@@ -1,4 +1,4 @@
-"""From C source to functions in this process: out of the cache, or compiled, proved and kept."""
+"""C functions in this process: from the cache, or compiled, tested and cached."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from homeward.io.writing import scratch_folder
 from homeward.native.cache import Cache, default_folder, key_of
 from homeward.native.compiler import PORTABLE_FLAGS, Compiler, NativeError, find_compiler
 
-PROOF_S = 60.0
-"""A fresh library must load and answer in a process of its own within this time [s]."""
+TEST_S = 60.0
+"""Time limit for loading and calling a new library in another process [s]."""
 PREBUILT = "prebuilt.so"
-"""What a wheel brings beside the sources of a program."""
+"""File with compiled code in a wheel, next to the sources of a program."""
 ELF_MACHINES = {62: "x86_64", 183: "aarch64"}
-"""What the header of a Linux library calls the machines that wheels are built for."""
-_PROOF = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
+"""Machine numbers in the header of a Linux library, for the machines of the wheels."""
+_TEST = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
 
 
 class Library(NamedTuple):
@@ -30,55 +30,41 @@ class Library(NamedTuple):
 
     functions: ctypes.CDLL
     lanes: int
-    """Runs side by side."""
+    """Number of runs that the code computes in parallel."""
     notes: tuple[str, ...]
-    """What the user should know of how it came about."""
+    """Notes for the user."""
 
 
 def is_kept(source: str) -> bool:
-    """Return whether the compiled code of a source is at hand, without compiling.
-
-    Raises
-    ------
-    NativeError
-        When there is no compiler: what it would make of the source is not known then.
-    """
+    """Whether the compiled code of a source is in the cache; `NativeError` without a compiler."""
     cache = Cache(default_folder())
     return cache.problem() is None and cache.find(_key(source, find_compiler())) is not None
 
 
 def source_in(folder: Path) -> str:
-    """Return the C of a folder as one text: program.h, its headers, its programs, by name."""
+    """Return the C code of a folder as one text: program.h, headers, programs, sorted by name."""
     common = Path(__file__).with_name("program.h")
     files = [common, *sorted(folder.glob("*.h")), *sorted(folder.glob("*.c"))]
     return "\n".join(file.read_text(encoding="utf-8") for file in files)
 
 
 def prebuild(folder: Path, library: Path) -> str:
-    """Compile the C of a folder for all processors of a kind, as a wheel brings it.
+    """Compile the C code of a folder for all processors of an architecture, for a wheel.
 
-    Returns
-    -------
-    machine : str
-        Which kind that is: another than this machine's where the compiler is for another, and
-        then nothing has shown that the library can be loaded.
-
-    Raises
-    ------
-    NativeError
-        When there is no compiler, or it fails.
+    Returns the architecture. If a cross compiler makes it another one than this machine's, the
+    library is not tested. `NativeError` where there is no compiler, or it fails.
     """
-    with tempfile.TemporaryDirectory() as workshop:
+    with tempfile.TemporaryDirectory() as scratch:
         source, compiler = source_in(folder), find_compiler()
-        made = _unproved(source, compiler, Path(workshop), PORTABLE_FLAGS)
+        made = _untested(source, compiler, Path(scratch), PORTABLE_FLAGS)
         if (machine := _machine(made)) == platform.machine():
-            _prove(made, compiler)
+            _test(made, compiler)
         shutil.copyfile(made, library)
     return machine
 
 
 def prebuilt(folder: Path) -> Library | None:
-    """Return what a wheel brought for the C of a folder; None where there is nothing that loads."""
+    """Return the compiled code that a wheel contains for a folder, or None."""
     try:
         return _opened(folder / PREBUILT, ())
     except NativeError:
@@ -86,13 +72,7 @@ def prebuilt(folder: Path) -> Library | None:
 
 
 def load(source: str) -> Library:
-    """Return the compiled code of a C source.
-
-    Raises
-    ------
-    NativeError
-        When there is no compiler, or it fails.
-    """
+    """Return the compiled code of a C source; `NativeError` without a compiler or if it fails."""
     return _load(source, find_compiler(), default_folder())
 
 
@@ -100,13 +80,13 @@ def load(source: str) -> Library:
 def _load(source: str, compiler: Compiler, folder: Path) -> Library:
     cache, key = Cache(folder), _key(source, compiler)
     if (problem := cache.problem()) is not None:
-        return _unkept(source, compiler, problem)
+        return _uncached(source, compiler, problem)
     try:
         if (found := cache.find(key)) is None:
-            with scratch_folder(folder) as workshop:
-                found = cache.keep(key, _compiled(source, compiler, workshop))
+            with scratch_folder(folder) as scratch:
+                found = cache.keep(key, _compiled(source, compiler, scratch))
     except OSError as error:
-        return _unkept(source, compiler, f"{folder}: {error.strerror}")
+        return _uncached(source, compiler, f"{folder}: {error.strerror}")
     return _opened(found, ())
 
 
@@ -114,51 +94,52 @@ def _key(source: str, compiler: Compiler) -> str:
     return key_of(source, compiler.identity)
 
 
-def _unkept(source: str, compiler: Compiler, problem: str) -> Library:
-    """Compile for this process alone; once loaded, the file may go."""
-    note = f"Compiled code is not kept for next time: {problem}."
+def _uncached(source: str, compiler: Compiler, problem: str) -> Library:
+    """Compile for this process only; the file can be deleted once loaded."""
+    note = f"Compiled code is not cached and will be compiled again: {problem}."
     try:
-        with tempfile.TemporaryDirectory(prefix="homeward-") as workshop:
-            return _opened(_compiled(source, compiler, Path(workshop)), (note,))
+        with tempfile.TemporaryDirectory(prefix="homeward-") as scratch:
+            return _opened(_compiled(source, compiler, Path(scratch)), (note,))
     except OSError as error:
         raise NativeError(f"no folder to compile in: {error.strerror}") from None
 
 
-def _compiled(source: str, compiler: Compiler, workshop: Path) -> Path:
-    library = _unproved(source, compiler, workshop)
-    _prove(library, compiler)
+def _compiled(source: str, compiler: Compiler, scratch: Path) -> Path:
+    library = _untested(source, compiler, scratch)
+    _test(library, compiler)
     return library
 
 
-def _unproved(
-    source: str, compiler: Compiler, workshop: Path, flags: tuple[str, ...] | None = None
+def _untested(
+    source: str, compiler: Compiler, scratch: Path, flags: tuple[str, ...] | None = None
 ) -> Path:
-    text, library = workshop / "program.c", workshop / "program.so"
+    text, library = scratch / "program.c", scratch / "program.so"
     text.write_text(source, encoding="utf-8")
     compiler.compile(text, library, flags)
     return library
 
 
 def _machine(library: Path) -> str:
-    """Return for which kind of machine a library is; this one's if its header does not tell."""
+    """Return the machine type of a library from its header, by default that of this machine."""
     header = library.read_bytes()[:20]
-    told = int.from_bytes(header[18:], "little") if header.startswith(b"\x7fELF") else 0
-    return ELF_MACHINES.get(told, platform.machine())
+    number = int.from_bytes(header[18:], "little") if header.startswith(b"\x7fELF") else 0
+    return ELF_MACHINES.get(number, platform.machine())
 
 
-def _prove(library: Path, compiler: Compiler) -> None:
-    """Prove in another process that a library can be loaded at all."""
+def _test(library: Path, compiler: Compiler) -> None:
+    """Test in another process that a library can be loaded."""
+    failure = f"the library from {compiler.command[0]} cannot be loaded"
     try:
-        proof = subprocess.run(
-            [sys.executable, "-I", "-S", "-c", _PROOF, str(library)],
+        test = subprocess.run(
+            [sys.executable, "-I", "-S", "-c", _TEST, str(library)],
             capture_output=True,
-            timeout=PROOF_S,
+            timeout=TEST_S,
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired):
-        raise NativeError(f"what {compiler.command[0]} made cannot be loaded") from None
-    if proof.returncode != 0 or not proof.stdout.strip().isdigit():
-        raise NativeError(f"what {compiler.command[0]} made cannot be loaded")
+        raise NativeError(failure) from None
+    if test.returncode != 0 or not test.stdout.strip().isdigit():
+        raise NativeError(failure)
 
 
 def _opened(file: Path, notes: tuple[str, ...]) -> Library:

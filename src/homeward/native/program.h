@@ -1,7 +1,7 @@
-/* What comes before every program that is written by hand. */
+/* Common header of the hand-written programs. */
 
-/* What comes before a function that a wheel holds once for each level of x86-64, of which the
- * loader takes the one of the processor that it finds. ARM has one level, and NEON in it. */
+/* Attribute of a function of which a wheel contains one version per level of x86-64; the loader
+ * selects the version for the processor. ARM has one level, which includes NEON. */
 #if defined(FOR_ALL_PROCESSORS) && defined(__x86_64__)
 #define EACH_PROCESSOR \
   __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default"), flatten))
@@ -9,5 +9,5 @@
 #define EACH_PROCESSOR
 #endif
 
-/* Runs side by side: one. It is what a library is asked to prove that it can be loaded. */
+/* Number of parallel runs: one. Called to test that a library can be loaded. */
 int homeward_lanes(void) { return 1; }

@@ -1,4 +1,4 @@
-"""A few functions written in C by hand, which stand for NumPy where there is a compiler."""
+"""Hand-written C functions, which replace NumPy code where there is a compiler."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ from homeward.native.library import load, prebuilt, source_in
 
 
 class Array:
-    """An array of one type as an argument, taken row by row."""
+    """Argument type: a C-contiguous array of one dtype."""
 
     def __init__(self, dtype: type[np.generic]) -> None:
         self.dtype = dtype
 
     def from_param(self, array: np.ndarray) -> Any:
-        """Return what is passed to a function; the call itself keeps the array alive."""
+        """Return the pointer for a call, which keeps the array alive."""
         assert array.dtype == self.dtype
         try:
-            return ctypes.byref(ctypes.c_char.from_buffer(array.data))  # the quickest way
+            return ctypes.byref(ctypes.c_char.from_buffer(array.data))  # the fastest way
         except (TypeError, ValueError):  # read-only or empty, or not contiguous: an error
             return ctypes.c_void_p(address(array, self.dtype))
 
@@ -38,17 +38,17 @@ _TYPES: dict[str, Any] = {
 
 
 class Program:
-    """The functions of a package that are written in C, compiled when they are first asked for.
+    """C functions of a package, compiled on first use.
 
     Parameters
     ----------
     package : str
-        Its folder ``native`` holds the sources of one program, and in a wheel also its code.
+        Its folder ``native`` contains the sources of one program, and in a wheel also its code.
     functions : mapping of str to str
-        What each function takes, in order: ``i`` an integer, ``d`` a double, ``a`` an array of
-        doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool.
+        Argument types of each function, in order: ``i`` an integer, ``d`` a double, ``a`` an array
+        of doubles, ``f`` of float32, ``l`` of int64, ``h`` of int16, ``b`` of bool.
     may_fail : collection of str
-        Those that return 0, or 1 where they fail; the others return nothing.
+        Functions that return 0, or 1 where they fail; the others return nothing.
     """
 
     def __init__(
@@ -63,8 +63,8 @@ class Program:
 
     def __call__(self) -> ctypes.CDLL | None:
         """Return the compiled functions; None where there is no compiler, or it fails."""
-        # Not a cached_property, which has no lock: a function whose argument types another thread
-        # has yet to set would be called with its addresses cut in half.
+        # cached_property has no lock: before another thread has set the argument types, a call
+        # would truncate addresses.
         with self._lock:
             if "_loaded" not in vars(self):
                 self._loaded = self._load()
@@ -86,7 +86,7 @@ class Program:
 
 
 def address(array: np.ndarray, dtype: type[np.generic] = np.float64) -> int:
-    """Return where an array begins, for a structure or a table whose owner keeps it alive."""
+    """Return the address of an array, for a structure or a table whose owner keeps it alive."""
     assert array.dtype == dtype
     assert array.flags.c_contiguous
     return int(array.ctypes.data)

@@ -1,1 +1,1 @@
-"""The node of ROS 2; rclpy comes from the robot's own ROS."""
+"""ROS 2 node; rclpy comes from the robot's ROS installation."""

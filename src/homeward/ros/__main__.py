@@ -1,4 +1,4 @@
-"""``python -m homeward.ros``: the node, configured and active at once unless told otherwise."""
+"""``python -m homeward.ros``: run the node, configured and activated at once by default."""
 
 from __future__ import annotations
 
@@ -8,14 +8,14 @@ import time
 BAD_INPUT = 2
 HELP = """usage: python -m homeward.ros [--ros-args -p NAME:=VALUE ... --params-file FILE]
 
-The lifecycle node of homeward, configured and active at once. docs/do/live.md describes its
+The lifecycle node of homeward, configured and activated at once. docs/do/live.md describes its
 topics, docs/do/ros/homeward.yaml every parameter."""
-STOPPED_WITHIN_S = 0.5
-"""... and that it was stopped rclpy's own thread says a moment later [s]."""
+SHUTDOWN_S = 0.5
+"""Time within which rclpy's thread reports the shutdown after such an error [s]."""
 
 
 def main() -> None:
-    """Run the node until it is stopped; one that starts by itself and cannot ends at once."""
+    """Run the node until it is stopped; exit at once if autostart fails."""
     if {"-h", "--help"} & set(sys.argv[1:]):
         sys.stdout.write(HELP + "\n")
         return
@@ -25,20 +25,20 @@ def main() -> None:
 
         from homeward.ros.node import DONE, HomewardNode
     except ImportError as error:
-        way = "source /opt/ros/DISTRO/setup.bash first, in a Python that the distribution supports"
-        sys.stderr.write(f"homeward.ros: {error}: {way}\n")
+        remedy = "source /opt/ros/DISTRO/setup.bash first, with the Python of that distribution"
+        sys.stderr.write(f"homeward.ros: {error}: {remedy}\n")
         raise SystemExit(BAD_INPUT) from None
     rclpy.init()
     node = HomewardNode()
     try:
         starts = node.get_parameter("autostart").value
         if starts and not (node.trigger_configure() == DONE == node.trigger_activate()):
-            raise SystemExit(BAD_INPUT)  # the log says why
+            raise SystemExit(BAD_INPUT)  # the reason is in the log
         rclpy.spin(node)
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
-    except RuntimeError:  # what is interrupted within rclpy may end by that, ...
-        time.sleep(STOPPED_WITHIN_S)
+    except RuntimeError:  # rclpy may raise it when interrupted
+        time.sleep(SHUTDOWN_S)
         if rclpy.ok():
             raise
     finally:

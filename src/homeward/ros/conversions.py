@@ -1,6 +1,6 @@
-"""Messages of ROS 2 from and to those of a live session, and the publishers of the node.
+"""Conversion between ROS 2 messages and those of a live session, and the node's publishers.
 
-Message classes are looked for where they are used: a robot has those that it needs.
+Message classes are imported when used, because a robot has only the packages that it needs.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from homeward.live.messages import Answer, Command, Diagnostics, LandmarksOut, O
 from homeward.runs.report.palette import LEVELS, UNTESTED, colour
 
 JSON = "std_msgs/msg/String"
-"""The type of bearings as JSON."""
+"""Message type of bearings as JSON."""
 TFS = "tf2_msgs/msg/TFMessage"
 PLANAR = (0, 1, 5)
-"""Places of x, y and the turn about z in ROS's covariances of six."""
-FARTHEST_M = 1e4
-"""Scanners that see endlessly far, as simulated ones, say so [m]."""
+"""Indices of x, y and the rotation about z in ROS's 6 x 6 covariances."""
+MAX_RANGE_M = 1e4
+"""Free distance for scanners with infinite range, such as simulated ones [m]."""
 _SPHERE, _TEXT = 2, 9
 
 
 @cache
 def message_class(kind: str) -> Any:
-    """Return the class of a type, as in ``nav_msgs/msg/Odometry``; ImportError without it."""
+    """Return the class of a type such as ``nav_msgs/msg/Odometry``; ImportError if missing."""
     package, part, name = kind.split("/")
     return getattr(import_module(f"{package}.{part}"), name)
 
 
 class StampConverter:
-    """Stamps of ROS as seconds from the first one's whole second: a double then loses nothing."""
+    """Converter of ROS stamps to seconds since the first whole second, exact as a double."""
 
     def __init__(self) -> None:
         self.epoch: int | None = None
@@ -64,9 +64,9 @@ class StampConverter:
 
 
 def odometry_in(message: Any, t: float) -> msg.OdometryIn:
-    """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose where it tells one.
+    """Return the twist of a nav_msgs/Odometry at `t` [s], and its pose if that is finite.
 
-    `InputError` where a number is none, as in all that follows.
+    `InputError` where a number is not finite, as in the following functions.
     """
     v, omega, _ = twist_of(message)
     pose = pose_of(message)
@@ -78,16 +78,16 @@ def bearings_in(
     message: Any,
     t: float,
     kind: str,
-    told: BearingsTopic,
+    topic: BearingsTopic,
     camera: Lens | None,
     eye: TagDetector | None = None,
 ) -> msg.BearingsIn:
-    """Return the bearings in a message of any type of `READERS`, as those in logs are read.
+    """Return the bearings of a message of any type of `READERS`, read like those of logs.
 
-    In one of `PICTURES` the `eye` finds tags. `InputError` where there are none, or a camera model
-    is needed.
+    In images (`PICTURES`) the `eye` detects tags. `InputError` where there are none, or a camera
+    model is missing.
     """
-    rows = SightingRows(told, kind, Remarks(), lambda: camera, eye)
+    rows = SightingRows(topic, kind, Remarks(), lambda: camera, eye)
     rows.add(t, message)
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
@@ -97,8 +97,8 @@ def bearings_in(
     return validated(msg.BearingsIn, known)
 
 
-def start_in(message: Any) -> msg.StartIn:
-    """Return the start that a geometry_msgs/PoseWithCovarianceStamped tells."""
+def start_in(message: Any) -> msg.SetStart:
+    """Return the start from a geometry_msgs/PoseWithCovarianceStamped."""
     x, y, heading = pose_of(message)
     c = message.pose.covariance
     sigmas = {}
@@ -106,19 +106,19 @@ def start_in(message: Any) -> msg.StartIn:
         sigmas["sigma"] = math.sqrt(var)
     if c[35] > 0:
         sigmas["sigma_heading"] = math.sqrt(c[35])
-    return validated(msg.StartIn, {"x": x, "y": y, "heading": heading, **sigmas})
+    return validated(msg.SetStart, {"x": x, "y": y, "heading": heading, **sigmas})
 
 
 def obstacle_in(message: Any, half_angle: float) -> msg.Obstacle:
-    """Return how far the way ahead, `half_angle` [rad] to either side, is free by a LaserScan.
+    """Return the free distance of a LaserScan within `half_angle` [rad] to either side of ahead.
 
-    By REP 117 minus infinity is something too near to be measured, and infinity nothing in reach.
+    REP 117: minus infinity is an object too near to be measured, infinity is nothing in range.
     """
     ranges = np.asarray(message.ranges, float)
     angles = message.angle_min + message.angle_increment * np.arange(ranges.size)
     measured = (ranges >= max(message.range_min, 1e-3)) | (ranges == -math.inf)
     ahead = ranges[measured & (np.abs(wrap(angles)) <= half_angle)]
-    free = [*np.maximum(ahead, 0.0).tolist(), message.range_max, FARTHEST_M]
+    free = [*np.maximum(ahead, 0.0).tolist(), message.range_max, MAX_RANGE_M]
     return validated(msg.Obstacle, {"distance": min(free)})
 
 
@@ -147,18 +147,18 @@ def transform(stamp: Any, parent: str, child: str, pose: Pose) -> Any:
     return message
 
 
-def diagnostics_out(said: msg.Diagnostics, stamp: Any) -> Any:
-    """Return a diagnostic_msgs/DiagnosticArray: status and reason in words, counts as values."""
+def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
+    """Return a diagnostic_msgs/DiagnosticArray: status and reason as text, counts as values."""
     array = message_class("diagnostic_msgs/msg/DiagnosticArray")()
     status = message_class("diagnostic_msgs/msg/DiagnosticStatus")()
     pair = message_class("diagnostic_msgs/msg/KeyValue")
-    fine = said.status is Status.LOCALISED and not said.faults
-    silent = said.status is Status.WAITING
-    status.level = status.OK if fine else status.STALE if silent else status.WARN
+    is_ok = state.status is Status.LOCALISED and not state.faults
+    is_stale = state.status is Status.WAITING
+    status.level = status.OK if is_ok else status.STALE if is_stale else status.WARN
     status.name = "homeward"
-    status.message = "; ".join([f"{said.status.value}: {said.reason}", *said.faults])
-    values = {"homing": said.homing, "waiting": said.waiting, "work_ms": f"{said.work_ms:.1f}"}
-    status.values = [pair(key=k, value=str(v)) for k, v in (values | said.counts).items()]
+    status.message = "; ".join([f"{state.status.value}: {state.reason}", *state.faults])
+    values = {"homing": state.homing, "waiting": state.waiting, "work_ms": f"{state.work_ms:.1f}"}
+    status.values = [pair(key=k, value=str(v)) for k, v in (values | state.counts).items()]
     array.header.stamp, array.status = stamp, [status]
     return array
 
@@ -190,22 +190,22 @@ POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
 class Publishers:
-    """The publishers of a lifecycle node, whose parameters name topics and frames."""
+    """Publishers of a lifecycle node, whose parameters name topics and frames."""
 
     def __init__(self, node: Any) -> None:
         self._node = node
         self._out: dict[str, Any] = {}
 
     def make(self) -> None:
-        """Make them; `ImportError` where the package of a message is missing."""
+        """Create the publishers; `ImportError` where the package of a message is missing."""
         make = self._node.create_lifecycle_publisher
-        stamped = "Stamped" if self._told("cmd_vel_stamped") else ""
+        stamped = "Stamped" if self._parameter("cmd_vel_stamped") else ""
         topics = {
             "said": (JSON, "~/said"),
             "pose": (POSE, "~/pose"),
             "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics"),
             "landmarks": ("visualization_msgs/msg/MarkerArray", "~/landmarks"),
-            "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._told("cmd_vel_topic")),
+            "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._parameter("cmd_vel_topic")),
             "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
         }
         self._out = {
@@ -214,36 +214,36 @@ class Publishers:
         try:
             self._out["tf"] = make(message_class(TFS), "/tf", 10)
         except ImportError:
-            words = "no tf2_msgs here: map to odom is on ~/map_to_odom alone"
+            words = "tf2_msgs is not installed: map to odom is published on ~/map_to_odom only"
             self._node.get_logger().warning(words)
 
     def destroy(self) -> None:
-        """Destroy them."""
+        """Destroy the publishers."""
         for publisher in self._out.values():
             self._node.destroy_publisher(publisher)
         self._out = {}
 
-    def output(self, said: Output, epoch_ns: int) -> None:
-        """Publish what a session says, poses and landmarks as messages of their own, too.
+    def output(self, out: Output, epoch_ns: int) -> None:
+        """Publish output of a session; poses and landmarks also as their ROS messages.
 
-        The stamps of `said` are those of ROS less an epoch [ns].
+        Stamps of `out` are those of ROS minus an epoch [ns].
         """
-        self._line(said)
-        if isinstance(said, Answer) and said.pose is not None:
+        self._line(out)
+        if isinstance(out, Answer) and out.pose is not None:
             message = message_class(POSE)()
-            message.header.frame_id = self._told("map_frame")
-            stamp = divmod(round(said.t * NANO) + epoch_ns, NANO)
+            message.header.frame_id = self._parameter("map_frame")
+            stamp = divmod(round(out.t * NANO) + epoch_ns, NANO)
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
-            fill_pose(message.pose.pose, Pose(*said.pose))
-            fill_covariance(message.pose, said)
+            fill_pose(message.pose.pose, Pose(*out.pose))
+            fill_covariance(message.pose, out)
             self._out["pose"].publish(message)
-        if isinstance(said, LandmarksOut):
-            markers = markers_out(said, self._now(), self._told("map_frame"))
+        if isinstance(out, LandmarksOut):
+            markers = markers_out(out, self._now(), self._parameter("map_frame"))
             self._out["landmarks"].publish(markers)
 
     def command(self, command: Command) -> None:
-        """Publish a command, without a stamp or with one."""
-        stamped = self._told("cmd_vel_stamped")
+        """Publish a command, with or without a stamp."""
+        stamped = self._parameter("cmd_vel_stamped")
         message = message_class(f"geometry_msgs/msg/Twist{'Stamped' * stamped}")()
         if stamped:
             message.header.stamp = self._now()
@@ -253,23 +253,23 @@ class Publishers:
         self._line(command)
 
     def transform(self, map_to_odom: Pose) -> None:
-        """Publish where the odometry frame lies on the map."""
-        frames = self._told("map_frame"), self._told("odom_frame")
+        """Publish the odometry frame in the map frame."""
+        frames = self._parameter("map_frame"), self._parameter("odom_frame")
         message = transform(self._now(), *frames, map_to_odom)
         self._out["transform"].publish(message)
         if "tf" in self._out:
             self._out["tf"].publish(message_class(TFS)(transforms=[message]))
 
-    def diagnostics(self, said: Diagnostics) -> None:
-        """Publish how everything is."""
-        self._out["diagnostics"].publish(diagnostics_out(said, self._now()))
-        self._line(said)
+    def diagnostics(self, state: Diagnostics) -> None:
+        """Publish the state of the session."""
+        self._out["diagnostics"].publish(diagnostics_out(state, self._now()))
+        self._line(state)
 
-    def _line(self, said: Output) -> None:
-        """Publish what is said as one line of JSON."""
-        self._out["said"].publish(message_class(JSON)(data=line_of(said).rstrip()))
+    def _line(self, out: Output) -> None:
+        """Publish output of a session as one line of JSON."""
+        self._out["said"].publish(message_class(JSON)(data=line_of(out).rstrip()))
 
-    def _told(self, name: str) -> Any:
+    def _parameter(self, name: str) -> Any:
         return self._node.get_parameter(name).value
 
     def _now(self) -> Any:

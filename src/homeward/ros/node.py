@@ -1,7 +1,7 @@
-"""The lifecycle node: a live session on the topics of ROS 2.
+"""Lifecycle node: a live session on ROS 2 topics.
 
-Callbacks take samples in and return at once; the estimator works in a thread of its own, and
-answers are published from there. Watchdogs and commands go by the steady clock, stamps by ROS's.
+Callbacks queue samples and return at once; the estimator runs in its own thread, which publishes
+the answers. Watchdogs and commands use the steady clock, stamps the ROS clock.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
+from homeward.live.place_session import open_place
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
-from homeward.live.visiting import open_place
 from homeward.ros import conversions as convert
 from homeward.ros.camera import MessageCamera, Newest
 from homeward.ros.conversions import JSON, TFS, Publishers
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
-"""Of what was said once, before anybody listened."""
+"""Quality of service for messages that were published before the subscription."""
 PARAMETERS: dict[str, Any] = {
     "odometry_topic": "odom",
     "bearings_topic": "bearings",
@@ -62,7 +62,7 @@ PARAMETERS: dict[str, Any] = {
     "record": "",
     "autostart": True,
 }
-"""With their defaults; docs/do/live.md says what they are."""
+"""Parameters and their defaults, described in docs/do/ros/homeward.yaml."""
 NAMED: dict[str, Any] = {
     "store_home": msg.StoreHome,
     "turn_home": msg.TurnHome,
@@ -70,12 +70,12 @@ NAMED: dict[str, Any] = {
     "store_route": msg.StoreRoute,
     "follow_route": msg.FollowRoute,
 }
-"""What is asked for with a name, by topic."""
+"""Messages with a name, by topic."""
 DONE, FAILED = TransitionCallbackReturn.SUCCESS, TransitionCallbackReturn.FAILURE
 
 
 class HomewardNode(LifecycleNode):  # type: ignore[misc]
-    """homeward on a robot."""
+    """Lifecycle node of a live session."""
 
     def __init__(self, name: str = "homeward", **options: Any) -> None:
         super().__init__(name, **options)
@@ -84,39 +84,41 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._session: Session | None = None
         self._recorder: Recorder | None = None
         self._parts: list[tuple[Any, Any]] = []
-        self._say = Publishers(self)
+        self._publish = Publishers(self)
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
         self._camera: MessageCamera | None = None
         self._pictures: Newest[msg.BearingsIn] | None = None
         self._stamps = convert.StampConverter()
         self._map_to_odom: Pose | None = None
-        self._complained = ""
+        self._last_warning = ""
 
     def on_configure(self, state: Any) -> Any:
-        """Read what the parameters name, and make the session."""
-        told = self._told
+        """Read the files of the parameters, and create the session."""
+        parameter = self._parameter
         try:
             settings, robot, homes = LiveSettings(), DriveSettings(), {}
-            if told("session"):
-                settings = read_settings(Path(told("session")), LiveSettings)
-            if told("robot"):
-                robot = read_settings(Path(told("robot")), DriveSettings)
-            if told("home"):
-                homes["home"] = read_home(Path(told("home")), {})
-            self._camera = MessageCamera({name: told(name) for name in PARAMETERS})
+            if parameter("session"):
+                settings = read_settings(Path(parameter("session")), LiveSettings)
+            if parameter("robot"):
+                robot = read_settings(Path(parameter("robot")), DriveSettings)
+            if parameter("home"):
+                homes["home"] = read_home(Path(parameter("home")), {})
+            self._camera = MessageCamera({name: parameter(name) for name in PARAMETERS})
             place = None
-            if told("place_update") and not told("place"):
-                raise InputError("place_update needs a place")
-            if told("place"):
-                place = open_place(Path(told("place")), told("place_update"), settings.estimator)
+            if parameter("place_update") and not parameter("place"):
+                raise InputError("place_update needs the parameter place")
+            if parameter("place"):
+                place = open_place(
+                    Path(parameter("place")), parameter("place_update"), settings.estimator
+                )
             self._session = Session(settings, robot, homes, place)
-            if told("record"):
-                self._recorder = Recorder(Path(told("record")), settings, robot, homes, place)
+            if parameter("record"):
+                self._recorder = Recorder(Path(parameter("record")), settings, robot, homes, place)
                 self._session.watch(self._recorder.keep)
-            self._say.make()
+            self._publish.make()
         except (HomewardError, ImportError) as error:
-            missing = "; its ROS package is not installed, or ROS's setup.bash was not sourced"
+            missing = "; install its ROS package, or source the setup.bash of ROS"
             self.get_logger().error(f"{error}{missing if isinstance(error, ImportError) else ''}")
             self._clean()
             return FAILED
@@ -124,15 +126,15 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     @property
     def _live(self) -> Session:
-        """The session, which is there from configuring to cleaning up."""
+        """The session, which exists from configuration to cleanup."""
         assert self._session is not None
         return self._session
 
     def on_activate(self, state: Any) -> Any:
-        """Listen, and let the estimator work."""
+        """Subscribe, and start the estimator's thread."""
         self._listen()
         steady = RosClock(clock_type=ClockType.STEADY_TIME)
-        for period, act in ((1 / self._live.settings.rate, self._tick), (1.0, self._tell)):
+        for period, act in ((1 / self._live.settings.rate, self._tick), (1.0, self._report)):
             timer = self.create_timer(period, act, clock=steady)
             self._parts.append((self.destroy_timer, timer))
         self._running = True
@@ -141,7 +143,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         return super().on_activate(state)
 
     def on_deactivate(self, state: Any) -> Any:
-        """Command the robot to stand, if it was driving home, and listen no more."""
+        """Stop the robot if it is driven, and end subscriptions and services."""
         if self._live.driving:
             self._live.receive(msg.Cancel(), time.monotonic())
             self._tick()
@@ -149,22 +151,22 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         return super().on_deactivate(state)
 
     def on_cleanup(self, state: Any) -> Any:
-        """Forget the session."""
+        """End the session."""
         self._clean()
         return DONE
 
     def on_shutdown(self, state: Any) -> Any:
-        """Stop whatever runs."""
+        """Stop and end the session."""
         self._stop()
         self._clean()
         return DONE
 
-    def _told(self, name: str) -> Any:
+    def _parameter(self, name: str) -> Any:
         return self.get_parameter(name).value
 
     def _listen(self) -> None:
-        """Subscribe, and offer services."""
-        told, camera = self._told, self._camera
+        """Create subscriptions and services."""
+        parameter, camera = self._parameter, self._camera
         assert camera is not None
         hear = self._line if camera.kind == JSON else self._bearings
         if camera.takes_pictures:
@@ -172,16 +174,18 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._parts.append((self.destroy_guard_condition, seen))
             self._pictures, hear = Newest(seen.trigger), self._picture
         topics: list[tuple[str, str, Callable[[Any], None]]] = [
-            ("nav_msgs/msg/Odometry", told("odometry_topic"), self._odometry),
-            (camera.kind, told("bearings_topic"), hear),
+            ("nav_msgs/msg/Odometry", parameter("odometry_topic"), self._odometry),
+            (camera.kind, parameter("bearings_topic"), hear),
             ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
             (JSON, "~/request", self._line),
         ]
-        topics += [(JSON, f"~/{topic}", self._named(asked)) for topic, asked in NAMED.items()]
-        if told("camera_info_topic"):
-            topics.append(("sensor_msgs/msg/CameraInfo", told("camera_info_topic"), camera.info))
-        if told("scan_topic"):
-            topics.append(("sensor_msgs/msg/LaserScan", told("scan_topic"), self._scan))
+        topics += [(JSON, f"~/{topic}", self._named(kind)) for topic, kind in NAMED.items()]
+        if parameter("camera_info_topic"):
+            topics.append(
+                ("sensor_msgs/msg/CameraInfo", parameter("camera_info_topic"), camera.info)
+            )
+        if parameter("scan_topic"):
+            topics.append(("sensor_msgs/msg/LaserScan", parameter("scan_topic"), self._scan))
         if camera.awaits_mount:
             topics.append((TFS, TF_STATIC, self._mount))
         for kind, topic, callback in topics:
@@ -193,32 +197,28 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             trigger = convert.message_class("std_srvs/srv/Trigger")
             switch = convert.message_class("std_srvs/srv/SetBool")
         except ImportError:
-            self.get_logger().warning("no std_srvs here: ask on ~/request")
+            self.get_logger().warning("std_srvs is not installed: no services, use ~/request")
             return
-        asked = {
-            "store_home": msg.StoreHome,
-            "look_round": msg.LookRound,
-            "turn_home": msg.TurnHome,
-        }
-        asked |= {"go_home": msg.GoHome, "begin_route": msg.BeginRoute, "save_place": msg.SavePlace}
-        asked |= {"cancel": msg.Cancel, "reset": msg.Reset}
-        services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in asked.items()]
+        kinds = {"store_home": msg.StoreHome, "look_round": msg.LookRound}
+        kinds |= {"turn_home": msg.TurnHome, "go_home": msg.GoHome, "begin_route": msg.BeginRoute}
+        kinds |= {"save_place": msg.SavePlace, "cancel": msg.Cancel, "reset": msg.Reset}
+        services = [(trigger, name, self._service(lambda _, m=m: m())) for name, m in kinds.items()]
         stop = self._service(lambda request: msg.EStop(engaged=request.data))
         for kind, name, serve in (*services, (switch, "estop", stop)):
             made = self.create_service(kind, f"~/{name}", serve)
             self._parts.append((self.destroy_service, made))
 
     def _guarded(self, callback: Any) -> Any:
-        """Return a callback of which an error is told once in the log, and no more."""
+        """Return a callback that logs each error once."""
 
         def safely(*message: Any) -> None:
             try:
                 callback(*message)
             except HomewardError as error:
                 words = str(error)
-                if words != self._complained:
+                if words != self._last_warning:
                     self.get_logger().warning(words)
-                self._complained = words
+                self._last_warning = words
 
         return safely
 
@@ -227,13 +227,13 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._take(make(request))
             faults = [fault.reason for fault in self._live.faults(time.monotonic())]
             response.success = True
-            response.message = "; ".join(["asked, ~/said tells what comes of it", *faults])
+            response.message = "; ".join(["requested, see ~/said for the result", *faults])
             return response
 
         return serve
 
     def _named(self, kind: Any) -> Callable[[Any], None]:
-        """Return a callback that asks for something with the name that a message says."""
+        """Return a callback that sends a message of a kind, named by the data of a String."""
         return lambda message: self._take(validated(kind, {"name": message.data}))
 
     def _take(self, message: msg.Input) -> None:
@@ -244,11 +244,11 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._take(convert.odometry_in(message, self._stamps.seconds(message.header.stamp)))
 
     def _mount(self, message: Any) -> None:
-        """Hear where the camera sits."""
+        """Receive the camera extrinsics."""
         assert self._camera is not None
-        sits = self._camera.mount(message)
-        if sits is not None:
-            self._take(sits)
+        extrinsics = self._camera.mount(message)
+        if extrinsics is not None:
+            self._take(extrinsics)
 
     def _bearings(self, message: Any) -> None:
         self._take(self._read(message)())
@@ -256,57 +256,57 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _picture(self, message: Any) -> None:
         assert self._pictures is not None
         if self._pictures.give(self._read(message)):
-            self._live.counts["pictures left out, as newer ones came"] += 1
+            self._live.counts["images dropped: newer ones came"] += 1
 
     def _seen(self) -> None:
-        """Take what was seen in pictures."""
+        """Process the bearings from images."""
         while self._pictures is not None and (seen := self._pictures.take()) is not None:
             self._take(seen)
 
     def _read(self, message: Any) -> Callable[[], msg.BearingsIn]:
-        """Return what reads the bearings in a message, on whatever thread."""
+        """Return a function that reads the bearings of a message, on any thread."""
         assert self._camera is not None
         return self._camera.reader(message, self._stamps.seconds(message.header.stamp))
 
     def _line(self, message: Any) -> None:
-        said = msg.parse(message.data)
-        if isinstance(said, msg.BearingsIn) and self._camera is not None:
+        request = msg.parse(message.data)
+        if isinstance(request, msg.BearingsIn) and self._camera is not None:
             self._camera.require_mount()
-        if hasattr(said, "t"):  # stamps of ROS, whose epoch is taken out
-            said = said.model_copy(update={"t": self._stamps.of_unix(said.t)})
-        self._take(said)
+        if hasattr(request, "t"):  # ROS stamps; subtract the epoch
+            request = request.model_copy(update={"t": self._stamps.of_unix(request.t)})
+        self._take(request)
 
     def _start(self, message: Any) -> None:
         self._take(convert.start_in(message))
 
     def _scan(self, message: Any) -> None:
-        self._take(convert.obstacle_in(message, self._told("scan_half_angle")))
+        self._take(convert.obstacle_in(message, self._parameter("scan_half_angle")))
 
     def _process(self) -> None:
-        """Let the estimator work, in a thread of its own."""
+        """Run the estimator, in its own thread."""
         try:
             with single_threaded_blas():
                 while self._running:
                     self._work.wait(0.1)
                     self._work.clear()
-                    for said in self._live.process():
-                        self._output(said)
+                    for out in self._live.process():
+                        self._output(out)
         except Exception as error:
-            if self.context.ok():  # else it was shut down, and nobody hears
+            if self.context.ok():  # after a shutdown there is no log
                 self.get_logger().fatal(f"the estimator's thread ended: {error}")
                 raise
 
-    def _output(self, said: msg.Output) -> None:
-        """Publish what the session says; what cannot be published is named in the log."""
+    def _output(self, out: msg.Output) -> None:
+        """Publish output of the session, or log the error."""
         try:
-            self._say.output(said, (self._stamps.epoch or 0) * NANO)
+            self._publish.output(out, (self._stamps.epoch or 0) * NANO)
         except Exception as error:
             if not self.context.ok():
                 raise
-            self.get_logger().error(f"{said.type} cannot be published: {error}")
+            self.get_logger().error(f"{out.type} cannot be published: {error}")
 
     def _tick(self) -> None:
-        """Say the command, and where the odometry frame lies."""
+        """Publish the command, and the transform of the odometry frame."""
         try:
             command = self._live.tick(time.monotonic())
         except HomewardError as error:
@@ -314,16 +314,16 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self.get_logger().error(str(error))
             self._output(msg.EventOut(type="error", text=str(error)))
         if command is not None:
-            self._say.command(command)
-        # Where there is no pose any more, the last transform is the best there is.
+            self._publish.command(command)
+        # Without a pose, the last transform is the best estimate.
         self._map_to_odom = self._live.localisation.fix.odom or self._map_to_odom
         if self._map_to_odom is not None:
-            self._say.transform(self._map_to_odom)
+            self._publish.transform(self._map_to_odom)
 
-    def _tell(self) -> None:
-        """Say how everything is, and ask where the landmarks are."""
-        self._say.diagnostics(self._live.diagnostics(time.monotonic()))
-        self._live.ask_landmarks()
+    def _report(self) -> None:
+        """Publish diagnostics, and request the landmarks."""
+        self._publish.diagnostics(self._live.diagnostics(time.monotonic()))
+        self._live.request_landmarks()
         self._work.set()
 
     def _stop(self) -> None:
@@ -340,14 +340,14 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._parts.clear()
 
     def _clean(self) -> None:
-        self._say.destroy()
+        self._publish.destroy()
         session, self._session, self._map_to_odom = self._session, None, None
         self._stamps, self._camera = convert.StampConverter(), None
         recorder, self._recorder = self._recorder, None
         ends: list[Callable[[], str | None]] = []
-        ends += [] if session is None else [session.localisation.conclude]
+        ends += [] if session is None else [session.localisation.finalise]
         ends += [] if recorder is None else [recorder.close]
-        for end in ends:  # none of them may cost the other
+        for end in ends:  # each must run even if the other fails
             try:
                 words = end()
             except HomewardError as error:

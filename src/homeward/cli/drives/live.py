@@ -54,12 +54,12 @@ def live(
     from homeward.drives.settings import DriveSettings
     from homeward.io.settings import nested, read_settings, validated
     from homeward.live.messages import schema as everything
+    from homeward.live.place_session import open_place
     from homeward.live.recording import Recorder
     from homeward.live.recording import replay as repeat
     from homeward.live.server import Server, address
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
-    from homeward.live.visiting import open_place
 
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
@@ -96,5 +96,5 @@ def live(
             if recorder is not None and (words := recorder.close()) is not None:
                 typer.echo(words, err=True)
         finally:  # a recording that cannot be ended must not cost the visit
-            if (words := session.localisation.conclude()) is not None:
+            if (words := session.localisation.finalise()) is not None:
                 typer.echo(words, err=True)

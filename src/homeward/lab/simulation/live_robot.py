@@ -18,13 +18,13 @@ from homeward.lab.simulation.simulate import prepare
 from homeward.lab.simulation.trajectories import Control, Search, exact
 from homeward.lab.simulation.world import build_world
 from homeward.live.messages import (
-    LONGEST_LINE,
+    MAX_LINE,
     Answer,
     BearingsIn,
     BeginRoute,
     Command,
-    Departure,
     EventOut,
+    GoalMessage,
     GoHome,
     Hello,
     Input,
@@ -112,7 +112,7 @@ CIRCLES = 0.15
 """At this speed [m/s]."""
 
 
-Task = Departure | StoreRoute
+Task = GoalMessage | StoreRoute
 """Task of a robot in a session; to store a route it drives it."""
 
 
@@ -236,7 +236,7 @@ async def play(
     """
     try:
         reader, writer = await asyncio.wait_for(
-            asyncio.open_connection(place.host, place.port, limit=LONGEST_LINE), HELLO_S
+            asyncio.open_connection(place.host, place.port, limit=MAX_LINE), HELLO_S
         )
     except (OSError, TimeoutError) as error:
         reason = getattr(error, "strerror", None) or str(error) or f"no answer in {HELLO_S:g} s"
@@ -249,7 +249,7 @@ async def play(
         try:
             line = await reader.readline()
         except ValueError as error:
-            raise HomewardError(f"a line of more than {LONGEST_LINE:,} bytes came") from error
+            raise HomewardError(f"a line of more than {MAX_LINE:,} bytes came") from error
         return parse_output(line) if line else None
 
     async def listen() -> None:

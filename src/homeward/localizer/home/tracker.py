@@ -35,7 +35,10 @@ from homeward.localizer.tunables import (
     SEARCH_PATIENCE,
 )
 
-START_NOTE = "The given start contradicts the home bearings, and is not used."
+START_NOTE = (
+    "The start prior contradicts the home bearings and is not used. Correct or remove `start:` in"
+    " drive.yaml."
+)
 
 
 class HomeTracker:

@@ -52,7 +52,10 @@ class CorrelatedErrors:
         if self.excess(np.array([NOTABLE_GAP_S]))[0] < 1.0:
             return ()
         slow, time = math.degrees(sigma * math.sqrt(self.share)), self.correlation_time
-        return (f"Errors of {slow:.1f} deg in the bearings last for some {time:.1f} s.",)
+        return (
+            f"Bearing errors of {slow:.1f} deg are correlated over {time:.1f} s, and the covariance"
+            " is larger for that. Check the calibration and the stamps of bearings.",
+        )
 
     def update(
         self, errors: np.ndarray, gaps: np.ndarray, landmarks: np.ndarray, weight: float

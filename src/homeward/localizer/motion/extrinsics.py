@@ -28,8 +28,8 @@ from homeward.localizer.tunables import (
 )
 
 CONTRADICTION = (
-    "What is not told of the camera ({}) was taken to be 0, but the bearings contradict that; "
-    "under sensor in drive.yaml, about right would be {}."
+    "Camera extrinsics ({}) were not given and assumed zero, but the data disagree. Add the "
+    "estimate under `sensor:` in drive.yaml: {}."
 )
 
 

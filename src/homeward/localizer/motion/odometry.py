@@ -63,7 +63,10 @@ def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
     if abs(lag) < NOTABLE_LAG_S:
         return ()
     way = "after" if lag > 0 else "before"
-    return (f"By the bearings, twists act {abs(lag):.2f} s {way} their stamps: is it one clock?",)
+    return (
+        f"Estimated lag: twists act {abs(lag):.2f} s {way} their stamps. Check that odometry and"
+        " bearings are stamped by one clock.",
+    )
 
 
 class MotionPrior:

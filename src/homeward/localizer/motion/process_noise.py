@@ -70,8 +70,8 @@ class ProcessNoise:
             return ()
         way, turn = off.tolist()
         return (
-            f"By the bearings, odometry errs {way:.2g} times as much as was supposed in its way, "
-            f"and {turn:.2g} times in its turns.",
+            f"Estimated odometry noise: {way:.2g} x the assumed value in translation, {turn:.2g} x "
+            "in rotation. `homeward tune` prints the lines for drive.yaml.",
         )
 
     def update(

@@ -115,7 +115,7 @@ def route_words(place: Place, route: str) -> str:
 
 
 def forget_words(place: Place) -> str:
-    """Describe what is left of a place."""
+    """Return the numbers of landmarks, homes and routes that remain in a place."""
     left = [count(len(place.persistence), "landmark"), count(len(place.homes), "home")]
     left += [count(len(place.routes), "route")] if place.routes else []
     return f"{place.name}: {listing(left)} remain."

@@ -110,13 +110,15 @@ class Survey:
     def notes(self, state: Marginal) -> tuple[str, ...]:
         """Return notes for the user, the map being in `state`."""
         speed, sigma = state.calibration[SPEED_SCALE], state.calibration_variances[SPEED_SCALE]
-        words = [f"By the known landmarks, speeds are {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f}"]
-        words[0] += " times what odometry says."
+        words = ["Speed scale estimated from the known landmarks: true speeds are"]
+        words[0] += f" {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f} x those of odometry."
         if self.places:
             off = ", ".join(quoted(n) for n, p in self.wrong.items() if p > 0.5)
             words.append(f"{len(self.used)} of {len(self.places)} surveyed landmarks agree")
-            words[-1] += f"; not where they were surveyed: {off}." if off else "."
+            words[-1] += f"; not at the surveyed position: {off}" if off else ""
+            words[-1] += ". Correct or remove them in landmarks.yaml." if off else "."
         for i in (i for i, p in self.wrong_distances.items() if p > 0.5):
             a, b = map(quoted, self.known.distances[i].between)
-            words.append(f"{a} and {b} are not {self.known.distances[i].distance:g} m apart.")
+            given = f"{self.known.distances[i].distance:g} m"
+            words.append(f"{a} and {b} are not {given} apart. Correct it in landmarks.yaml.")
         return tuple(words)

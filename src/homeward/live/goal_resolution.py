@@ -1,4 +1,4 @@
-"""Where a message sends the robot."""
+"""Goals from messages."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from homeward.control.goals import Goal, PointGoal, RouteGoal
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.io.table import quoted
-from homeward.live.messages import Departure, FollowRoute, GoHome, GoTo, GoToLandmark
-from homeward.live.visiting import PlaceSession
+from homeward.live.messages import FollowRoute, GoalMessage, GoHome, GoTo, GoToLandmark
+from homeward.live.place_session import PlaceSession
 
-NO_PLACE = "there is no place: homeward live --place, or place of the node"
+NO_PLACE = "there is no place: start homeward live with --place, or the node with place"
 Known = Callable[[], Iterable[LandmarkEstimate]]
 
 
-def resolve_goal(message: Departure, home: str, place: PlaceSession | None, known: Known) -> Goal:
-    """Return where a message sends the robot, in the frame of a home, that of the answers.
+def resolve_goal(message: GoalMessage, home: str, place: PlaceSession | None, known: Known) -> Goal:
+    """Return the goal of a message, in the frame of `home`, which is that of the answers.
 
     `known` returns the landmarks of the estimator. `InputError` where there is no such home, route
     or landmark.
@@ -37,10 +37,10 @@ def resolve_goal(message: Departure, home: str, place: PlaceSession | None, know
 
 
 def _landmark(name: str, place: PlaceSession | None, known: Known) -> tuple[float, float]:
-    """Return where a landmark is [m]: as it was seen, or else as the place has it."""
+    """Return the position of a landmark [m], from the estimator or else from the place."""
     for mark in known():
         if mark.landmark == name and math.isfinite(mark.x):
             return mark.x, mark.y
     if place is not None and (there := place.landmark(name)) is not None:
         return there
-    raise InputError(f"no landmark {quoted(name)} is known yet")
+    raise InputError(f"no landmark {quoted(name)} in the map yet; drive until it is mapped")

@@ -1,8 +1,8 @@
-"""The place of a session: what is known of it, and what each visit tells it.
+"""Place of a session, and the visits that are merged into it.
 
-A visit is what came since the map was begun last: by a reset, a start, or when the session began.
-Whenever it is merged, it is merged whole into the place as it was before it, so that nothing counts
-twice however often it is saved.
+A visit is the session since the last begin of the map: by a reset, a start, or the session's begin.
+Each save merges the whole visit into the place as it was before the visit, so that nothing counts
+twice.
 """
 
 from __future__ import annotations
@@ -35,16 +35,18 @@ from homeward.registry import DEFAULT
 from homeward.runs.report.words import count, visit_words
 
 COLUMNS = 5
-"""Of what is kept of an answer: stamp, pose, and how uncertain its place is if it is localised."""
-READ_ONLY = "the place is left as it is: homeward live --update, or place_update of the node"
+"""Columns of a stored answer: stamp, pose, and the position's sigma, NaN unless localised."""
+READ_ONLY = (
+    "the place is read-only: start homeward live with --update, or the node with place_update"
+)
 
 
 class PlaceSession:
-    """The place of a session, and what its visits add to it.
+    """Place of a session, and the data of its current visit.
 
-    `place` is a name where the first visit makes a new one. `when` is the day of the session [days
-    since 1970]. With `update`, visits are merged and, if there is a `folder`, written to it after
-    its newest `version`.
+    `place` is a name where the first visit creates the place. `when` is the day of the session
+    [days since 1970]. With `update`, visits are merged and, if there is a `folder`, written to it
+    after its newest `version`.
     """
 
     def __init__(
@@ -65,37 +67,37 @@ class PlaceSession:
         self.begin()
 
     def begin(self) -> None:
-        """Begin a visit: nothing was seen on it yet, and what was merged before stays."""
+        """Begin a new visit; visits merged before remain in the place."""
         self.place = self._after
         self._is_merged = False
-        """Whether a part of this visit is in the newest version that this session wrote."""
+        """Whether the newest version that this session wrote contains a part of this visit."""
         self._samples, self._poses = Samples(), array("d")
         self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
         self._routes: dict[str, tuple[Route, JointMap]] = {}
         self._taught_from = 0
-        """How many answers came before the route that is being taught."""
+        """Index in `_poses` of the begin of the route that is being taught."""
 
     @property
     def has_homes(self) -> bool:
-        """Whether it has homes, as it was or by what was merged since."""
+        """Whether the place has homes, including those of merged visits."""
         return self._after is not None
 
     @property
     def has_poses(self) -> bool:
-        """Whether the robot knew on this visit where it was."""
+        """Whether this visit has any pose."""
         return bool(self._poses)
 
     @property
     def homes(self) -> tuple[str, ...]:
-        """The homes that there are, and will be after this visit."""
+        """Homes of the place and of this visit."""
         return (*(self.place.homes if self.place is not None else ()), *self._stored)
 
     def known_by(self, drive: Drive) -> Drive:
-        """Return a drive as it knows the place, in the frame of its first home."""
+        """Return a drive as a visit to the place, in the frame of its first home."""
         return drive if self.place is None else self.place.visited_by(drive, self.when)
 
     def home_pose(self, name: str, first: str) -> Pose:
-        """Return where a home is in the frame of the `first`; `InputError` where there is none."""
+        """Return the pose of a home in the frame of `first`; `InputError` for an unknown home."""
         if name == first:
             return Pose(0.0, 0.0, 0.0)
         if name in self._stored and (pose := self._stored[name][0].pose) is not None:
@@ -106,7 +108,7 @@ class PlaceSession:
         return self.place.home_pose(name)
 
     def see(self, message: BearingsIn, estimate: Estimate) -> None:
-        """Take what was seen, and the answer to it."""
+        """Add bearings and the answer to them."""
         if not self.update:
             return
         self._samples.add_bearings(message.t, message.bearings, message.sigmas)
@@ -114,18 +116,18 @@ class PlaceSession:
             self._poses.extend((message.t, *estimate.pose, _sigma(estimate)))
 
     def store_home(self, name: str, first: str, seen: BearingsIn, estimate: Estimate) -> str:
-        """Store a home where the robot is, and say so; it is one of the place after this visit.
+        """Store the robot's pose as a home of the place, from the next merge on; return a report.
 
-        `InputError` where the robot is not localised, the name is taken, or nothing is merged.
+        `InputError` where the robot is not localised, the name is taken, or the place is read-only.
         """
         require_name("home", name, (first, *self.homes))
-        self._require_localised(estimate, f"home {quoted(name)} cannot be stored by")
+        self._require_localised(estimate, f"home {quoted(name)} cannot be stored")
         self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
-        return f"home {quoted(name)} is here, {count(len(seen.bearings), 'landmark')} in sight"
+        return f"home {quoted(name)} stored, {count(len(seen.bearings), 'landmark')} in view"
 
     @property
     def routes(self) -> dict[str, Route]:
-        """The routes that there are, and will be after this visit."""
+        """Routes of the place and of this visit."""
         known = {} if self.place is None else self.place.routes
         return known | {name: route for name, (route, _) in self._routes.items()}
 
@@ -134,37 +136,39 @@ class PlaceSession:
         return route_of(self.routes, name)
 
     def landmark(self, name: str) -> tuple[float, float] | None:
-        """Return where the place has a landmark, in the frame of its first home [m]."""
+        """Return the position of a landmark in the frame of the first home [m], if mapped."""
         if self.place is None or name not in self.place.persistence:
             return None
         x, y = self.place.map.positions[self.place.map.names.index(name)].tolist()
         return x, y
 
     def begin_route(self, estimate: Estimate) -> str:
-        """Begin to teach a route where the robot is, and say so.
+        """Begin to teach a route at the robot's pose; return a report.
 
-        `InputError` where the robot is not well localised, or nothing is merged.
+        `InputError` where the robot is not well localised, or the place is read-only.
         """
-        self._require_localised(estimate, "a route cannot begin with")
+        self._require_localised(estimate, "the route cannot begin")
         if (sigma := _sigma(estimate)) > LOOKAHEAD:
             raise InputError(
-                f"a route cannot begin with a robot that knows where it is to {sigma:.2f} m only"
+                f"the route cannot begin: position sigma is {sigma:.2f} m, at most {LOOKAHEAD:g} m"
+                " is needed"
             )
         self._taught_from = len(self._poses)
-        return "a route begins here"
+        return "the route begins here"
 
-    def _require_localised(self, estimate: Estimate, words: str) -> None:
-        """Raise `InputError` where visits are not merged, or the robot is not localised."""
+    def _require_localised(self, estimate: Estimate, consequence: str) -> None:
+        """Raise `InputError` where the place is read-only, or the robot is not localised."""
         if not self.update:
             raise InputError(READ_ONLY)
         if estimate.status is not Status.LOCALISED:
-            raise InputError(f"{words} a robot that is {estimate.status.value}: {estimate.reason}")
+            status = f"the status is {estimate.status.value}, not {Status.LOCALISED.value}"
+            raise InputError(f"{consequence}: {status}: {estimate.reason}")
 
     def store_route(self, name: str, landmarks: Iterable[LandmarkEstimate]) -> str:
-        """Store the path since the route began, and say so; it is one of the place from then on.
+        """Store the path since the begin of the route as a route of the place; return a report.
 
         `landmarks` are those of the estimator. `HomewardError` where the robot was not localised on
-        its way, or led nowhere, or the name is taken, or nothing is merged.
+        the path or did not move, the name is taken, or the place is read-only.
         """
         if not self.update:
             raise InputError(READ_ONLY)
@@ -177,11 +181,11 @@ class PlaceSession:
         return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
     def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
-        """Merge the visit so far into the place, and write that; return what it told, in words.
+        """Merge the visit so far into the place, and write it; return the result in words.
 
         `localizer` received the visit; `drive` has its home and settings; answers are in the frame
-        of `home`. `HomewardError` where there is too little to be kept, or it cannot be written:
-        nothing is changed then.
+        of `home`. `HomewardError` where there is too little to keep, or the place cannot be
+        written; nothing is changed then.
         """
         if not self.update:
             raise InputError(READ_ONLY)
@@ -189,66 +193,65 @@ class PlaceSession:
         stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, COLUMNS))
         poses = np.full((stamps.size, 3), np.nan)
         poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
-        told = collect_visit_along(localizer, drive, poses, self.when, home)
-        if len(told.map.names) < VERIFIED:
+        visit = collect_visit_along(localizer, drive, poses, self.when, home)
+        if len(visit.map.names) < VERIFIED:
             raise HomewardError(
-                f"{count(len(told.map.names), 'landmark')} mapped on this visit, and it takes "
-                f"{VERIFIED} to know a place: drive further"
+                f"{count(len(visit.map.names), 'landmark')} mapped on this visit, {VERIFIED} are "
+                "needed: drive further"
             )
         for name, (answer, seen) in self._stored.items():
-            told = told.store_home(name, answer, seen)
-        told = replace(told, routes=dict(self._routes))
-        after = self._save(localizer, told, home)
+            visit = visit.store_home(name, answer, seen)
+        visit = replace(visit, routes=dict(self._routes))
+        after = self._save(localizer, visit, home)
         lost = [f" Home {name} was not stored." for name in self._stored if name not in after.homes]
         lost += [f" Route {n} was not stored." for n in self._routes if n not in after.routes]
         self._after, self.saved = after, True
         return visit_words(after) + "".join(lost)
 
-    def _save(self, localizer: Localizer, told: VisitData, home: str) -> Place:
-        """Merge the measurements of the visit into the place, write it, and return it."""
+    def _save(self, localizer: Localizer, visit: VisitData, home: str) -> Place:
+        """Merge the visit into the place, write it, and return it."""
 
         def with_visit(known: Place) -> Place:
             self.place = known
-            return merged(known, told)
+            return merged(known, visit)
 
         if self.place is not None and self._folder is not None and not self._is_merged:
             after, self._version = files.update_place(self._folder, with_visit)
         else:
             if self.place is None:
-                after = first_place(self.name, localizer, told, home)
+                after = first_place(self.name, localizer, visit, home)
             else:
-                after = merged(self.place, told)
+                after = merged(self.place, visit)
             if self._folder is not None:
                 self._version = self._save_again(after, self._folder)
         self._is_merged = True
         return after
 
     def _save_again(self, after: Place, folder: Path) -> int:
-        """Replace what an earlier save of this visit wrote; return the version."""
+        """Replace the version from an earlier save of this visit; return the version."""
         try:
             return files.save_place(after, folder, self._version)
         except files.PlaceChangedError as error:
             if not self._is_merged:
                 raise
             raise files.PlaceChangedError(
-                f"{error.what}, and holds this visit up to its last save; "
+                f"{error.what}, and contains this visit up to its last save; "
                 "reset the map to save the rest as a new visit",
                 error.file,
             ) from error
 
 
 def _sigma(estimate: Estimate) -> float:
-    """Return how uncertain a place is along the worst direction [m]; NaN if not localised."""
+    """Return the position sigma in the worst direction [m]; NaN if not localised."""
     if estimate.status is not Status.LOCALISED or estimate.covariance is None:
         return math.nan
     return float(position_sigma(estimate.covariance))
 
 
 def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSession:
-    """Return the place in a folder for a session of today, or, to be updated, perhaps a new one.
+    """Return the place in a folder for a session of today; with `update` it may be a new one.
 
-    `InputError` where there is none, or it is damaged, or the folder has something else, or the
-    estimator cannot use places.
+    `InputError` where there is no place, it is damaged, or the estimator cannot use places.
     """
     if estimator != DEFAULT:
         raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")

@@ -1,0 +1,115 @@
+"""Capture of home bearings where the robot is: at rest, or while it turns on the spot."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.drive import HomeBearing
+from homeward.drives.home.spin import HomeScan, spin_summary
+from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import Start as StartPrior
+from homeward.errors import InputError
+from homeward.geometry.frames import Polar, to_polar
+from homeward.live.messages import BearingsIn, OdometryIn
+from homeward.odometry.clock import Clock
+from homeward.odometry.history import TwistHistory
+
+CAPTURE_S, MAX_SPEED_AT_REST = 1.0, 0.01
+"""Bearings of this time [s] are averaged, and the robot must on average be slower [m/s, rad/s]."""
+MIN_R = 0.001
+"""Minimum distance from home of a start prior, since home itself has no direction from home [m]."""
+SIGMAS_AT_REST = 0.01, 3.0, 0.02
+"""Standard deviations of the start prior after a capture at rest: R [m], theta, alpha [rad]."""
+SIGMAS_AFTER_TURN = 0.05, 3.0, 0.02
+"""The same after a turn, in which wheels slip."""
+NOTHING_SEEN = "home cannot be stored: no landmark in view"
+
+
+class CapturedHome(NamedTuple):
+    """Home bearings, and the start prior of the robot."""
+
+    seen: dict[str, HomeBearing]
+    start: StartPrior
+    """Pose of the robot now, in the home frame."""
+    words: str
+    """Description of a turn; empty after a capture at rest."""
+
+
+class HomeCapture:
+    """Recent bearings, and after `begin` those of a turn at home."""
+
+    def __init__(self) -> None:
+        self._clock = Clock()
+        self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
+        self._twists = TwistHistory()
+        self._scan: HomeScan | None = None
+
+    @property
+    def newest(self) -> BearingsIn | None:
+        """The last bearings, if there were any."""
+        return self._lately[-1][1] if self._lately else None
+
+    def odometry(self, message: OdometryIn) -> None:
+        """Add a twist."""
+        if self._scan is not None:
+            self._scan.odometry(message.t, message.v, message.omega)
+        t = self._clock.read(message.t)
+        if t >= self._twists.newest:
+            self._twists.add(t, message.v, message.omega)
+            self._twists.forget(t - 2.0 * CAPTURE_S)
+
+    def bearings(self, message: BearingsIn) -> None:
+        """Add bearings."""
+        self._lately.append((self._clock.read(message.t), message))
+        if self._scan is not None:
+            self._scan.bearings(message.t, message.bearings, message.sigmas)
+
+    def begin(self, robot: DriveSettings) -> None:
+        """Begin the capture of a home where the robot is; it may turn on the spot."""
+        self._scan = HomeScan(**robot.robot)
+
+    def end(self) -> None:
+        """End the capture of a turn."""
+        self._scan = None
+
+    def captured(self) -> CapturedHome:
+        """Return the home captured since `begin`, or else the home captured at rest just now.
+
+        `InputError` where no landmark was in view, or the robot moved.
+        """
+        scan, self._scan = self._scan, None
+        return self._at_rest() if scan is None else _turned(scan)
+
+    def _at_rest(self) -> CapturedHome:
+        """Return the mean bearings of the last `CAPTURE_S`."""
+        since = max((t for t, _ in self._lately), default=math.inf) - CAPTURE_S
+        views = [view for t, view in self._lately if t > since]
+        if not any(v.bearings for v in views):
+            raise InputError(NOTHING_SEEN)
+        if max(map(abs, self._twists.mean(since + CAPTURE_S, CAPTURE_S))) > MAX_SPEED_AT_REST:
+            raise InputError(
+                f"home cannot be stored: the robot must stand still for {CAPTURE_S:g} s"
+            )
+        seen: dict[str, list[float]] = {}
+        for view in views:
+            for i, b in view.bearings.items():
+                seen.setdefault(i, []).append(b)
+        start = StartPrior.about(Polar(MIN_R, 0.0, 0.0), *SIGMAS_AT_REST)
+        means = {i: float(np.angle(np.exp(1j * np.array(b)).mean())) for i, b in seen.items()}
+        return CapturedHome({i: HomeBearing(b) for i, b in means.items()}, start, "")
+
+
+def _turned(scan: HomeScan) -> CapturedHome:
+    """Return the home captured during a turn."""
+    found = scan.spin()
+    end, (*sigmas, turned) = to_polar(found.end), SIGMAS_AFTER_TURN
+    start = StartPrior.about(
+        end._replace(R=max(end.R, MIN_R), alpha=found.end.heading),
+        *sigmas,
+        math.hypot(turned, found.heading_sigma),
+    )
+    return CapturedHome(found.home, start, spin_summary(found))
