@@ -16,7 +16,7 @@ from homeward.drives.opening import sample_drive
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 20.0
-ELSEWHERE = ("live", "studio", "see", "--live", "merge", "P17")
+ELSEWHERE = ("live", "studio", "see", "tune", "--live", "merge", "P17")
 """Commands that are interactive or need other resources; they have their own tests."""
 DRIVES = {"monday": 20.0, "tuesday": 22.0, "wednesday": 18.0, "thursday": 43.0, "friday": 10.0}
 """Lengths [s]; a home is stored where the robot was on Thursday at 42 s."""
@@ -37,6 +37,8 @@ def here(tmp_path, monkeypatch):
     short = first_seconds(tmp_path / "sample", SECONDS)
     for name in ("odometry.csv", "bearings.csv", "home.csv"):
         shutil.copy(short / name, tmp_path)
+    shutil.copy(short / "bearings.csv", tmp_path / "detections.csv")
+    done(call("convert", short, "my.bag"))
     for day, seconds in DRIVES.items():
         first_seconds(tmp_path / "out" / day, seconds)
     return tmp_path
