@@ -66,7 +66,6 @@ PENDING = (
     "src/homeward/lab/report/",
     "src/homeward/lab/simulation/",
     "src/homeward/lab/studies/",
-    "src/homeward/localizer/",
     "src/homeward/studio/",
 )
 

@@ -54,7 +54,7 @@ def test_a_camera_that_is_not_at_the_centre_is_found_out(mount, seed):
     assert said.replace("-0.00", "0.00") in note
 
 
-def test_only_what_nobody_told_is_named():
+def test_only_extrinsics_not_given_are_named():
     rig = mounted(Pose(0.2, 0.0, 0.3), 0, {"x": 0.2, "y": 0.0})
     rig.drive(60)
     (note,) = (n for n in rig.localizer.notes if "extrinsics" in n)

@@ -51,7 +51,7 @@ class Chart:
     twists : TwistHistory
         History of odometry.
     known : KnownLandmarks
-        What is known of landmarks beforehand.
+        Surveyed landmarks and distances.
     """
 
     def __init__(
@@ -140,7 +140,7 @@ class Chart:
         if reset or health is Health.OK:
             self._take_first_fix(seen, motion, view)
             gated = self._gate(seen, motion, view)  # 4 keyframe, innovations, outlier rejection
-            health = self.monitor.assess_innovations(gated, self.map)  # 5 is it where the map says?
+            health = self.monitor.assess_innovations(gated, self.map)  # 5 monitor
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
         if changed or reset or was_singular:
             self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
@@ -216,9 +216,9 @@ class Chart:
             return self._contradiction.applied(found, state, motion)
         return found
 
-    def landmarks(self, judge: bool) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, by name; of home only if `judge`."""
-        hypotheses = self.home.hypotheses if judge else None
+    def landmarks(self, with_home: bool) -> list[LandmarkEstimate]:
+        """Return the estimate of each landmark, by name; relative to home only if `with_home`."""
+        hypotheses = self.home.hypotheses if with_home else None
         if hypotheses is not None and not self._integrity.home_is_found(hypotheses.best):
             hypotheses = None
         observed, calibration = self.home.observation, self.map.smoother.state.calibration
@@ -278,7 +278,7 @@ class Chart:
     def _react(
         self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion
     ) -> bool:
-        """React to the monitor's verdict; return whether there is a new solution."""
+        """React to the monitor's result; return whether there is a new solution."""
         match health:
             case Health.OK if gated is not None:
                 return self._update(gated)

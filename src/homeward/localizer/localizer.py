@@ -51,18 +51,18 @@ class Localizer:
     Parameters
     ----------
     home : dict of str to float or HomeBearing
-        What the camera saw at home: bearings [rad] by landmark, some with standard deviations.
+        Home bearings [rad] by landmark, some with standard deviations.
     settings : LocalizerSettings or dict, optional
         Everything else.
     known : KnownLandmarks or dict, optional
-        What is known of landmarks beforehand: a survey, distances of pairs.
+        A survey of landmarks, distances of pairs.
     **robot : Robot
-        What is known of the robot: `sensor`, `home_sensor`, `odometry`, `start`.
+        Description of the robot: `sensor`, `home_sensor`, `odometry`, `start`.
 
     Raises
     ------
     InputError
-        When something of it cannot be used.
+        If one of the arguments is not valid.
     """
 
     name = "robust"
@@ -155,27 +155,27 @@ class Localizer:
         If odometry is late, they wait for it, and the estimate is without them for now. A frame
         without sightings has no effect: the estimate is that of `estimate`.
         """
-        said, t = t, self._clock.read(t)
+        stamp, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
             self._reorder.late_bearings()
             late = Rejection.LATE_BEARINGS if math.isfinite(t) else Rejection.BAD_BEARING
             self._reject(late, len(sightings))
-            return self.estimate(said)
+            return self.estimate(stamp)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
         self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
         usable = self._without_repeats(t, usable)
         if not usable:
-            return self.estimate(said)
+            return self.estimate(stamp)
         if len(usable) > MAX_IN_VIEW:
             self._reject(Rejection.BEYOND_MAX, len(usable) - MAX_IN_VIEW)
-            usable = self._most_useful(usable)
+            usable = self._select_in_view(usable)
         self._advance(t)
         given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
         self._reorder.bearings(BearingFrame(t, usable, valid))
         self._dead.bearings(t, usable, valid, self.chart.noise)
         innovations = self._process_due()
-        return self._estimate(t, innovations, said)
+        return self._estimate(t, innovations, stamp)
 
     @guarded
     def estimate(self, t: float) -> Estimate:
@@ -190,7 +190,7 @@ class Localizer:
     @single_threaded_blas()
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return everything known of each landmark, in order of name."""
-        return self.chart.landmarks(judge=not self.is_convention_wrong)
+        return self.chart.landmarks(with_home=not self.is_convention_wrong)
 
     @property
     def is_convention_wrong(self) -> bool:
@@ -257,7 +257,7 @@ class Localizer:
             Pose(*observed.mount.tolist()),
         )
 
-    def _most_useful(self, sightings: dict[str, float]) -> dict[str, float]:
+    def _select_in_view(self, sightings: dict[str, float]) -> dict[str, float]:
         """Return `MAX_IN_VIEW` sightings: of mapped landmarks first, then of those seen at home."""
         mapped = self.chart.map.landmarks.mapped
         order = sorted(sightings, key=lambda name: (name not in mapped, name not in self._home))
@@ -366,11 +366,11 @@ class Localizer:
             self._chart.begin(t)
         self._t = max(self._t, t)
 
-    def _estimate(self, t: float, innovations: tuple[Innovation, ...], said: float) -> Estimate:
-        """Return the estimate at `t` [s], or `said` by the drive's own clock."""
+    def _estimate(self, t: float, innovations: tuple[Innovation, ...], stamp: float) -> Estimate:
+        """Return the estimate at `t` [s], with the stamp `stamp` of the drive's own clock."""
         if self._sign_check.is_doubtful:
             why = Reason.SIGNS_REVERSED if self._sign_check.is_reversed else Reason.CAMERA_YAW
-            return Estimate(said, Status.MAPPING, why.words, None, None, innovations)
+            return Estimate(stamp, Status.MAPPING, why.words, None, None, innovations)
         dead = self._dead.reason if self._dead.is_dead else None
         complaint = self._reorder.complaint or dead
         found = self.chart.estimate(t, innovations, complaint)
@@ -378,4 +378,4 @@ class Localizer:
             coasts = found.status is Status.LOCALISED
             status = Status.COASTING if coasts else found.status
             found = dataclasses.replace(found, status=status, reason=Reason.FROZEN.words)
-        return found if t == said else dataclasses.replace(found, t=said)
+        return found if t == stamp else dataclasses.replace(found, t=stamp)

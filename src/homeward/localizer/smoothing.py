@@ -37,7 +37,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     """Return the smoothed track of a whole drive; not causal.
 
     The drive is run as by `homeward.track.run`. Then all its keyframes are solved at once, home is
-    found anew, and rows between keyframes follow from odometry with both ends known. Whether a row
+    found again, and rows between keyframes follow from odometry with both ends known. Whether a row
     has a pose, and its status, depend on all hypotheses at the end, by the tests of the causal run.
 
     Parameters
@@ -95,7 +95,7 @@ def _solve(whole: Smoother) -> None:
 
 
 def _contradicted(drive: Drive, chart: Chart, whole: Smoother) -> list[SeenAt]:
-    """Return what was seen from keyframes whose poses it contradicts."""
+    """Return sightings from keyframes whose poses they contradict."""
     keyframes, states = {t: k for k, t in enumerate(whole.stamps)}, whole.marginals()
     found = []
     for t, bearings, given in drive.sightings.stamps():

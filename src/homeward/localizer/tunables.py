@@ -19,7 +19,7 @@ def sigmas(tests: int = 1) -> float:
 
 # Statistical tests
 FALSE_ALARM = 0.0027
-"""Probability that a test rejects what is right: that of three standard deviations."""
+"""Probability of a false rejection by a test: that of three standard deviations."""
 INLIER = sigmas()
 """Gate of a single test, which costs one sighting [standard deviations]."""
 GATE = sigmas(40)
@@ -38,7 +38,7 @@ ones remain, and one of these checks the other two."""
 ESTABLISHED = 2 * MIN_SIGHTINGS
 """Sightings at the old place, and again at the new one, before a landmark is declared moved."""
 MAX_NOISE_RATIO = 1.5
-"""Given standard deviations are overruled when residuals are more than so many times larger [1]."""
+"""Given standard deviations are overruled if residuals are larger by more than this factor [1]."""
 
 # Linearity of bearings, in turns and in shifts relative to the landmark distance
 LINEAR = 0.3
@@ -53,7 +53,7 @@ STANDSTILL = 0.01
 landmark distance]."""
 VAGUE = 0.7
 """Odometry less certain than this cannot predict bearings [rad, landmark distance]; a bearing
-inflated by so many of its standard deviations has lost a third of its information."""
+inflated by this many of its standard deviations has lost a third of its information."""
 
 # Bearings that determine and verify a pose
 MINIMAL = 3
@@ -89,8 +89,8 @@ GIVEN_WRONG = 0.01
 start is, that a camera is elsewhere than assumed, and that bearings have the wrong sense of
 rotation: in one of a hundred drives each [1]."""
 NOISE_SCALES = (3.0, 10.0)
-"""Factors by which that standard deviation may be wrong: half a decade tells one noise level from
-another [1]."""
+"""Factors by which that standard deviation may be wrong: half a decade distinguishes noise levels
+[1]."""
 HOME_DISTANCE = 0.5
 """Typical distance of home from the centre of its landmarks: among them [range]."""
 MAX_RANGE = 20.0
@@ -164,7 +164,7 @@ UNDECIDED = -math.log(IMPROBABLE)
 """Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
 more are not tried."""
 NUM_NEIGHBOURS = 3
-"""Sets that differ from the best one by the least decided flips, and are kept beside it."""
+"""Sets that differ from the best one by the least decided flips, and are kept as well."""
 PROBABLE = 0.05
 """Only sets more probable than this are flipped further when the map changes."""
 ORIGIN_SIGMA = 1e-4
@@ -256,11 +256,11 @@ SIGN_WINDOW_S, SIGN_MAX_TURN = 4.0, 1.0
 odometry drifts by less than the noise."""
 SIGN_MIN_PATH, SIGN_MIN_TURN = 0.1, 0.3
 """A window counts if the camera moved this far [m] or the robot turned this far [rad]: the noise of
-odometry of a robot that stands stays below, and fits any yaw."""
+odometry of a stationary robot is smaller, and fits any yaw."""
 STAYING_SHARE = 0.3
 """A window does not count if the bearings change by less than this share of the rotation: the robot
-stands while its wheels spin, or the camera is frozen. Landmarks that all are as near as the centre
-of the bend would do the same [1]."""
+is stationary while its wheels spin, or the camera is frozen. Landmarks that all are as near as the
+centre of the bend would do the same [1]."""
 SIGN_MAX_SIGHTINGS = 5_000
 """Sightings of a window that are kept, which bounds memory and cost."""
 SIGN_NOISE = 0.02
@@ -299,7 +299,7 @@ ODOMETRY_EVERY = 10
 MIN_GAIN = 1e-6
 """Smallest gain of log posterior that counts, above rounding."""
 MAX_PER_KEYFRAME = 12
-"""Sightings of a landmark per keyframe; a robot that stands still learns no more from it."""
+"""Maximum sightings of a landmark per keyframe; more add nothing while the robot is stationary."""
 SOLVES_PER_WINDOW = 8
 """Solutions per window, once it is full: so each keyframe costs the same on average."""
 MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
@@ -328,7 +328,7 @@ MIN_LINES = 3
 MAX_LINES = 24
 """Lines, evenly spread, that are intersected in pairs."""
 INFINITY_RATIO = 100.0
-"""Distance that stands for infinity, over the distances at hand [1]."""
+"""Distance used as infinity, relative to the distances at hand [1]."""
 TRIANGULATION_STEPS = 6
 """Gauss-Newton steps of a triangulation: it starts from lines that agree."""
 
@@ -375,7 +375,7 @@ MIN_TOGETHER = 3
 VIEW_ANGLE = math.pi
 """Width of the sector in which landmarks are seen [rad]."""
 FIX_PATIENCE = 4
-"""After each so many failed trials, one more frame is skipped: a trial takes milliseconds."""
+"""Failed trials after which one more frame is skipped each time: a trial takes milliseconds."""
 KEPT_PER_LANDMARK = 2
 """Sightings kept per landmark: the newest, and one to check it."""
 NUM_HEADINGS, MAX_LINE_PAIRS = 120, 40

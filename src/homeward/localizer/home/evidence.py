@@ -8,8 +8,8 @@ landmark may have been pushed a little or carried across the room. So its densit
 half uniform on the circle; adding the variance of the prediction to it is exact.
 
 The share of outliers is unknown, too, and integrated out: as a rule each bearing is an outlier with
-a known probability, but after an upheaval any share is equally probable. So many outliers make one
-more plausible.
+a known probability, but after an upheaval any share is equally probable. So each outlier makes
+another one more plausible.
 """
 
 from __future__ import annotations

@@ -33,8 +33,8 @@ from homeward.localizer.tunables import (
 )
 
 Seed = tuple[np.ndarray, np.ndarray, Assumption]
-"""Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and what is
-assumed beside."""
+"""Start of a search: a home, shape (3,), a set of inlier home bearings, shape (q,), and the
+assumption."""
 Key = tuple[Assumption, bytes]
 """Key of a fit: assumption and set."""
 
@@ -95,7 +95,7 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
     problem : HomeProblem
         The resection problem.
     also : sequence of tuples
-        Seeds beside those of the problem itself.
+        Seeds in addition to those of the problem itself.
     """
     found: dict[Key, HomeFit] = {}
     for home, inliers, assumed in [*also, *seeds(problem)]:

@@ -1,9 +1,9 @@
 """Home bearings, linearised around a home and a map, and whitening of sets of them.
 
 With S = L L^T the covariance of a set's residuals, L^-1 makes them independent with unit variance.
-Everything that depends on them or is correlated with them is whitened likewise, once. Products of
-these columns are all that least squares needs: the information on home, the gain of the newest
-pose, and predictions of the other home bearings.
+Everything that depends on them or is correlated with them is whitened once in the same way. Least
+squares needs products of these columns only: the information on home, the gain of the newest pose,
+and predictions of the other home bearings.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Whitened:
     @property
     def precision(self) -> np.ndarray:
         """(r,): diagonal of the inverse of that covariance."""
-        root = self.root  # LAPACK knows no empty one
+        root = self.root  # LAPACK accepts no empty matrix
         return np.asarray(dpotri(root, lower=1)[0].diagonal() if root.size else np.zeros(0))
 
 

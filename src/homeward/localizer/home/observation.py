@@ -135,7 +135,7 @@ class HomeObservation:
 
 
 def averaged_covariance(
-    stands: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray
+    static: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray
 ) -> np.ndarray:
     """Return the covariances of landmarks that may walk, shape (q, 2, 2).
 
@@ -143,10 +143,10 @@ def averaged_covariance(
 
     Parameters
     ----------
-    stands : ndarray, shape (q, 2, 2)
+    static : ndarray, shape (q, 2, 2)
         Covariances of the positions, if all are static.
     walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
         Probability that each walks, and what that adds to its covariance.
     """
-    either = stands + (1.0 - walks)[:, None, None] * walk_moment
-    return np.asarray((stands + walk_moment) @ np.linalg.solve(either, stands))
+    either = static + (1.0 - walks)[:, None, None] * walk_moment
+    return np.asarray((static + walk_moment) @ np.linalg.solve(either, static))

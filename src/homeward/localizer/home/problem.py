@@ -30,7 +30,7 @@ YAW = 3
 
 
 class Assumption(NamedTuple):
-    """Assumption on what was given of home, beside its bearings."""
+    """Assumption on the given noise of home bearings and the given start."""
 
     noise_scale: float = 1.0
     """Factor of the standard deviations of the home bearings [1]."""
@@ -64,7 +64,7 @@ class HomeProblem:
     prior_information: np.ndarray | None = None
     """(3, 3)"""
     assumed: Assumption = USUAL
-    """What is assumed; without the start, there is no prior."""
+    """The assumption; without the start, there is no prior."""
 
     walk_excess: np.ndarray | None = None
     """(q, 2, 2): covariance of landmarks that may walk, beyond that in `covariance`."""

@@ -1,4 +1,4 @@
-"""Home by resection: where the camera stood when it saw the landmarks under the home bearings.
+"""Home by resection: the camera's pose from the home bearings of mapped landmarks.
 
 Three bearings to known points determine a pose (unless it is on the circle through them). So poses
 are computed from triples of landmarks, and scored by all landmarks under a mixture: a home bearing

@@ -91,9 +91,9 @@ def _own_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the variances xx + yy and xx - yy + 2i xy (r,) of the landmarks' individual errors.
 
-    Errors that translate or rotate all of them move home likewise, and are projected out. Landmarks
-    are at `away` (r,) from home, complex, and have the indices `of_set` (r,) among pairs of the
-    state.
+    Errors that translate or rotate all landmarks move home with them, and are projected out.
+    Landmarks are at `away` (r,) from home, complex, and have the indices `of_set` (r,) among pairs
+    of the state.
     """
     centred = away - away.sum() / len(away)
     rigid = np.zeros((3, len(covariance) // 2), complex)

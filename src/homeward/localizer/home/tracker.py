@@ -79,12 +79,12 @@ class HomeTracker:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Findings about what was given of home; each a sentence."""
+        """Notes for the user on the given start."""
         found = self.hypotheses
         return () if found is None or found.best.problem.assumed.start else (START_NOTE,)
 
     def update(self, known: Map) -> None:
-        """Update home after a change of the map; search for it anew when there is reason to."""
+        """Update home after a change of the map, by a new search if necessary."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
         if known.solved or known.smoother.p_static is not self._p_static:
             self.names = known.landmarks.shared_with_home(self.observation.bearings)

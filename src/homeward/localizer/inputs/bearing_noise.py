@@ -5,8 +5,8 @@ direction of a landmark, less the turns of odometry, is nearly linear in time. R
 there is a map. The larger of the two estimates is used, since differences are blind to slow errors,
 and residuals to rejected sightings.
 
-Given values are overruled when the residuals are far larger: a number in a file is easily wrong by
-a factor of ten, and would make a wrong pose look certain.
+Given values are overruled when the residuals are far larger: a number in a file may have an error
+of a factor of ten, and would make a wrong pose look certain.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What is kept of each landmark id, in bounded memory."""
+"""Values by landmark id, in bounded memory."""
 
 from __future__ import annotations
 

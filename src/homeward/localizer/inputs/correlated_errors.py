@@ -1,4 +1,4 @@
-"""Time-correlated bearing errors: a first-order Gauss-Markov process beside white noise.
+"""Time-correlated bearing errors: a first-order Gauss-Markov process plus white noise.
 
 A detector misses a landmark's axis alike from one place and the next. Treating each sighting as
 independent overweights bearings: the map shrinks until odometry gives way, and poses are too
@@ -87,9 +87,9 @@ class CorrelatedErrors:
         of_class, product = of_class[use], product[use]
         pairs = np.bincount(of_class, minlength=len(LAG_BOUNDS_S) - 1)
         sums = np.bincount(of_class, product, minlength=len(LAG_BOUNDS_S) - 1)
-        told = pairs >= MIN_PAIRS
-        before = np.nan_to_num(self._correlations[told])
-        self._correlations[told] = before + weight * (sums[told] / pairs[told] - before)
+        enough = pairs >= MIN_PAIRS
+        before = np.nan_to_num(self._correlations[enough])
+        self._correlations[enough] = before + weight * (sums[enough] / pairs[enough] - before)
         self._fit()
 
     def _fit(self) -> None:

@@ -1,11 +1,11 @@
 """Dead odometry: a twist repeated exactly at zero while the bearings show that the robot moves.
 
-While a robot stands, the bearings of static landmarks scatter about their means. While it moves,
-they change smoothly, by many standard deviations. People who walk past a standing robot change
-their bearings, too, but they are not most of what it sees. So most landmarks in sight must change.
+While a robot is stationary, the bearings of static landmarks scatter about their means. While it
+moves, they change smoothly, by many standard deviations. People who walk past a stationary robot
+change their bearings, too, but are a minority. So most landmarks in view must change.
 
 The test is von Neumann's (1941): for independent errors, outliers included, the mean square of
-successive differences is twice the variance, whatever that is; for a smooth change it is far less.
+successive differences is twice the variance, of any size; for a smooth change it is far less.
 """
 
 from __future__ import annotations
@@ -28,13 +28,13 @@ from homeward.localizer.tunables import (
 )
 
 DEAD = (
-    "Odometry reported that the robot stood still {}, but bearings changed by {:.0f} degrees: is "
-    "the odometry driver dead, or was the robot carried? The motion was treated as unknown there. "
-    "Positions are from bearings of known landmarks alone. Check the odometry topic or file."
+    "Odometry reported no motion {}, but bearings changed by {:.0f} degrees: the odometry driver "
+    "is dead, or the robot was carried. The motion was treated as unknown there, and positions "
+    "are from bearings of known landmarks alone. Check the odometry topic or file."
 )
 REASON = (
-    "odometry reports that the robot stands still, but bearings changed by {:.0f} degrees: check "
-    "the odometry; without it and without surveyed landmarks nothing can be mapped"
+    "odometry reports no motion, but bearings changed by {:.0f} degrees: check the odometry; "
+    "without it and without surveyed landmarks nothing can be mapped"
 )
 
 

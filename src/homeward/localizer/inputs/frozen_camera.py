@@ -1,10 +1,10 @@
 """Frozen-camera detector: bearings that repeat to the last bit while odometry moves.
 
 A camera driver may go on sending its last frame with new stamps. A camera that works may repeat a
-bearing, too: where the robot stands, where bearings are rounded (to whole degrees), straight ahead,
-and at the centre of a circle. So a repeated bearing is rejected only where the motion since its
-first occurrence would have changed it, wherever the landmark is: no rotation within the error of
-odometry, common to all repeated bearings, agrees with any distance of each landmark.
+bearing, too: while the robot is stationary, if bearings are rounded (to whole degrees), straight
+ahead, and at the centre of a circle. So a repeated bearing is rejected only if the motion since its
+first occurrence would have changed it for any position of the landmark: no rotation within the
+error of odometry, common to all repeated bearings, agrees with any distance of each landmark.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from homeward.odometry.history import STEADY_S, Reckoned
 
 
 class _First(NamedTuple):
-    """First occurrence of a bearing, or the last while the robot stood."""
+    """First occurrence of a bearing, or the last while the robot was stationary."""
 
     bearing: float
     t: float

@@ -100,7 +100,7 @@ class SignCheck:
         return square if abs(yaw - square) <= YAW_STEP else yaw
 
     def note(self) -> str:
-        """Return what was found, what it means and what to do; empty where all is right."""
+        """Return a note for the user with the error and its remedy; empty if there is none."""
         if not self.is_wrong:
             return ""
         error, given = self.yaw_error, self._sensor.yaw

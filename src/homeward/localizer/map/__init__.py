@@ -1,1 +1,1 @@
-"""Map: keyframes and landmarks in the odometry frame; knows nothing of home."""
+"""Map: keyframes and landmarks in the odometry frame, independent of home."""

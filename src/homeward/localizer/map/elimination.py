@@ -2,8 +2,8 @@
 
 The Hessian is block tridiagonal in the poses and dense in the shared unknowns. All poses but the
 newest are eliminated at once by a banded Cholesky factor. This leaves the information on the newest
-pose and the shared unknowns. The other poses follow by back substitution; or what is left becomes
-the prior that replaces them (marginalisation).
+pose and the shared unknowns. The other poses follow by back substitution; or the remaining
+information becomes the prior that replaces them (marginalisation).
 """
 
 from __future__ import annotations

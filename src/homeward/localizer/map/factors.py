@@ -53,8 +53,7 @@ def cauchy_weights(squares: np.ndarray) -> np.ndarray:
 
     For the Cauchy distribution in three dimensions: the t distribution of one degree of freedom in
     Lange, Little and Taylor, "Robust statistical modeling using the t distribution", 1989. A motion
-    in which wheels slip then has hardly any influence; none counts for more than its covariance
-    says.
+    in which wheels slip then has hardly any influence; none has more than by its covariance.
     """
     return np.asarray(4.0 / np.maximum(1.0 + squares, 4.0))
 
@@ -133,7 +132,7 @@ def weigh_sightings(
     residual, jacobian : ndarray, shape (m,), (m, 13)
         See `bearing_residuals`.
     sigma, effective : ndarray, shape (m,)
-        Standard deviations, and effective ones beside earlier sightings [rad].
+        Standard deviations, and effective ones given earlier sightings [rad].
     pose, landmark : ndarray, shape (m,), int
         Indices of the pose and of the landmark of each.
     """

@@ -56,7 +56,7 @@ class Map:
     noise : BearingNoise
         Bearing noise, updated by the residuals.
     process_noise : ProcessNoise
-        Odometry noise, updated likewise.
+        Odometry noise, updated by the residuals.
     extrinsics : Extrinsics
         Prior on the camera's pose on the robot.
     counts : Counts
@@ -64,7 +64,7 @@ class Map:
     t : float
         Time of the start [s].
     known : KnownLandmarks
-        What is known of landmarks beforehand.
+        Surveyed landmarks and distances.
     """
 
     def __init__(

@@ -2,9 +2,9 @@
 
 A sum of Gaussians in range, as of Sola et al. (2005); Civera et al. (2008) use inverse depth.
 
-A robot that drives straight at a landmark never observes its range, but does know the ray on which
-it is. Home sees the ray under some bearings and not under others, which may be enough to tell that
-the landmark moved.
+A robot that drives straight at a landmark never observes its range, only the ray on which it is.
+Seen from home, the ray covers some bearings and not others, which may be enough to detect that the
+landmark moved.
 """
 
 from __future__ import annotations

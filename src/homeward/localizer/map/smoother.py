@@ -1,10 +1,10 @@
 """Fixed-lag smoother: recent keyframes, calibration and landmarks, in the odometry frame.
 
 The state is one Gaussian on the newest pose, the calibration and the landmarks. Between solutions
-it is propagated and updated as in an EKF. The poses of the last keyframes, the window, stay open
-beside it; from time to time all are solved together by Gauss-Newton. Poses that leave the window
-are marginalised (Schur complement) into a Gaussian prior on the pose after them, the calibration
-and the landmarks.
+it is propagated and updated as in an EKF. The poses of the last keyframes, the window, are kept as
+well; from time to time all are solved together by Gauss-Newton. Poses that leave the window are
+marginalised (Schur complement) into a Gaussian prior on the pose after them, the calibration and
+the landmarks.
 
 Home is not part of it: a home bearing may turn out to be wrong, and nothing that may have to be
 undone is marginalised.
@@ -325,8 +325,8 @@ class Smoother:
 
         They are larger for correlated sightings, and for landmarks that may walk.
         """
-        stands = self.p_static[self.index(rows[:, LANDMARK])]
-        return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(stands))
+        p_static = self.p_static[self.index(rows[:, LANDMARK])]
+        return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(p_static))
 
     def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
         """Return the normal equations and the weighted sightings at the present estimate."""

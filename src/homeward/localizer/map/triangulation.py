@@ -43,7 +43,7 @@ def triangulate(
     position : ndarray, shape (2,)
         [m]
     agree : ndarray, shape (m,), bool
-        None instead of both when the lines do not (yet) tell.
+        None instead of both if the lines do not (yet) determine the position.
     """
     if len(bearings) < MIN_LINES:
         return None

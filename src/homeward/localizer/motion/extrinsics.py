@@ -111,10 +111,10 @@ class Extrinsics:
     ) -> np.ndarray:
         """Return the covariance (2, 2) of the camera's position where it is assumed, not known.
 
-        What is not given is held at zero, since to leave it free costs much; so its uncertainty is
-        not in the state. By Bayesian model averaging it is that of a free position, as the map
-        would estimate it, times the probability that the camera is elsewhere. Arguments are as of
-        `test`.
+        Extrinsics that are not given are fixed at zero, as estimating them costs accuracy, so their
+        uncertainty is not in the state. By Bayesian model averaging it is that of a free position,
+        as the map would estimate it, times the probability that the camera is elsewhere. Arguments
+        are those of `test`.
         """
         free = self._not_given[1:]
         if self.contradicted or not free.any() or math.isinf(scale):

@@ -8,7 +8,7 @@ The calibration is one vector (`CALIBRATION`), constant but for a slow drift. Th
 the slip ``turn_slip (|omega| - r |v|)``; twists act ``lag`` seconds after their stamps; all speeds
 are ``1 + speed_scale`` times as large, which only known landmarks make observable; the camera is
 turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from its given pose. A robot
-whose twist is exactly zero stands still, and gathers neither drift nor noise.
+whose twist is exactly zero is stationary, and gathers neither drift nor noise.
 
 In the slip, r is the turn per metre of this robot where it drives straightest. The speed is right
 there, and slip is zero for a robot that always turns alike; else slip could be traded for the scale

@@ -52,7 +52,7 @@ class _Reference(NamedTuple):
 
 
 class Contradiction:
-    """Test of whether the bearings say that the robot stands, while odometry moves."""
+    """Test of whether the bearings indicate a stationary robot while odometry moves."""
 
     def __init__(self) -> None:
         self._reference: _Reference | None = None

@@ -39,7 +39,7 @@ class LandmarkReport:
     """Survey of landmarks."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
-        """Return everything known of each landmark, in natural order of name."""
+        """Return the estimate of each landmark, in natural order of name."""
         moved, places = self._moved_probabilities(), self._in_home_frame()
         return [
             self._landmark(name, moved.get(name), places.get(name, 3 * (math.nan,)))
@@ -47,16 +47,16 @@ class LandmarkReport:
         ]
 
     def _landmark(
-        self, name: str, judged: float | None, place: tuple[float, float, float]
+        self, name: str, tested: float | None, place: tuple[float, float, float]
     ) -> LandmarkEstimate:
-        """Return what is known of one landmark, at its present position."""
+        """Return the estimate of one landmark, at its present position."""
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
         if name in self.home:
             stored = float(wrap(self.home[name].bearing + self.home_yaw))
         mapped, moved_at = self.known.mapped.get(name), self.known.moved_at.get(name, math.nan)
-        unjudged = 1.0 if math.isfinite(moved_at) else math.nan
-        reasons = [unjudged if judged is None else judged, surveyed]
-        if judged is not None and mapped is not None:
+        untested = 1.0 if math.isfinite(moved_at) else math.nan
+        reasons = [untested if tested is None else tested, surveyed]
+        if tested is not None and mapped is not None:
             reasons.extend(self.known.walking_probabilities([mapped]).tolist())
         probability = max((p for p in reasons if math.isfinite(p)), default=math.nan)
         x, y, deviation = place

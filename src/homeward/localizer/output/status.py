@@ -184,9 +184,9 @@ class IntegrityMonitor:
         if coasting:
             return Status.COASTING, Reason.NO_BEARINGS.words
         # One or two sightings of a survey give a pose that is linear only if certain already.
-        most = min(self._max_sigma, self._max_survey_sigma) if surveyed else self._max_sigma
-        if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > most**2:
-            return Status.UNVERIFIED, "what is seen does not tell where; drive on"
+        limit = min(self._max_sigma, self._max_survey_sigma) if surveyed else self._max_sigma
+        if max(estimate.covariance[0, 0], estimate.covariance[1, 1]) > limit**2:
+            return Status.UNVERIFIED, "the landmarks in view do not determine the pose; drive on"
         if surveyed:
             words = f"{surveyed} surveyed landmarks and {agreeing - surveyed} home bearings agree"
             return Status.LOCALISED, words
@@ -198,11 +198,11 @@ class IntegrityMonitor:
         distance = min(landmark_distance(best, best.home), landmark_distance(best, best.pose))
         reach = self._settings.largest_sigma * distance
         self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, CLOSE * distance
-        most = self._max_sigma if self.fixed else reach
+        limit = self._max_sigma if self.fixed else reach
         # If home's heading is as uncertain, linearisation in it fails.
         turn = math.sqrt(self._estimate.covariance[2, 2]) * distance
         only_scale = CommonErrors(scale_sigma=self.errors.scale_sigma)
-        return max(turn, _sigma(self._estimate.after(None, only_scale)[0].covariance)) <= most
+        return max(turn, _sigma(self._estimate.after(None, only_scale)[0].covariance)) <= limit
 
 
 def _sigma(covariance: np.ndarray) -> float:

@@ -49,7 +49,7 @@ class FirstFix:
         Parameters
         ----------
         frame : WeighedFrame
-            What was seen.
+            The new frame.
         eye, variances : ndarray, shape (3,)
             The camera's pose in the map, and the variances of the robot's pose there.
 
@@ -93,9 +93,9 @@ class FirstFix:
     def _agreeing(self, origin: np.ndarray, lines: SightLines) -> tuple[list[str], float]:
         """Return the landmarks all of whose lines agree, and the probability of a false alarm.
 
-        An a contrario test (Desolneux, Moisan and Morel): the expected number of poses, one by each
-        triple of landmarks, with which as many others agree by chance. It is multiplied by the
-        probability that so many landmarks moved that the right pose is no rival.
+        An a contrario test (Desolneux, Moisan and Morel): the expected number of poses, one from
+        each triple of landmarks, with which as many others agree by chance. It is multiplied by the
+        probability that too many landmarks moved for the right pose to be a rival.
         """
         seen = sight(compose(origin, lines.cameras), lines.positions)
         variances = np.einsum("mi,mij,mj->m", seen.by_place, lines.covariances, seen.by_place)

@@ -183,7 +183,7 @@ class Health(Enum):
 
 
 class Monitor:
-    """Monitor of one map: whether the robot is where it says.
+    """Monitor of one map: tests whether its pose is right.
 
     Parameters
     ----------

@@ -75,7 +75,7 @@ def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool
     Parameters
     ----------
     contradicted : iterable of SeenAt
-        What was seen from keyframes whose pose it contradicts.
+        Sightings from keyframes whose pose they contradict.
     known : Map
         The map.
     whole : Smoother

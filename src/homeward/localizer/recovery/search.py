@@ -75,7 +75,7 @@ def find_by_frame(
     """Return the pose in the map at one frame, (3,), and its covariance, (3, 3), without odometry.
 
     Where wheels slip, odometry connects frames wrongly, and no pose fits several of them. The robot
-    probably stands, or moved less than its wheels.
+    is probably stationary, or moved less than its wheels.
 
     Parameters
     ----------
@@ -98,9 +98,9 @@ def find_by_frame(
     if lines is None:
         return None
     distance = float(np.median(np.hypot(*(lines.positions - state.mean[:2]).T)))
-    stands = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
-    moved = stands + np.array([driven.path, driven.path, driven.turned])
-    motions = [np.diag(sigmas**2) for sigmas in (stands, moved)]
+    stationary = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
+    moved = stationary + np.array([driven.path, driven.path, driven.turned])
+    motions = [np.diag(sigmas**2) for sigmas in (stationary, moved)]
     return relocalise_near(lines, state.mean[:3], state.covariance[:3, :3], motions)
 
 

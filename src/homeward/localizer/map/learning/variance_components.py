@@ -39,7 +39,7 @@ class BearingErrors(NamedTuple):
     landmark: np.ndarray
     """(m,), int: its landmark."""
     own: np.ndarray
-    """(m,): share of their own noise in their variance, beside that of odometry [1]."""
+    """(m,): share of their own noise in their variance; the rest is from odometry [1]."""
 
     def change(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
         """Return the change (m,) [1] by a step of poses (w, 3) and shared unknowns."""

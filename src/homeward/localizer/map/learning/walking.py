@@ -1,10 +1,10 @@
-"""Moving landmarks: constant velocity against standing still, by the Bayes factor.
+"""Moving landmarks: constant velocity against zero velocity, by the Bayes factor.
 
 People, carts and doors move while they are observed. From a robot of constant velocity, a landmark
-of constant velocity looks like a static one elsewhere; only turns of the robot tell them apart. How
-far they do is computed: for each landmark the evidence of a constant velocity against none, given
-which others walk, and the offset of its position if it walks. The share of walking landmarks is
-unknown, and integrated out, as that of moved ones (`homeward.localizer.home.evidence`).
+of constant velocity looks like a static one elsewhere; only turns of the robot distinguish them.
+Computed for each landmark are the evidence of a constant velocity against none, given which others
+walk, and the offset of its position if it walks. The share of walking landmarks is unknown, and
+integrated out, as that of moved ones (`homeward.localizer.home.evidence`).
 """
 
 from __future__ import annotations
@@ -159,7 +159,7 @@ def walks(
 ) -> Walks:
     """Return the information on constant velocities of some landmarks, the others being static.
 
-    Poses, calibration and positions are unknown beside them; were they taken as known, their errors
+    Poses, calibration and positions are unknown, too; if they were taken as known, their errors
     would be mistaken for walks.
 
     Parameters

@@ -50,7 +50,7 @@ def outlier_probabilities(
     Raises
     ------
     numpy.linalg.LinAlgError
-        When the map is too vague to judge by.
+        If the map is too uncertain for the test.
     """
     index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
     k, m, mapped = index.size, len(pairs), free.positions[index]

@@ -21,7 +21,7 @@ class Registration:
     Parameters
     ----------
     survey : Survey
-        What is known of landmarks beforehand.
+        Surveyed landmarks and distances.
     landmarks : Landmarks
         Landmarks of the map.
     """

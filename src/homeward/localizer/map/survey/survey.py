@@ -42,7 +42,7 @@ class Survey:
         self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
         """Size of the site [m]."""
         self.wrong: dict[str, float] = {}
-        """Probability that a landmark is not where the survey says, if tested ..."""
+        """Probability that a landmark is not at its surveyed position, if tested ..."""
         self.wrong_distances: dict[int, float] = {}
         """... and that a distance, by its index in the list, is wrong."""
         self.used: list[str] = []
