@@ -111,6 +111,26 @@ def test_links_lead_to_files(page):
             assert ((ROOT / page).parent / target).exists(), target
 
 
+TASKS = [page for page in PAGES if re.fullmatch(r"docs/do/(?!index)[\w-]+\.md", page)]
+
+
+@pytest.mark.parametrize("page", TASKS)
+def test_a_task_begins_with_its_command_and_ends_with_the_next_step(page):
+    """Within the first 12 lines is a block to type, or Python; the last lines have a link."""
+    lines = PAGES[page].rstrip().split("\n")
+    assert any(line.startswith(("    ", "```python")) for line in lines[:12])
+    assert re.search(r"\]\([^)]+\)", "\n".join(lines[-4:]))
+
+
+@pytest.mark.parametrize(
+    "term",
+    ["ground truth", "extrinsics", "lever arm", "factor graph", "data association", "loop closure"]
+    + ["robust kernel", "odometry drift", "kidnapped robot", "resection", "triangulation", "PnP"],
+)
+def test_a_search_for_a_term_of_the_field_finds_a_page(term):
+    assert [page for page, text in PAGES.items() if term.lower() in text.lower()]
+
+
 def test_every_page_with_python_is_run():
     run = (ROOT / "tests" / "test_readme.py").read_text(encoding="utf-8")
     elsewhere = {
