@@ -124,8 +124,20 @@ def test_a_task_begins_with_its_command_and_ends_with_the_next_step(page):
 
 @pytest.mark.parametrize(
     "term",
-    ["ground truth", "extrinsics", "lever arm", "factor graph", "data association", "loop closure"]
-    + ["robust kernel", "odometry drift", "kidnapped robot", "resection", "triangulation", "PnP"],
+    [
+        "ground truth",
+        "extrinsics",
+        "lever arm",
+        "factor graph",
+        "data association",
+        "loop closure",
+        "PnP",
+        "robust kernel",
+        "odometry drift",
+        "kidnapped robot",
+        "resection",
+        "triangulation",
+    ],
 )
 def test_a_search_for_a_term_of_the_field_finds_a_page(term):
     assert [page for page, text in PAGES.items() if term.lower() in text.lower()]

@@ -230,7 +230,7 @@ def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
     rig.localizer.odometry = lambda t, v, omega: feel(t, *winding(t + lag))
     assert rig.drive(60, winding).status is Status.LOCALISED
     assert rig.error() < 0.1
-    told = [note for note in rig.localizer.notes if "twists act" in note]
+    told = [note for note in rig.localizer.notes if "Odometry acts" in note]
     assert told == [] if words is None else words in told[0]
 
 

@@ -11,7 +11,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any, Unpack
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -27,10 +27,10 @@ from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
-from homeward.localizer.motion.odometry import lag_notes
+from homeward.localizer.motion.odometry import lag_notes, notable_lag
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import MAX_IN_VIEW, SIGN_LAGS_S, SWITCH_MARGIN
+from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
@@ -43,6 +43,21 @@ NOISY_NOTE = (
     "The bearings are noisier than given; larger standard deviations were used. Increase"
     " `bearing_sigma` under `sensor:` in drive.yaml; `homeward tune` estimates it."
 )
+DEFAULT_NOISE_NOTE = (
+    "The camera noise was not given; at least {:g} rad was assumed. "
+    "`homeward tune` estimates it: with the right `bearing_sigma` the first pose can come earlier."
+)
+
+
+class Learnt(NamedTuple):
+    """Estimates of parameters that were not given, and that matter."""
+
+    extrinsics: dict[str, float]
+    """Of x, y [m] and yaw [rad] of the camera: those that the bearings determine."""
+    bearing_sigma: float | None
+    """Standard deviation of a bearing from residuals and second differences [rad]."""
+    lag: float
+    """By how much odometry acts after its stamps, compared with the bearings [s]; 0: negligible."""
 
 
 class Localizer:
@@ -102,6 +117,8 @@ class Localizer:
             return (*self._notes, self._sign_check.note())
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
+        if noise.learnt is not None and noise.learnt < self.settings.bearing_sigma / NOTABLE_RATIO:
+            noisy += (DEFAULT_NOISE_NOTE.format(self.settings.bearing_sigma),)
         noisy += noise.correlated.notes(noise.sigma) + self.chart.process_noise.notes
         extrinsics, calibration = self.chart.extrinsics, self.chart.map.smoother.state.calibration
         survey = self.chart.map.registration.survey
@@ -111,6 +128,13 @@ class Localizer:
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
         wheels = *self._plausibility.notes, *self._dead.notes
         return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
+
+    @property
+    def learnt(self) -> Learnt:
+        """Estimates of what was not given, for drive.yaml."""
+        calibration = self.chart.map.smoother.state.calibration
+        extrinsics = self.chart.extrinsics.learnt(calibration)
+        return Learnt(extrinsics, self.chart.noise.learnt, notable_lag(calibration))
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:

@@ -75,6 +75,13 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth the track over the whole drive (not causal).")
     ] = False,
+    save_learnt: Annotated[
+        Path | None,
+        typer.Option(
+            help="A new YAML file for what the run learnt and drive.yaml did not give: camera "
+            "extrinsics, camera noise, lag."
+        ),
+    ] = None,
     changes: shared.Changes = None,
     json: shared.AsJson = False,
 ) -> None:
@@ -113,10 +120,16 @@ def run(
         raise InputError("--home-at needs --store-home")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when need --place")
+    if save_learnt is not None:
+        if smooth or estimator not in (None, "robust"):
+            raise InputError("--save-learnt needs the estimator robust, without --smooth")
+        if is_there(save_learnt):
+            raise InputError("exists already; choose a new file", save_learnt)
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
-    _run(run_settings(drive, given), out, update, (store_home, home_at, store_route), json)
+    names = store_home, home_at, store_route
+    _run(run_settings(drive, given), out, update, names, save_learnt, json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -188,8 +201,12 @@ def _run(
     out: Path | None,
     update: bool,
     names: tuple[str | None, float | None, str | None],
+    save_learnt: Path | None,
     json: bool,
 ) -> None:
+    from homeward.io.writing import write_whole
+    from homeward.localizer.localizer import Localizer
+    from homeward.runs.learnt import learnt_yaml
     from homeward.runs.report.folder import PAGE, missing_extra, write_run
     from homeward.runs.report.words import route_words, visit_words
     from homeward.runs.scoring import score
@@ -213,6 +230,9 @@ def _run(
                 lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # raised after the summary is printed
                 after, lost = None, error
+    learnt = learnt_yaml(estimator.learnt, drive.name) if isinstance(estimator, Localizer) else ""
+    if learnt and save_learnt is not None:
+        write_whole(save_learnt, learnt.encode())
     words = [summary, *([] if after is None else [visit_words(after)])]
     if after is not None and store.route in after.routes:
         words.append(route_words(after, str(store.route)))
@@ -226,6 +246,14 @@ def _run(
         for paragraph in words:
             shared.say(paragraph)
         shared.warn(*drive.remark_lines, *track.notes, *unread)
+        if save_learnt is not None:
+            shared.say(
+                f"Lines for drive.yaml: {save_learnt}"
+                if learnt
+                else f"{save_learnt} was not written: drive.yaml gives all that this run can learn."
+            )
+        elif learnt:
+            shared.warn("--save-learnt FILE writes what this run learnt as lines for drive.yaml")
         if missing is None:
             shared.say(f"Report: {folder / PAGE}")
         else:

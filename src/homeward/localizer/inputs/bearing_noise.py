@@ -69,7 +69,7 @@ class BearingNoise:
     def __init__(self, given: float | None, default: float) -> None:
         self._given, self._default = given, default
         self._from_map = default
-        self._from_differences = 0.0
+        self._from_residuals, self._from_differences = 0.0, 0.0
         self._is_given = given is not None
         """Whether the newest bearings came with standard deviations, or the drive gave one."""
         self._typical = math.nan
@@ -88,6 +88,13 @@ class BearingNoise:
         if self._given is not None:
             return self.scale * self._given
         return max(self._from_map, self._from_differences)
+
+    @property
+    def learnt(self) -> float | None:
+        """Estimate without a minimum [rad]; None: it was given, or there are too few bearings."""
+        if self._is_given or not self.confirmed or not self._from_differences:
+            return None
+        return max(self._from_residuals, self._from_differences)
 
     @property
     def typical(self) -> float:
@@ -165,8 +172,10 @@ class BearingNoise:
             return self._rescale(off, own, total)
         self.confirmed = True
         now = MAD_TO_SIGMA * float(np.median(off))
-        now = max(now, self._default)
-        self._from_map += (1.0 - NOISE_KEPT**keyframes) * (now - self._from_map)
+        new = 1.0 - NOISE_KEPT**keyframes
+        begin = 0.0 if self._from_residuals else 1.0
+        self._from_residuals += max(new, begin) * (now - self._from_residuals)
+        self._from_map += new * (max(now, self._default) - self._from_map)
         return 1.0
 
     def _rescale(self, off: np.ndarray, own: np.ndarray, total: np.ndarray) -> float:

@@ -69,15 +69,22 @@ class Extrinsics:
         given = self._given
         return Pose(given.x + x, given.y + y, given.yaw + yaw)
 
-    def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
-        """Return notes for the user, `calibration` (8,) being the present one."""
+    def learnt(self, calibration: np.ndarray) -> dict[str, float]:
+        """Return x, y [m] and yaw [rad] as far as not given, where the bearings contradict zero."""
         estimate = self.estimate(calibration)
         if estimate is None:
-            return ()
-        names = [part for part in ("x", "y", "yaw") if part not in self._given.model_fields_set]
+            return {}
         values = {"x": estimate.x, "y": estimate.y, "yaw": estimate.heading}
-        right = ", ".join(f"{name}: {round(values[name], 2) + 0.0:.2f}" for name in names)  # no -0
-        return (CONTRADICTION.format(", ".join(names), right),)
+        given = self._given.model_fields_set
+        return {name: round(values[name], 2) + 0.0 for name in values if name not in given}  # no -0
+
+    def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
+        """Return notes for the user, `calibration` (8,) being the present one."""
+        learnt = self.learnt(calibration)
+        if not learnt:
+            return ()
+        lines = ", ".join(f"{name}: {value:.2f}" for name, value in learnt.items())
+        return (CONTRADICTION.format(", ".join(learnt), lines),)
 
     def test(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:
         """Test the assumed values against the map; return whether it contradicts them now.

@@ -57,15 +57,22 @@ def calibration_sigmas(
     )
 
 
+def notable_lag(calibration: np.ndarray) -> float:
+    """Return by how much odometry acts after its stamps [s]; 0 where that is not notable."""
+    lag = float(calibration[LAG])
+    return lag if abs(lag) >= NOTABLE_LAG_S else 0.0
+
+
 def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
     """Return notes for the user on the lag in a calibration (8,), if it is notable."""
-    lag = float(calibration[LAG])
-    if abs(lag) < NOTABLE_LAG_S:
+    lag = notable_lag(calibration)
+    if not lag:
         return ()
     way = "after" if lag > 0 else "before"
     return (
-        f"Estimated lag: twists act {abs(lag):.2f} s {way} their stamps. Check that odometry and"
-        " bearings are stamped by one clock.",
+        f"Odometry acts {abs(lag):.2f} s {way} its stamps, compared with the bearings. "
+        f"If it is the bearings that are stamped wrong, add `bearings_late: {lag:.2f}` to "
+        "drive.yaml; else synchronise the clocks.",
     )
 
 
