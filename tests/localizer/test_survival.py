@@ -219,8 +219,8 @@ def test_bearings_ten_times_noisier_than_was_given_are_doubted(told_with_each, s
     assert rig.wrong_share() <= 0.05
 
 
-@pytest.mark.parametrize(("lag", "words"), [(0.5, "s after their stamps"), (0.1, None)])
-def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
+@pytest.mark.parametrize(("lag", "words"), [(0.5, "s after its stamps"), (0.1, None)])
+def test_a_lag_is_estimated_and_reported_where_it_matters(lag, words):
     rig = Rig(ring(10))
     feel = rig.localizer.odometry
 
@@ -230,8 +230,8 @@ def test_a_lag_is_found_out_and_told_where_it_matters(lag, words):
     rig.localizer.odometry = lambda t, v, omega: feel(t, *winding(t + lag))
     assert rig.drive(60, winding).status is Status.LOCALISED
     assert rig.error() < 0.1
-    told = [note for note in rig.localizer.notes if "Odometry acts" in note]
-    assert told == [] if words is None else words in told[0]
+    notes = [note for note in rig.localizer.notes if "Odometry acts" in note]
+    assert notes == [] if words is None else words in notes[0]
 
 
 def test_bearings_as_noisy_as_was_given_are_not_doubted():
