@@ -116,7 +116,7 @@ def ring_closed_form() -> tuple[float, float, float, float]:
     marks = r * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     arcs = Arcs(plan)
     seen, stored = np.ones((1, q), bool), np.zeros(q, bool)
-    information = arcs.told(np.zeros((1, 2)), marks, seen, stored, 0)
+    information = arcs.information(np.zeros((1, 2)), marks, seen, stored, 0)
     fix = arcs.fix(information.every)
     root = np.sqrt(q * stops)
     return float(fix.position[0]), 2 * r * sigma / root, float(fix.heading[0]), sigma / root

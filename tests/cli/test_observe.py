@@ -17,7 +17,7 @@ from homeward.runs.single_run import RunSettings, prepare
             ("--landmarks", 2),
             ["4 of the 5", "circle through itself, L1 and L2", "bearings to"],
         ),
-        (("--landmarks", 2, "--compass"), ["5 of the 5", "Nothing is left open"]),
+        (("--landmarks", 2, "--compass"), ["5 of the 5", "Everything is observable"]),
         (
             ("--landmarks", 5, "--unknown", "speed-scale"),
             ["13 of 14", "speed's scale and all distances"],
@@ -44,7 +44,7 @@ def test_a_model(tmp_path, options, words):
 def test_the_sample_drive(tmp_path):
     out = tmp_path / "out"
     answer = done(call("plan", "--drive", "sample", "--window", 60, "--out", out))
-    assert "Stretch by stretch" in answer.stdout
+    assert "In single windows" in answer.stdout
     assert yaml.safe_load((out / "observe.yaml").read_text())["window"] == 60.0
 
 

@@ -85,7 +85,7 @@ def test_the_page_has_the_panorama(tmp_path, monkeypatch):
     assert "extracted features" in page
     assert "rendered panoramas of 512" in page
     assert "Case 2: 0 moved landmarks requested, 0 in one run obtained." in answer.stdout
-    assert "Faults asked for and obtained" in page
+    assert "Requested and obtained faults" in page
 
 
 def test_dead_reckoning_looks_at_no_image(world):

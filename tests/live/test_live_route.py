@@ -71,7 +71,7 @@ def school(tmp_path_factory):
     folder = tmp_path_factory.mktemp("schools") / "hall"
     rig, way = taught(folder)
     assert rig.player.succeeded
-    words = re.fullmatch("route round is taught: (.*) m, two way points", rig.player.last_words)
+    words = re.fullmatch("route round is taught: (.*) m, two way points", rig.player.summary)
     assert float(words[1]) == pytest.approx(2.4, abs=0.11)
     assert "a new place" in rig.session.localisation.finalise()
     return folder, way
@@ -113,7 +113,7 @@ def test_what_is_taught_is_driven_again_on_another_day(school, moved):
         return rig.player.ending
 
     rig.until(over, 120.0)
-    assert rig.player.succeeded, rig.player.last_words
+    assert rig.player.succeeded, rig.player.summary
     far = off(way, drove)
     assert np.sqrt(np.mean(far**2)) < 0.06
     assert far.max() < 0.2

@@ -107,7 +107,7 @@ def test_a_legend_takes_as_many_columns_as_there_is_room_for():
 
 def test_words_of_a_table_are_whole(tmp_path):
     head = table(summary(made_up_study(tmp_path)))[0]
-    assert "time of a run [s]" in head
+    assert "runtime [s]" in head
     assert "RMSE / bound" in head
 
 

@@ -75,7 +75,7 @@ def with_landmarks(scenario: Scenario, world: World) -> Scenario:
     camera = compose(world.home, scenario.home_mount.pose)
     new = {
         i: float(wrap(bearing(camera, *old) - bearing(camera, *now)))
-        for i, old, now in zip(world.ids, world.stood, world.places, strict=True)
+        for i, old, now in zip(world.ids, world.places_at_home, world.places, strict=True)
     }
     faults = {i: fault for i, fault in new.items() if abs(fault) > 1e-6}
     update = {"landmarks": Listed(at=at), "moved": Moved(faults=faults)}

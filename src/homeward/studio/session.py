@@ -233,7 +233,7 @@ class Session:
             "room": None if scenario.room is None else scenario.room.model_dump(),
             "home": [float(v) for v in world.home],
             "landmarks": dict(zip(world.ids, world.places.tolist(), strict=True)),
-            "stood": dict(zip(world.ids, world.stood.tolist(), strict=True)),
+            "stood": dict(zip(world.ids, world.places_at_home.tolist(), strict=True)),
             "stored": sorted(self._robot.drive.home),
             "path": [list(point) for point in getattr(scenario.trajectory, "points", ())],
             "settings": scenario.model_dump(include={"noise", "visibility", "sensor"}),

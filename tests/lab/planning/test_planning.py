@@ -43,7 +43,7 @@ def without(p, *names):
 def told(p, h, places, marks):
     arcs, stored = Arcs(p), home_sees(p, make_floor(p), marks)
     visible = np.ones((len(places), len(marks)), bool)
-    return arcs, arcs.told(places, marks, visible, stored, h).each, stored
+    return arcs, arcs.information(places, marks, visible, stored, h).each, stored
 
 
 @pytest.mark.parametrize("h", [0, 1, 3])
@@ -104,7 +104,7 @@ def test_a_further_landmark_never_makes_it_worse(seed, narrow):
     visible, stored = floor.sees(places, marks), home_sees(p, floor, marks)
     arcs = Arcs(p)
     for h in range(0, len(arcs.headings), 3):
-        each = arcs.told(places, marks, visible, stored, h).each
+        each = arcs.information(places, marks, visible, stored, h).each
         fewer, more = arcs.fix(each[:, :-1].sum(axis=1)), arcs.fix(each.sum(axis=1))
         assert np.all(more.position <= fewer.position * (1 + 1e-6))
         assert np.all(more.heading <= fewer.heading * (1 + 1e-6))

@@ -17,8 +17,8 @@ from homeward.lab.simulation.trajectories import (
     LOOK_RATE,
     LOOKS_PER_ROUND,
     SEARCH_RADIUS,
-    STANDS_S,
     TURN_ACCELERATION,
+    WAIT_S,
     GoalControl,
     exact,
     make_control,
@@ -130,7 +130,7 @@ def test_the_search_widens_after_some_circles_and_begins_again_after_a_pose():
     for t, wider in ((0.0, 1), (2.99, 1), (3.01, 2), (8.99, 2), (9.01, 4), (21.01, 8)):
         assert control.twist(t * around, LOST).omega == pytest.approx(0.125 / SEARCH_RADIUS / wider)
     control.twist(22.0 * around, exact(Pose(1.0, 0.0, 0.0)))
-    assert control.twist(22.0 * around + 0.5 * STANDS_S, LOST) == STAND
+    assert control.twist(22.0 * around + 0.5 * WAIT_S, LOST) == STAND
     assert control.twist(23.0 * around, LOST).omega == pytest.approx(0.125 / SEARCH_RADIUS)
 
 
@@ -193,9 +193,9 @@ def test_unlocalised_at_home_it_has_not_arrived_and_searches():
     unsure = Belief(Status.UNVERIFIED, there, np.zeros((3, 3)))
     assert drives(control, 0.0, Pose(0.2, 0.0, math.pi))
     assert control.twist(0.2, unsure) == STAND
-    searching = control.twist(0.3 + STANDS_S, unsure)
+    searching = control.twist(0.3 + WAIT_S, unsure)
     assert searching.v / searching.omega == pytest.approx(SEARCH_RADIUS)
-    assert control.twist(0.4 + STANDS_S, exact(there)) is None
+    assert control.twist(0.4 + WAIT_S, exact(there)) is None
 
 
 @pytest.mark.parametrize(

@@ -204,7 +204,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     monkeypatch.setattr("homeward.lab.studies.paper.layouts.VARIANTS", short_ones)
     answer = done(call(*words, *sizes))
     page = (tmp_path / "out" / "layouts.html").read_text()
-    for text in ("4 random layouts", "What holds: ", "as its table prints"):
+    for text in ("4 random layouts", "What holds: ", "as printed"):
         assert text in page
     # Every link of the contents leads somewhere.
     links = re.findall(r'<a href="#([^"]+)">', page)
@@ -225,12 +225,12 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     assert headline(study) in answer.stdout
     for _, draw in FIGURES.values():
         assert faults(draw(study)) == [], draw.__name__
-    judged = claims(study)
-    assert {c.verdict for c in judged} <= {
+    decided = claims(study)
+    assert {c.decision for c in decided} <= {
         *("holds", "holds in most layouts", "holds in part", "does not hold"),
-        *("the tables speak against it", "the tables allow it"),
+        *("the tables contradict it", "the tables allow it"),
     }
-    for c in judged:
+    for c in decided:
         assert any(character.isdigit() for character in c.figure)
     assert len(grid_table(study)) == 1 + 3 * 8 + 4 * 8 - 8 * 2 + 16
     off = study.reading("2", initial_error=(0.05, 0.1, 0.1))
@@ -240,7 +240,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
-        (["paper", "--workers", "2", "--scheduler", "tcp://x:1"], "one of them"),
+        (["paper", "--workers", "2", "--scheduler", "tcp://x:1"], "give one of"),
         (["layouts", "--set", "varied=0"], "varied"),
         (["layouts", "--set", "assumed.speed=1"], "speed"),
         (["layouts", "--runs", "0"], "layouts"),

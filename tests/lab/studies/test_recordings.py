@@ -96,18 +96,18 @@ def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, mo
     told = json.loads(again.stdout)
     assert {line["estimator"] for line in told["lines"]}
     assert not told["failures"]
-    assert "x ekf" in (tmp_path / "out" / "table.md").read_text()
+    assert "RMSE ratio to ekf" in (tmp_path / "out" / "table.md").read_text()
 
 
 @pytest.mark.parametrize(
     ("changes", "told"),
     [
         ({"drives": ["nowhere"]}, "nowhere"),
-        ({"drives": ["short"], "loop": "closed"}, "a log cannot be steered"),
-        ({"drives": ["short"], "grid": {"seed": [1]}}, "none is named"),
-        ({"drives": ["short", "short"]}, "two are called"),
+        ({"drives": ["short"], "loop": "closed"}, "a recorded drive cannot be steered"),
+        ({"drives": ["short"], "grid": {"seed": [1]}}, "need a scenario"),
+        ({"drives": ["short", "short"]}, "two have the name"),
         ({"drives": [{"drive": "short", "dropped": 1}]}, "dropped"),
-        ({"drives": [{"drive": "short", "falsified": 99}]}, "home saw"),
+        ({"drives": [{"drive": "short", "falsified": 99}]}, "falsified must be at most"),
         ({"drives": [{"drive": "short", "home_noise_deg": 1}]}, "MRCLAM"),
         ({"drives": [{"drive": "short", "grid": {"dropt": [1]}}]}, "dropt"),
         ({"drives": ["blind"]}, "no truth"),

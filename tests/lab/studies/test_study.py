@@ -103,7 +103,7 @@ def test_an_axis_may_name_points_that_set_several_keys(tmp_path):
         ({"estimators": []}, "estimators"),
         ({"estimators": ["kalman"]}, "there are robust"),
         ({"estimators": [{"estimator": "ekf", "settings": {"gaet": 1}}]}, "gaet"),
-        ({"estimators": ["ekf", "ekf"]}, "two are called 'ekf'"),
+        ({"estimators": ["ekf", "ekf"]}, "two have the name 'ekf'"),
         ({"runs": 0}, "runs"),
         ({"loop": "round"}, "loop"),
         ({"scenario": "no-such"}, "no-such"),
@@ -323,7 +323,7 @@ def test_a_stopped_study_goes_on_from_its_finished_blocks(tmp_path, how, monkeyp
 
 
 def test_who_names_no_study_is_told_of_all_that_ship_maps_too():
-    with pytest.raises(InputError, match=r"a-ekf-tuning.*pi-ekf-map"):
+    with pytest.raises(InputError, match=r"a-ekf-tuning.*pi-ekf-tuning"):
         load_study("nonsense")
 
 
@@ -349,7 +349,7 @@ def test_a_tuning_study_draws_its_map(tmp_path):
 
 
 def test_both_kinds_of_workers_at_once_are_refused():
-    with pytest.raises(InputError, match="one of them"):
+    with pytest.raises(InputError, match="give one of"):
         Where(scheduler="tcp://localhost:1", workers=2)
 
 

@@ -141,7 +141,7 @@ def _play(
     player = SimulatedRobotClient(LiveRobot(scenario), scenario.trajectory.duration, task, hand)
     token = os.environ.get("HOMEWARD_TOKEN") or None
     asyncio.run(play(player, address(where), pace, token, warn))
-    state, robot = player.last_words or "time up", player.robot
+    state, robot = player.summary or "time up", player.robot
     end = f"{state}; true distance from home {robot.distance:.3f} m after {robot.t:.1f} s"
     facts = {"scenario": scenario.name, "ending": state, "duration_s": robot.t}
     show(json, facts | {"from_home_m": robot.distance}, f"{scenario.name}: {end}")

@@ -1,1 +1,1 @@
-"""Before a robot drives: whether a place is good enough to come home in, and what helps."""
+"""Planning of landmarks: where homing can begin, and which landmarks to add."""

@@ -1,10 +1,10 @@
-"""The Cramer-Rao bound of a fix, at thousands of places at once.
+"""Cramer-Rao bound of the pose, at thousands of places at once.
 
-The scene of `homeward.lab.bounds.posterior_bound`, vectorised: at each place the robot drives a
-short arc whose middle is there, takes bearings at some stops on it, knows its odometry up to white
-noise, and home's bearings; landmarks are unknown but for what these tell (and a survey, where there
-is one). Each landmark's own position is eliminated, which leaves its information on the pose and on
-the odometry's errors; these add up over landmarks, so that hiding one is a subtraction.
+This is `homeward.lab.bounds.posterior_bound`, vectorised: at each place the robot drives a short
+arc around it and takes bearings at some stops, with white noise of odometry and with home bearings;
+landmarks are unknown except for these bearings (and a survey, if there is one). Each landmark's
+position is eliminated, which leaves its information on the pose and on the errors of odometry.
+These add up over landmarks, so that hiding a landmark is a subtraction.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from homeward.lab.planning.floor import Floor
 from homeward.lab.planning.settings import Plan
 
 POSE = 3
-VAGUE = 1e4
-"""Nothing is further away than this [m], which keeps unobservable directions finite ..."""
-UNTOLD = 1e2
-"""... and a position less certain than this [m] counts as not told."""
+WEAK_PRIOR_M = 1e4
+"""Prior standard deviation, which keeps unobservable directions finite [m]."""
+UNOBSERVABLE_M = 1e2
+"""Positions with a larger standard deviation count as unobservable [m]."""
 HEADINGS = 4
-"""Number of directions, twice it with a narrow camera, of which the robot takes the best."""
+"""Number of directions of the arc, doubled for a narrow camera; the best one counts."""
 FULL = 2 * np.pi - 1e-3
-"""A camera with this field of view sees all round [rad]."""
+"""Minimum field of view of a panoramic camera [rad]."""
 
 
 @dataclass(frozen=True)
 class Fix:
-    """What a robot knows after its arc, at n places."""
+    """Bound on the pose after the arc, at n places."""
 
     position: np.ndarray
-    """(n,), root mean square error of the position at best [m]; infinite where it is not told."""
+    """(n,), minimum position error [m], RMS; infinite where unobservable."""
     heading: np.ndarray
-    """(n,), the same of the heading [rad]."""
+    """(n,), minimum heading error [rad], RMS; infinite where unobservable."""
 
 
 @dataclass(frozen=True)
@@ -44,30 +44,30 @@ class Information:
     """Information from q landmarks at n places, in one direction, or in several: (H, n, ...)."""
 
     each: np.ndarray
-    """(n, q, d (d + 1) / 2), upper triangles of informations on the unknowns."""
+    """(n, q, d (d + 1) / 2), upper triangles of information matrices of the unknowns."""
     seen: np.ndarray
-    """(n, q), bool: seen from the arc at all."""
+    """(n, q), bool: seen from the arc."""
     common: np.ndarray
-    """(n, q), bool: and from home."""
+    """(n, q), bool: seen from the arc and from home."""
 
     @cached_property
     def every(self) -> np.ndarray:
-        """(n, d (d + 1) / 2), of all landmarks together."""
+        """(n, d (d + 1) / 2), sum over all landmarks."""
         return np.asarray(self.each.sum(axis=-2))
 
     @cached_property
     def count(self) -> np.ndarray:
-        """(n,), how many are in common with home."""
+        """(n,), number of landmarks in common with home."""
         return np.asarray(self.common.sum(axis=-1))
 
 
 class Arcs:
-    """The arc of a plan in every direction, and the information in bearings from it."""
+    """The arc of a plan in all directions, and the information of its bearings."""
 
     def __init__(self, plan: Plan) -> None:
         self.plan = plan
         self.d = POSE + 2 * (plan.drive.stops - 1)
-        """Of the unknowns: the last pose, and the odometry's errors in units of their sigmas."""
+        """Number of unknowns: the last pose, and the errors of odometry, in sigmas."""
         self.upper = np.triu_indices(self.d)
         count = HEADINGS if plan.sensor.field_of_view >= FULL else 2 * HEADINGS
         self.headings = np.arange(count) * 2 * np.pi / count
@@ -76,32 +76,32 @@ class Arcs:
         self._maps = [self._feature_map(stops) for stops in self.stops]
 
     def _feature_map(self, stops: np.ndarray) -> np.ndarray:
-        """Return what turns features, 9 a pair of stops, into information (.., d (d + 1) / 2)."""
+        """Return the map from features, 9 a pair of stops, to information (.., d (d + 1) / 2)."""
         by_unknowns = _stop_by_unknowns(self.plan, stops)
         rows, columns = self.upper
         out = []
         for k, m in self.pairs:
-            # A bearing's gradient is -(a_x A_0 + a_y A_1 + A_2), by the landmark it is (a_x, a_y).
+            # The gradient of a bearing is -(a_x A_0 + a_y A_1 + A_2); by the landmark (a_x, a_y).
             for p in by_unknowns[k]:
                 for r in by_unknowns[m]:
                     both = p[rows] * r[columns]
                     out.append(both if k == m else both + r[rows] * p[columns])
         return np.array(out) / self.plan.sensor.bearing_sigma**2
 
-    def told(
+    def information(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
     ) -> Information:
-        """Return the information from each landmark, for heading number `h`, at each place.
+        """Return the information from each landmark at each place, for heading number `h`.
 
-        Places (n, 2) are the middles of the arc, marks (q, 2) the landmarks [m]. `visible` (n, q)
-        says which have a line of sight, `stored` (q,) which of them home sees; range and field of
-        view are checked here.
+        Places (n, 2) are the centres of the arc, marks (q, 2) the landmarks [m]. `visible` (n, q)
+        are those in line of sight, `stored` (q,) those with a home bearing; range and field of view
+        are tested here.
         """
         n, i = np.nonzero(visible)
         gradients = self._gradients(places[n], marks[i], h)
         ok = gradients.any(axis=(1, 2))
         n, i, gradients = n[ok], i[ok], gradients[ok]
-        weights = self._free_of_the_mark(gradients, marks[i], stored[i])
+        weights = self._eliminate_landmark(gradients, marks[i], stored[i])
         features = np.empty((n.size, len(self.pairs), 3, 3))
         for f, (k, m) in enumerate(self.pairs):
             both = gradients[:, k, :, None] * gradients[:, m, None, :]
@@ -124,19 +124,19 @@ class Arcs:
             out[:, k] = np.stack([-dy / square * ok, dx / square * ok, ok], axis=1)
         return out
 
-    def _free_of_the_mark(
+    def _eliminate_landmark(
         self, gradients: np.ndarray, marks: np.ndarray, stored: np.ndarray
     ) -> list[np.ndarray]:
-        """Return, for each pair of stops, the weight (m,) of their bearings' product.
+        """Return, for each pair of stops, the weight (m,) of the product of their bearings.
 
-        With rows g of all derivatives by the mark, the bearings project to what the mark does not
-        explain by I - G (G'G)^-1 G'. Its entries are sums of products of g x g: exact where the
-        rows are nearly parallel, and matrices would cancel.
+        With the derivatives by the landmark as rows of G, the projection I - G (G'G)^-1 G'
+        eliminates its position. Its entries are computed as sums of products of cross products,
+        which stay accurate where rows are nearly parallel.
         """
         plan = self.plan
         dx, dy = (marks - (plan.home.x, plan.home.y)).T
         weight = stored / (plan.sensor.home_sigma * np.maximum(dx * dx + dy * dy, 1e-6))
-        known = np.full(len(marks), 1 / (plan.landmark_sigma or VAGUE))
+        known = np.full(len(marks), 1 / (plan.landmark_sigma or WEAK_PRIOR_M))
         zero = np.zeros(len(marks))
         rows = [tuple(g.T / plan.sensor.bearing_sigma) for g in np.moveaxis(gradients, 1, 0)]
         rows = [(g[0], g[1]) for g in rows]
@@ -155,7 +155,7 @@ class Arcs:
         return weights
 
     def fix(self, information: np.ndarray) -> Fix:
-        """Return the bound on the last pose, given summed informations (n, d (d + 1) / 2)."""
+        """Return the bound on the last pose from summed information (n, d (d + 1) / 2)."""
         size = self.d
         table = [[np.empty(0)] * size for _ in range(size)]
         for row, column, entry in zip(
@@ -163,9 +163,9 @@ class Arcs:
         ):
             table[row][column] = entry
         for i in range(POSE):
-            table[i][i] = table[i][i] + 1 / VAGUE**2
+            table[i][i] = table[i][i] + 1 / WEAK_PRIOR_M**2
         for pivot in reversed(range(POSE, size)):
-            inverse = 1 / (table[pivot][pivot] + 1.0)  # an error's own prior is 1
+            inverse = 1 / (table[pivot][pivot] + 1.0)  # the prior variance of an error is 1
             for i in range(pivot):
                 factor = table[i][pivot] * inverse
                 for j in range(i, pivot):
@@ -173,31 +173,31 @@ class Arcs:
         return _invert(table)
 
     def score(self, fix: Fix, common: np.ndarray) -> np.ndarray:
-        """Return the larger error as a share of its limit; infinite with too few landmarks."""
+        """Return the larger error relative to its limit; infinite with too few landmarks."""
         limits = self.plan.limits
         worse = np.maximum(fix.position / limits.position, fix.heading / limits.heading)
         return np.asarray(np.where(common >= limits.landmarks, worse, np.inf))
 
 
 def _invert(H: list[list[np.ndarray]]) -> Fix:
-    """Return the errors of a pose whose information (3, 3) has this upper triangle."""
-    # The heading first, then the plane: stable where lever arms are long.
-    xx = np.maximum(H[0][0], 0.0) + 1 / VAGUE**2
+    """Return the bound on a pose from the upper triangle of its information (3, 3)."""
+    # The heading before the position: stable for long lever arms.
+    xx = np.maximum(H[0][0], 0.0) + 1 / WEAK_PRIOR_M**2
     yx, hx = H[0][1] / xx, H[0][2] / xx
-    yy = np.maximum(H[1][1] - yx * H[0][1], 0.0) + 1 / VAGUE**2
+    yy = np.maximum(H[1][1] - yx * H[0][1], 0.0) + 1 / WEAK_PRIOR_M**2
     hy = (H[1][2] - yx * H[0][2]) / yy
-    hh = np.maximum(H[2][2] - hx * H[0][2] - hy * hy * yy, 0.0) + 1 / VAGUE**2
+    hh = np.maximum(H[2][2] - hx * H[0][2] - hy * hy * yy, 0.0) + 1 / WEAK_PRIOR_M**2
     # L^-1 of the factors L D L'.
     lx, mx = yx, yx * hy - hx
     var_x = 1 / xx + lx * lx / yy + mx * mx / hh
     var_y = 1 / yy + hy * hy / hh
     position, heading = np.sqrt(var_x + var_y), np.sqrt(1 / hh)
-    untold = position > UNTOLD
-    return Fix(np.where(untold, np.inf, position), np.where(untold, np.inf, heading))
+    unknown = position > UNOBSERVABLE_M
+    return Fix(np.where(unknown, np.inf, position), np.where(unknown, np.inf, heading))
 
 
 def _stops(plan: Plan, heading: float) -> np.ndarray:
-    """Return the stops of the arc: offsets from its middle [m] and headings [rad], (s, 3)."""
+    """Return the stops of the arc: offsets from its centre [m] and headings [rad], (s, 3)."""
     drive = plan.drive
     along = np.linspace(-0.5, 0.5, drive.stops) * drive.length
     arc = Twist(1.0, drive.turn / drive.length)
@@ -205,7 +205,7 @@ def _stops(plan: Plan, heading: float) -> np.ndarray:
 
 
 def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
-    """Return derivatives (s, 3, d) of the stops by the last one and the odometry's errors."""
+    """Return derivatives (s, 3, d) of the stops by the last stop and the errors of odometry."""
     s = len(stops)
     d = POSE + 2 * (s - 1)
     dt = plan.drive.length / plan.drive.speed / (s - 1)
@@ -231,7 +231,7 @@ def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
 
 
 def home_sees(plan: Plan, floor: Floor, marks: np.ndarray) -> np.ndarray:
-    """Return which marks (q, 2) the camera sees at home, shape (q,): in sight, range and view."""
+    """Return which marks (q, 2) are in line of sight, range and field of view at home, (q,)."""
     home = np.array([[plan.home.x, plan.home.y]])
     dx, dy = (marks - home).T
     return np.asarray(floor.sees(home, marks)[0] & _in_view(plan, dx, dy, plan.home.heading))
@@ -239,9 +239,9 @@ def home_sees(plan: Plan, floor: Floor, marks: np.ndarray) -> np.ndarray:
 
 def _in_view(plan: Plan, dx: np.ndarray, dy: np.ndarray, heading: float) -> np.ndarray:
     """Return which offsets from the camera [m] are in its range and field of view."""
-    (least, most), opening = plan.sensor.range, plan.sensor.field_of_view
-    far = np.hypot(dx, dy)
-    seen = (far >= least) & (far <= most)
+    (near, far), opening = plan.sensor.range, plan.sensor.field_of_view
+    distance = np.hypot(dx, dy)
+    seen = (distance >= near) & (distance <= far)
     if opening < FULL:
-        seen &= dx * np.cos(heading) + dy * np.sin(heading) >= np.cos(opening / 2) * far
+        seen &= dx * np.cos(heading) + dy * np.sin(heading) >= np.cos(opening / 2) * distance
     return np.asarray(seen)

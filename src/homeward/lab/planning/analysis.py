@@ -1,4 +1,4 @@
-"""Analysis of a plan: the map, the value of each landmark, and the best places for more."""
+"""Analysis of a plan: accuracy map, value of each landmark, best places for more."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from homeward.lab.planning.floor import Floor, candidate_places, make_floor
 from homeward.lab.planning.settings import Plan
 
 SLICE = 4000
-"""Number of matrices inverted at once, which stay in the cache."""
+"""Number of matrices inverted at once, so that they stay in the cache."""
 
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Places:
-    """n places, and q landmarks in sight of them or not."""
+    """n places and q landmarks."""
 
     arcs: Arcs
     floor: Floor
@@ -36,7 +36,7 @@ class Places:
 
     @cached_property
     def visible(self) -> np.ndarray:
-        """(n, q), bool: a line of sight, found when first asked for, in a thread."""
+        """(n, q), bool: line of sight; computed lazily, in a thread."""
         return self.floor.sees(self.places, self.marks)
 
     def singles(self) -> tuple[np.ndarray, ...]:
@@ -45,67 +45,67 @@ class Places:
         position, heading = np.full(n, np.inf), np.full(n, np.inf)
         common, score, hidden = np.zeros(n, int), np.full(n, np.inf), np.full((n, q), np.inf)
         for h in range(len(self.arcs.headings)):
-            told = self._told(h, self.stored)
-            fix = self.arcs.fix(told.every)
-            common = np.maximum(common, told.count)
+            info = self._information(h, self.stored)
+            fix = self.arcs.fix(info.every)
+            common = np.maximum(common, info.count)
             better = fix.position < position
             position = np.where(better, fix.position, position)
             heading = np.where(better, fix.heading, heading)
-            score = np.minimum(score, self.arcs.score(fix, told.count))
-            hidden = np.minimum(hidden, self._without(told, told.seen))
+            score = np.minimum(score, self.arcs.score(fix, info.count))
+            hidden = np.minimum(hidden, self._without(info, info.seen))
         return position, heading, common, score, hidden
 
     def pairs(self) -> tuple[np.ndarray, ...]:
-        """Return scores with one moved (n, q), where homing can begin without pairs (n, q, q).
+        """Return scores with one landmark moved (n, q), and where homing can begin without pairs.
 
-        And, (n,), where it can without any pair.
+        These are (n, q, q) for each pair of hidden landmarks, and (n,) for all pairs.
         """
         n, q = len(self.places), len(self.marks)
         best, moved = np.full((n, q, q), np.inf), np.full((n, q), np.inf)
         upper = np.triu(np.ones((q, q), bool), 1)
         for h in range(len(self.arcs.headings)):
-            told = self._told(h, self.stored)
-            one = self._without(told, told.seen)
-            # With one of the two out of sight it is as with the other alone.
+            info = self._information(h, self.stored)
+            one = self._without(info, info.seen)
+            # If one of the two is not in view, only the other one counts.
             out = np.maximum(one[:, :, None], one[:, None, :])
-            place, i, j = np.nonzero(told.seen[:, :, None] & told.seen[:, None, :] & upper)
-            out[place, i, j] = out[place, j, i] = self._scores(told, place, [i, j])
+            place, i, j = np.nonzero(info.seen[:, :, None] & info.seen[:, None, :] & upper)
+            out[place, i, j] = out[place, j, i] = self._scores(info, place, [i, j])
             best = np.minimum(best, out)
-            # A moved landmark still gives information on the motion.
-            still = self._told(h, np.zeros_like(self.stored)).each
-            moved = np.minimum(moved, self._without(told, told.common, still))
+            # A moved landmark still contributes information on the motion.
+            still = self._information(h, np.zeros_like(self.stored)).each
+            moved = np.minimum(moved, self._without(info, info.common, still))
         begins = np.asarray(best <= 1)
         return moved, begins, np.asarray(begins.reshape(n, -1).all(axis=1) & (q > 0))
 
-    def _told(self, h: int, stored: np.ndarray) -> Information:
-        return self.arcs.told(self.places, self.marks, self.visible, stored, h)
+    def _information(self, h: int, stored: np.ndarray) -> Information:
+        return self.arcs.information(self.places, self.marks, self.visible, stored, h)
 
     def _without(
-        self, told: Information, which: np.ndarray, still: np.ndarray | None = None
+        self, info: Information, which: np.ndarray, still: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return scores (n, q) without each landmark where it is `which`, but for `still`."""
-        now = self.arcs.score(self.arcs.fix(told.every), told.count)
+        """Return scores (n, q) without each landmark in `which`, with the information `still`."""
+        now = self.arcs.score(self.arcs.fix(info.every), info.count)
         out = np.repeat(now[:, None], which.shape[1], axis=1)
         place, mark = np.nonzero(which)
-        out[place, mark] = self._scores(told, place, [mark], still)
+        out[place, mark] = self._scores(info, place, [mark], still)
         return out
 
     def _scores(
         self,
-        told: Information,
+        info: Information,
         place: np.ndarray,
         without: list[np.ndarray],
         still: np.ndarray | None = None,
     ) -> np.ndarray:
-        """Return scores at places (k,) without landmarks (k,), but with the information `still`."""
+        """Return scores at places (k,) without landmarks (k,), with the information `still`."""
         scores = np.empty(place.size)
         for begin in range(0, place.size, SLICE):
             part = slice(begin, begin + SLICE)
             row = place[part]
-            information, left = told.every[row], told.count[row]
+            information, left = info.every[row], info.count[row]
             for mark in without:
-                information -= told.each[row, mark[part]]
-                left -= told.common[row, mark[part]]
+                information -= info.each[row, mark[part]]
+                left -= info.common[row, mark[part]]
                 if still is not None:
                     information += still[row, mark[part]]
             scores[part] = self.arcs.score(self.arcs.fix(information), left)
@@ -119,32 +119,32 @@ def in_groups(
     floor: Floor,
     places: np.ndarray,
     marks: np.ndarray,
-    tell: Progress,
+    on_progress: Progress,
 ) -> list[np.ndarray]:
-    """Work on places (n, 2) in groups of at most a size on all cores; return arrays of all."""
+    """Apply `work` to groups of places (n, 2) on all cores; return the joined arrays."""
     stored, found = home_sees(arcs.plan, floor, marks), []
     parts = np.array_split(places, -(-len(places) // size))
     groups = [Places(arcs, floor, part, marks, stored) for part in parts]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for k, answer in enumerate(pool.map(work, groups)):
             found.append(answer)
-            tell((k + 1) / len(groups))
+            on_progress((k + 1) / len(groups))
     return [np.concatenate(part) for part in zip(*found, strict=True)]
 
 
 CAP = 3.0
 DECIMALS = 9
-"""Costs that differ by less are the same."""
+"""Precision of costs."""
 PLACES = 120
-"""Number of places of the floor, evenly chosen, over which costs are means."""
+"""Number of evenly chosen places of the floor for mean costs."""
 
 
 def best_places(
-    plan: Plan, floor: Floor, arcs: Arcs, tell: Callable[[float], None]
+    plan: Plan, floor: Floor, arcs: Arcs, on_progress: Progress
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (k, 2) for further landmarks that greedy takes, and all candidates (c, 2).
+    """Return the places (k, 2) for further landmarks by greedy search, and all candidates (c, 2).
 
-    The places [m] are in the order of their use; fewer than asked for where no further one helps.
+    The places [m] are in order of use; fewer than requested where no further one helps.
     """
     points = floor.points
     places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
@@ -154,7 +154,7 @@ def best_places(
     free, chosen = list(range(len(candidates))), list[int]()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         while free and len(chosen) < plan.further:
-            tell(len(chosen) / plan.further)
+            on_progress(len(chosen) / plan.further)
             costs = list(pool.map(_cost_with, repeat(arcs), repeat(now), repeat(more), free))
             k = min(range(len(free)), key=costs.__getitem__)
             if not costs[k] < cost:
@@ -166,14 +166,16 @@ def best_places(
 
 
 def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Information:
-    """Return the information from landmarks at m places, in each of H directions."""
+    """Return the information from landmarks at m places, in all H directions."""
     visible, stored = floor.sees(places, marks), home_sees(arcs.plan, floor, marks)
-    told = [arcs.told(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
-    return Information(*(np.array([getattr(t, f.name) for t in told]) for f in fields(Information)))
+    parts = [arcs.information(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
+    return Information(
+        *(np.array([getattr(t, f.name) for t in parts]) for f in fields(Information))
+    )
 
 
 def _with(now: Information, more: Information, c: int) -> Information:
-    """Return the information now together with that of landmark `c` of more."""
+    """Return the information `now` with that of landmark `c` of `more` added."""
     pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Information))
     return Information(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
 
@@ -183,7 +185,7 @@ def _cost_with(arcs: Arcs, now: Information, more: Information, c: int) -> tuple
 
 
 def _cost(arcs: Arcs, state: Information) -> tuple[float, float]:
-    """Return the mean over places of the score with the worst landmark hidden, and with none."""
+    """Return the mean score over places with the worst landmark hidden, and with none."""
     every, count = state.every, state.count
     H, m, q = state.seen.shape
     none = _score(arcs, every.reshape(H * m, -1), count.reshape(-1)).reshape(H, m)
@@ -191,49 +193,48 @@ def _cost(arcs: Arcs, state: Information) -> tuple[float, float]:
     h, place, mark = np.nonzero(state.seen)
     left = every[h, place] - state.each[h, place, mark]
     hidden[h, place, mark] = _score(arcs, left, count[h, place] - state.common[h, place, mark])
-    # The robot takes the best direction; chance hides the worst landmark.
+    # The best direction counts, and the worst landmark is hidden.
     costs = hidden.min(axis=0).max(axis=1).mean(), none.min(axis=0).mean()
     return round(float(costs[0]), DECIMALS), round(float(costs[1]), DECIMALS)
 
 
 def _score(arcs: Arcs, information: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return scores cut off at `CAP`, beyond it by how many landmarks are missing."""
+    """Return scores, at most `CAP`, plus the number of missing landmarks."""
     score = np.minimum(arcs.score(arcs.fix(information), count), CAP)
     return np.asarray(score + np.maximum(arcs.plan.limits.landmarks - count, 0))
 
 
 CHUNK = 500
-"""Places are worked on in groups of this size."""
+"""Number of places in a group."""
 SAMPLE = 1500
-"""Number of places, evenly chosen, at which pairs are hidden and landmarks moved ..."""
+"""Maximum number of evenly chosen places for hidden pairs and moved landmarks."""
 PAIR_WORK = 2_000_000
-"""... or fewer, so that there are not more cases than this; but at least `FEWEST`."""
-FEWEST = 100
+"""Maximum number of hidden pairs at all places; `MIN_SAMPLE` places are used in any case."""
+MIN_SAMPLE = 100
 
 
 @dataclass(frozen=True)
 class Advice:
-    """Places for k further landmarks, in the order of their use; shares are of the sample."""
+    """Places for k further landmarks, in order of use; shares are of the sample."""
 
     places: np.ndarray
     """(k, 2) [m]"""
     candidates: np.ndarray
-    """(c, 2), among which they were chosen [m]."""
+    """(c, 2), candidates [m]."""
     share: np.ndarray
-    """(k + 1,), from which homing can begin, after none, one, two .. of them."""
+    """(k + 1,), share of the floor where homing can begin, after 0, 1, 2 ... of them."""
     safe: np.ndarray
-    """(k + 1,), from which it can begin whichever one landmark is hidden."""
+    """(k + 1,), the same share with any one landmark hidden."""
     best_safe: float
-    """`safe` with all candidates at once: no choice among them does better."""
+    """`safe` with all candidates at once: an upper limit for any choice among them."""
 
 
 @dataclass(frozen=True)
 class PlanView:
-    """What can be known where on a plan: n places on the floor, q landmarks.
+    """Accuracy at n places of a floor with q landmarks.
 
-    Scores are the larger of position's and heading's error at best, each as a share of its limit;
-    infinite with fewer common landmarks than the limit asks for. Homing can begin where it is at
-    most 1.
+    A score is the larger of the minimum errors of position and heading, each relative to its limit;
+    infinite with fewer common landmarks than the limit. Homing can begin where it is at most 1.
     """
 
     plan: Plan
@@ -242,25 +243,25 @@ class PlanView:
     marks: np.ndarray
     """(q, 2) [m]"""
     stored: np.ndarray
-    """(q,), bool: which of them home sees."""
+    """(q,), bool: whether home sees the landmark."""
     position: np.ndarray
-    """(n,), root mean square error of the position at best [m]; infinite where it is not told."""
+    """(n,), minimum position error [m], RMS; infinite where unobservable."""
     heading: np.ndarray
-    """(n,), the same of the heading [rad]."""
+    """(n,), minimum heading error [rad], RMS; infinite where unobservable."""
     common: np.ndarray
-    """(n,), how many landmarks are seen there and from home."""
+    """(n,), number of landmarks seen there and from home."""
     score: np.ndarray
     """(n,)"""
     hidden: np.ndarray
-    """(n, q), the score when one landmark is hidden."""
+    """(n, q), the score with one landmark hidden."""
     sample: np.ndarray
-    """(m,), rows of the places that the following are of."""
+    """(m,), rows of the places of the following arrays."""
     moved: np.ndarray
-    """(m, q), the score when one landmark was moved since home was stored, and that is known."""
+    """(m, q), the score with one landmark known to have moved since home was stored."""
     pair_share: np.ndarray
-    """(q, q), share of them from which homing can begin with both hidden; on the diagonal, one."""
+    """(q, q), share of the sample where homing can begin with both hidden (diagonal: one)."""
     pair_safe: np.ndarray
-    """(m,), bool: homing can begin there whichever two landmarks are hidden."""
+    """(m,), bool: homing can begin there with any two landmarks hidden."""
     advice: Advice
 
     @property
@@ -270,32 +271,40 @@ class PlanView:
 
     @property
     def safe(self) -> np.ndarray:
-        """(n,), bool: where it can begin whichever one landmark is hidden."""
+        """(n,), bool: where homing can begin with any one landmark hidden."""
         worst = np.column_stack([self.score, self.hidden]).max(axis=1)
         return np.asarray(worst <= 1)
 
 
 def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
-    """Return what can be known where on a plan; errors as `make_floor`."""
-    tell = progress or (lambda fraction: None)
+    """Analyse a plan; errors as `make_floor`."""
+    on_progress = progress or (lambda fraction: None)
     floor, arcs = make_floor(plan), Arcs(plan)
     places, marks = floor.points, plan.marks
     position, heading, common, score, hidden = in_groups(
-        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: tell(0.1 + 0.4 * f)
+        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: on_progress(0.1 + 0.4 * f)
     )
     rows = _sample(arcs, common)
     moved, begins, safe = in_groups(
-        Places.pairs, CHUNK // 10, arcs, floor, places[rows], marks, lambda f: tell(0.5 + 0.2 * f)
+        Places.pairs,
+        CHUNK // 10,
+        arcs,
+        floor,
+        places[rows],
+        marks,
+        lambda f: on_progress(0.5 + 0.2 * f),
     )
-    advice = _advise(plan, floor, arcs, rows, lambda f: tell(0.7 + 0.3 * f))
+    advice = _advise(plan, floor, arcs, rows, lambda f: on_progress(0.7 + 0.3 * f))
     known = plan, floor, tuple(plan.landmarks), marks, home_sees(plan, floor, marks)
     best = position, heading, common, score, hidden
     return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe, advice)
 
 
-def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progress) -> Advice:
-    """Choose further places, and say what each adds at some rows of the floor."""
-    chosen, candidates = best_places(plan, floor, arcs, tell)
+def _advise(
+    plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, on_progress: Progress
+) -> Advice:
+    """Choose places for further landmarks, and return their effect at sampled places."""
+    chosen, candidates = best_places(plan, floor, arcs, on_progress)
     sets = [np.vstack([plan.marks, chosen[:k]]) for k in range(len(chosen) + 1)]
     if len(chosen):
         sets.append(np.vstack([plan.marks, candidates]))
@@ -313,7 +322,7 @@ def _advise(plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, tell: Progre
 
 
 def _sample(arcs: Arcs, common: np.ndarray) -> np.ndarray:
-    """Return at which places pairs are hidden."""
+    """Return the places for hidden pairs."""
     work = float((common.astype(float) ** 2).mean()) / 2 * len(arcs.headings)
-    most = min(SAMPLE, max(FEWEST, int(PAIR_WORK / max(work, 1.0))))
-    return np.unique(np.linspace(0, common.size - 1, min(common.size, most)).astype(int))
+    number = min(SAMPLE, max(MIN_SAMPLE, int(PAIR_WORK / max(work, 1.0))))
+    return np.unique(np.linspace(0, common.size - 1, min(common.size, number)).astype(int))

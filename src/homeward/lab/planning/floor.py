@@ -1,4 +1,4 @@
-"""The geometry of a plan: where a robot can be, and what it sees from there."""
+"""Geometry of a plan: free space and lines of sight."""
 
 from __future__ import annotations
 
@@ -13,44 +13,44 @@ from homeward.errors import InputError
 from homeward.lab.planning.settings import Plan
 
 EDGE = 1e-3
-"""Shelves hide as if smaller by this all round [m], and walls as if further out, so that none hides
-marks on its own face."""
-MOST_CELLS = 200_000
-MOST_CANDIDATES = 120
+"""Shelves count as smaller by this for lines of sight [m], and the outline as larger, so that none
+hides landmarks on its own face."""
+MAX_CELLS = 200_000
+MAX_CANDIDATES = 120
 SPACING = 0.5
-"""Between candidate places for landmarks along walls and shelves, at least [m]."""
+"""Minimum distance between candidate places for landmarks along walls and shelves [m]."""
 
 
 @dataclass(frozen=True)
 class Floor:
-    """A floor of n points on a grid, and lines of sight across it."""
+    """Floor with n free points on a grid, and lines of sight."""
 
     outline: Polygon
     shelves: tuple[Polygon, ...]
     sight: BaseGeometry
-    """Where lines of sight may pass."""
+    """Area of possible lines of sight."""
     x: np.ndarray
-    """(columns,), of the grid [m]."""
+    """(columns,), grid coordinates [m]."""
     y: np.ndarray
     """(rows,)"""
     inside: np.ndarray
-    """(rows, columns), bool: where the robot can be, n of them."""
+    """(rows, columns), bool: the n free points."""
 
     @property
     def points(self) -> np.ndarray:
-        """(n, 2), where the robot can be [m]."""
+        """(n, 2), free points [m]."""
         row, column = np.nonzero(self.inside)
         return np.stack([self.x[column], self.y[row]], axis=1)
 
     def image(self, values: np.ndarray) -> np.ndarray:
-        """Return values (n,) as an image (rows, columns), NaN where the robot cannot be."""
+        """Return values (n,) as an image (rows, columns), NaN elsewhere."""
         image = np.full(self.inside.shape, np.nan)
         image[self.inside] = values
         return image
 
     def sees(self, origins: np.ndarray, targets: np.ndarray) -> np.ndarray:
-        """Say which targets (q, 2) [m] can be seen from which origins (n, 2), shape (n, q)."""
-        # A prepared geometry works in memory of its own, so threads cannot share one.
+        """Return whether targets (q, 2) [m] are visible from origins (n, 2), shape (n, q)."""
+        # Threads cannot share a prepared geometry.
         sight = shapely.from_wkb(shapely.to_wkb(self.sight))
         shapely.prepare(sight)
         ends = np.empty((len(origins), len(targets), 2, 2))
@@ -61,8 +61,8 @@ class Floor:
 def make_floor(plan: Plan) -> Floor:
     """Return the floor of a plan.
 
-    Raises `InputError` when a polygon crosses itself or has no area, home or a landmark is off the
-    floor or in a shelf, nothing of the floor is free, or the grid has too many points.
+    Raises `InputError` when a polygon crosses itself or has no area, home or a landmark is outside
+    or in a shelf, no point is free, or the grid has too many points.
     """
     outline = _polygon(plan.outline, "outline")
     shelves = tuple(_polygon(s, f"shelves.{i}") for i, s in enumerate(plan.shelves))
@@ -83,25 +83,25 @@ def make_floor(plan: Plan) -> Floor:
     shapely.prepare(free)
     inside = shapely.contains_xy(free, *np.meshgrid(x, y))
     if not inside.any():
-        raise InputError("no point of the grid is free: see grid, clearance, outline and shelves")
+        raise InputError("no point of the grid is free; check grid, clearance, outline and shelves")
     return Floor(outline, shelves, sight, x, y, np.asarray(inside))
 
 
 def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
-    """Return places (k, 2) for further landmarks [m]: the plan's, or along walls and shelves.
+    """Return candidate places (k, 2) for further landmarks [m]: the plan's, or along all walls.
 
-    The latter are evenly spaced, in sight of the floor, and at most `MOST_CANDIDATES`.
+    The latter are evenly spaced along walls and shelves, visible, and at most `MAX_CANDIDATES`.
     """
     if plan.candidates:
         return np.array(plan.candidates, float)
     rings = [floor.outline.exterior, *(s.exterior for s in floor.shelves)]
-    spacing = max(SPACING, sum(r.length for r in rings) / MOST_CANDIDATES)
+    spacing = max(SPACING, sum(r.length for r in rings) / MAX_CANDIDATES)
     places = [
         shapely.get_coordinates(r.interpolate(np.arange(0.5 * spacing, r.length, spacing)))
         for r in rings
     ]
     every = np.vstack(places)
-    return np.asarray(every[shapely.covers(floor.sight, shapely.points(every))][:MOST_CANDIDATES])
+    return np.asarray(every[shapely.covers(floor.sight, shapely.points(every))][:MAX_CANDIDATES])
 
 
 def _polygon(corners: tuple[tuple[float, float], ...], key: str) -> Polygon:
@@ -136,9 +136,9 @@ def _grid(outline: Polygon, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Return coordinates of the centres of square cells that cover the outline."""
     west, south, east, north = outline.bounds
     size = (east - west) / step, (north - south) / step
-    if max(size) > MOST_CELLS or size[0] * size[1] > MOST_CELLS:
+    if max(size) > MAX_CELLS or size[0] * size[1] > MAX_CELLS:
         raise InputError(
-            f"grid: {step:g} m makes more than {MOST_CELLS:,} points; choose a wider one"
+            f"grid: {step:g} m gives more than {MAX_CELLS:,} points; use a larger spacing"
         )
     columns, rows = (max(1, round(s)) for s in size)
     x = west + (np.arange(columns) + 0.5) * (east - west) / columns

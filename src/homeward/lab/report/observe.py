@@ -23,17 +23,17 @@ from homeward.runs.report.template import render
 from homeward.runs.report.words import name
 
 GHOSTS = 7
-"""So many other homes are drawn on each curve."""
+"""Number of other homes on each curve."""
 WORST_M = 3.0
-"""The colours of a map end at this error [m]."""
+"""Upper limit of the colours of a map [m]."""
 BEST_M = 0.03
 MAP_IN = 5.3
-"""Width of the map of a drive, which its scale and the colour bar leave it [inch]."""
+"""Width of the map of a drive without scale and colour bar [inch]."""
 COLOURS = "viridis_r"
 
 
 def draw_family(view: ModelView) -> Figure:
-    """Draw a drive past landmarks, and other homes and landmarks that give the same bearings."""
+    """Draw a drive with landmarks, and other homes and landmarks with the same bearings."""
     scene, q = view.drive.scene, len(view.drive.scene.names)
     with style():
         figure = new_figure(5.8)
@@ -57,7 +57,7 @@ def draw_family(view: ModelView) -> Figure:
 
 
 def _draw_trace(axes: Axes, trace: Trace, q: int) -> None:
-    """Draw a curve of homes with some of them, and of the landmarks where these move."""
+    """Draw a curve of homes with some of them, and curves of landmarks that move."""
     homes = trace.homes
     if np.ptp(homes[:, :2], axis=0).max() > 1e-6:
         axes.plot(*homes[:, :2].T, color=ORANGE, lw=1.6, zorder=2)
@@ -81,7 +81,7 @@ def _draw_arrow(axes: Axes, pose: np.ndarray, size: float, colour: str) -> None:
 
 
 def _limit(axes: Axes, view: ModelView) -> None:
-    """Show everything that is real, and of the family what lies not too far from it."""
+    """Set the limits to the scene and the near part of the family."""
     scene = view.drive.scene
     real = np.vstack([scene.home[None, :2], scene.landmarks, scene.poses[:, :2]])
     centre, reach = real.mean(axis=0), 1.3 * float(np.ptp(real, axis=0).max())
@@ -99,11 +99,11 @@ def _legend(figure: Figure, axes: Axes, view: ModelView) -> None:
     axes.plot([], [], marker=HOUSE, ms=9, color=INK, ls="none", label="home")
     moves = [np.ptp(t.homes, axis=0).max() > 1e-6 for t in view.family]
     if any(moves):
-        label = "home, if the bearings are to be the same"
+        label = "other homes with the same bearings"
         axes.plot([], [], marker=HOUSE, ms=8, color=ORANGE, label=label)
     q = len(view.drive.scene.names)
     if any(np.ptp(t.landmarks(q), axis=0).max() > 1e-6 for t in view.family):
-        axes.plot([], [], color=SKY, label="the landmarks then")
+        axes.plot([], [], color=SKY, label="their landmarks")
     figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=3)
 
 
@@ -114,7 +114,7 @@ def draw_drive_view(view: DriveView) -> Figure:
     extent = float((high - low).max())
     margin = 0.05 * extent + 0.2
     low, high = low - margin, high + margin
-    # As high as the map needs: no room is left above it.
+    # The height fits the map.
     height = MAP_IN * float(np.clip((high - low)[1] / (high - low)[0], 0.3, 1.2))
     norm = LogNorm(BEST_M, WORST_M, clip=True)
     with style():
@@ -137,9 +137,7 @@ def draw_drive_view(view: DriveView) -> Figure:
             name_mark(top, name(text), place, (7, 4), annotation_clip=True, zorder=8)
         _draw_home(top, np.zeros(3), 0.5 * extent)
         top.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-        figure.colorbar(
-            lines, ax=top, label="position from home\nat best [m]", shrink=0.8, pad=0.02
-        )
+        figure.colorbar(lines, ax=top, label="minimum position\nerror [m]", shrink=0.8, pad=0.02)
         _draw_time(bottom, view, middles, sigmas)
     return figure
 
@@ -158,14 +156,14 @@ def _draw_time(axes: Axes, view: DriveView, t: np.ndarray, sigmas: np.ndarray) -
 
 
 def _near(view: DriveView) -> np.ndarray:
-    """Return the landmarks that stand not too far from the path, shape (k, 2)."""
+    """Return the landmarks near the path, shape (k, 2)."""
     centre = view.poses[:, :2].mean(axis=0)
     reach = 2.0 + 1.5 * float(np.ptp(view.poses[:, :2], axis=0).max())
     return np.asarray(view.places[np.abs(view.places - centre).max(axis=1) < reach])
 
 
 SETTINGS_FILE = "observe.yaml"
-"""Written last: a folder that holds it is whole output of ours."""
+"""Written last; marks the folder as complete output."""
 PAGE = "observe.html"
 FIGURE = "observe"
 
@@ -173,75 +171,75 @@ FIGURE = "observe"
 def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any]) -> None:
     """Write observe.html, observe.png, observe.svg and observe.yaml; errors as `whole_folder`."""
     values = {
-        "title": f"What bearings tell: {view.drive.title}",
+        "title": f"Observability: {view.drive.title}",
         "summary": model_summary(view),
         "view": view,
         "drive": None,
         "members": sum(len(t.unknowns) - 1 for t in view.family),
         "difference": same_to(view),
     }
-    label = "Worlds in which all bearings are the same"
+    label = "Worlds with equal bearings"
     _write(directory, draw_family(view), label, values, settings)
 
 
 def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any]) -> None:
-    """Write the same of a drive."""
+    """Write the same files for a drive."""
     values = {
-        "title": f"What the bearings of {words.name(view.name, 60)} tell",
+        "title": f"Observability of {words.name(view.name, 60)}",
         "summary": drive_summary(view),
         "view": None,
         "drive": view,
         "window": settings["window"],
     }
-    label = "The path, coloured by how well its bearings tell home"
+    label = "The path, coloured by the minimum position error"
     _write(directory, draw_drive_view(view), label, values, settings)
 
 
 def model_summary(view: ModelView) -> str:
-    """Say in a few sentences what cannot be told."""
+    """Return the unobservable directions in a few sentences."""
     if view.model is not None:
         m = view.model
         known = [
             w for w, yes in (("a compass", m.compass), ("known distances", m.distances)) if yes
         ]
         extra = f" and {' and '.join(known)}" if known else ""
-        head = f"With {words.count(m.landmarks, 'landmark')}{extra}, bearings tell {m.rank} of the"
-        head += f" {m.n} dimensions of the state."
+        head = f"With {words.count(m.landmarks, 'landmark')}{extra}, bearings determine {m.rank} of"
+        head += f" the {m.n} dimensions of the state."
     else:
         d = view.drive
         head = (
-            f"{d.title[0].upper()}{d.title[1:]}: {d.found.value} of {d.unknowns} unknowns are told."
+            f"{d.title[0].upper()}{d.title[1:]}: {d.found.value} of {d.unknowns} unknowns are"
+            " observable."
         )
     if not view.freedoms:
-        return f"{head} Nothing is left open."
+        return f"{head} Everything is observable."
     return " ".join([head, *(f"{f.words[0].upper()}{f.words[1:]}." for f in view.freedoms)])
 
 
 def drive_summary(view: DriveView) -> str:
-    """Say in a few sentences how well a drive determines home, and where not."""
+    """Return in a few sentences how well a drive determines home, and where not."""
     blind = [w for w in view.windows if not np.isfinite(w.position_sigma)]
-    told = [w for w in view.windows if np.isfinite(w.position_sigma)]
+    known = [w for w in view.windows if np.isfinite(w.position_sigma)]
     whole = view.whole
-    text = f"All its bearings together do not tell the pose: {'; '.join(whole.weakest)}."
+    text = f"All bearings together do not determine the pose: {'; '.join(whole.weakest)}."
     if np.isfinite(whole.position_sigma):
         text = (
-            "All its bearings together place the robot relative to home to"
-            f" {words.quantity(whole.position_sigma, 'm')} and {words.degrees(whole.heading_sigma)}"
-            " at best."
+            "Minimum error of the pose relative to home from all bearings together:"
+            f" {words.quantity(whole.position_sigma, 'm')}, {words.degrees(whole.heading_sigma)}."
         )
     parts = [text]
-    if told:
-        middle = float(np.median([w.position_sigma for w in told]))
-        worst = max(told, key=lambda w: w.position_sigma)
+    if known:
+        middle = float(np.median([w.position_sigma for w in known]))
+        worst = max(known, key=lambda w: w.position_sigma)
         parts.append(
-            f"Stretch by stretch it is {words.quantity(middle, 'm')} in the median; weakest are"
-            f" {worst.begin:.0f} to {worst.end:.0f} s, where {'; '.join(worst.weakest)}"
-            f" by ±{words.quantity(worst.position_sigma, 'm')}."
+            f"In single windows its median is {words.quantity(middle, 'm')}. The worst window is"
+            f" {worst.begin:.0f} to {worst.end:.0f} s"
+            f" (±{words.quantity(worst.position_sigma, 'm')}: {'; '.join(worst.weakest)})."
         )
     if blind:
         parts.append(
-            f"In {len(blind)} of {len(view.windows)} stretches the bearings do not tell the pose:"
-            f" first from {blind[0].begin:.0f} to {blind[0].end:.0f} s, where"
+            f"In {len(blind)} of {len(view.windows)} windows the bearings do not determine the"
+            f" pose. The first is {blind[0].begin:.0f} to {blind[0].end:.0f} s:"
             f" {'; '.join(blind[0].weakest)}."
         )
     return " ".join(parts)

@@ -1,4 +1,4 @@
-"""The loop of every simulated drive: a control law, the robot's sensors, and the log."""
+"""Loop of a simulated drive: control law, sensors and log."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from homeward.lab.simulation.world import Stream, World, generator, in_view, qua
 
 
 class Wheels:
-    """Odometry: the commanded twist, which the robot follows exactly, with its errors."""
+    """Odometry: the commanded twist, which the robot follows exactly, plus errors."""
 
     def __init__(self, scenario: Course) -> None:
         errors, root = scenario.odometry, math.sqrt(scenario.rates.odometry)
@@ -42,7 +42,7 @@ class Wheels:
         self._noise = generator(scenario, Stream.ODOMETRY)
 
     def measure(self, twist: Twist) -> Twist:
-        """Return what odometry makes of a twist, as a log would hold it."""
+        """Return the measured twist, rounded as in a log."""
         white_v, white_omega = self._noise.standard_normal(2).tolist()
         v = (1 + self._speed_scale) * twist.v + self._sigmas[0] * white_v
         omega = (1 + self._turn_scale) * twist.omega + self._turn_bias
@@ -52,7 +52,7 @@ class Wheels:
 def _constant_errors(
     errors: OdometryErrors, rng: np.random.Generator
 ) -> tuple[float, float, float]:
-    """Return speed scale, turn scale and turn bias [rad/s] of this drive, drawn unless given."""
+    """Return the speed scale, turn scale and turn bias [rad/s]: given, or drawn for this drive."""
     draws = rng.standard_normal(3).tolist()
     given = errors.speed_scale, errors.turn_scale, errors.turn_bias
     sigmas = errors.speed_scale_sigma, errors.turn_scale_sigma, errors.turn_bias_sigma
@@ -64,7 +64,7 @@ def _constant_errors(
 
 
 class Camera:
-    """Bearings of the landmarks that are in view and that chance lets through."""
+    """Camera: noisy bearings of a random part of the landmarks in view."""
 
     def __init__(self, scenario: Scenario, world: World) -> None:
         self._scenario, self._world = scenario, world
@@ -73,10 +73,10 @@ class Camera:
         self._confusion = generator(scenario, Stream.WRONG_IDS)
 
     def look(self, robot: Pose) -> dict[str, float]:
-        """Return id to bearing from the camera's axis [rad], as a log would hold it.
+        """Return id to bearing from the camera's axis [rad], rounded as in a log.
 
-        `robot` is the true pose of its centre in the home frame. Each call draws the same amount
-        from each stream, whatever is in view.
+        `robot` is the true pose of its centre in the home frame. Each call draws as many random
+        numbers as there are landmarks, so that the noise does not depend on the view.
         """
         world, sigma = self._world, self._scenario.noise.bearing_sigma
         camera = compose(world.home, compose(robot, self._scenario.sensor.pose))
@@ -86,10 +86,10 @@ class Camera:
         return {ids[i]: quantise(measured[i], 5) for i in np.flatnonzero(self._seen(camera))}
 
     def _seen(self, camera: Pose) -> np.ndarray:
-        """Say which landmarks are seen, shape (q,), from a camera in room coordinates.
+        """Return which landmarks are seen, shape (q,), from a camera in room coordinates.
 
-        Each of those in view is, with the given probability; when these are fewer than `at_least`,
-        a random set of just so many of those in view is seen, as far as there are any.
+        Each landmark in view is seen with the given probability. If these are fewer than
+        `at_least`, further landmarks in view are added at random up to that number.
         """
         visibility = self._scenario.visibility
         view = in_view(camera, self._world.places, visibility, self._scenario.room)
@@ -102,7 +102,7 @@ class Camera:
         return np.asarray(seen)
 
     def _read_ids(self) -> list[str]:
-        """Return the id read off each landmark, some of them those of others."""
+        """Return the id that is read for each landmark; a share of the ids is wrong."""
         ids, q = self._world.ids, len(self._world.ids)
         wrong = self._confusion.random(q) < self._scenario.noise.wrong_ids
         steps = self._confusion.integers(1, max(q, 2), q)
@@ -110,7 +110,7 @@ class Camera:
 
 
 def stamps(course: Course) -> tuple[list[float], list[float], list[float]]:
-    """Return the increasing stamps of a drive's odometry, bearings and truth [s]."""
+    """Return the increasing stamps of odometry, bearings and ground truth [s]."""
     rates, duration = course.rates, course.trajectory.duration
     rng = generator(course, Stream.TIMES)
     odometry = _stamps(rates.odometry, duration, rates.jitter, rng)
@@ -119,12 +119,12 @@ def stamps(course: Course) -> tuple[list[float], list[float], list[float]]:
 
 
 def within(stamps: list[float], begin: float, end: float) -> list[float]:
-    """Return those in [begin, end) of increasing stamps."""
+    """Return the stamps in [begin, end), from increasing stamps."""
     return stamps[bisect_left(stamps, begin) : bisect_left(stamps, end)]
 
 
 def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generator) -> list[float]:
-    """Return increasing stamps [s] from 0 to `duration`, whole milliseconds."""
+    """Return increasing stamps [s] from 0 to `duration`, in whole milliseconds."""
     regular = np.arange(int(duration * rate + 1e-9) + 1) / rate
     off = rng.uniform(-jitter, jitter, regular.size)
     off[0] = 0.0
@@ -132,9 +132,9 @@ def _stamps(rate: float, duration: float, jitter: float, rng: np.random.Generato
 
 
 class Log:
-    """Log of a robot, passed to the estimator in the loop as it is written.
+    """Log of a robot; each sample also goes to the estimator in the loop.
 
-    `yaw` is that of the camera on the robot [rad].
+    `yaw` is the camera's yaw on the robot [rad].
     """
 
     def __init__(self, estimator: Estimator | None, yaw: float = 0.0) -> None:
@@ -144,13 +144,13 @@ class Log:
         self._truth: list[tuple[float, float, float, float]] = []
         self.estimates: list[Estimate] = []
         self.seen: dict[str, float] = {}
-        """Id to direction in the home frame [rad], of what was seen last, as far as is known."""
+        """Id to direction [rad] of the last sightings, in the estimated home frame."""
         self._latest: Mapping[str, float] = {}
-        self.last_words = ""
+        self.failure = ""
         """Why the robot gave up."""
 
     def believed(self, t: float, true: Pose) -> Belief:
-        """Return the estimate that steers: the estimator's, or the truth."""
+        """Return the estimate that the controller uses: the estimator's, or the true pose."""
         if self._estimator is None:
             return exact(true, self.seen)
         estimate = self._estimator.estimate(t)
@@ -165,16 +165,16 @@ class Log:
     def bearings(
         self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float] | None = None
     ) -> None:
-        """Log id to bearing and perhaps sigma [rad]; where nothing was seen, nothing is left."""
+        """Log bearings and optional sigmas by id [rad]; without sightings nothing is logged."""
         self._latest, given = seen, sigmas or {}
         self._sightings.extend((t, i, value, given.get(i, np.nan)) for i, value in seen.items())
         if self._estimator is not None and seen:
             self.estimates.append(self._estimator.bearings(t, seen, sigmas))
 
     def face(self, t: float, true: Pose) -> None:
-        """Turn what was seen at `t` [s] into the home frame, by the heading of what steers."""
+        """Rotate the sightings at `t` [s] into the home frame by the heading used for control."""
         if self.estimates and self.estimates[-1].t == t:
-            pose = self.estimates[-1].pose  # it has just answered
+            pose = self.estimates[-1].pose  # the answer to these sightings
         else:
             pose = self.believed(t, true).pose
         if pose is not None:
@@ -187,7 +187,7 @@ class Log:
         self._truth.append((t, quantise(pose.x, 4), quantise(pose.y, 4), quantise(heading, 4)))
 
     def fill(self, drive: Drive) -> Drive:
-        """Return the drive with everything that was logged."""
+        """Return the drive with the logged samples."""
         return replace(
             drive,
             odometry=Odometry(*np.array(self._odometry, float).T),
@@ -196,32 +196,32 @@ class Log:
         )
 
 
-STEPS_PER_TELLING = 200
-"""Number of steps from one report of progress to the next."""
+STEPS_PER_REPORT = 200
+"""Number of steps between two reports of progress."""
 
 
 class Ending(enum.Enum):
     """Why a drive ended."""
 
     DONE = "done"
-    """The control law was done, as far as the robot knew."""
+    """The control law ended, according to the robot's estimate."""
     GAVE_UP = "gave up"
-    """It got nowhere."""
+    """The robot made no progress."""
     TIME_UP = "time up"
-    """The longest duration was reached."""
+    """The maximum duration was reached."""
 
 
 @dataclass(frozen=True)
 class Driven:
-    """What came of a simulated drive."""
+    """Result of a simulated drive."""
 
     drive: Drive
-    """With truth in the home frame."""
+    """With ground truth in the home frame."""
     ending: Ending
     final_pose: Pose
-    """True pose in the home frame where the drive ended."""
+    """True pose in the home frame at the end."""
     estimates: list[Estimate]
-    """What the estimator in the loop answered to each stamp of bearings; empty without one."""
+    """Answers of the estimator in the loop, one for each stamp of bearings; empty without one."""
 
     @property
     def final_distance(self) -> float:
@@ -236,18 +236,18 @@ def drive_course(
     home: Mapping[str, float],
     progress: Callable[[float], None] | None = None,
 ) -> tuple[Ending, Pose]:
-    """Drive, and log odometry and truth; return why the drive ended, and the true pose there.
+    """Drive, and log odometry and ground truth; return why the drive ended, and the last true pose.
 
-    `look` is called at each stamp of the camera with the time [s] and the true pose of the robot's
-    centre in the home frame, and logs the sightings. `home` has home bearings [rad] by id, for laws
-    that steer by them. `progress` gets the share of the longest duration that is done, in [0, 1].
+    `look` logs the sightings: it is called at each stamp of the camera with the time [s] and the
+    true pose of the robot's centre in the home frame. `home` has home bearings [rad] by id, for
+    bearing-only laws. `progress` receives the fraction of the maximum duration, in [0, 1].
     """
     pose = course.start.in_home_frame(course.home.pose)
     control, wheels = make_control(course, pose, home), Wheels(course)
     odometry, bearings, truth = stamps(course)
     push = course.trajectory.push if isinstance(course.trajectory, Repeat) else None
     for step, (t, until) in enumerate(zip_longest(odometry, odometry[1:])):
-        if progress is not None and step % STEPS_PER_TELLING == 0:
+        if progress is not None and step % STEPS_PER_REPORT == 0:
             progress(t / course.trajectory.duration)
         twist = control.twist(t, log.believed(t, pose))
         if twist is None or until is None:
@@ -262,10 +262,10 @@ def drive_course(
         pose = advance(pose, twist, until - t)
         if push is not None and t <= push.at < until:
             pose = compose(pose, Pose(push.x, push.y, push.turn))
-    # Every drive ends standing still, with a last word of odometry and truth.
+    # Every drive ends at rest, with a last sample of odometry and ground truth.
     log.odometry(t, wheels.measure(Twist(0.0, 0.0)))
     log.truth(t, pose)
-    log.last_words = control.gave_up
+    log.failure = control.gave_up
     ended = Ending.GAVE_UP if control.gave_up else Ending.DONE
     return ended if twist is None else Ending.TIME_UP, pose
 
@@ -278,10 +278,9 @@ def before(
 ) -> Drive:
     """Return the drive of a course before it begins: home and settings, no samples.
 
-    Of errors that were drawn it has the sigmas alone. Sigma, where known, and field of view are
-    those of the camera [rad].
+    Its settings contain the sigmas of the drawn errors, not the errors. `bearing_sigma` (None where
+    unknown) and `field_of_view` are those of the camera [rad].
     """
-    told = set(OdometryNoise.model_fields)
     return Drive(
         name=course.name,
         odometry=Odometry(*np.empty((3, 0))),
@@ -294,19 +293,21 @@ def before(
                 field_of_view=field_of_view,
             ),
             home_sensor=course.home_sensor,
-            odometry=OdometryNoise(**course.odometry.model_dump(include=told)),
+            odometry=OdometryNoise(
+                **course.odometry.model_dump(include=set(OdometryNoise.model_fields))
+            ),
             start=_draw_prior(course) if course.start.prior else None,
         ),
     )
 
 
 def _draw_prior(scenario: Course) -> Start:
-    """Return a start prior whose mean is off the truth as its sigmas say."""
+    """Return a start prior whose mean is drawn around the true start with its sigmas."""
     start = scenario.start
     true = to_polar(start.in_home_frame(scenario.home.pose))
     sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
     drawn = Polar(*(np.array(true) + sigmas * generator(scenario, Stream.PRIOR).standard_normal(3)))
-    if drawn.R < 0:  # the same place, said with a positive distance
+    if drawn.R < 0:  # the same place with a positive distance
         drawn = to_polar(from_polar(drawn))
     mean = drawn.R, wrap(drawn.theta), wrap(drawn.alpha)
     return Start.about(Polar(*(quantise(value, 4) for value in mean)), *sigmas)

@@ -1,4 +1,4 @@
-"""A simulated robot for a live session: senses, drives as commanded, and talks over TCP."""
+"""Simulated robot for a live session: senses, follows commands, communicates over TCP."""
 
 from __future__ import annotations
 
@@ -40,37 +40,37 @@ from homeward.live.server import HELLO_S, Address
 
 
 class Sensed(NamedTuple):
-    """What the robot's sensors say at one time."""
+    """Sensor readings at one time."""
 
     t: float
     """[s]"""
     twist: Twist
-    """By its wheels."""
+    """Measured by the wheels."""
     seen: Mapping[str, float] | None
-    """Id to bearing from the camera's axis [rad]; None where the camera did not look."""
+    """Id to bearing from the camera's axis [rad]; None where no frame was taken."""
 
 
 class LiveRobot:
-    """A robot in a scenario, at its start, of which only the trajectory is not driven.
+    """Robot of a scenario, driven by commands instead of the scenario's trajectory.
 
-    Rates are the scenario's, its jitter left out. A command that is not repeated in time ends.
+    It uses the scenario's rates without jitter. A command that is not repeated in time ends.
     """
 
     def __init__(self, scenario: Scenario) -> None:
         self.view = scenario.view
-        """Of the camera [rad]."""
+        """Field of view of the camera [rad]."""
         self.turns = scenario.trajectory.spin is not None
-        """Whether home is where it begins, and is stored by a turn."""
+        """Whether home is the start, and is stored by a rotation there."""
         self.drive = prepare(scenario)
-        """Before it begins: home and settings, no samples."""
+        """Home and settings, no samples."""
         self.world = build_world(scenario)
         self.t = 0.0
         """[s]"""
         self.pose = scenario.start.in_home_frame(scenario.home.pose)
-        """True, in the home frame; for scoring alone."""
+        """True pose in the home frame, for scoring only."""
         self._home = self.pose if self.turns else Pose(0.0, 0.0, 0.0)
         self.period = 1.0 / scenario.rates.odometry
-        """Of `step` [s]."""
+        """Duration of a `step` [s]."""
         self._looks = 1.0 / scenario.rates.bearings
         self._steps = self._looked = 0
         self._wheels, self._camera = Wheels(scenario), Camera(scenario, self.world)
@@ -82,11 +82,11 @@ class LiveRobot:
         return math.hypot(self.pose.x - self._home.x, self.pose.y - self._home.y)
 
     def command(self, twist: Twist, hold: float) -> None:
-        """Drive by `twist` from the next step on, for `hold` [s]."""
+        """Drive with `twist` from the next step on, for `hold` [s]."""
         self._command, self._until = twist, self.t + hold
 
     def step(self) -> Sensed:
-        """Say what is sensed now, and drive on until it is time for that again."""
+        """Return the sensor readings now, and drive for one period."""
         twist = self._command if self.t < self._until else STAND
         seen = None
         if self.t >= self._looked * self._looks - 1e-9:
@@ -98,30 +98,30 @@ class LiveRobot:
         return sensed
 
     def sense_by(self, scenario: Scenario) -> None:
-        """Sense as another scenario has it from now on; landmarks, home and rates stay."""
+        """Use the sensors of another scenario from now on; landmarks, home and rates stay."""
         self._wheels, self._camera = Wheels(scenario), Camera(scenario, self.world)
 
     def move_landmark(self, name: str, dx: float, dy: float) -> None:
-        """Move a landmark by so much, in room coordinates [m]."""
+        """Move a landmark by (dx, dy), in room coordinates [m]."""
         self.world.places[self.world.ids.index(name)] += (dx, dy)
 
 
-LOOKS_ROUND_S = 8.0
-"""It drives in circles for so long at least, and until it is localised [s]."""
-CIRCLES = 0.15
-"""At this speed [m/s]."""
+MIN_CIRCLES_S = 8.0
+"""The robot drives in circles until it is localised, and at least for this time [s]."""
+CIRCLE_SPEED = 0.15
+"""[m/s]"""
 
 
 Task = GoalMessage | StoreRoute
-"""Task of a robot in a session; to store a route it drives it."""
+"""Task of a robot in a session; to store a route, the robot drives it."""
 
 
 class SimulatedRobotClient:
-    """Client of a live session: circles until it is localised, and then does its task.
+    """Client of a live session: drives in circles until localised, then does its task.
 
-    It follows the session's commands, home (by default) or elsewhere, or drives a route by hand to
-    teach it: `hand` returns what drives it along that, from a pose. A robot that turns at home does
-    that first. It gives up after `longest` [s of its own time].
+    It follows the session's commands, home by default, or teaches a route with its own control:
+    `make_control` returns that from a pose. A robot that stores home by a rotation does so first.
+    It gives up after `longest` [s of its own time].
     """
 
     def __init__(
@@ -129,44 +129,44 @@ class SimulatedRobotClient:
         robot: LiveRobot,
         longest: float = 300.0,
         task: Task | None = None,
-        hand: Callable[[Pose], Control] | None = None,
+        make_control: Callable[[Pose], Control] | None = None,
     ) -> None:
         self.robot, self._longest = robot, longest
         self.task: Task = task or GoHome()
         self.ending: Command | EventOut | None = None
-        """What was said last of the task: a command "arrived" or "failed", or, of a route that
-        is to be stored, what came of that."""
-        self._search = Search(CIRCLES, robot.view)
+        """Last message about the task: a command "arrived" or "failed", or the event of a route
+        that was to be stored."""
+        self._search = Search(CIRCLE_SPEED, robot.view)
         self._turning = robot.turns
         self._status = Status.WAITING
         self._asked, self._began = False, 0.0
-        self._hand = hand
-        self._driven: Control | None = None
-        """What drives it along the route that it teaches, once that has begun."""
+        self._make_control = make_control
+        self._teaching: Control | None = None
+        """Control along the route to teach, once that has begun."""
         self._stored = False
 
     @property
     def succeeded(self) -> bool:
-        """Whether it did its task."""
+        """Whether the task is done."""
         if isinstance(self.ending, EventOut):
             return self.ending.type == "event"
         return self.ending is not None and self.ending.state == "arrived"
 
     @property
-    def last_words(self) -> str:
-        """What was said last of its task."""
-        said = self.ending
-        if said is None or isinstance(said, EventOut):
-            return "" if said is None else said.text
-        return f"{said.state}: {said.reason}"
+    def summary(self) -> str:
+        """Last message about the task, as text."""
+        ending = self.ending
+        if ending is None or isinstance(ending, EventOut):
+            return "" if ending is None else ending.text
+        return f"{ending.state}: {ending.reason}"
 
     def restart(self) -> None:
-        """Drive in circles again, from where it ended."""
+        """Drive in circles again, from the current pose."""
         self.ending, self._asked, self._began = None, False, self.robot.t
         self._search.end()
 
     def home(self) -> SetHome | TurnHome:
-        """Return what the robot's camera saw at home, or that it turns there."""
+        """Return the message with the home bearings, or the request to turn at home."""
         if self.robot.turns:
             return TurnHome()
         home = self.robot.drive.home
@@ -176,11 +176,11 @@ class SimulatedRobotClient:
         )
 
     def step(self) -> Iterator[Input]:
-        """Drive for one period of the odometry; yield what is to be said."""
+        """Drive for one period of the odometry; yield the messages to send."""
         if not self._asked and not self._turning:
             self.robot.command(self._search.twist(self.robot.t), hold=1.0)
-        elif self._driven is not None and not self._stored:
-            twist = self._driven.twist(self.robot.t, exact(self.robot.pose))
+        elif self._teaching is not None and not self._stored:
+            twist = self._teaching.twist(self.robot.t, exact(self.robot.pose))
             self.robot.command(twist or STAND, hold=1.0)
             if twist is None:
                 self._stored = True
@@ -189,32 +189,33 @@ class SimulatedRobotClient:
         yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
         if sensed.seen is not None:
             yield BearingsIn(t=sensed.t, bearings=sensed.seen)
-        looked = not self._turning and sensed.t - self._began > LOOKS_ROUND_S
+        looked = not self._turning and sensed.t - self._began > MIN_CIRCLES_S
         if looked and not self._asked and self._status is Status.LOCALISED:
             self._asked = True
-            yield self.task if self._hand is None else BeginRoute()
+            yield self.task if self._make_control is None else BeginRoute()
 
-    def on_message(self, said: object) -> None:
-        """Take a message of the session."""
-        if isinstance(said, Answer):
-            self._status = said.status
-        elif isinstance(said, EventOut) and self._asked and self._hand is not None:
+    def on_message(self, message: object) -> None:
+        """Handle a message of the session."""
+        teaches = self._make_control is not None
+        if isinstance(message, Answer):
+            self._status = message.status
+        elif isinstance(message, EventOut) and self._asked and self._make_control is not None:
             if self._stored:
-                self.ending = said
-            elif said.type == "error":  # it knows too little yet
+                self.ending = message
+            elif message.type == "error":  # the map is not good enough yet
                 self.restart()
-            elif self._driven is None:
-                self._driven = self._hand(self.robot.pose)
-        elif isinstance(said, Command) and (self._turning or (self._asked and self._hand is None)):
-            self.robot.command(Twist(said.v, said.omega), said.hold)
-            if said.state in ("arrived", "failed"):
-                self.ending = said
-            elif said.state == "turned" and not self._asked:
+            elif self._teaching is None:
+                self._teaching = self._make_control(self.robot.pose)
+        elif isinstance(message, Command) and (self._turning or (self._asked and not teaches)):
+            self.robot.command(Twist(message.v, message.omega), message.hold)
+            if message.state in ("arrived", "failed"):
+                self.ending = message
+            elif message.state == "turned" and not self._asked:
                 self._turning, self._began = False, self.robot.t
 
     @property
     def done(self) -> bool:
-        """Whether its task is over, or it gave up."""
+        """Whether the task has ended, or the robot gave up."""
         return self.ending is not None or self.robot.t > self._longest
 
 
@@ -223,16 +224,12 @@ async def play(
     place: Address,
     pace: float,
     token: str | None,
-    tell: Callable[[str], None],
+    on_event: Callable[[str], None],
 ) -> None:
-    """Let a player talk to the session at an address, `pace` times as fast as time goes by.
+    """Connect a client to the session at an address, at `pace` times real time.
 
-    Raises
-    ------
-    InputError
-        When nobody listens there, or what listens is no session.
-    HomewardError
-        When the session ends the talk.
+    Raises `InputError` when no session answers there, `HomewardError` when the session ends the
+    connection.
     """
     try:
         reader, writer = await asyncio.wait_for(
@@ -240,54 +237,54 @@ async def play(
         )
     except (OSError, TimeoutError) as error:
         reason = getattr(error, "strerror", None) or str(error) or f"no answer in {HELLO_S:g} s"
-        raise InputError(f"nobody listens at {place.host}:{place.port}: {reason}") from error
+        raise InputError(f"no session at {place.host}:{place.port}: {reason}") from error
 
-    def say(message: Input) -> None:
+    def send(message: Input) -> None:
         writer.write(line_of(message).encode())
 
-    async def hear() -> Output | None:
+    async def receive() -> Output | None:
         try:
             line = await reader.readline()
         except ValueError as error:
-            raise HomewardError(f"a line of more than {MAX_LINE:,} bytes came") from error
+            raise HomewardError(f"received a line of more than {MAX_LINE:,} bytes") from error
         return parse_output(line) if line else None
 
     async def listen() -> None:
-        while (said := await hear()) is not None:
-            player.on_message(said)
-            if isinstance(said, EventOut):
-                tell(said.text)
+        while (message := await receive()) is not None:
+            player.on_message(message)
+            if isinstance(message, EventOut):
+                on_event(message.text)
 
     listening: asyncio.Task[None] | None = None
     try:
-        say(Hello(token=token))
+        send(Hello(token=token))
         try:
-            welcome = await asyncio.wait_for(hear(), HELLO_S)
+            welcome = await asyncio.wait_for(receive(), HELLO_S)
         except TimeoutError as error:
-            raise HomewardError(f"no hello within {HELLO_S:g} s") from error
+            raise HomewardError(f"no answer to hello within {HELLO_S:g} s") from error
         if isinstance(welcome, EventOut):
             raise HomewardError(welcome.text)
         if welcome is None:
-            raise HomewardError("the session ended the talk")
+            raise HomewardError("the session closed the connection")
         listening = asyncio.create_task(listen())
-        say(player.home())
+        send(player.home())
         began = time.monotonic()
         while not player.done:
             for message in player.step():
-                say(message)
+                send(message)
             await writer.drain()
             await asyncio.sleep(began + player.robot.t / pace - time.monotonic())
             if listening.done():
                 listening.result()
-                raise HomewardError("the session ended the talk")
+                raise HomewardError("the session closed the connection")
     except HomewardError as error:
         raise HomewardError(f"{place.host}:{place.port}: {error}") from error
     except ConnectionError as error:
-        raise HomewardError("the session ended the talk") from error
+        raise HomewardError("the session closed the connection") from error
     finally:
         if listening is not None:
             listening.cancel()
             await asyncio.wait([listening])
             if not listening.cancelled():
-                listening.exception()  # what it raised was raised above, or does not matter now
+                listening.exception()  # its error was raised above, or is not needed
         writer.close()

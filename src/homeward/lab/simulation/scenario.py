@@ -1,7 +1,7 @@
-"""Everything that makes a simulated drive, as one validated model in SI units.
+"""Settings of a simulated drive, as one validated model in SI units.
 
-Room coordinates are those in which the room, its shelves, home and way points are given; without a
-room they are any frame, and home sits at its origin by default.
+Room coordinates are the frame of the room, its shelves, home and way points. Home is at the origin
+by default.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from homeward.drives.settings import Finite, Mount, NonNegative, Positive
 from homeward.geometry.frames import Polar, Pose, between, from_polar
 from homeward.io.keys import Strict
 
-SMALLEST_SIDE = 1e-3
-"""Rooms and shelves are at least this wide and deep [m]."""
+MIN_SIDE_M = 1e-3
+"""Minimum width and depth of rooms and shelves."""
 
 
 def _ordered(rectangle: tuple[float, ...]) -> tuple[float, ...]:
     x_min, y_min, x_max, y_max = rectangle
-    if x_max - x_min < SMALLEST_SIDE or y_max - y_min < SMALLEST_SIDE:
+    if x_max - x_min < MIN_SIDE_M or y_max - y_min < MIN_SIDE_M:
         raise ValueError(
             "must be [x_min, y_min, x_max, y_max] with x_min < x_max and y_min < y_max"
         )
@@ -30,32 +30,32 @@ def _ordered(rectangle: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def ascending(interval: tuple[float, float]) -> tuple[float, float]:
-    """Return an interval as it is, or raise ValueError when its ends are the wrong way round."""
+    """Return an interval, or raise ValueError when its minimum exceeds its maximum."""
     if interval[0] > interval[1]:
-        raise ValueError("must be [least, most]")
+        raise ValueError("must be [minimum, maximum]")
     return interval
 
 
 Rectangle = Annotated[tuple[Finite, Finite, Finite, Finite], AfterValidator(_ordered)]
 """x_min, y_min, x_max, y_max [m]."""
 Interval = Annotated[tuple[NonNegative, NonNegative], AfterValidator(ascending)]
-"""Least and most."""
+"""Minimum and maximum."""
 Point = tuple[Finite, Finite]
 """x, y [m]."""
 Rate = Annotated[float, Field(gt=0, le=400)]
-"""[Hz]; stamps are whole milliseconds, so they must be a few apart."""
+"""[Hz]; stamps are whole milliseconds, and must differ by more than that."""
 
 
 class Room(Strict):
-    """A rectangular room with shelves that hide what is behind them."""
+    """A rectangular room with opaque shelves."""
 
     bounds: Rectangle
     """The walls."""
     shelves: tuple[Rectangle, ...] = ()
-    """As seen from above."""
+    """Seen from above."""
 
     def free(self, x: float, y: float) -> bool:
-        """Say whether the point (x, y) [m] lies within the walls and in no shelf."""
+        """Whether the point (x, y) [m] is within the walls and in no shelf."""
         return _inside(self.bounds, x, y) and not any(_inside(s, x, y) for s in self.shelves)
 
 
@@ -79,12 +79,12 @@ class RoomPose(Strict):
 
 
 class Ring(Strict):
-    """Landmarks all round home, as in the paper: at angles 2 pi i / count, more or less."""
+    """Landmarks all round home at angles of about 2 pi i / count, as in the paper."""
 
     layout: Literal["ring"] = "ring"
     count: Annotated[int, Field(ge=1)] = 7
     jitter: NonNegative = 0.3
-    """Each angle is off by at most this, uniformly [rad]."""
+    """Maximum error of each angle, uniform [rad]."""
     distance: Interval = (1.0, 2.0)
     """From home, uniform [m]."""
 
@@ -95,11 +95,11 @@ class OnSurfaces(Strict):
     layout: Literal["room"] = "room"
     count: Annotated[int, Field(ge=1)] = 15
     spacing: NonNegative = 0.5
-    """Least distance between two of them [m]."""
+    """Minimum distance between two of them [m]."""
 
 
 class Listed(Strict):
-    """Landmarks at given places."""
+    """Landmarks at given positions."""
 
     layout: Literal["listed"] = "listed"
     at: Annotated[dict[str, Point], Field(min_length=1)]
@@ -107,16 +107,16 @@ class Listed(Strict):
 
     @property
     def count(self) -> int:
-        """How many."""
+        """Number of landmarks."""
         return len(self.at)
 
 
 class Moved(Strict):
-    """Landmarks that stood elsewhere when home was stored: drawn (`count`) or named (`faults`)."""
+    """Landmarks that have moved since home was stored: drawn (`count`) or named (`faults`)."""
 
     count: Annotated[int, Field(ge=0)] = 0
     fault: Interval = (0.2, 0.5)
-    """Size of a drawn fault, uniform, of either sign [rad]."""
+    """Size of a drawn fault, uniform, with random sign [rad]."""
     faults: dict[str, Finite] = Field(default_factory=dict)
     """Id to fault: stored minus true bearing at the home camera [rad]."""
 
@@ -131,36 +131,36 @@ class Visibility(Strict):
     """Which landmarks the camera sees."""
 
     probability: Annotated[float, Field(ge=0, le=1)] = 1.0
-    """That a landmark in view is seen, each time anew; home saw all that were in view."""
+    """Of a sighting of a landmark in view, in each frame; home saw all landmarks in view."""
     at_least: Annotated[int, Field(ge=0)] = 0
-    """The paper's multi-rate p: when chance leaves fewer, more of those in view are seen."""
+    """Minimum number of sightings in a frame, if that many are in view: the paper's p."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] = 2 * math.pi
     """Full opening angle around the camera's axis [rad]."""
     range: Interval = (0.0, 1000.0)
-    """Least and greatest distance from the camera [m]."""
+    """Minimum and maximum distance from the camera [m]."""
     occlusion: bool = True
-    """Whether shelves hide what is behind them."""
+    """Whether shelves hide landmarks behind them."""
 
 
 class Noise(Strict):
-    """What is wrong with the bearings."""
+    """Errors of the bearings."""
 
     bearing_sigma: NonNegative = 0.0
     """Of each sighting [rad]."""
     home_sigma: NonNegative = 0.0
     """Of each stored home bearing [rad]."""
     wrong_ids: Annotated[float, Field(ge=0, le=1)] = 0.0
-    """Share of sightings that carry the id of another landmark."""
+    """Share of sightings with the id of another landmark."""
 
 
 class Rates(Strict):
-    """How often samples are taken."""
+    """Rates of the samples."""
 
     odometry: Rate = 20.0
     bearings: Rate = 5.0
     truth: Rate = 10.0
     jitter: NonNegative = 0.0
-    """Odometry and bearings are taken, and stamped, off their regular time by at most this [s]."""
+    """Maximum offset of odometry and bearings from their regular stamps [s]."""
 
     @model_validator(mode="after")
     def _in_order(self) -> Self:
@@ -170,25 +170,25 @@ class Rates(Strict):
 
 
 class OdometryErrors(Strict):
-    """What is wrong with the odometry: white noise, and errors that are constant in one drive."""
+    """Errors of the odometry: white noise, and errors that are constant in one drive."""
 
     speed_sigma: NonNegative = 0.0
-    """[m/s/sqrt(Hz)]; times the root of the odometry rate, it is the noise of one sample."""
+    """[m/s/sqrt(Hz)]; one sample has this times the root of the odometry rate."""
     turn_sigma: NonNegative = 0.0
     """[rad/s/sqrt(Hz)]"""
     speed_scale_sigma: NonNegative = 0.0
-    """The constant relative error of the speed is drawn with this, unless given."""
+    """Of the constant relative error of the speed, which is drawn unless given."""
     turn_scale_sigma: NonNegative = 0.0
-    """The constant relative error of the turn rate is drawn with this, unless given."""
+    """Of the constant relative error of the yaw rate, which is drawn unless given."""
     turn_bias_sigma: NonNegative = 0.0
-    """The constant error of the turn rate is drawn with this, unless given [rad/s]."""
+    """Of the constant error of the yaw rate, which is drawn unless given [rad/s]."""
     speed_scale: Finite | None = None
     turn_scale: Finite | None = None
     turn_bias: Finite | None = None
 
 
 class StartPose(Strict):
-    """Where the drive begins: (R, theta, alpha) from home, or (x, y, heading) in the room."""
+    """Start of the drive: (R, theta, alpha) from home, or (x, y, heading) in the room."""
 
     R: NonNegative | None = None
     theta: Finite | None = None
@@ -197,7 +197,7 @@ class StartPose(Strict):
     y: Finite | None = None
     heading: Finite | None = None
     prior: bool = True
-    """Whether the drive tells a start prior, drawn around the truth with these sigmas."""
+    """Whether the drive has a start prior, drawn around the true start with these sigmas."""
     sigma_R: Positive = 0.05
     sigma_theta: Positive = 0.1
     sigma_alpha: Positive = 0.1
@@ -218,14 +218,14 @@ class StartPose(Strict):
 
 
 class Trajectory(Strict):
-    """What all ways to drive share."""
+    """Settings of all trajectories."""
 
     speed: Positive = 0.3
     """[m/s]"""
     duration: Annotated[float, Field(gt=0, le=1e6)] = 600.0
-    """The drive ends then, if not before [s]."""
+    """Maximum duration of the drive [s]."""
     spin: Annotated[float, Field(ge=-math.pi, le=math.pi)] | None = None
-    """It begins with a full turn on the spot at this rate [rad/s]; None: without one."""
+    """Rate of a full rotation on the spot at the start [rad/s]; None: without one."""
 
 
 class Homing(Trajectory):
@@ -233,25 +233,24 @@ class Homing(Trajectory):
 
     kind: Literal["homing"] = "homing"
     law: str = "lyapunov"
-    """lyapunov: down the squared distance, with a proof, as `homeward live` drives; paper: turn by
-    the error, at constant speed, without limits of acceleration and certainty. Both need a pose. By
-    bearings and a compass (the heading of the pose) alone: alv, the average landmark vector; tron,
-    the squared angles of Tron and Daniilidis; or one of another package,
-    ``package.module:function`` or an entry point of homeward.laws."""
+    """With a pose: lyapunov, the law of `homeward live` with proved convergence; paper, at constant
+    speed without limits of acceleration and uncertainty. With bearings and a compass (the heading
+    of the pose) only: alv, the average landmark vector; tron, the squared angles of Tron and
+    Daniilidis; ``package.module:function``, or an entry point of homeward.laws."""
     max_turn_rate: Positive = 1.0
     """[rad/s]"""
     landmark_distance: Positive = 1.5
-    """About how far landmarks are from home [m]; laws that see no distance tell by it where they
-    are near enough to stop."""
+    """Approximate distance of landmarks from home [m], from which bearing-only laws derive where
+    to stop."""
     stop_radius: Positive = STOP_RADIUS
-    """The drive ends where the robot is localised within this distance of home [m]."""
+    """The drive ends when the robot is localised within this distance of home [m]."""
     drives_unlocalised: bool = False
-    """Whether the robot drives by any pose; else it searches while it is not localised, or less
-    certain than the limits of `homeward live` demand. The paper's law always does."""
+    """Whether the robot drives with any pose, as the paper's law always does; otherwise it searches
+    while it is not localised, or while the covariance exceeds the limits of `homeward live`."""
 
 
 class Circle(Trajectory):
-    """Drive with constant speed and turn rate, open loop."""
+    """Drive with constant speed and yaw rate, open loop."""
 
     kind: Literal["circle"] = "circle"
     omega: Finite = 0.2
@@ -259,7 +258,7 @@ class Circle(Trajectory):
 
 
 class ByPoints(Trajectory):
-    """What ways through given points share."""
+    """Settings of trajectories through given points."""
 
     kind: Literal["waypoints", "teach"]
     points: Annotated[tuple[Point, ...], Field(min_length=1)]
@@ -271,7 +270,7 @@ class ByPoints(Trajectory):
 
 
 class Waypoints(ByPoints):
-    """Drive along the line through some points, cutting its corners smoothly."""
+    """Drive along the line through the points, with smoothly cut corners."""
 
     kind: Literal["waypoints"] = "waypoints"
     stop_radius: Positive = STOP_RADIUS
@@ -279,21 +278,21 @@ class Waypoints(ByPoints):
 
 
 class Teach(ByPoints):
-    """Drive from point to point by hand, and wait at each, so that it can be kept as a way point.
+    """Drive from point to point with `homeward.control.following`, and wait at each point.
 
-    The hand is `homeward.control.following`.
+    Each stop becomes a way point of the taught route.
     """
 
     kind: Literal["teach"] = "teach"
     dwell: NonNegative = 3.0
-    """How long to wait [s]."""
+    """Waiting time at each point [s]."""
 
 
 class Push(Strict):
-    """Somebody carries the robot off, which its odometry does not notice."""
+    """The robot is carried elsewhere (kidnapped); odometry does not measure it."""
 
     at: NonNegative
-    """When that happens [s]."""
+    """Time [s]."""
     x: Finite = 0.0
     """Ahead [m]."""
     y: Finite = 0.0
@@ -303,13 +302,13 @@ class Push(Strict):
 
 
 class Repeat(Trajectory):
-    """Drive along a route of a place, from the closest point of entry."""
+    """Drive along a route of a place, from its closest point."""
 
     kind: Literal["repeat"] = "repeat"
     place: str
     """The place's folder; its first home must be the scenario's."""
     version: Annotated[int, Field(ge=1)] | None = None
-    """Of the place; None: the newest."""
+    """Version of the place; None: the newest."""
     when: Finite | None = None
     """The day of the repeat [days since 1970]; None: the one after the place's last visit."""
     route: str
@@ -318,11 +317,11 @@ class Repeat(Trajectory):
     """[rad/s]"""
     push: Push | None = None
     blocked: Interval | None = None
-    """When something is in the way, and the robot is told so [s]."""
+    """Interval in which an obstacle is reported [s]."""
 
 
 class Course(Strict):
-    """What is driven, whatever the robot sees on the way: every simulated drive has one."""
+    """Settings of every simulated drive, independent of the camera model."""
 
     name: str = "simulated"
     seed: Annotated[int, Field(ge=0)] = 0
@@ -335,11 +334,11 @@ class Course(Strict):
     start: StartPose
     trajectory: Annotated[Homing | Circle | Waypoints | Teach | Repeat, Field(discriminator="kind")]
     estimator: str = "truth"
-    """Whose pose steers the robot: the word for an estimator, or the truth."""
+    """Source of the pose that steers the robot: an estimator, or ``truth``."""
 
     @property
     def home_mount(self) -> Mount:
-        """The camera's place on the robot when home was stored."""
+        """The camera extrinsics when home was stored."""
         return self.sensor if self.home_sensor is None else self.home_sensor
 
     @property
@@ -349,7 +348,7 @@ class Course(Strict):
 
 
 class Scenario(Course):
-    """Everything that makes a simulated drive; the same scenario always makes the same drive."""
+    """Settings of a simulated drive; the same scenario always gives the same drive."""
 
     room: Room | None = None
     landmarks: Annotated[Ring | OnSurfaces | Listed, Field(discriminator="layout")]
@@ -367,7 +366,7 @@ class Scenario(Course):
         if self.landmarks.layout == "room" and self.room is None:
             raise ValueError("landmarks.layout: room needs a room")
         if self.moved.count > self.landmarks.count:
-            raise ValueError("moved.count: more than there are landmarks")
+            raise ValueError("moved.count: larger than landmarks.count")
         if self.room is not None:
             if not self.room.free(self.home.x, self.home.y):
                 raise ValueError("home: outside the room or in a shelf")

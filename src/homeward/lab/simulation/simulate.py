@@ -1,9 +1,9 @@
-"""The simulator: truth, sensors, perhaps an estimator, and a control law; its presets and files.
+"""Simulator of drives, with its presets and files.
 
-The truth follows the commanded twist exactly; odometry and bearings measure it with their errors.
-Numbers are kept as a log would hold them: stamps to 1 ms (the world is sampled at the rounded
-stamp), twists to 1e-4 m/s and rad/s, bearings to 1e-5 rad, truth and start prior to 1e-4 m and rad.
-An estimator in the loop gets these very numbers, so that a replay of the drive repeats it.
+Ground truth follows the commanded twist exactly; odometry and bearings measure it with errors.
+Numbers are rounded as in a log: stamps to 1 ms (the world is sampled at the rounded stamp), twists
+to 1e-4 m/s and rad/s, bearings to 1e-5 rad, ground truth and start prior to 1e-4 m and rad. An
+estimator in the loop receives the rounded numbers, so that a replay of the drive repeats it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from homeward.lab.simulation.world import World, build_world, home_bearings, qua
 
 @dataclass(frozen=True)
 class Simulation(Driven):
-    """A simulated drive, and the truth about it."""
+    """A simulated drive with its ground truth."""
 
     scenario: Scenario
     world: World
@@ -42,7 +42,7 @@ class Simulation(Driven):
 def prepare(scenario: Scenario) -> Drive:
     """Return the drive of a scenario before it begins: home and settings, no samples.
 
-    An estimator for the closed loop is made from this; where a route is repeated, it knows the
+    An estimator for the closed loop is made from it. Where a route is repeated, it contains the
     place instead of home. Raises `InputError` when the scenario cannot be built.
     """
     return as_visitor(scenario, _prepare(scenario, build_world(scenario)))
@@ -53,14 +53,14 @@ def simulate(
     estimator: Estimator | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> Simulation:
-    """Simulate a drive, which follows from its scenario to the last bit.
+    """Simulate a drive; the same scenario gives the same drive to the last bit.
 
-    The pose of a fresh estimator, made for ``prepare(scenario)`` and used up, steers the robot;
-    None: the truth. `progress` gets the share of the longest duration that is done, in [0, 1].
-    Raises `InputError` when the scenario cannot be built, or names an estimator and none is given.
+    `estimator`, made for ``prepare(scenario)``, steers the robot; None: the true pose does.
+    `progress` receives the fraction of the maximum duration, in [0, 1]. Raises `InputError` when
+    the scenario cannot be built, or names an estimator and none is given.
     """
     if estimator is None and scenario.estimator != "truth":
-        raise InputError(f"estimator: the scenario is steered by {scenario.estimator}; none given")
+        raise InputError(f"estimator: the scenario is steered by {scenario.estimator}; pass it")
     world = build_world(scenario)
     camera, log = Camera(scenario, world), Log(estimator, scenario.sensor.yaw)
     before = _prepare(scenario, world)
@@ -70,7 +70,7 @@ def simulate(
 
     ending, pose = drive_course(scenario, log, look, before.home_bearings(), progress)
     drive = log.fill(before)
-    return Simulation(drive, ending, pose, log.estimates, scenario, world, log.last_words)
+    return Simulation(drive, ending, pose, log.estimates, scenario, world, log.failure)
 
 
 def _prepare(scenario: Scenario, world: World) -> Drive:
@@ -91,17 +91,17 @@ CIRCLE = PAPER_HOMING.model_copy(
         "trajectory": Circle(speed=0.125, omega=0.25, duration=60.0),
     }
 )
-"""The paper's Case 4, open loop, with the same noise; its turn rate is not printed."""
+"""The paper's Case 4, open loop, with the same noise; the paper prints no yaw rate."""
 PRESETS = {scenario.name: scenario for scenario in (WAREHOUSE, PAPER_HOMING, CIRCLE)}
-"""Scenarios that come with homeward, by name: files of data/scenarios, as users write them."""
+"""Scenarios that ship with homeward, by name."""
 
 
 def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scenario:
-    """Return a scenario by the name of a preset or from a YAML file, perhaps changed.
+    """Return a preset by name, or a scenario from a YAML file, with optional changes.
 
-    Changes are keys in dots ("noise.bearing_sigma") to new values. Another `trajectory.kind` keeps
-    the speed and duration of the old one, and to teach its points, too. Raises `InputError` for a
-    file that cannot be read, a key that does not exist, or a value out of range.
+    Changes are dotted keys ("noise.bearing_sigma") to new values. A new `trajectory.kind` keeps
+    speed and duration; `teach` also keeps the points. Raises `InputError` for a file that cannot be
+    read, an unknown key, or a value out of range.
     """
     if (scenario := PRESETS.get(source)) is None:
         scenario = read_settings(shipped_or_file(source, "presets", PRESETS), Scenario)
@@ -109,7 +109,7 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
 
 
 def changed_scenario(scenario: AnyCourse, changes: Mapping[str, Any] | None) -> AnyCourse:
-    """Return a scenario with some keys changed; parameters and errors as `load_scenario`."""
+    """Return a scenario with some keys changed; see `load_scenario`."""
     if not changes:
         return scenario
     tree = scenario.model_dump(exclude_none=True)
@@ -119,13 +119,13 @@ def changed_scenario(scenario: AnyCourse, changes: Mapping[str, Any] | None) -> 
 
 
 def scenario_yaml(scenario: Course) -> str:
-    """Return the whole scenario as YAML text, defaults and all."""
+    """Return the whole scenario as YAML text, including defaults."""
     tree = scenario.model_dump(mode="json", exclude_none=True)
     return yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
 
 
 def write_simulation(simulation: Simulation, folder: Path) -> None:
-    """Write the drive folder, scenario.yaml, and world.csv: the truth about the landmarks.
+    """Write the drive folder, scenario.yaml, and world.csv with the ground truth of landmarks.
 
     world.csv has landmark, x, y [m, home frame], moved (0 or 1) and fault [rad]; no estimator reads
     it. Raises `InputError` when the folder cannot be written.
@@ -143,7 +143,7 @@ def write_simulation(simulation: Simulation, folder: Path) -> None:
 
 
 def _change(tree: dict[str, Any], key: str, value: Any) -> None:
-    """Set one key, given in dots, in nested mappings."""
+    """Set one dotted key in nested mappings."""
     *sections, last = key_parts(key)
     branch = tree
     for section in sections:

@@ -1,7 +1,7 @@
-"""Control of a simulated robot: from the time and its estimate to a command, until it is done.
+"""Control of a simulated robot: a command from the time and the estimate.
 
-A robot with a goal is driven by `homeward.control`, as a real one is. This module adds the search
-of a robot without a pose, scripted drives on the true pose, and the place of a repeated route.
+`homeward.control` drives a simulated robot to its goal, as it drives a real one. This module adds
+the search without a pose, scripted drives with the true pose, and the place of a repeated route.
 """
 
 from __future__ import annotations
@@ -46,60 +46,55 @@ from homeward.places.place import Place
 
 
 def settled(scenario: Scenario) -> Scenario:
-    """Return a scenario that names the version of its place, and the day: it repeats as it is.
+    """Return a scenario with the version of its place and the day set, so that it is repeatable.
 
     Raises `InputError` when there is no such place or route.
     """
-    told = scenario.trajectory
-    if not isinstance(told, Repeat):
+    repeat = scenario.trajectory
+    if not isinstance(repeat, Repeat):
         return scenario
-    version = told.version or newest(told.place)
-    place = load_place(told.place, version)
-    place.route(told.route)
-    where = os.path.realpath(told.place)
-    now = {"place": where, "version": version, "when": _day(told, place)}
-    return scenario.model_copy(update={"trajectory": told.model_copy(update=now)})
-
-
-def place_of(told: Repeat) -> Place:
-    """Return the place whose route is repeated; `InputError` where it cannot be read."""
-    return load_place(told.place, told.version)
+    version = repeat.version or newest(repeat.place)
+    place = load_place(repeat.place, version)
+    place.route(repeat.route)
+    where = os.path.realpath(repeat.place)
+    now = {"place": where, "version": version, "when": _day(repeat, place)}
+    return scenario.model_copy(update={"trajectory": repeat.model_copy(update=now)})
 
 
 def as_visitor(scenario: Scenario, drive: Drive) -> Drive:
-    """Return a drive that knows the place whose route it repeats; of any other scenario as it is.
+    """Return a drive with the place whose route it repeats, if the scenario repeats one.
 
     Raises `InputError` when the place cannot be read.
     """
-    told = scenario.trajectory
-    if not isinstance(told, Repeat):
+    repeat = scenario.trajectory
+    if not isinstance(repeat, Repeat):
         return drive
-    place = place_of(told)
-    return place.visited_by(drive, _day(told, place))
+    place = load_place(repeat.place, repeat.version)
+    return place.visited_by(drive, _day(repeat, place))
 
 
-def _day(told: Repeat, place: Place) -> float:
+def _day(repeat: Repeat, place: Place) -> float:
     """Return the day of a repeat [days since 1970]."""
-    return place.visits[-1].when + 1.0 if told.when is None else told.when
+    return place.visits[-1].when + 1.0 if repeat.when is None else repeat.when
 
 
 Command = Twist | None
-"""None where the drive is done."""
+"""None at the end of the drive."""
 SEARCH_RADIUS = 0.5
-"""Without a pose the robot drives an arc of this radius [m] at first, for the parallax."""
+"""Radius of the first arc of a search [m]; the arc gives parallax."""
 SAME_CIRCLES = 3
-"""Number of rounds before the arc widens: most places need no wider one."""
+"""Number of rounds before the arc widens."""
 NARROW = math.pi
-"""A camera that sees less of the way round [rad] sees each landmark from a part of a circle alone,
-whose breadth across the line of sight is at most half of what all of it has: it looks round."""
+"""A robot with a smaller field of view [rad] stops on the circle to look round: ahead it sees each
+landmark from only a part of the circle, with at most half of the full baseline."""
 LOOK_RATE = 0.6
-"""At so much [rad/s]: in 10 s."""
+"""Yaw rate while looking round [rad/s]."""
 LOOKS_PER_ROUND = 3
-"""From three places of a circle each landmark is seen from a base that is broad enough."""
-STANDS_S = 2.0
-"""A robot that loses its pose on the way stands for so long before it searches [s]."""
+"""Number of stops on a circle, for a sufficient baseline to each landmark."""
+WAIT_S = 2.0
+"""Waiting time of a robot that has lost its pose, before it searches [s]."""
 TURN_ACCELERATION = 1.0
-"""Between way points the turn rate changes at most so fast [rad/s^2]."""
+"""Maximum change of the yaw rate of a scripted drive [rad/s^2]."""
 LINE_STEP = 0.01
 """The aim of a scripted drive moves along its path in steps of this length [m]."""
 MAX_PATH_M = 1e5
@@ -107,7 +102,7 @@ MAX_PATH_M = 1e5
 
 
 def exact(pose: Pose, seen: Mapping[str, float] = NO_SIGHTINGS) -> Belief:
-    """Return the belief of a robot that is given its true pose."""
+    """Return the belief of a robot with its true pose."""
     return Belief(Status.LOCALISED, pose, np.zeros((3, 3)), seen)
 
 
@@ -115,16 +110,16 @@ class Control(Protocol):
     """Control of one drive."""
 
     gave_up: str = ""
-    """Why, where it gave up."""
+    """The reason, if the control gave up."""
 
     def twist(self, t: float, belief: Belief) -> Command:
-        """Return the command at `t` [s], later than at the call before, in the home frame."""
+        """Return the command at `t` [s], which increases from call to call."""
 
 
 def make_control(scenario: Course, start: Pose, home: Mapping[str, float] | None = None) -> Control:
-    """Return the control of a scenario's drive that begins at `start` in the home frame.
+    """Return the control of a scenario's drive from `start` in the home frame.
 
-    `home` has the home bearings [rad] by their ids.
+    `home` has the home bearings [rad] by id.
     """
     control = _make_control(scenario, start, home or {})
     spin = scenario.trajectory.spin
@@ -150,24 +145,25 @@ def _make_control(scenario: Course, start: Pose, home: Mapping[str, float]) -> C
             stops = (
                 [] if dwell is None else [(i, None, dwell, str(i)) for i in range(1, len(corners))]
             )
-            goal = RouteGoal("the way", Path(corners, stops))
+            goal = RouteGoal("the path", Path(corners, stops))
             return GoalControl(goal, limits_of(drive), scenario.view)
         case Repeat() as drive:
-            goal = RouteGoal(drive.route, place_of(drive).route(drive.route).path)
+            place = load_place(drive.place, drive.version)
+            goal = RouteGoal(drive.route, place.route(drive.route).path)
             return GoalControl(goal, limits_of(drive), scenario.view, blocked=drive.blocked)
         case other:
             assert_never(other)
 
 
 def homing_goal(drive: Homing, home: Mapping[str, float]) -> Goal:
-    """Return home as the goal of a drive, by its law; `home` has the home bearings [rad]."""
+    """Return home as the goal for the law of a drive; `home` has the home bearings [rad]."""
     if slope := law_named(drive.law):
         return BearingGoal(slope, home, drive.landmark_distance)
     return PointGoal("home", 0.0, 0.0, law="paper" if drive.law == "paper" else "lyapunov")
 
 
 def limits_of(drive: Homing | Teach | Repeat | Waypoints) -> Limits:
-    """Return a robot's limits, with what a drive gives; the paper's robot has no others."""
+    """Return a robot's limits with the settings of a drive; the paper's law has no other limits."""
     given = {"speed": drive.speed, "turn_rate": drive.max_turn_rate, "patience": math.inf}
     if isinstance(drive, Homing | Waypoints):
         given["radius"] = drive.stop_radius
@@ -179,7 +175,7 @@ def limits_of(drive: Homing | Teach | Repeat | Waypoints) -> Limits:
 
 
 class SpinFirst(Control):
-    """A full turn on the spot at a rate [rad/s], a rest of 1 s, and then another control."""
+    """Full rotation on the spot at a rate [rad/s], a rest of 1 s, and then another control."""
 
     def __init__(self, rate: float, then: Control) -> None:
         self._rate, self._then, self._turns_s = rate, then, math.tau / abs(rate)
@@ -194,10 +190,10 @@ class SpinFirst(Control):
 
 
 class Search:
-    """Circles through one point, wider and wider: far landmarks need a wide base.
+    """Circles of increasing radius through one point: far landmarks need a wide baseline.
 
-    A camera with a narrow `view` [rad] sees what is ahead of it alone, and again from the same part
-    of the circle, hardly across the line of sight; so the robot stops there and looks round.
+    With a narrow `view` [rad] the robot stops and looks round: straight ahead a camera sees each
+    landmark from only a part of the circle, with little parallax.
     """
 
     def __init__(self, speed: float, view: float = math.tau) -> None:
@@ -217,15 +213,15 @@ class Search:
         return Twist(self._speed, self._speed / (SEARCH_RADIUS * 2**doubled))
 
     def end(self) -> None:
-        """Let the next search begin anew."""
+        """Let the next search start from the beginning."""
         self._since = None
 
 
 class GoalControl(Control):
-    """The driver of `homeward.control`, and a search where it stands for want of a pose.
+    """Driver of `homeward.control`, with a search while the robot waits for a pose.
 
-    The goal is in the home frame. A robot that `looks_round` does so once where it arrives, for
-    landmarks behind it, and goes on from there. `blocked` is when something is in the way [s].
+    The goal is in the home frame. A robot that `looks_round` does so once on arrival, for landmarks
+    behind it, and continues from there. In the interval `blocked` [s] an obstacle is reported.
     """
 
     def __init__(
@@ -267,12 +263,12 @@ class GoalControl(Control):
             return twist
         if self._lost_since is None:
             self._lost_since = t
-        stands = self._has_driven and t < self._lost_since + STANDS_S
-        return twist if stands else self._search.twist(t)
+        waits = self._has_driven and t < self._lost_since + WAIT_S
+        return twist if waits else self._search.twist(t)
 
 
 class CircleControl(Control):
-    """Constant speed and turn rate."""
+    """Constant speed and yaw rate."""
 
     def __init__(self, trajectory: Circle) -> None:
         self._twist = Twist(trajectory.speed, trajectory.omega)
@@ -314,11 +310,11 @@ class LineControl(Control):
             self._aim += 1
 
     def _turn_rate(self, error: float, distance: float) -> float:
-        """Return the turn rate of the arc to a point at bearing `error`; behind, turn hard."""
-        most = self._trajectory.max_turn_rate
+        """Return the yaw rate of the arc to a point at bearing `error`; at its limit if behind."""
+        limit = self._trajectory.max_turn_rate
         if abs(error) > math.pi / 2:
-            return math.copysign(most, error)
-        return max(-most, min(most, 2 * self._trajectory.speed * math.sin(error) / distance))
+            return math.copysign(limit, error)
+        return max(-limit, min(limit, 2 * self._trajectory.speed * math.sin(error) / distance))
 
 
 def _corners(trajectory: ByPoints, home: Pose, start: Pose) -> np.ndarray:

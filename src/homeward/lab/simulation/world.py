@@ -1,4 +1,4 @@
-"""Simulated world: landmarks now and when home was stored, what hides them, home bearings."""
+"""Simulated world: landmarks now and when home was stored, occlusion, home bearings."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ from homeward.lab.simulation.scenario import (
 )
 
 EDGE = 1e-4
-"""Shelves hide as if smaller by this all round [m], so that none hides marks on its own face."""
+"""Shelves count as smaller by this for occlusion [m], so that none hides landmarks on its face."""
 
 
 def in_view(
     camera: Pose, points: np.ndarray, visibility: Visibility, room: Room | None
 ) -> np.ndarray:
-    """Say which points a camera has in view, whatever chance then makes of it: (q,) or (n, q).
+    """Return which points are in range, field of view and line of sight: (q,) or (n, q).
 
-    The camera, each part of its pose a float or (n,), and the points (q, 2) are in room coordinates
-    [m]. The visibility has range, field of view and whether the shelves of the room hide.
+    The camera (its pose has floats or arrays (n,)) and the points (q, 2) are in room coordinates
+    [m].
     """
     each = Pose(*(np.asarray(part, float)[..., None] for part in camera))
     x, y = points[:, 0], points[:, 1]
     distance = np.hypot(x - each.x, y - each.y)
-    least, most = visibility.range
-    view = (least <= distance) & (distance <= most)
+    near, far = visibility.range
+    view = (near <= distance) & (distance <= far)
     view &= np.abs(bearing(each, x, y)) <= visibility.field_of_view / 2
     if visibility.occlusion and room is not None and room.shelves:
         view &= ~hidden(np.stack([camera.x, camera.y], -1), points, room)
@@ -46,7 +46,7 @@ def in_view(
 
 
 def hidden(origin: np.ndarray, points: np.ndarray, room: Room) -> np.ndarray:
-    """Say which points (q, 2) lie behind or in a shelf, seen from `origin` (..., 2): (..., q).
+    """Return which points (q, 2) are behind or in a shelf, seen from `origin` (..., 2): (..., q).
 
     Both are in room coordinates [m].
     """
@@ -56,7 +56,7 @@ def hidden(origin: np.ndarray, points: np.ndarray, room: Room) -> np.ndarray:
 
 
 def first_surface(x: float, y: float, direction: float, room: Room) -> float:
-    """Return how far one sees from (x, y) [m] in a direction [rad] up to a wall or shelf [m]."""
+    """Return the distance from (x, y) [m] to the first wall or shelf in a direction [rad] [m]."""
     origin, ray = np.array([x, y]), np.array([np.cos(direction), np.sin(direction)])
     rectangles = np.array([room.bounds, *room.shelves], float)
     enter, leave = _crossing(origin, ray, rectangles)
@@ -69,7 +69,7 @@ def _crossing(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return where rays (..., 2) enter and leave rectangles (k, 4), as multiples of the rays.
 
-    By slabs. Where a ray misses, it enters after it leaves, or both are NaN.
+    Slab method: where a ray misses, it enters after it leaves, or both are NaN.
     """
     with np.errstate(divide="ignore", invalid="ignore"):
         low = (rectangles[:, :2] - origin[..., None, :]) / ray[..., None, :]
@@ -78,13 +78,13 @@ def _crossing(
 
 
 TRIES = 1000
-"""Number of draws after which a landmark has no free place."""
+"""Number of draws after which there is no free place for a landmark."""
 IN_FRONT = 0.01
-"""A surface can carry a landmark where the room is free this far in front of it [m]."""
+"""Landmarks need free space at this distance in front of their surface [m]."""
 
 
 class Stream(enum.IntEnum):
-    """Sources of chance; each has its own generator, so that none disturbs another."""
+    """Sources of randomness; each has its own generator, so that none disturbs another."""
 
     LAYOUT = 0
     FAULTS = 1
@@ -102,32 +102,32 @@ class Stream(enum.IntEnum):
 
 
 def generator(scenario: Course, stream: Stream) -> np.random.Generator:
-    """Return the generator of one source of chance."""
+    """Return the generator of one source of randomness."""
     return np.random.default_rng([scenario.seed, int(stream)])
 
 
 def quantise(value: float, decimals: int) -> float:
-    """Round to what a log would hold, without a negative zero."""
+    """Round as in a log, without a negative zero."""
     return round(float(value), decimals) + 0.0
 
 
 @dataclass(frozen=True)
 class World:
-    """The truth about the landmarks. Arrays run over `ids`, q of them."""
+    """Ground truth of the landmarks, as arrays over the q `ids`."""
 
     ids: tuple[str, ...]
     places: np.ndarray
-    """(q, 2), where they stand during the drive, in room coordinates [m]."""
-    stood: np.ndarray
-    """(q, 2), where they stood when home was stored, in room coordinates [m]."""
+    """(q, 2), positions during the drive, in room coordinates [m]."""
+    places_at_home: np.ndarray
+    """(q, 2), positions when home was stored, in room coordinates [m]."""
     fault: np.ndarray
-    """(q,), stored minus true bearing at the home camera [rad]; 0 for those not moved."""
+    """(q,), stored minus true bearing at the home camera [rad]; 0 for unmoved landmarks."""
     home: Pose
     """In room coordinates."""
 
     @property
     def in_home_frame(self) -> np.ndarray:
-        """(q, 2), where they stand during the drive, in the home frame [m]."""
+        """(q, 2), positions during the drive, in the home frame [m]."""
         local = between(self.home, Pose(self.places[:, 0], self.places[:, 1], 0.0))
         return np.stack([local.x, local.y], axis=-1)
 
@@ -138,10 +138,10 @@ class World:
 
 
 def build_world(scenario: Scenario) -> World:
-    """Place the landmarks and move those that have to be.
+    """Place the landmarks and move some of them.
 
-    Raises `InputError` where the room has no place for them, or home cannot have seen those that
-    moved.
+    Raises `InputError` where the room has no place for them, or home cannot have seen the moved
+    ones.
     """
     ids, places = _place(scenario)
     still = World(ids, places, places, np.zeros(len(ids)), scenario.home.pose)
@@ -149,15 +149,15 @@ def build_world(scenario: Scenario) -> World:
 
 
 def home_bearings(world: World, scenario: Scenario) -> dict[str, HomeBearing]:
-    """Return what the camera stored at home of each landmark that it had in view there.
+    """Return the stored home bearings of all landmarks in view at home.
 
-    Raises `InputError` when it had none in view.
+    Raises `InputError` when none is in view.
     """
     camera, sigma = _home_camera(scenario), scenario.noise.home_sigma
     noise = sigma * generator(scenario, Stream.HOME).standard_normal(len(world.ids))
     true = bearing(camera, world.places[:, 0], world.places[:, 1])
     stored = wrap(true + world.fault + noise)
-    seen = in_view(camera, world.stood, scenario.visibility, scenario.room)
+    seen = in_view(camera, world.places_at_home, scenario.visibility, scenario.room)
     if not seen.any():
         raise InputError("visibility: home has no landmark in view")
     return {
@@ -171,7 +171,7 @@ def _home_camera(scenario: Scenario) -> Pose:
 
 
 def _place(scenario: Scenario) -> tuple[tuple[str, ...], np.ndarray]:
-    """Return ids and places (q, 2) in room coordinates."""
+    """Return ids and positions (q, 2) in room coordinates."""
     layout, rng = scenario.landmarks, generator(scenario, Stream.LAYOUT)
     if isinstance(layout, Listed):
         return tuple(layout.at), np.array(list(layout.at.values()), float)
@@ -193,7 +193,7 @@ def _ring(layout: Ring, home: Pose, rng: np.random.Generator) -> np.ndarray:
 
 
 def _on_surfaces(layout: OnSurfaces, room: Room, rng: np.random.Generator) -> np.ndarray:
-    """Draw places uniformly along walls and shelf faces, kept where far enough from the others."""
+    """Draw positions uniformly along walls and shelf faces, at least `spacing` apart."""
     rectangles = [room.bounds, *room.shelves]
     lengths = np.array([2 * (x1 - x0 + y1 - y0) for x0, y0, x1, y1 in rectangles])
     places: list[tuple[float, float]] = []
@@ -218,7 +218,7 @@ def _on_surfaces(layout: OnSurfaces, room: Room, rng: np.random.Generator) -> np
 def _on_edge(
     rectangle: tuple[float, float, float, float], along: float
 ) -> tuple[float, float, float, float]:
-    """Return the point so far along a rectangle's outline, and the outward normal there."""
+    """Return the point at a length along a rectangle's outline, and the outward normal there."""
     x0, y0, x1, y1 = rectangle
     width, depth = x1 - x0, y1 - y0
     if along < width:
@@ -231,9 +231,9 @@ def _on_edge(
 
 
 def _move(world: World, scenario: Scenario) -> World:
-    """Give the moved landmarks a place of old from which home saw them off by their faults."""
+    """Give the moved landmarks a former position at which home saw them with their faults."""
     faults = scenario.moved.faults or _draw_faults(world, scenario)
-    stood, fault = world.stood.copy(), world.fault.copy()
+    at_home, fault = world.places_at_home.copy(), world.fault.copy()
     for name, value in faults.items():
         if name not in world.ids:
             raise InputError(f"moved.faults.{name}: no such landmark")
@@ -241,33 +241,33 @@ def _move(world: World, scenario: Scenario) -> World:
         old = _old_place(world.places[i], value, scenario)
         if old is None:
             raise InputError(f"moved.faults.{name}: home would not have had it in view there")
-        stood[i], fault[i] = old, value
-    return World(world.ids, world.places, stood, fault, world.home)
+        at_home[i], fault[i] = old, value
+    return World(world.ids, world.places, at_home, fault, world.home)
 
 
 def _draw_faults(world: World, scenario: Scenario) -> dict[str, float]:
-    """Draw which landmarks moved and by how much, where home had their old place in view."""
+    """Draw moved landmarks and their faults, such that home had the former positions in view."""
     rng, q = generator(scenario, Stream.FAULTS), len(world.ids)
     sizes = rng.uniform(*scenario.moved.fault, q) * rng.choice([-1.0, 1.0], q)
     faults: dict[str, float] = {}
     for i in rng.permutation(q):
         if len(faults) == scenario.moved.count:
             break
-        # The other sign only where the first would have been out of view.
+        # The other sign if the first would have been out of view.
         for value in (float(sizes[i]), -float(sizes[i])):
             if _old_place(world.places[i], value, scenario) is not None:
                 faults[world.ids[i]] = value
                 break
     if len(faults) < scenario.moved.count:
-        raise InputError("moved.count: home cannot have had so many moved landmarks in view")
+        raise InputError(f"moved.count: home can have seen only {len(faults)} moved landmarks")
     return faults
 
 
 def _old_place(place: np.ndarray, fault: float, scenario: Scenario) -> np.ndarray | None:
-    """Return where home saw a landmark off by its fault.
+    """Return the former position of a landmark from its fault.
 
-    On the surface in that direction, or else as far away as it is now; None when the home camera
-    would have had neither in view.
+    It is on the surface in that direction, or else at the present distance. None when the home
+    camera would have had neither in view.
     """
     camera, room = _home_camera(scenario), scenario.room
     dx, dy = place[0] - camera.x, place[1] - camera.y

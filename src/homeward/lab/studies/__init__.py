@@ -1,1 +1,1 @@
-"""Runs and studies: what is computed, never how it is shown."""
+"""Computations of studies, without their reports."""

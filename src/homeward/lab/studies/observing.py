@@ -1,9 +1,8 @@
-"""How well a real drive determines home and landmarks, window by window of its time.
+"""Observability of home and landmarks in the windows of a real drive.
 
-The empirical observability Gramian over the landmarks that were in sight when: the information of
-all bearings of a window, and of the home bearings, on home's pose and the landmarks, at the true
-(or best known) path, whose shape is taken as exact. What odometry adds in errors, the Cramer-Rao
-bound counts (`homeward.lab.bounds`); the Gramian says what the places of things allow at best.
+Empirical observability Gramian: the information of all bearings of a window, and of the home
+bearings, on home's pose and the landmarks, at the true (or best known) path, whose shape counts as
+exact. It is a limit from geometry only; `homeward.lab.bounds` includes the errors of odometry.
 """
 
 from __future__ import annotations
@@ -29,54 +28,54 @@ from homeward.localizer.smoothing import smooth
 
 WINDOW_S = 30.0
 OVERLAP = 2
-"""A new window begins after this part of one."""
-MOST_WINDOWS = 5000
+"""A new window begins after the inverse of this part of one."""
+MAX_WINDOWS = 5000
 MOVED = 0.1
-"""A home bearing further off than this [rad] is of a landmark that was moved since."""
-LOOSELY = 0.15
-"""The weakest direction is put in words when it lies so near to a family (sine of the angle)."""
+"""Landmarks whose home bearing has a larger error [rad] count as moved."""
+NEAR_FAMILY = 0.15
+"""Maximum distance of the weakest direction from a named family (sine of the angle)."""
 
 
 @dataclass(frozen=True)
 class Window:
-    """What the bearings of a stretch of the drive determine."""
+    """Observability in a window of the drive."""
 
     begin: float
     """From the start of the drive [s]."""
     end: float
     sightings: int
-    """Of landmarks that home knows."""
+    """Sightings of landmarks with a home bearing."""
     landmarks: tuple[str, ...]
-    """Those seen in it that home knows."""
+    """Landmarks in view that have a home bearing."""
     rank: int
     unknowns: int
     """3 + 2 q"""
     covariance: np.ndarray
     """(3, 3), of the pose of the camera at the end of the window relative to home, x [m], y [m],
-    heading [rad]; infinite where it is not told."""
+    heading [rad]; infinite where it is not observable."""
     weakest: tuple[str, ...]
-    """In words: the unobservable directions, or else the least observable one of home."""
+    """Description of the unobservable directions, or of home's least observable one."""
 
     @property
     def position_sigma(self) -> float:
-        """Root mean square error of the position at best [m]; infinite where it is not told."""
+        """Lower bound on the position error [m], RMS; infinite where it is not observable."""
         return float(np.sqrt(self.covariance[0, 0] + self.covariance[1, 1]))
 
     @property
     def heading_sigma(self) -> float:
-        """The same of the heading [rad]."""
+        """Lower bound on the heading error [rad], RMS."""
         return float(np.sqrt(self.covariance[2, 2]))
 
 
 @dataclass(frozen=True)
 class DriveView:
-    """What the bearings of a drive determine."""
+    """Observability in all windows of a drive."""
 
     name: str
     path_from: str
-    """Where the path was taken from, in words."""
+    """Source of the path, as text."""
     bearing_sigma: float
-    """[rad], assumed where the drive does not say."""
+    """[rad], a default where the drive has none."""
     home_sigma: float
     """[rad]"""
     t: np.ndarray
@@ -85,49 +84,49 @@ class DriveView:
     """(n, 3), of the camera from the camera at home: x [m], y [m], heading [rad]."""
     names: tuple[str, ...]
     places: np.ndarray
-    """(q, 2), of the landmarks, from the camera at home [m]."""
+    """(q, 2), landmark positions from the camera at home [m]."""
     stored: np.ndarray
-    """(q,), bool, whose home bearings agree with that."""
+    """(q,), bool, whether the home bearing agrees with the position."""
     unplaced: tuple[str, ...]
-    """Landmarks seen, but not well enough to be placed; they are left out."""
+    """Landmarks with too few sightings or too little parallax for a position; not used."""
     windows: tuple[Window, ...]
     whole: Window
-    """The same of all bearings at once."""
+    """One window with all bearings."""
 
 
 def check_window(drive: Drive, window: float) -> None:
-    """Raise InputError when nothing was seen, or windows are not positive or far too short."""
+    """Raise InputError for a drive without sightings, or windows that are too short."""
     if not 0 < window < np.inf:
         raise InputError(f"the window must be a positive number of seconds, not {window:g}")
     if not drive.sightings.t.size:
-        raise InputError(f"{drive.name}: nothing was seen on it")
-    if (span := float(np.ptp(drive.sightings.t))) > window / OVERLAP * MOST_WINDOWS:
-        least = OVERLAP * span / MOST_WINDOWS
-        raise InputError(f"windows of {window:g} s are too many; of {least:.2g} s they are not")
+        raise InputError(f"{drive.name}: no sightings in the drive")
+    if (span := float(np.ptp(drive.sightings.t))) > window / OVERLAP * MAX_WINDOWS:
+        shortest = OVERLAP * span / MAX_WINDOWS
+        raise InputError(f"windows of {window:g} s are too many; use at least {shortest:.2g} s")
 
 
 def observe_drive(
     drive: Drive, window: float = WINDOW_S, progress: Callable[[float], None] | None = None
 ) -> DriveView:
-    """Return what the bearings of a drive determine of the pose relative to home.
+    """Return the observability of the pose relative to home along a drive.
 
-    Where the drive has no truth, its path is the robust localiser's, smoothed.
+    Without ground truth, the path is that of the robust localiser, smoothed.
 
     Parameters
     ----------
     drive : Drive
         With home bearings.
     window : float
-        [s]; a new one begins each half of it.
+        [s]; windows overlap by half.
     progress : callable, optional
-        Called with the fraction done, in [0, 1].
+        Receives the finished fraction, in [0, 1].
 
     Raises
     ------
     InputError
         As `check_window`.
     HomewardError
-        When there is neither truth nor a pose, or no landmark can be placed.
+        When there is neither ground truth nor a pose, or no landmark has a position.
     """
     check_window(drive, window)
     rows, poses, path_from = _path(drive)
@@ -146,23 +145,25 @@ def observe_drive(
 
 
 def _path(drive: Drive) -> tuple[np.ndarray, Pose, str]:
-    """Return which sightings have a pose, the robot's poses there, and where they are from."""
+    """Return the sightings with a pose, the robot's poses there, and the source of the poses."""
     t = drive.sightings.t
     if drive.truth is not None and drive.truth.t.size:
         rows = np.flatnonzero((t >= drive.truth.t[0]) & (t <= drive.truth.t[-1]))
         if rows.size:
-            return rows, drive.truth.at(t[rows]), "its truth"
+            return rows, drive.truth.at(t[rows]), "its ground truth"
     track = smooth(drive)
     at = np.clip(np.searchsorted(track.t, t), 0, max(track.t.size - 1, 0))
     rows = np.flatnonzero(track.has_pose[at] & (track.t[at] == t))
     if not rows.size:
-        raise HomewardError(f"{drive.name}: no truth, and the robust localiser found no pose in it")
+        raise HomewardError(
+            f"{drive.name}: no ground truth, and the robust localiser found no pose"
+        )
     at = at[rows]
     return rows, Pose(track.x[at], track.y[at], track.heading[at]), "the robust localiser, smoothed"
 
 
 class _Seen:
-    """The sightings of a drive with the poses from which they were made."""
+    """Sightings of a drive with their poses."""
 
     def __init__(self, drive: Drive, rows: np.ndarray, robot: Pose) -> None:
         defaults, sensor = LocalizerSettings(), drive.settings.sensor
@@ -190,7 +191,7 @@ class _Seen:
         bearings: np.ndarray,
         parallax: float,
     ) -> None:
-        """Place the landmarks, and compare them with what home stored."""
+        """Triangulate the landmarks, and compare them with the home bearings."""
         names, places, stored, unplaced = [], [], [], []
         for name in sorted(set(ids.tolist()), key=natural):
             mine = ids == name
@@ -202,37 +203,42 @@ class _Seen:
             names.append(str(name))
             places.append(found[0])
             at_home = drive.home.get(str(name))
-            off = np.inf
+            error = np.inf
             if at_home is not None:
-                off = abs(wrap(at_home.bearing - bearing(Pose(0.0, 0.0, 0.0), *found[0])))
-            stored.append(off < MOVED)
+                error = abs(wrap(at_home.bearing - bearing(Pose(0.0, 0.0, 0.0), *found[0])))
+            stored.append(error < MOVED)
         if not names:
-            raise HomewardError(f"{drive.name}: no landmark was seen well enough to be placed")
+            raise HomewardError(f"{drive.name}: no landmark has enough parallax for a position")
         self.names, self.unplaced = tuple(names), tuple(unplaced)
         self.places, self.stored = np.array(places), np.array(stored, bool)
 
     def window(self, begin: float, end: float) -> Window:
-        """Return what the bearings of a window determine."""
+        """Return the observability in a window."""
         rows = np.flatnonzero((self.t >= begin) & (self.t <= end))
         which = np.flatnonzero(self.visible[rows].any(axis=0) & self.stored)
         rows = rows[self.visible[np.ix_(rows, which)].any(axis=1)]
         names = tuple(self.names[i] for i in which)
         visible = self.visible[np.ix_(rows, which)]
         if not rows.size:
-            unknown, words = np.full((3, 3), np.inf), ("nothing that home knows was seen",)
+            unknown, words = (
+                np.full((3, 3), np.inf),
+                ("no landmark with a home bearing was in view",),
+            )
             return Window(begin, end, 0, names, 0, POLAR, unknown, words)
         stored, home = np.ones(which.size, bool), np.zeros(POLAR)
         places = home, self.places[which], self.poses[rows]
         scene = Scene(names, *places, visible, stored, axis="home's x-axis")
         sigmas = np.repeat([self.sigma, self.home_sigma], [visible.sum(), which.size])
         found = rank(scene.jacobian() / sigmas[:, None], scene.worth)
-        covariance, weakest = _told(scene, found.null, sigmas)
+        covariance, weakest = _covariance_and_weakest(scene, found.null, sigmas)
         size, unknowns = int(visible.sum()), len(scene.truth)
         return Window(begin, end, size, names, found.value, unknowns, covariance, weakest)
 
 
-def _told(scene: Scene, null: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Return the covariance of the last pose from home, and the weakest of it in words."""
+def _covariance_and_weakest(
+    scene: Scene, null: np.ndarray, sigmas: np.ndarray
+) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Return the covariance of the last pose from home, and its weakest directions as text."""
     if null.shape[1] and np.abs(null[:POLAR]).max() > 1e-9 * np.abs(null).max():
         return np.full((3, 3), np.inf), tuple(f.words for f in in_words(scene, null))
     worth = scene.worth
@@ -240,7 +246,7 @@ def _told(scene: Scene, null: np.ndarray, sigmas: np.ndarray) -> tuple[np.ndarra
     everything = np.linalg.pinv(scaled.T @ scaled, hermitian=True)
     _, directions = np.linalg.eigh(everything[:POLAR, :POLAR])
     together = everything[:, :POLAR] @ directions[:, -1]
-    words = in_words(scene, (together * worth)[:, None], LOOSELY)
+    words = in_words(scene, (together * worth)[:, None], NEAR_FAMILY)
     home = everything[:POLAR, :POLAR] * np.outer(worth[:POLAR], worth[:POLAR])
     by_home = -lever(scene.poses[-1])  # home is the origin
     return by_home @ home @ by_home.T, tuple(f.words for f in words)

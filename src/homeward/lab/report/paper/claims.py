@@ -1,4 +1,4 @@
-"""What the paper says, judged by what came out: nothing here is said without a figure."""
+"""Claims of the paper, tested against the results."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from homeward.lab.studies.study.statistics import root_mean_square
 from homeward.runs.report.words import count, listing, percent
 
 Readings = Mapping[tuple[CaseName, Reading], Outcome]
-MOST = 0.5
-"""A thing that is so in more layouts than this is so in most of them."""
+MAJORITY = 0.5
+"""A claim that holds in a larger share of layouts holds in most of them."""
 
 
 class Claim(NamedTuple):
@@ -32,11 +32,11 @@ class Claim(NamedTuple):
 
     claim: str
     reading: str
-    verdict: str
+    decision: str
     figure: str
-    """The numbers that the verdict follows from."""
+    """Numbers that the decision follows from."""
     command: str
-    """What shows them for this reading alone."""
+    """Command for this reading only."""
 
 
 def reading_words(reading: Reading, case: CaseName) -> str:
@@ -56,11 +56,11 @@ def start_words(reading: Reading) -> str:
     R, theta, alpha = reading.initial_error
     if not any(reading.initial_error):
         return "exact start"
-    return f"start off by {100 * R:g} cm, {theta:g}, {alpha:g} rad"
+    return f"start error {100 * R:g} cm, {theta:g}, {alpha:g} rad"
 
 
 def rivals(M: float | str) -> dict[str, str]:
-    """Return those of `FILTERS` that the paper holds against the EKF, as words."""
+    """Return the filters that the paper compares with the EKF, with descriptions."""
     own = "M of ones (as printed)" if M == 1 else "M = H'" if M == "HT" else f"M = {M}"
     return {
         "A-EKF (one)": "the A-EKF of one parameter (the first wrong one)",
@@ -70,8 +70,8 @@ def rivals(M: float | str) -> dict[str, str]:
     }
 
 
-def verdict(readings: Readings, M: float | str) -> list[str]:
-    """Say in three sentences what holds, under which reading, and why.
+def conclusions(readings: Readings, M: float | str) -> list[str]:
+    """Return in a few sentences what holds, under which reading, and why.
 
     `readings` are one or more of Cases 2 and 4, that of the settings first; `M` that of "PI-EKF".
     """
@@ -79,38 +79,37 @@ def verdict(readings: Readings, M: float | str) -> list[str]:
     moved = {reading: o for (case, reading), o in readings.items() if case == "2"}
     printed = next(iter(moved))
     shares = {(r, n): better_shares(o, n, "EKF") for r, o in moved.items() for n in called}
-    wins = {n: sum(bool(np.all(shares[r, n] > MOST)) for r in moved) for n in called}
+    wins = {n: sum(bool(np.all(shares[r, n] > MAJORITY)) for r in moved) for n in called}
     best, name = max(
         ((r, n) for r in moved for n in ("PI-EKF", PI_HT)), key=lambda k: shares[k].min()
     )
-    told = [f"{words} under {wins[n]} of {len(moved)}" for n, words in called.items()]
+    counts = [f"{words} under {wins[n]} of {len(moved)}" for n, words in called.items()]
     what = (
-        "What holds: in Case 2, where landmarks were moved, the error is smaller than the EKF's in "
-        "most layouts, for R, theta and alpha alike, with "
-        f"{listing(told)} {'reading' if len(moved) == 1 else 'readings'}."
+        "What holds: in Case 2 (moved landmarks), errors of R, theta and alpha are smaller than "
+        f"the EKF's in most layouts with {listing(counts)} "
+        f"{'reading' if len(moved) == 1 else 'readings'}."
     )
     which = (
-        f"Under which reading: {called[name]} does best under {reading_words(best, '2')}, where it "
-        f"beats the EKF in {triple(shares[best, name])} of the layouts and all three printed "
-        f"figures in {percent(beats_printed(moved[best], '2', name))}; {called['PI-EKF']}, under "
-        f"{reading_words(printed, '2')}, does so in {triple(shares[printed, 'PI-EKF'])} and in "
+        f"Best reading: {called[name]} under {reading_words(best, '2')} is better than the EKF in "
+        f"{triple(shares[best, name])} of the layouts, and below all three printed errors in "
+        f"{percent(beats_printed(moved[best], '2', name))}; {called['PI-EKF']} under "
+        f"{reading_words(printed, '2')} in {triple(shares[printed, 'PI-EKF'])} and in "
         f"{percent(beats_printed(moved[printed], '2', 'PI-EKF'))}."
     )
     return [what, which, _why(readings, best, name, called[name])]
 
 
 def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
-    """Say what dead reckoning does under the best reading, and where the motion is disturbed."""
+    """Compare with dead reckoning under the best reading, and with disturbed motion."""
     here = readings["2", best]
     alone, ours, ekf = (median(here, n) for n in (DEAD_RECKONING, name, "EKF"))
     words = (
-        f"Why: there dead reckoning, which is told of no bearing, is off by {alone[0]:.2g} cm in "
-        f"the median, {called} by {ours[0]:.2g} and the EKF by {ekf[0]:.2g} cm"
+        f"Why: there, the median error of R is {alone[0]:.2g} cm for dead reckoning (no bearings), "
+        f"{ours[0]:.2g} cm for {called}, and {ekf[0]:.2g} cm for the EKF"
     )
     if alone[0] < min(ours[0], ekf[0]):
         words += (
-            ": odometry beats every filter, and what trusts it more and the bearings less comes"
-            " nearer to it"
+            ": odometry alone is better than both filters, so less weight of the bearings helps"
         )
     disturbed = [r for c, r in readings if c == "4" and any(r.disturbance)]
     same = [
@@ -123,16 +122,17 @@ def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
         alone, ours, ekf = (median(there, n) for n in (DEAD_RECKONING, name, "EKF"))
         share = better_shares(there, name, "EKF")
         words += (
-            "; where the robot does not move as commanded ({:g} m/s and {:g} rad/s a sample, Case "
-            "4), ".format(*same[0].disturbance)
-            + f"dead reckoning is off by {alone[0]:.2g} cm, the EKF by {ekf[0]:.2g} and "
-            f"{called} by {ours[0]:.2g}, less than the EKF in {triple(share)}"
+            ". With disturbed motion ({:g} m/s and {:g} rad/s a sample, Case 4) it is ".format(
+                *same[0].disturbance
+            )
+            + f"{alone[0]:.2g} cm for dead reckoning, {ekf[0]:.2g} cm for the EKF and "
+            f"{ours[0]:.2g} cm for {called}, which is better than the EKF in {triple(share)}"
         )
     return words + "."
 
 
 def claims(study: LayoutStudy) -> list[Claim]:
-    """Judge every sentence of the paper that a figure can judge."""
+    """Test all claims of the paper that results can test."""
     table = [*_start_claims(study)]
     for start in study.starts:
         table += [*_order_claims(study, start), *_convergence_claims(study, start)]
@@ -140,7 +140,7 @@ def claims(study: LayoutStudy) -> list[Claim]:
 
 
 def _start_claims(study: LayoutStudy) -> list[Claim]:
-    """Judge our own assumption of a start that is off, by the bound."""
+    """Test the assumption of a start error with the bound."""
     table = []
     for start in study.starts[1:]:
         bounds, below = {}, 0
@@ -150,10 +150,10 @@ def _start_claims(study: LayoutStudy) -> list[Claim]:
             below += sum(row[0] < bounds[case] for row in PRINTED[case].values())
         table.append(
             Claim(
-                "Not the paper's: the first estimate is off",
+                "Not in the paper: the first estimate has an error",
                 start_words(reading),
-                "the tables speak against it" if below == 6 else "the tables allow it",
-                f"{below} of the six printed R lie below the Cramér-Rao bound of it, "
+                "the tables contradict it" if below == 6 else "the tables allow it",
+                f"{below} of the six printed R are below its Cramér-Rao bound, "
                 f"{bounds['2']:.2f} cm in Case 2 and {bounds['4']:.2f} cm in Case 4",
                 command(study, reading),
             )
@@ -162,10 +162,10 @@ def _start_claims(study: LayoutStudy) -> list[Claim]:
 
 
 def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
-    """Judge who errs less than the EKF, with landmarks moved and with none moved."""
+    """Test the order of errors, with and without moved landmarks."""
     sentences: list[tuple[str, CaseName, str, Sequence[str]]] = [
-        ("The PI-EKF errs less than the EKF (Table 2)", "2", "", ("PI-EKF", PI_HT)),
-        ("The A-EKF errs less than the EKF (Table 2)", "2", "", ("A-EKF (one)", "A-EKF (all)")),
+        ("The PI-EKF is better than the EKF (Table 2)", "2", "", ("PI-EKF", PI_HT)),
+        ("The A-EKF is better than the EKF (Table 2)", "2", "", ("A-EKF (one)", "A-EKF (all)")),
         ("PI-EKF in absence of faults (Table 3)", "1", "its caption, ", ("PI-EKF", PI_HT)),
         ("PI-EKF in absence of faults (Table 3)", "4", "its text, ", ("PI-EKF", PI_HT)),
     ]
@@ -176,13 +176,13 @@ def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             shares = better_shares(study.grid[case, reading], name, "EKF")
             beaten = beats_printed(study.grid[case, reading], case, name)
             figure = f"in {triple(shares)} of layouts; {percent(beaten)} below all printed"
-            said = f"{where}Case {case}, {name}, {start_words(reading)}"
-            table.append(Claim(claim, said, judged(shares), figure, command(study, reading)))
+            under = f"{where}Case {case}, {name}, {start_words(reading)}"
+            table.append(Claim(claim, under, decide(shares), figure, command(study, reading)))
     return table
 
 
 def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
-    """Judge what the paper says of convergence and of coming home."""
+    """Test the claims on convergence and homing."""
     table = []
     circle, precise, home = (study.reading(c, initial_error=start) for c in ("4", "1", "2"))
     long = command(study, circle, {"assumed": {"circle_time": 200}})
@@ -194,17 +194,17 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
         ends = (np.median(e, axis=0) * TO_PAPER_UNITS for e in (early, late))
         words = " and ".join("{:.2g} cm, {:.2g}, {:.2g} rad".format(*end) for end in ends)
         seconds = f"{study.settings.paper.assumed.circle_time:g} and 200 s"
-        said = f"Case 4, {name}, {start_words(circle)}"
+        under = f"Case 4, {name}, {start_words(circle)}"
         figure = f"errors after {seconds}: {words}; smaller in {triple(falls)} of layouts"
-        table.append(Claim("It converges asymptotically", said, judged(falls), figure, long))
+        table.append(Claim("It converges asymptotically", under, decide(falls), figure, long))
 
         outcome = study.grid["2", home]
         radius = 2 * home.stop_radius
         share = np.array([np.mean(outcome.final_distance[outcome.names.index(name)] < radius)])
-        figure = f"truly within {100 * radius:g} cm of home in {percent(share[0])} of layouts"
-        said = f"Case 2, {name}, {start_words(home)}"
-        sure = "holds" if share[0] == 1 else "does not hold"
-        table.append(Claim("Homing is guaranteed", said, sure, figure, command(study, home)))
+        figure = f"true end within {100 * radius:g} cm of home in {percent(share[0])} of layouts"
+        under = f"Case 2, {name}, {start_words(home)}"
+        holds = "holds" if share[0] == 1 else "does not hold"
+        table.append(Claim("Homing is guaranteed", under, holds, figure, command(study, home)))
 
         if any(start):
             first = 0.6745 * np.array(start)  # the median size of a normal error
@@ -216,7 +216,7 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
                 Claim(
                     "It converges when precise information is given",
                     f"Case 1, {name}, {start_words(precise)}",
-                    judged(nearer),
+                    decide(nearer),
                     figure.format(*both[:, [0, 2]].ravel())
                     + f" in the median; below it in {triple(nearer)}",
                     command(study, precise),
@@ -225,9 +225,9 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
     return table
 
 
-def judged(shares: np.ndarray) -> str:
-    """Return the verdict on something that holds in shares of the layouts."""
-    most = shares > MOST
+def decide(shares: np.ndarray) -> str:
+    """Return the decision on a claim that holds in shares of the layouts."""
+    most = shares > MAJORITY
     if np.all(shares > 0.95):
         return "holds"
     if most.all():
@@ -236,7 +236,7 @@ def judged(shares: np.ndarray) -> str:
 
 
 def command(study: LayoutStudy, reading: Reading, change: Mapping[str, Any] | None = None) -> str:
-    """Return the command that shows one reading alone."""
+    """Return the command for one reading."""
     tree = study.settings.read(reading).model_dump(mode="json")
     for section, values in (change or {}).items():
         tree[section] |= values

@@ -17,7 +17,7 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
-from homeward.lab.report.paper.claims import claims, reading_words, start_words, verdict
+from homeward.lab.report.paper.claims import claims, conclusions, reading_words, start_words
 from homeward.lab.report.paper.page import COLOURS, QUANTITIES
 from homeward.lab.report.study.page import below_bound, note_below
 from homeward.lab.studies.blocks.store import MARKER
@@ -54,9 +54,9 @@ TITLES = {
     "4": "Case 4: open loop, a circle, no fault",
 }
 ACROSS = ("initial_error", "meaning_of_Q", "disturbance")
-"""Fields of a reading that the rows of the grid's figure show."""
+"""Fields of a reading in the rows of the grid's figure."""
 RIVALS = ("A-EKF (one)", "PI-EKF", PI_HT, DEAD_RECKONING)
-"""Whose shares the grid's figure shows."""
+"""Filters of the grid's figure."""
 
 
 def errors_of(study: LayoutStudy, case: CaseName, name: str, start: Start) -> np.ndarray:
@@ -67,7 +67,7 @@ def errors_of(study: LayoutStudy, case: CaseName, name: str, start: Start) -> np
 
 
 def draw_distributions(study: LayoutStudy) -> Figure:
-    """Draw the distribution of every RMSE from each start, with the printed figures."""
+    """Draw the distribution of every RMSE from each start, with the printed values."""
     with style():
         figure = new_figure(9.0)
         panels = figure.subplots(len(STUDIED), 3, sharey=True, sharex="col")
@@ -91,9 +91,17 @@ def draw_distributions(study: LayoutStudy) -> Figure:
         for axes, quantity in zip(panels[-1], QUANTITIES, strict=True):
             axes.set_xlabel(f"RMSE of {quantity}")
         entries = [
-            Line2D([], [], color=MUTED, marker="o", ms=5, lw=4, label="median, half: exact start"),
-            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label="start off"),
-            Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="as printed"),
+            Line2D(
+                [],
+                [],
+                color=MUTED,
+                marker="o",
+                ms=5,
+                lw=4,
+                label="exact start: median, middle half",
+            ),
+            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label="start error"),
+            Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="printed"),
         ]
         legend_below(figure, entries)
         uncrowd(figure)
@@ -108,9 +116,9 @@ def _log_axis(axes: Axes) -> None:
 
 
 def draw_grid(study: LayoutStudy) -> Figure:
-    """Draw the share of layouts in which each errs less than the EKF, under every reading.
+    """Draw the share of layouts with smaller errors than the EKF, under all readings.
 
-    Of R, theta and alpha the quantity with the smallest share.
+    It is the smallest share of R, theta and alpha.
     """
     with style():
         values = product(*(study.settings.axis(k) for k in ACROSS))
@@ -137,7 +145,7 @@ def draw_grid(study: LayoutStudy) -> Figure:
 
 
 def _columns(study: LayoutStudy) -> list[tuple[CaseName, Reading]]:
-    """Return what differs along the columns: the case, its stop radius and its faults."""
+    """Return the columns: case, stop radius and faults."""
     first = {case: study.reading(case) for case in STUDIED}
     return [
         (case, r)
@@ -149,7 +157,7 @@ def _columns(study: LayoutStudy) -> list[tuple[CaseName, Reading]]:
 
 def _row_words(row: dict[str, Any]) -> str:
     start, Q, noise = row.values()
-    words = ["exact" if not any(start) else f"{100 * start[0]:g} cm off"]
+    words = ["exact" if not any(start) else f"{100 * start[0]:g} cm error"]
     return ", ".join([*words, "2 x 2" if Q == "input" else "n x n", *["twist noise"] * any(noise)])
 
 
@@ -161,14 +169,14 @@ def _column_words(case: CaseName, reading: Reading) -> str:
 
 
 FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
-    "distributions": ("Every RMSE over the layouts, and the printed figures", draw_distributions),
-    "grid": ("Who errs less than the EKF, under every reading", draw_grid),
+    "distributions": ("RMSE over the layouts, with the printed values", draw_distributions),
+    "grid": ("Share of layouts with smaller errors than the EKF, under all readings", draw_grid),
 }
 """File name to caption and figure, in the order of the page."""
 
 
 CLAIMED = ("PI-EKF", "A-EKF", "EKF")
-"""The order that the paper claims, least error first."""
+"""Order of errors that the paper claims, from small to large."""
 PAGE, DATA = "layouts.html", "layouts.csv"
 
 
@@ -183,9 +191,9 @@ def write_layouts(directory: Path, study: LayoutStudy) -> None:
 
 
 def error_table(study: LayoutStudy) -> list[list[str]]:
-    """Return medians and 90 % of every RMSE from each start, the head first, as text."""
+    """Return median and 90 % range of every RMSE from each start as text, with a head."""
     head = ["case", "filter", "start", "R [cm]", "theta [rad]", "alpha [rad]"]
-    rows = [[*head, "theta, R > 20 cm", "below all printed", "home", "layouts"]]
+    rows = [[*head, "theta, R > 20 cm", "below all printed", "reached home", "layouts"]]
     for case, name, start in product(STUDIED, ROWS, study.starts):
         rmse = errors_of(study, case, name, start)
         low, middle, high = np.nanquantile(rmse, [0.05, 0.5, 0.95], axis=0, method="inverted_cdf")
@@ -204,7 +212,7 @@ def error_table(study: LayoutStudy) -> list[list[str]]:
 
 
 def order_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the shares of the orders over all layouts from each start, the head first."""
+    """Return the shares of layouts with each order of errors, with a head."""
     rows = [["case", "order", "start", "R", "theta", "alpha", "all three"]]
     for case, start in product(STUDIED, study.starts):
         reading = study.reading(case, initial_error=start)
@@ -215,7 +223,7 @@ def order_table(study: LayoutStudy) -> list[list[str]]:
             shares = [_share(float(s), n) for s in order_share(outcome, CLAIMED, a_ekf)]
             rows.append([case, order, words, *shares])
             printed = [_share(s, n) for s in printed_order_shares(outcome, case, a_ekf)]
-            rows.append([case, f"as its table prints, {a_ekf}", words, *printed, ""])
+            rows.append([case, f"as printed, {a_ekf}", words, *printed, ""])
         for name in FILTERS[1:]:
             better = [_share(float(s), n) for s in better_shares(outcome, name, "EKF")]
             rows.append([case, f"{name} < EKF", words, *better, ""])
@@ -223,7 +231,7 @@ def order_table(study: LayoutStudy) -> list[list[str]]:
 
 
 def grid_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the medians of every filter under every reading, and who beats the EKF, as text."""
+    """Return medians under all readings, and shares of layouts better than the EKF, as text."""
     better = [f"{name} < EKF [%]" for name in FILTERS[1:]]
     printed = [f"{name} below printed [%]" for name in FILTERS[:-1]]
     rows = [["case", "reading", *FILTERS, *better, *printed]]
@@ -239,7 +247,7 @@ def grid_table(study: LayoutStudy) -> list[list[str]]:
 
 
 def variant_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the medians of each variant, and who beats the EKF, as text."""
+    """Return medians of each variant, and shares of layouts better than the EKF, as text."""
     rows = [["variant", "case", "start", *FILTERS, "PI-EKF < EKF [%]", f"{PI_HT} < EKF [%]"]]
     for (name, case, start), outcome in study.varied.items():
         wins = [
@@ -252,8 +260,8 @@ def variant_table(study: LayoutStudy) -> list[list[str]]:
 
 
 def claim_table(study: LayoutStudy) -> list[list[str]]:
-    """Return what the paper says and the verdict on it, the head first, as text."""
-    return [["claim", "reading", "verdict", "figure", "command"], *map(list, claims(study))]
+    """Return the paper's claims with decisions as text, with a head."""
+    return [["claim", "reading", "decision", "figure", "command"], *map(list, claims(study))]
 
 
 def _medians(rmse: np.ndarray) -> str:
@@ -266,7 +274,7 @@ def _share(share: float, n: int) -> str:
 
 
 def bound_ratio(study: LayoutStudy, case: CaseName, reading: Reading, name: str) -> np.ndarray:
-    """Return RMSE over all layouts of the bound, over the bound's, (3,): R, theta, alpha."""
+    """Return the ratio of RMSE to the bound over the layouts of the bound, (3,)."""
     outcome = study.bounds[case, reading]
     bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0))
     n = outcome.rmse.shape[1]
@@ -275,9 +283,9 @@ def bound_ratio(study: LayoutStudy, case: CaseName, reading: Reading, name: str)
 
 
 def ratio_table(study: LayoutStudy) -> list[list[str]]:
-    """Return the bound, and RMSE over it, under all readings that the bound depends on, as text.
+    """Return the bound and RMSE ratios to it, under all readings that differ in it, as text.
 
-    Where start and motion are exact the bound is nothing, and so no ratio is told.
+    Where start and motion are exact the bound is zero, and there is no ratio.
     """
     rows = [["case", "reading", "bound: R [cm], theta, alpha [rad]", *ROWS[:-1]]]
     for (case, reading), outcome in study.bounds.items():
@@ -293,8 +301,8 @@ def ratio_table(study: LayoutStudy) -> list[list[str]]:
 
 
 def headline(study: LayoutStudy) -> str:
-    """Say in three sentences what came out."""
-    return " ".join(verdict(study.grid, study.settings.paper.printed.M))
+    """Return the conclusions as one text."""
+    return " ".join(conclusions(study.grid, study.settings.paper.printed.M))
 
 
 def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
@@ -302,18 +310,18 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
     return render(
         "layouts.html.j2",
         package="homeward.lab.report",
-        verdict=verdict(study.grid, study.settings.paper.printed.M),
+        conclusions=conclusions(study.grid, study.settings.paper.printed.M),
         figures=pictures,
         printed=[
             (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED
         ],
         tables=[
-            ("What the paper says, judged", claim_table(study), 5),
-            ("Errors: median (and 5 to 95 %) over the layouts", error_table(study), 3),
-            ("The Cramér-Rao bound, and errors over it", ratio_table(study), 2),
-            ("Who beats whom", order_table(study), 3),
-            ("Every reading: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
-            ("What else it depends on: medians, likewise", variant_table(study), 3),
+            ("Claims of the paper, tested", claim_table(study), 5),
+            ("RMSE: median (5 to 95 %) over the layouts", error_table(study), 3),
+            ("Cramér-Rao bound, and ratios to it", ratio_table(study), 2),
+            ("Shares of layouts by order of errors", order_table(study), 3),
+            ("All readings: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
+            ("Variants: medians of R [cm], theta, alpha [rad]", variant_table(study), 3),
         ],
         below=note_below(_below(study)),
         layouts=study.settings,
@@ -322,7 +330,7 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
 
 
 def _below(study: LayoutStudy) -> dict[str, str]:
-    """Return what is to be said of each that lies below its bound."""
+    """Return a note for each filter below its bound."""
     found = {}
     for (case, reading), outcome in study.bounds.items():
         bounds = outcome.of(BOUND)
@@ -339,7 +347,7 @@ RUNS = ("case", "start", "filter", "layout", "R_cm", "theta_rad", "alpha_rad", "
 
 
 def _every_run(study: LayoutStudy) -> Iterator[list[object]]:
-    """Yield `RUNS` of each: errors are RMSE in the paper's units, empty where there are none."""
+    """Yield `RUNS` of each run: RMSE in the paper's units, empty where unknown."""
     for case, start, outcomes in product(STUDIED, study.starts, (study.grid, study.bounds)):
         reading = study.reading(case, initial_error=start)
         outcome, words = outcomes[case, reading], " ".join(f"{v:g}" for v in start)

@@ -1,4 +1,4 @@
-"""Figures and page of `homeward study paper`: results next to the paper's tables."""
+"""Figures and page of `homeward study paper`."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from matplotlib.patches import Arc
 from homeward.geometry.angles import wrap
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
-from homeward.lab.report.paper.claims import median, triple, verdict
+from homeward.lab.report.paper.claims import conclusions, median, triple
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS
 from homeward.lab.studies.paper.layouts import Reading
 from homeward.lab.studies.paper.reproduction import (
@@ -83,7 +83,7 @@ def _arc(
     label: str,
     colour: str,
 ) -> None:
-    """Draw an angle [rad] with its letter."""
+    """Draw an angle [rad] with its symbol."""
     x, y = float(centre[0]), float(centre[1])
     arc = Arc((x, y), 2 * radius, 2 * radius, theta1=np.degrees(start), theta2=np.degrees(end))
     arc.set_color(colour)
@@ -119,13 +119,13 @@ def _draw_panels(lines: list[tuple[np.ndarray, np.ndarray, str, str, float]]) ->
 
 
 def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
-    """Draw the way home in the plane as one filter saw it, and as it was."""
+    """Draw the true path home and the path estimated by one filter."""
     run, world = result.shown[case].runs[name], result.shown[case].world
     with style():
         figure = new_figure(5.6)
         axes = figure.add_subplot(aspect="equal")
         _draw_landmarks(axes, world)
-        axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="truth")
+        axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="ground truth")
         R, theta = run.state[:, 0], run.state[:, 1]
         axes.plot(R * np.cos(theta), R * np.sin(theta), color=COLOURS[name], label=name)
         axes.plot(*run.pose[0, :2], "o", mfc="white", mec=INK, label="start")
@@ -136,7 +136,7 @@ def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
 
 
 def _draw_landmarks(axes: Axes, world: PaperWorld) -> None:
-    """Draw where landmarks stand, and in which direction home stored the wrong ones."""
+    """Draw landmarks, and the stored directions of the wrong ones."""
     wrong = world.faults != 0
     axes.plot(*world.landmarks[~wrong].T, "*", ms=9, color=GREEN, ls="none", label="landmark")
     if wrong.any():
@@ -148,9 +148,9 @@ def _draw_landmarks(axes: Axes, world: PaperWorld) -> None:
 
 
 def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
-    """Draw the estimated home bearings that were wrong over time, with 3 sigma.
+    """Draw the estimates of wrong home bearings over time, with 3 sigma.
 
-    Where none was wrong, all that were estimated.
+    If none was wrong, all estimated ones are drawn.
     """
     run, world = result.shown[case].runs[name], result.shown[case].world
     n = run.state.shape[1] - len(run.estimated)
@@ -166,8 +166,8 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
             band = 3 * np.sqrt(np.maximum(run.variance[:, n + k], 0))
             axes.fill_between(run.t, error - band, error + band, color=COLOURS[name], alpha=0.12)
             axes.plot(run.t, error, color=COLOURS[name], label=f"{name}, with 3 sigma")
-            axes.axhline(0.0, color=INK, lw=0.8, label="truth")
-            axes.axhline(world.faults[i], color=MUTED, ls="--", label="as home stored it")
+            axes.axhline(0.0, color=INK, lw=0.8, label="ground truth")
+            axes.axhline(world.faults[i], color=MUTED, ls="--", label="stored at home")
             reach = 1.6 * abs(world.faults[i]) or 0.5
             axes.set(ylim=(-reach, reach), ylabel=rf"error of $\beta^*_{i + 1}$ [rad]")
         panels[-1].set_xlabel("time [s]")
@@ -176,17 +176,17 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
 
 
 def draw_pose(result: Reproduction, case: CaseName, name: str) -> Figure:
-    """Draw the pose over time as one filter saw it, and as it was."""
+    """Draw the true pose over time and the estimate of one filter."""
     run = result.shown[case].runs[name]
     truth = run.state[:, :3] - run.errors
     truth[:, 1:] = np.unwrap(truth[:, 1:], axis=0)
     return _draw_panels(
-        [(run.t, truth, "truth", INK, 1.0), (run.t, run.state, name, COLOURS[name], 1.2)]
+        [(run.t, truth, "ground truth", INK, 1.0), (run.t, run.state, name, COLOURS[name], 1.2)]
     )
 
 
 def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
-    """Draw the home image of a case with its features, and the landmarks among them."""
+    """Draw the home image of a case with its features and landmarks."""
     world = result.shown[case].world
     assert world.sight is not None
     image, home = world.sight.home_image, world.sight.home
@@ -198,7 +198,7 @@ def draw_panorama(result: Reproduction, case: CaseName) -> Figure:
         axes.plot(home.column, home.row, ".", ms=2, color=SKY, label="features")
         for moved, colour, words in ((False, GREEN, "landmarks"), (True, VERMILLION, "moved")):
             rows = world.sight.landmarks[world.moved == moved]
-            if not rows.size:  # or the legend would name what is not there
+            if not rows.size:  # no legend entry without marks
                 continue
             (marks,) = axes.plot(home.column[rows], home.row[rows], "o", color=colour, label=words)
             marks.set(markersize=9, markerfacecolor="none", markeredgewidth=1.6)
@@ -218,10 +218,10 @@ class Drawing(NamedTuple):
 
     caption: str
     draw: Callable[..., Figure]
-    """Of a reproduction, a case, and the filters."""
+    """Function of a reproduction, a case, and the filters."""
     case: CaseName = "2"
     filters: tuple[str, ...] = ()
-    """Of which it draws one run over time."""
+    """Filters whose run is drawn over time."""
 
 
 FIGURES: dict[str, Drawing] = {
@@ -235,15 +235,15 @@ FIGURES: dict[str, Drawing] = {
         *(draw_errors, "2", FILTERS),
     ),
     "path_case_3": Drawing(
-        "Case 3: the way home of the A-EKF with one wrong home bearing",
+        "Case 3: path home of the A-EKF with one wrong home bearing",
         *(draw_path, "3 (one fault)", ("A-EKF (one)",)),
     ),
     "parameter_case_3": Drawing(
-        "Case 3: the wrong home bearing as the A-EKF estimates it",
+        "Case 3: the wrong home bearing, estimated by the A-EKF",
         *(draw_parameter, "3 (one fault)", ("A-EKF (one)",)),
     ),
     "parameters_case_3": Drawing(
-        "Case 3, several wrong home bearings, all of them parameters",
+        "Case 3, several wrong home bearings, all home bearings as parameters",
         *(draw_parameter, "3 (several)", ("A-EKF (all)",)),
     ),
     "pose_pi_ekf_case_4": Drawing(
@@ -258,9 +258,9 @@ PANORAMA = Drawing("Case 2: the panorama stored at home, with extracted features
 
 
 def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[], Figure]]]:
-    """Return all figures of a reproduction, with captions: with images, the panorama too.
+    """Return all figures of a reproduction with captions, including the panorama with images.
 
-    The caption of a figure over time names the run and the percentile of each filter drawn.
+    The caption of a figure over time has the run and the percentile of each filter.
     """
     imaged = result.settings.measurements == "images"
     figures: dict[str, tuple[str, Callable[[], Figure]]] = {}
@@ -275,7 +275,7 @@ def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[], Figure
 
 
 SETTINGS_FILE = "reproduce.yaml"
-"""Tells that the folder is ours; it holds the settings once all is written."""
+"""Settings; marks the folder as output of homeward."""
 PAGE = "paper.html"
 
 
@@ -297,10 +297,10 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
         "paper.html.j2",
         package="homeward.lab.report",
         figures=figures,
-        verdict=sentences(result),
+        conclusions=sentences(result),
         printed_rows=[row for row in table if row.case in PRINTED],
         other_rows=[row for row in table if row.case not in PRINTED],
-        found=found(result),
+        errata=errata(result),
         faults=fault_rows(result),
         quantities=QUANTITIES,
         printed=settings.printed,
@@ -313,61 +313,61 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
 
 
 def sentences(result: Reproduction) -> list[str]:
-    """Say in three sentences what came out, under the one reading of the settings."""
+    """Return the conclusions under the reading of the settings."""
     assumed = result.settings.assumed
     reading = Reading(*(getattr(assumed, field) for field in Reading._fields))
     readings = {(case, reading): outcome for case, outcome in result.outcomes.items()}
-    return verdict(readings, result.settings.printed.M)
+    return conclusions(readings, result.settings.printed.M)
 
 
 def fault_rows(result: Reproduction) -> list[tuple[CaseName, int, str]]:
-    """Return the moved landmarks that each case asks for, and how many its runs have."""
+    """Return the requested and the obtained numbers of moved landmarks of each case."""
     table = []
     for case, outcome in result.outcomes.items():
         numbers, runs = np.unique(outcome.moved, return_counts=True)
-        told = [f"{n} in {count(k, 'run')}" for n, k in zip(numbers, runs.tolist(), strict=True)]
-        table.append((case, fault_count(case, result.settings), listing(told)))
+        found = [f"{n} in {count(k, 'run')}" for n, k in zip(numbers, runs.tolist(), strict=True)]
+        table.append((case, fault_count(case, result.settings), listing(found)))
     return table
 
 
-def found(result: Reproduction) -> list[str]:
-    """Say what was found wrong in the paper, as it bears on these settings and results."""
+def errata(result: Reproduction) -> list[str]:
+    """Return errors and ambiguities in the paper that affect these settings and results."""
     printed, assumed = result.settings.printed, result.settings.assumed
     q = printed.landmarks
     rank = min(2 * q, q + 3)
     words = [
         "“At least two landmarks” is not enough. With two, the printed observability matrix has"
-        " four rows that are not zero, so that rank 5 is impossible by counting; the rank is"
-        f" min(2q, q + 3), which for the q = {q} of these settings is {rank} of {q + 3}"
+        " four non-zero rows, so that rank 5 is impossible. The rank is min(2q, q + 3), which for"
+        f" the q = {q} of these settings is {rank} of {q + 3}"
         + (": home is not determined." if rank < q + 3 else "."),
-        "The printed J_i is right; K_i, P_i and the second term of Q_i (the derivatives of the"
+        "The printed J_i is correct; K_i, P_i and the second term of Q_i (the derivatives of the"
         " bearing rate by theta, alpha and beta_i) have the wrong sign. The filters here use exact"
-        " derivatives of the model, so nothing depends on it.",
+        " derivatives of the model and are not affected.",
         f"Q is printed {q + 3} x {q + 3} (n x n) but used with two inputs; here it is "
         + ("2 x 2." if assumed.meaning_of_Q == "input" else "n x n, of the states."),
-        "Table 3's caption says closed loop, its text open loop; its figures stand beside Case 1"
-        " and Case 4.",
+        "The caption of Table 3 has closed loop, its text open loop; its values are compared with"
+        " Case 1 and Case 4.",
     ]
     if not any((*assumed.initial_error, *assumed.disturbance)):
         own = median(result.outcomes["2"], DEAD_RECKONING)[0]
         words.append(
-            "The start is exact and the robot moves as commanded, so that dead reckoning alone is"
-            f" off by {own:.2g} cm (Case 2, median of R) and no filter can do better; what is"
-            " compared is how little each is misled by its bearings."
+            "The start is exact and the robot moves as commanded, so that dead reckoning has an"
+            f" error of only {own:.2g} cm (Case 2, median of R). No filter can improve it. The"
+            " comparison shows how much wrong bearings mislead each filter."
         )
     if isinstance(printed.M, float) and isinstance(printed.Pi, float) and printed.Pi * printed.M:
         shares = {
             case: better_shares(result.outcomes[case], "PI-EKF", "EKF") for case in ("2", "4")
         }
-        told = [f"{triple(shares[case])} of Case {case}" for case in shares]
+        better = [f"{triple(shares[case])} of Case {case}" for case in shares]
         words.append(
-            f"With M = {printed.M:g} in every entry the PI-EKF adds"
-            f" {printed.Pi * printed.M:g} times the sum of all innovations to every state. It errs"
-            f" less than the EKF (R, theta, alpha) in {' and '.join(told)}."
+            f"With M = {printed.M:g} in all entries the PI-EKF adds {printed.Pi * printed.M:g}"
+            " times the sum of all innovations to every state. It is better than the EKF (R,"
+            f" theta, alpha) in {' and '.join(better)}."
         )
     if assumed.single_fault:
         words.append(
-            "“A 30 % error in beta*_1” is no error where beta*_1 is near zero; here it is "
+            "“A 30 % error in beta*_1” is zero where beta*_1 is near zero; here it is "
             f"{assumed.single_fault:g} rad."
         )
     return words
@@ -377,7 +377,7 @@ RUNS = ("case", "filter", "run", "moved", "R_cm", "theta_rad", "alpha_rad", "fin
 
 
 def _every_run(result: Reproduction) -> Iterator[list[object]]:
-    """Yield `RUNS` of each: errors are RMSE in the paper's units."""
+    """Yield `RUNS` of each run: RMSE in the paper's units."""
     for case, outcome in result.outcomes.items():
         for j, name in enumerate(outcome.names):
             for k, errors in enumerate(outcome.of(name) * TO_PAPER_UNITS):

@@ -1,1 +1,1 @@
-"""What a plan leaves behind: a page, maps and sentences."""
+"""Report of a plan: page, maps and summary."""

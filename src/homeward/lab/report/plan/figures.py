@@ -1,4 +1,4 @@
-"""Maps of a plan: from where homing can begin, how well, and what hiding a landmark costs."""
+"""Maps of a plan: where homing can begin, accuracy, and the cost of hidden landmarks."""
 
 from __future__ import annotations
 
@@ -29,24 +29,24 @@ NOWHERE = "#d5d9dd"
 WEAK = "#f3d9a4"
 CLASSES = (
     (NOWHERE, "too few landmarks"),
-    (WEAK, "beyond the limits"),
+    (WEAK, "error above the limits"),
     (SKY, "homing can begin"),
-    (BLUE, "whichever one landmark is hidden"),
+    (BLUE, "also with any one landmark hidden"),
 )
 """Colours of the map, from worst to best."""
-MOST_NAMES = 40
+MAX_NAMES = 40
 MULTIPLES = 6
-"""So many landmarks get a small map of what hiding them costs."""
+"""Number of landmarks with a small map of the cost of hiding them."""
 
 
 def draw_begin(view: PlanView) -> Figure:
-    """Draw from where homing can begin, and where further landmarks would help the most."""
-    told = np.isfinite(view.score).astype(int) + view.begins + view.safe
+    """Draw where homing can begin, and the best places for further landmarks."""
+    classes = np.isfinite(view.score).astype(int) + view.begins + view.safe
     with style():
         figure = new_figure(_height(view) + 0.9)
         axes = figure.add_subplot(aspect="equal")
         colours = ListedColormap([colour for colour, _ in CLASSES])
-        _image(axes, view, told, cmap=colours, vmin=-0.5, vmax=3.5)
+        _image(axes, view, classes, cmap=colours, vmin=-0.5, vmax=3.5)
         _draw_place(axes, view)
         _draw_advice(axes, view)
         _draw_scale(axes, view)
@@ -57,11 +57,11 @@ def draw_begin(view: PlanView) -> Figure:
 
 
 def draw_accuracy(view: PlanView) -> Figure:
-    """Draw the least error of position and of heading over the floor, with the limits as lines."""
+    """Draw the minimum errors of position and heading, with the limits as lines."""
     limits = view.plan.limits
     panels = (
-        (view.position, limits.position, "position at best [m]"),
-        (np.degrees(view.heading), np.degrees(limits.heading), "heading at best [°]"),
+        (view.position, limits.position, "minimum position error [m]"),
+        (np.degrees(view.heading), np.degrees(limits.heading), "minimum heading error [°]"),
     )
     with style():
         figure = new_figure(0.5 * _height(view) + 0.8)
@@ -81,7 +81,7 @@ def draw_accuracy(view: PlanView) -> Figure:
 
 
 def draw_hidden(view: PlanView) -> Figure:
-    """Draw what hiding a landmark costs, for those that cost the most."""
+    """Draw the cost of hiding a landmark, for the most important ones."""
     worst = costliest(view)[:MULTIPLES]
     with style():
         rows = -(-max(len(worst), 1) // 3)
@@ -107,14 +107,14 @@ def draw_hidden(view: PlanView) -> Figure:
 
 
 def costliest(view: PlanView) -> list[int]:
-    """Return the landmarks of which hiding takes some floor, the costliest first."""
+    """Return the landmarks whose hiding has a cost, the most important first."""
     kept = (view.hidden <= 1).mean(axis=0)
     order = [int(i) for i in np.argsort(kept, kind="stable")]
     return [i for i in order if kept[i] < view.begins.mean()]
 
 
 def _height(view: PlanView) -> float:
-    """Return how high a map of the whole width is [inch]."""
+    """Return the height of a map of the whole width [inch]."""
     west, south, east, north = view.floor.outline.bounds
     return WIDTH_IN * float(np.clip((north - south) / (east - west), 0.25, 1.4))
 
@@ -143,7 +143,7 @@ def _draw_place(axes: Axes, view: PlanView, names: bool = True) -> None:
         size = 10 if names else 6
         face = INK if stored else "white"
         axes.plot(*mark, "*", ms=size, color=face, mec=INK, mew=0.6, zorder=6, clip_on=False)
-        if names and len(view.names) <= MOST_NAMES:
+        if names and len(view.names) <= MAX_NAMES:
             _label(axes, view, name(text), mark)
     home = view.plan.home
     axes.plot(home.x, home.y, marker=HOUSE, ms=12 if names else 7, color=INK, mec="white", zorder=8)
@@ -153,10 +153,10 @@ def _draw_place(axes: Axes, view: PlanView, names: bool = True) -> None:
 
 
 def _draw_scale(axes: Axes, view: PlanView, below: bool = False) -> None:
-    """Draw a bar of a round length beside the map, above it at its right end or below it."""
+    """Draw a scale bar of a round length at the right, above or below the map."""
     west, _, east, _ = view.floor.outline.bounds
-    # The largest of 1, 2, 5, 10, ... that is no longer than a quarter of the map; the power of ten
-    # below that may be rounded up to more.
+    # The largest of 1, 2, 5, 10, ... up to a quarter of the map; the factor 0.5 allows for rounding
+    # of the power of ten.
     power = 10.0 ** np.floor(np.log10((east - west) / 4))
     length = max(k * power for k in (0.5, 1, 2, 5) if k * power <= (east - west) / 4)
     bar = AnchoredSizeBar(
@@ -175,7 +175,7 @@ def _draw_scale(axes: Axes, view: PlanView, below: bool = False) -> None:
 
 
 def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:
-    """Write a landmark's name on the side of it where the floor is."""
+    """Write a landmark's name on the side of the floor."""
     west, _, east, north = view.floor.outline.bounds
     left = place[0] > east - 0.2 * (east - west)
     below = place[1] > north - 0.1 * (east - west)
@@ -191,13 +191,13 @@ def _draw_advice(axes: Axes, view: PlanView) -> None:
 
 
 def _marks(view: PlanView) -> list[Line2D]:
-    """Return what the legend says of marks."""
+    """Return the legend entries of marks."""
     plain: dict[str, Any] = {"ls": "none", "color": INK}
     marks = [Line2D([], [], marker=MarkerPath(HOUSE), ms=9, label="home", **plain)]
     if view.stored.any():
         marks.append(Line2D([], [], marker="*", ms=10, label="landmark", **plain))
     if not view.stored.all():
-        label = "landmark that home cannot see"
+        label = "landmark not visible from home"
         marks.append(Line2D([], [], marker="*", ms=10, mfc="white", label=label, **plain))
     if len(view.advice.places):
         label = "best places for more, in order"

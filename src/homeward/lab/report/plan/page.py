@@ -1,4 +1,4 @@
-"""Sentences and page of `homeward plan`, its maps, and a table of the floor."""
+"""Summary and page of `homeward plan`, and a table of the floor."""
 
 from __future__ import annotations
 
@@ -19,77 +19,77 @@ from homeward.runs.report.files import number
 from homeward.runs.report.template import render
 
 RIGID = 3
-"""Landmarks in common without which home cannot be fixed."""
+"""Minimum number of common landmarks for a pose."""
 
 
 def plan_summary(view: PlanView) -> str:
-    """Say from where homing can begin, what the worst case is, and what would help."""
+    """Return in sentences where homing can begin, the worst case, and what to add."""
     trouble = _trouble(view)
     if trouble:
         return " ".join([trouble, *_advice(view)])
     limits = view.plan.limits
     begin = (
-        f"Homing can begin from {words.percent(float(view.begins.mean()))} of the floor: there"
-        f" {words.count(limits.landmarks, 'landmark')} at least are seen that home sees too, and"
-        f" at best the position is known to {words.quantity(limits.position, 'm')}, the heading"
-        f" to {words.degrees(limits.heading)}."
+        f"Homing can begin on {words.percent(float(view.begins.mean()))} of the floor: with at"
+        f" least {words.count(limits.landmarks, 'landmark')} in common with home, and errors below"
+        f" {words.quantity(limits.position, 'm')} and {words.degrees(limits.heading)}."
     )
     return " ".join([begin, *_worst(view), *_advice(view)])
 
 
 def _trouble(view: PlanView) -> str:
-    """Say why homing can begin nowhere, when that is so."""
+    """Return why homing can begin nowhere; empty if it can."""
     seen = int(view.stored.sum())
     if not view.names:
-        return "There is no landmark: nothing can be told anywhere."
+        return "No landmarks: homing is impossible. Add landmarks to the plan."
     if not seen:
-        return "Home sees no landmark: nothing can be told anywhere."
+        return "No landmark is visible from home: homing is impossible. Move home or add landmarks."
     if view.begins.any():
         return ""
-    told = np.isfinite(view.position)
+    observable = np.isfinite(view.position)
     text = "Homing can begin nowhere: "
     if seen < RIGID and view.plan.landmark_sigma is None:
         circle = " (with two, home may lie anywhere on a circle through them)" if seen == 2 else ""
-        return text + f"home sees only {words.count(seen, 'landmark')}, and it takes three{circle}."
-    most = int(view.common.max())
-    if most < view.plan.limits.landmarks:
+        return text + f"home sees only {words.count(seen, 'landmark')}, and needs three{circle}."
+    common = int(view.common.max())
+    if common < view.plan.limits.landmarks:
         return (
-            f"{text}{words.count(most, 'landmark')} at most are seen both there and from home, and"
-            f" the limit asks for {view.plan.limits.landmarks}."
+            f"{text}at most {words.count(common, 'landmark')} are visible there and from home, and"
+            f" the limit is {view.plan.limits.landmarks}."
         )
-    if not told.any():
-        return text + "the pose is not told anywhere."
+    if not observable.any():
+        return text + "the pose is not observable anywhere."
     return (
-        f"{text}the position is known to {words.quantity(float(view.position.min()), 'm')} and the"
-        f" heading to {words.degrees(float(view.heading.min()))} at the very best, which is beyond"
-        " the limits wherever enough landmarks are in common."
+        f"{text}the minimum errors of {words.quantity(float(view.position.min()), 'm')} and"
+        f" {words.degrees(float(view.heading.min()))} exceed the limits wherever enough landmarks"
+        " are in common."
     )
 
 
 def _worst(view: PlanView) -> list[str]:
-    """Say what hiding one landmark, or two, does."""
+    """Return the effect of one or two hidden landmarks."""
     all_in_place = float(view.begins.mean())
     safe = float(view.safe.mean())
-    parts = [f"Whichever one landmark is hidden, {words.percent(safe)} remain."]
+    parts = [f"With any one landmark hidden, {words.percent(safe)} remain."]
     costly = costliest(view)
     if costly:
         kept = float((view.hidden[:, costly[0]] <= 1).mean())
         parts.append(
-            f"The worst to lose is {words.name(view.names[costly[0]])}: without it,"
+            f"The most important landmark is {words.name(view.names[costly[0]])}: without it,"
             f" {words.percent(kept)} instead of {words.percent(all_in_place)}."
         )
     pair = worst_pairs(view, 1)
     if pair:
         i, j, share = pair[0]
         parts.append(
-            f"The worst two are {words.name(view.names[i])} and {words.name(view.names[j])}:"
+            f"The most important two are {words.name(view.names[i])} and"
+            f" {words.name(view.names[j])}:"
             f" without both, {words.percent(share)}."
         )
     return parts
 
 
 def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
-    """Return pairs of landmarks, and the share of the floor that is left without both."""
+    """Return pairs of landmarks, and the share of the floor that remains without both."""
     q = len(view.names)
     pairs = [(i, j, float(view.pair_share[i, j])) for i in range(q) for j in range(i)]
     whole = float(view.begins[view.sample].mean())
@@ -97,37 +97,37 @@ def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
 
 
 def _advice(view: PlanView) -> list[str]:
-    """Say where further landmarks would help."""
+    """Return the best places for further landmarks."""
     advice = view.advice
     if not len(advice.places):
-        asked = view.plan.further and len(advice.candidates)
-        return ["No further landmark among the candidate places would help."] if asked else []
+        searched = view.plan.further and len(advice.candidates)
+        return ["No further landmark at a candidate place would help."] if searched else []
     places = [f"({x:.1f}, {y:.1f})" for x, y in advice.places]
     what = "a further landmark" if len(places) == 1 else f"{len(places)} further landmarks"
     where = words.listing(places)
     return [
-        f"The best {'place' if len(places) == 1 else 'places'} found for {what}: {where}; from"
-        f" {words.percent(float(advice.share[-1]))} of the floor homing could then begin, from"
-        f" {words.percent(float(advice.safe[-1]))} whichever one is hidden (now"
+        f"Best {'place' if len(places) == 1 else 'places'} for {what}: {where}. Homing could then"
+        f" begin on {words.percent(float(advice.share[-1]))} of the floor, and on"
+        f" {words.percent(float(advice.safe[-1]))} with any one hidden (now"
         f" {words.percent(float(advice.share[0]))} and {words.percent(float(advice.safe[0]))})."
     ]
 
 
 SETTINGS_FILE = "plan.yaml"
-"""Written last: a folder that holds it is whole output of ours; it repeats the plan."""
+"""The plan; written last, so that it marks the folder as complete output."""
 PAGE = "plan.html"
 PAIRS = 8
-"""So many pairs stand in the table."""
+"""Number of pairs in the table."""
 
 
 def write_plan(directory: Path, view: PlanView) -> None:
     """Write plan.html, maps as PNG and SVG, floor.csv, plan.yaml; errors as `whole_folder`."""
     figures = {
-        "begin": (draw_begin(view), "From where homing can begin"),
-        "accuracy": (draw_accuracy(view), "Least error of position and heading over the floor"),
+        "begin": (draw_begin(view), "Where homing can begin"),
+        "accuracy": (draw_accuracy(view), "Minimum errors of position and heading over the floor"),
     }
     if costliest(view):
-        figures["hidden"] = (draw_hidden(view), "What hiding one landmark costs")
+        figures["hidden"] = (draw_hidden(view), "Cost of hiding one landmark")
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         drawings = {
             key: drawn(scratch, key, label, figure, vector=True)[1]
@@ -155,14 +155,14 @@ def _page(view: PlanView, drawings: dict[str, Markup]) -> str:
             ("homing can begin", words.percent(float(begins.mean()))),
             ("with any one hidden", words.percent(float(view.safe.mean()))),
             ("with any two hidden", words.percent(float(view.pair_safe.mean()))),
-            ("a moved one is noticed", words.percent(float((begins & (common >= 4)).mean()))),
-            ("and named", words.percent(float((begins & (common >= 5)).mean()))),
+            ("a moved one is detected", words.percent(float((begins & (common >= 4)).mean()))),
+            ("and identified", words.percent(float((begins & (common >= 5)).mean()))),
         ],
         landmarks=[
             (
                 view.names[i],
                 bool(view.stored[i]),
-                # Both of the same places, lest chance puts them in the wrong order.
+                # Both from the same places, so that they are comparable.
                 float((view.hidden[view.sample, i] <= 1).mean()),
                 float((view.moved[:, i] <= 1).mean()),
             )
@@ -180,10 +180,10 @@ def _settings(view: PlanView) -> str:
 
 
 def _write_floor(file: Path, view: PlanView) -> None:
-    """Write the map as CSV: empty where the pose is not told."""
+    """Write the map as CSV, empty where the pose is not observable."""
     columns = np.column_stack([view.floor.points, view.position, view.heading])
-    told = (np.where(yes, "yes", "no") for yes in (view.begins, view.safe))
-    rows = zip(columns, view.common, *told, strict=True)
+    flags = (np.where(yes, "yes", "no") for yes in (view.begins, view.safe))
+    rows = zip(columns, view.common, *flags, strict=True)
     write_csv(
         file,
         ("x", "y", "position_sigma", "heading_sigma", "landmarks", "begins", "safe"),

@@ -1,4 +1,4 @@
-"""Maps over the settings of an estimator's grid: where it is consistent, where it converges."""
+"""Maps of consistency and errors over the settings of an estimator's grid."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from homeward.runs.report.palette import BLUE, INK, VERMILLION
 GOOD_TO_BAD = LinearSegmentedColormap.from_list("good", (BLUE, "#ffffff", VERMILLION))
 SHOWN: dict[str, dict[str, str]] = {
     "a-ekf": {
-        "nees": "consistency: median NEES (3 is right)",
-        "moved_bearing_error": "convergence: error left in a wrong home bearing [rad]",
-        "position_rmse": "what it is worth: position RMSE [m]",
+        "nees": "consistency: median NEES (3 if consistent)",
+        "moved_bearing_error": "convergence: remaining error of a wrong home bearing [rad]",
+        "position_rmse": "accuracy: position RMSE [m]",
     },
     "pi-ekf": {
         "position_bias": "bias: mean position error [m]",
         "position_oscillation": "oscillation around it [m]",
-        "position_rmse": "what it is worth: position RMSE [m]",
+        "position_rmse": "accuracy: position RMSE [m]",
     },
 }
-"""Estimator to quantities and their meaning; others show RMSE and NEES."""
+"""Estimator to quantities and titles; others have RMSE and NEES."""
 WORDS = {
     "parameter_sigma": "√P0: parameter_sigma [rad]",
     "parameter_walk": "√Qd: parameter_walk [rad/√s]",
@@ -40,15 +40,15 @@ WORDS = {
     "proportional": "Pi: proportional",
     "integral_gain": "M: integral_gain",
 }
-"""Settings as the paper calls them."""
+"""Settings with their names in the paper."""
 DECADES = {"moved_bearing_error": 1.5}
-"""Ratio to the plain EKF at which a colour is full, in powers of ten; half of one otherwise."""
-OTHERS = {"position_rmse": "position RMSE [m]", "nees": "median NEES (3 is right)"}
+"""Ratio to the EKF at full colour, in powers of ten; 0.5 otherwise."""
+OTHERS = {"position_rmse": "position RMSE [m]", "nees": "median NEES (3 if consistent)"}
 
 
 @dataclass(frozen=True)
 class SettingsGrid:
-    """The settings of one estimator that fill a plane, perhaps several planes."""
+    """Settings of one estimator on a grid of two or three dimensions."""
 
     name: str
     caption: str
@@ -56,11 +56,11 @@ class SettingsGrid:
     axes: tuple[str, ...]
     """Two or three settings: across, up, and from panel to panel."""
     contenders: range
-    """Indices of those that fill it."""
+    """Indices of the contenders on the grid."""
 
 
 def grids(results: Results) -> list[SettingsGrid]:
-    """Return the grids of two or three settings; what is drawn is of the first scenario."""
+    """Return the grids of two or three settings; only the first scenario is drawn."""
     found, first = [], 0
     for k, entry in enumerate(results.plan.study.estimators):
         sizes, name = [len(values) for values in entry.grid.values()], entry.estimator
@@ -73,9 +73,9 @@ def grids(results: Results) -> list[SettingsGrid]:
 
 
 def draw_maps(results: Results, grid: SettingsGrid) -> Figure:
-    """Draw a row of maps for each quantity; blue is better than the plain EKF, red is worse.
+    """Draw a row of maps for each quantity; blue is better than the EKF, red is worse.
 
-    Of the NEES, blue is 3. Every cell shows its number, a median over the runs.
+    For the NEES, blue is 3. Every cell has the median over the runs.
     """
     shown = SHOWN.get(grid.estimator, OTHERS)
     members = [results.plan.contenders[j] for j in grid.contenders]
@@ -90,14 +90,14 @@ def draw_maps(results: Results, grid: SettingsGrid) -> Figure:
             for axes, page in zip(row, pages, strict=True):
                 cells = _cells(results, grid, quantity, (across, up), page)
                 _draw_map(axes, cells, quantity, reference, size)
-                axes.set_title(" ", fontsize=9)  # keeps room for the words
+                axes.set_title(" ", fontsize=9)  # keeps room for the title
                 axes.set_xticks(range(len(across)), [_word(v) for v in across])
                 axes.set_yticks(range(len(up)), [_word(v) for v in up])
                 axes.grid(False)
                 axes.spines[:].set_visible(False)
-            told = "" if np.isnan(reference) else f"; plain EKF: {number(reference)}"
-            title = row[0].text(0.0, 1.05, words + told, transform=row[0].transAxes)
-            title.set_in_layout(False)  # or the first column grows to its width
+            suffix = "" if np.isnan(reference) else f"; EKF: {number(reference)}"
+            title = row[0].text(0.0, 1.05, words + suffix, transform=row[0].transAxes)
+            title.set_in_layout(False)  # otherwise the first column gets its width
         figure.supylabel(WORDS.get(grid.axes[1], grid.axes[1]), fontsize=9)
         figure.supxlabel(WORDS.get(grid.axes[0], grid.axes[0]), fontsize=9)
         if grid.axes[2:]:
@@ -140,7 +140,7 @@ def _median(results: Results, quantity: str, j: int) -> float:
 
 
 def _reference(results: Results, quantity: str) -> float:
-    """Return the plain EKF's number, where the study has one."""
+    """Return the median of the EKF, if the study has one."""
     for j, contender in enumerate(results.plan.contenders):
         if contender.estimator == "ekf" and not contender.point:
             return _median(results, quantity, j)
@@ -148,7 +148,7 @@ def _reference(results: Results, quantity: str) -> float:
 
 
 def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float, size: float) -> None:
-    """Colour cells by how much better or worse they are, and write their numbers, so large [pt]."""
+    """Colour cells by their ratio to the reference, with numbers of a size [pt]."""
     if quantity == "nees":
         worse = np.abs(np.log10(np.maximum(cells, 1e-3) / 3.0)) - np.log10(2.0)
     else:
@@ -164,7 +164,7 @@ def _draw_map(axes: Axes, cells: np.ndarray, quantity: str, reference: float, si
 
 
 def _number(value: float) -> str:
-    """Return a number that fits into a cell."""
+    """Return a number as text that fits into a cell."""
     if np.isnan(value):
         return ""
     if value < 9.5e-4:

@@ -1,4 +1,4 @@
-"""Figures and page of `homeward study`, estimators below their bound, and one netCDF file."""
+"""Figures and page of `homeward study`, and notes on estimators below their bound."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
 
 MARK = "†"
-"""Of such an estimator in a figure."""
-MOST = 6
-"""Of them are named."""
-CHANCE, FEWEST = 3.0, 10
-"""Standard errors that chance explains 999 times in 1000, and runs that it takes to know them."""
+"""Mark of estimators below their bound."""
+MAX_NAMED = 6
+"""Maximum number of such estimators in a note."""
+SIGNIFICANT, MIN_RUNS = 3.0, 10
+"""Number of standard errors for significance (99.9 %), and of runs to estimate them."""
 
 
 def below_bound(errors: np.ndarray, bounds: np.ndarray) -> str:
-    """Say how far an RMSE lies below its bound, and whether by chance; nothing where it does not.
+    """Describe an RMSE below its bound, with its significance; empty if it is not below.
 
-    Errors are the RMSE of each run, bounds the bound on it, (runs,); NaN where not known.
+    `errors` are the RMSE of each run, `bounds` their bounds, (runs,); NaN where unknown.
     """
     known = np.isfinite(errors) & np.isfinite(bounds)
     excess = (errors**2 - bounds**2)[known]
@@ -66,43 +66,43 @@ def below_bound(errors: np.ndarray, bounds: np.ndarray) -> str:
         return ""
     share = np.sqrt(np.mean(errors[known] ** 2) / np.mean(bounds[known] ** 2))
     error = excess.std() / np.sqrt(excess.size)
-    told = excess.size >= FEWEST and -excess.mean() > CHANCE * error
-    return f"{100 * share:.1f} % of it, {'which is not chance' if told else 'perhaps by chance'}"
+    significant = excess.size >= MIN_RUNS and -excess.mean() > SIGNIFICANT * error
+    return f"{100 * share:.1f} % of it, {'significant' if significant else 'not significant'}"
 
 
 def note_below(found: Mapping[str, str]) -> str:
-    """Return the note of a page on those that `below_bound` found, by name; empty without any."""
-    told = [f"{name} ({words})" for name, words in found.items() if words]
-    if not told:
+    """Return the note on estimators that `below_bound` found, by name; empty without any."""
+    below = [f"{name} ({words})" for name, words in found.items() if words]
+    if not below:
         return ""
     return (
-        f"{MARK} RMSE below its bound: {listing(told, MOST)}. The bound is of the mean over all"
-        " drives, for estimators without a bias: over few runs chance gets below it, and so does an"
-        " estimator whose errors are drawn towards what it expects."
+        f"{MARK} RMSE below its bound: {listing(below, MAX_NAMED)}. The bound is for the mean over"
+        " all drives and for unbiased estimators. A small number of runs, or a bias towards prior"
+        " assumptions, can give a smaller RMSE."
     )
 
 
 OVERVIEW, OVER_TIME = "overview", "rmse_over_time"
-"""Names of figures that not every study has."""
-MOST_ROWS = 80
-"""Of the overview."""
-MOST_CONTENDERS = 24
-"""Of the overview; more have a map, and the table."""
-MOST_PANELS = 8
-"""Scenarios over time."""
+"""Names of figures that only some studies have."""
+MAX_ROWS = 80
+"""Maximum number of rows of the overview."""
+MAX_CONTENDERS = 24
+"""Maximum number of estimators in the overview; more are only in maps and in the table."""
+MAX_PANELS = 8
+"""Maximum number of scenarios over time."""
 LINE = 34
-"""Letters of a label in one line."""
+"""Characters of a label in one line."""
 BELOW = "RMSE below its bound"
 CONSISTENT = 3.0
 """Mean NEES of (x, y, heading) of a consistent estimator."""
 
 
 def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
-    """Yield (file name, caption, figure) of everything worth drawing."""
+    """Yield file name, caption and figure of all figures."""
     for grid in grids(results):
         yield f"map_{grid.name}", grid.caption, draw_maps(results, grid)
-    if len(results.plan.contenders) <= MOST_CONTENDERS:
-        words = "Errors, homecoming and consistency, over all runs"
+    if len(results.plan.contenders) <= MAX_CONTENDERS:
+        words = "Errors, successful homing and consistency (NEES) over all runs"
         yield OVERVIEW, words, draw_overview(results)
     if len(results.plan.contenders) <= len(CONTENDER_COLOURS):
         words = "RMSE of the position over time, and the Cramér-Rao bound"
@@ -112,7 +112,7 @@ def figures(results: Results) -> Iterator[tuple[str, str, Figure]]:
 
 
 def below(results: Results) -> dict[str, str]:
-    """Return what is to be said of each "estimator in scenario" below its bound, else nothing."""
+    """Return a note for each "estimator in scenario" below its bound, else an empty text."""
     run, plan = results.run, results.plan
     return {
         f"{contender.label} in {case.label}": below_bound(
@@ -124,8 +124,8 @@ def below(results: Results) -> dict[str, str]:
 
 
 def draw_overview(results: Results) -> Figure:
-    """Draw a row for each scenario and estimator: errors, share at home, NEES."""
-    rows = lines(results)[:MOST_ROWS]
+    """Draw a row for each scenario and estimator: errors, successful homing, NEES."""
+    rows = lines(results)[:MAX_ROWS]
     closed = results.plan.study.loop == "closed"
     colours = {
         c.label: CONTENDER_COLOURS[j % len(CONTENDER_COLOURS)]
@@ -183,18 +183,18 @@ def draw_overview(results: Results) -> Figure:
 
 
 def _wrapped(label: str) -> str:
-    """Return a label as it is, in lines that leave a panel its room."""
+    """Return a label in lines of limited length."""
     return textwrap.fill(plain(label), LINE)
 
 
 def _ticks(axes: Axes) -> LogLocator:
-    """Return ticks at 1, 2 and 5 where the axis spans little, else at powers of ten."""
+    """Return ticks at 1, 2 and 5 for a short axis, else at powers of ten."""
     low, high = axes.get_xlim()
     return LogLocator(subs=(1.0, 2.0, 5.0) if high / low < 50 else (1.0,), numticks=7)
 
 
 def _places(rows: list[Line]) -> list[float]:
-    """Return where each row stands, with room for a heading before each scenario."""
+    """Return the position of each row, with room for a heading before each scenario."""
     new = [False, *(a.scenario != b.scenario for a, b in pairwise(rows))]
     places: list[float] = (np.arange(len(rows)) + 1.4 * np.cumsum(new)).tolist()
     return places
@@ -226,13 +226,13 @@ def draw_rmse(results: Results) -> Figure:
 
 
 def draw_nees(results: Results) -> Figure:
-    """Draw the mean NEES over time in each scenario, with what it should be."""
+    """Draw the mean NEES over time in each scenario, with its expected range."""
 
     def draw(axes: Axes, i: int) -> None:
         for j in range(len(results.plan.contenders)):
             nees = over_time(results, "nees_over_time", i, j, root=False)
             axes.plot(results.plan.times, nees, color=CONTENDER_COLOURS[j])
-        # Of the mean of N draws from chi-square(3), which has variance 6.
+        # Mean of N draws from chi-square(3), which has variance 6.
         half = 1.96 * math.sqrt(6.0 / results.plan.cases[i].runs)
         axes.axhspan(max(CONSISTENT - half, 0.1), CONSISTENT + half, color=RULE, lw=0, zorder=0)
         axes.axhline(CONSISTENT, color=INK, lw=0.8, zorder=0)
@@ -243,7 +243,7 @@ def draw_nees(results: Results) -> Figure:
 
 def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[Line2D]) -> Figure:
     """Draw a panel for each scenario, and one legend for all."""
-    cases = results.plan.cases[:MOST_PANELS]
+    cases = results.plan.cases[:MAX_PANELS]
     columns = min(len(cases), 2)
     rows = -(-len(cases) // columns)
     with style():
@@ -272,9 +272,9 @@ PAGE, DATA = "study.html", "results.nc"
 
 
 def write_study(directory: Path, results: Results) -> list[list[str]]:
-    """Write the page, its table, figures as PNG, and results as netCDF, all or nothing.
+    """Write the page, its table, figures as PNG, and results as netCDF, completely or not at all.
 
-    Return the table, for the terminal; errors as `whole_folder`.
+    Return the table; errors as `whole_folder`.
     """
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
@@ -290,16 +290,16 @@ def write_study(directory: Path, results: Results) -> list[list[str]]:
 
 
 def headline(results: Results) -> str:
-    """Say in a sentence what was computed."""
+    """Return one sentence on the runs of a study."""
     plan, study = results.plan, results.plan.study
-    loop = "each steering its own drives" if study.loop == "closed" else "on drives of the truth"
+    loop = "steered by the estimator" if study.loop == "closed" else "steered by the true pose"
     failed = int(results.failed.sum())
-    told = f"{failed:,} of {results.number:,} runs failed" if failed else "no run failed"
+    outcome = f"{failed:,} of {results.number:,} runs failed" if failed else "no run failed"
     fixed = any(case.runs < study.runs for case in plan.cases)
     return (
-        f"{count(len(plan.contenders), 'estimator')} in {count(len(plan.cases), 'scenario')}: "
-        f"{told}, of {count(study.runs, 'run')} each"
-        f"{' (one where nothing is random)' if fixed else ''}, {loop}"
+        f"{count(len(plan.contenders), 'estimator')} in {count(len(plan.cases), 'scenario')},"
+        f" {count(study.runs, 'run')} each{' (1 where nothing is random)' if fixed else ''},"
+        f" {loop}: {outcome}"
     )
 
 
@@ -312,10 +312,10 @@ def _page(
     plan = results.plan
     names = [name for name, _, _ in pictures]
     cut = []
-    if OVER_TIME in names and len(plan.cases) > MOST_PANELS:
-        cut.append(f"figures over time show the first {MOST_PANELS} scenarios")
-    if OVERVIEW in names and len(plan.cases) * len(plan.contenders) > MOST_ROWS:
-        cut.append(f"the overview shows the first {MOST_ROWS} rows of the table")
+    if OVER_TIME in names and len(plan.cases) > MAX_PANELS:
+        cut.append(f"figures over time have the first {MAX_PANELS} scenarios")
+    if OVERVIEW in names and len(plan.cases) * len(plan.contenders) > MAX_ROWS:
+        cut.append(f"the overview has the first {MAX_ROWS} rows of the table")
     settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
     return render(
         "study.html.j2",

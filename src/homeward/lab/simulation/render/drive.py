@@ -1,6 +1,6 @@
-"""A robot's camera in a rendered room, the loop closed by its images, and the data set of a drive.
+"""Camera in a rendered room, drives closed by its images, and image data sets.
 
-The loop takes a picture, finds bearings in it, estimates the pose, and commands a twist.
+The loop renders an image, extracts bearings, estimates the pose, and commands a twist.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ from homeward.vision.homing.visual_homing import VisualHoming
 from homeward.vision.tags.front_end import TagFrontEnd
 
 ROBOT_RADIUS = 0.15
-"""The robot must keep so far from boxes and walls [m]."""
+"""Minimum distance of the robot's centre from boxes and walls [m]."""
 
 
 class Eye:
-    """The camera of a scenario; the same one always takes the same pictures.
+    """Camera of a scenario; the same scenario always gives the same images.
 
-    The scenario is furnished, if it is not yet. Raises `InputError` where the room has no place for
-    its contents, or home is in a box.
+    The scenario is furnished if necessary. Raises `InputError` where the room has no place for its
+    contents, or home is in a box.
     """
 
     def __init__(self, scenario: RenderScenario) -> None:
@@ -64,15 +64,14 @@ class Eye:
 
     @property
     def home_view(self) -> Viewpoint:
-        """Where the camera was when home was stored."""
+        """Viewpoint of the camera when home was stored."""
         mount = self.scenario.home_mount.pose
         return self._view(compose(self.scenario.home.pose, mount), 0)
 
     def home_picture(self, turned: float = 0.0, number: int = 0) -> np.ndarray:
-        """Return the picture that home stored, (height, width, 3), blue green red.
+        """Return the home image, (height, width, 3), blue green red.
 
-        Or another one of there, of a robot that has turned by so much [rad], by a `number` that no
-        picture has.
+        With `turned` [rad] and an unused `number`, another image from home after a rotation.
         """
         scenario, mount = self.scenario, self.scenario.home_mount.pose
         robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
@@ -81,35 +80,37 @@ class Eye:
         return picture(self.then, view, scenario.home_time, scenario.camera, chance)
 
     def home_truth(self) -> PixelTruth:
-        """Return what each of its pixels shows."""
+        """Return the ground truth of each pixel of the home image."""
         scenario = self.scenario
         return pixel_truth(self.then, self.home_view, scenario.home_time, scenario.camera)
 
     def view(self, robot: Pose, number: int) -> Viewpoint:
-        """Return where the camera is for picture `number` (from 1) of a robot in the home frame."""
+        """Return the viewpoint of image `number` (from 1) for a robot pose in the home frame."""
         in_room = compose(self.scenario.home.pose, robot)
         return self._view(compose(in_room, self.scenario.sensor.pose), number)
 
     def look(self, t: float, robot: Pose, number: int) -> np.ndarray:
-        """Return picture `number` (from 1), taken at `t` [s]; shape (height, width, 3).
+        """Return image `number` (from 1), taken at `t` [s]; shape (height, width, 3).
 
-        Raises `InputError` where the robot runs into something.
+        Raises `InputError` where the robot collides with a box or a wall.
         """
         centre = compose(self.scenario.home.pose, robot)
         if thing := self.now.blocked(centre.x, centre.y, ROBOT_RADIUS):
-            raise InputError(f"after {t:.1f} s the robot runs into {thing}")
+            raise InputError(
+                f"after {t:.1f} s the robot runs into {thing}; change the start, path or furniture"
+            )
         view = self.view(robot, number)
         return picture(self.now, view, t, self.scenario.camera, self._chance(number))
 
     def truth(self, t: float, robot: Pose, number: int) -> PixelTruth:
-        """Return what each pixel of that picture shows."""
+        """Return the ground truth of each pixel of an image."""
         return pixel_truth(self.now, self.view(robot, number), t, self.scenario.camera)
 
     def _view(self, camera: Pose, number: int) -> Viewpoint:
         settings = self.scenario.camera
-        # A generator of its own: how a picture is tilted does not hang on its noise.
-        shaken = np.random.default_rng([self.scenario.seed, int(Stream.TILT), number])
-        roll, pitch = settings.tilt_sigma * shaken.standard_normal(2)
+        # A separate generator, so that tilt does not depend on image noise.
+        tilts = np.random.default_rng([self.scenario.seed, int(Stream.TILT), number])
+        roll, pitch = settings.tilt_sigma * tilts.standard_normal(2)
         tilt = settings.roll + roll, settings.pitch + pitch
         return viewpoint(camera.x, camera.y, settings.above_floor, camera.heading, *tilt)
 
@@ -118,24 +119,24 @@ class Eye:
 
 
 Keep = Callable[[float, Pose, np.ndarray], None]
-"""Called with each picture: its time [s], the robot's true pose in the home frame, the picture."""
+"""Called with the time [s], the robot's true pose in the home frame, and the image."""
 
 
 @dataclass(frozen=True)
 class ImageDrive(Driven):
-    """A drive through a rendered room, with what was made of the images."""
+    """A drive through a rendered room, with the results from its images."""
 
     eye: Eye
     images: int
-    """How many were taken on the way."""
+    """Number of images taken during the drive."""
     landmarks: list[LandmarkEstimate]
-    """What the estimator knew of each landmark at the end."""
+    """Landmark estimates at the end."""
 
 
 class ImageLoop:
-    """A robot at the start, with a camera, and with a front-end if its images are to steer it.
+    """Robot at the start, with a camera and a front-end for its images.
 
-    A `blind` one only takes them. `home` is what home stored, if not what one picture shows.
+    If `blind`, images are rendered but not used. `home` replaces the bearings of the home image.
     """
 
     def __init__(
@@ -156,7 +157,7 @@ class ImageLoop:
 
     @property
     def drive(self) -> Drive:
-        """The drive before it begins: home and settings, for making an estimator."""
+        """Home and settings without samples, to make an estimator from."""
         return before(self.eye.scenario, self._home, None, self.eye.scenario.view)
 
     @single_threaded_blas()
@@ -166,10 +167,10 @@ class ImageLoop:
         keep: Keep | None = None,
         progress: Callable[[float], None] | None = None,
     ) -> ImageDrive:
-        """Drive to the end; the loop and the estimator are used up.
+        """Drive to the end; neither the loop nor the estimator can be used again.
 
-        The estimator, made for `drive`, steers by its pose; None: the truth steers. `keep` is given
-        each picture. Raises `InputError` when the robot runs into something.
+        The estimator, made for `drive`, steers the robot; None: the true pose does. `keep` receives
+        each image. Raises `InputError` when the robot collides with something.
         """
         sight = estimator
         if estimator is not None and isinstance(self.front_end, FrontEnd):
@@ -197,13 +198,13 @@ class ImageLoop:
 
 
 def panorama_of(eye: Eye) -> Panorama:
-    """Return the camera of a scenario as one that finds landmarks in its panoramas."""
+    """Return the camera of a scenario as a panoramic camera."""
     camera = eye.scenario.camera.known
     return camera if isinstance(camera, Panorama) else PartialPanorama.through(camera)
 
 
 def moved_boxes(eye: Eye) -> dict[str, bool]:
-    """Return the boxes moved since home was stored; True where home's picture shows one."""
+    """Return the boxes moved since home was stored; True where the home image shows one."""
     seen = np.unique(eye.home_truth().thing)
     shown = {eye.then.things[i] for i in seen[seen != NOTHING].tolist()}
     boxes = eye.scenario.boxes.items()
@@ -211,7 +212,7 @@ def moved_boxes(eye: Eye) -> dict[str, bool]:
 
 
 def things_seen(eye: Eye, home: Features) -> list[str]:
-    """Return the name of the thing on which each feature of the home view lies."""
+    """Return the name of the object of each feature of the home image."""
     camera, view = eye.scenario.camera, eye.home_view
     surfaces, _ = eye.then.at(eye.scenario.home_time, view)
     tilt = tilt_matrix(camera.roll, camera.pitch)
@@ -233,9 +234,9 @@ def write_rendered(
 ) -> ImageDrive:
     """Drive through a room, and write an image data set.
 
-    It has home.png, images.csv (t, file) and the images, images.yaml (which camera took them),
-    odometry.csv, truth.csv and drive.yaml as in a drive folder, things.csv (the truth about what
-    stands in the room), and scenario.yaml, which repeats it all.
+    It has home.png, images.csv (t, file) and the images, images.yaml (the camera), odometry.csv,
+    truth.csv and drive.yaml as in a drive folder, things.csv (the true objects of the room), and
+    scenario.yaml, which repeats the drive.
 
     Parameters
     ----------
@@ -244,16 +245,15 @@ def write_rendered(
     folder : Path
         An empty folder.
     make_estimator : callable, optional
-        Makes the estimator whose pose steers, fed by the images, for a drive that has home and
-        settings; what the front-end saw is written to the drive folder `DRIVE`. None: the truth
-        steers.
+        Makes the estimator that steers by the images, from a drive with home and settings; its
+        bearings are written to the drive folder `DRIVE`. None: the true pose steers.
     progress : callable, optional
-        Told now and then the share of the longest duration that is done.
+        Receives the fraction of the maximum duration.
 
     Raises
     ------
     InputError
-        When the robot runs into something, or the folder cannot be written.
+        When the robot collides with something, or the folder cannot be written.
     """
     rows: list[tuple[float, str]] = []
 
@@ -279,7 +279,7 @@ def write_rendered(
 
 
 def _image_settings(eye: Eye) -> str:
-    """Return images.yaml: what a robot would know of its camera."""
+    """Return images.yaml: the camera as a robot has calibrated it."""
     camera = eye.scenario.camera.known
     known = camera.model_dump(mode="json", exclude={"axis", "horizon", "row_scale"})
     tags = {} if eye.scenario.tags is None else {"tags": eye.scenario.tags.family}
@@ -287,7 +287,7 @@ def _image_settings(eye: Eye) -> str:
 
 
 def _write_logs(drive: Drive, folder: Path) -> None:
-    """Write odometry, truth and settings as a drive folder has them."""
+    """Write odometry, ground truth and settings as in a drive folder."""
     with tempfile.TemporaryDirectory(dir=folder) as logs:
         write_folder(drive, Path(logs))
         for name in (ODOMETRY, TRUTH, SETTINGS):
@@ -295,12 +295,12 @@ def _write_logs(drive: Drive, folder: Path) -> None:
 
 
 def _things(scene: RoomScene) -> tuple[tuple[str, ...], list[tuple[object, ...]]]:
-    """Return header and rows of things.csv; places are in room coordinates [m]."""
+    """Return header and rows of things.csv; positions are in room coordinates [m]."""
     rows: list[tuple[object, ...]] = []
     for index, name in enumerate(scene.things):
         if (box := scene.scenario.boxes.get(name)) is None:
             rows.append((index, name, *[""] * 5))
         else:
-            stood = ("", "") if box.stood is None else box.stood.at
-            rows.append((index, name, int(box.stood is not None), *box.at, *stood))
+            former = ("", "") if box.stood is None else box.stood.at
+            rows.append((index, name, int(box.stood is not None), *box.at, *former))
     return ("index", "thing", "moved", "x", "y", "stood_x", "stood_y"), rows

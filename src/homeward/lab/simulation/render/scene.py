@@ -1,7 +1,7 @@
-"""A room as lit surfaces, at home's time or during the drive.
+"""Lit surfaces of a room, when home was stored or during the drive.
 
-Light is a share from everywhere, lamps by Lambert's law, and the shadows that they cast. The sun is
-a lamp far away that shines through a window alone: from outside, walls are not seen.
+Light is an ambient share and lamps with Lambert's law and shadows. The sun is a distant lamp that
+shines only through a window: walls are invisible from outside.
 """
 
 from __future__ import annotations
@@ -28,32 +28,32 @@ from homeward.lab.simulation.render.room.settings import Light, Lighting, Mover,
 from homeward.lab.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
 GRID, SUN_GRID = 16, 64
-"""Number of places along each side of a surface at which light is computed, smooth between
-them; and the same where the sun draws edges."""
+"""Number of grid points along each side of a surface at which light is computed, without and with
+the sun; between them it is interpolated."""
 REACH = 2.5
-"""A lamp's light has fallen to half at this distance [m]."""
+"""Distance at which a lamp's light has fallen to half [m]."""
 FAR = 100.0
-"""The sun is so far away [m]."""
+"""Distance of the sun [m]."""
 FLAT = 0.005
-"""What lies so flat on a surface, as posters and tags do, casts no shadow on it [m]: it hides what
-it would darken, and between places of the grid that shadow would reach beyond its edges."""
+"""Objects this close to a surface (posters, tags) cast no shadow on it [m]: the coarse light grid
+would extend that shadow beyond their edges."""
 
 
 @dataclass(frozen=True)
 class Lamp:
-    """A point that shines."""
+    """A point light."""
 
     at: np.ndarray
     """(3,) [m]"""
     power: float
     window: Surfaces | None = None
-    """The sun's: one rectangle, seen from outside; its light does not fall with the distance."""
+    """The sun's window: one rectangle, seen from outside; its light does not fall with distance."""
 
 
 def light_on(
     surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None = None
 ) -> np.ndarray:
-    """Return the light on surfaces, with the shadows that others, or they themselves, cast.
+    """Return the light on surfaces with the shadows of `casting`.
 
     It is float32 of shape (n, g, g), rows along `up`, columns along `right`.
     """
@@ -79,35 +79,35 @@ def light_on(
 
 
 POSTER_GAP = 0.002
-"""A poster hangs so far before its wall [m]."""
+"""Distance of a poster from its wall [m]."""
 STEP_ASIDE = 0.7
-"""Movers keep so far from the camera [m]."""
+"""Minimum distance of movers from the camera [m]."""
 TILES = {"plaster": 4.0, "carpet": 4.0, "wood": 4.0, "tiles": 4.0}
-"""One tile of a texture is so wide [m]; others: 1 m."""
+"""Width of one tile of a texture [m]; others: 1 m."""
 
 
 @dataclass(frozen=True)
 class RoomScene:
-    """The room as it stands, without its movers."""
+    """The room without its movers."""
 
     scenario: RenderScenario
-    """Already furnished."""
+    """Furnished scenario."""
     at_home: bool
-    """Whether boxes stand where they stood when home was stored."""
+    """Whether boxes are where they were when home was stored."""
     things: tuple[str, ...]
-    """Names of everything that surfaces belong to, movers last."""
+    """Names of the objects that surfaces belong to, movers last."""
     still: Surfaces
     light: np.ndarray
-    """(surfaces, g, g), brightness at a grid of places on each, rows along `up`."""
+    """(surfaces, g, g), brightness on a grid, rows along `up`."""
     textures: tuple[Texture, ...]
     atlas: Atlas
     lamps: tuple[Lamp, ...]
     ambient: float
 
     def at(self, t: float, view: Viewpoint) -> tuple[Surfaces, np.ndarray]:
-        """Return all surfaces and their light, movers where they are at time `t` [s].
+        """Return all surfaces and their light, with movers at their positions at `t` [s].
 
-        Those whom the camera is in the way of step aside.
+        Movers keep a distance from the camera.
         """
         people = self._people(t, view)
         if people is None:
@@ -116,16 +116,16 @@ class RoomScene:
         return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
 
     def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
-        """Return what a robot at (x, y) [m] would stand in or outside of; None: it stands free."""
+        """Return the box or wall that a robot at (x, y) [m] would collide with, or None."""
         if not contains_xy(self.scenario.room.polygon, x, y):
             return "a wall"
         for name, box in self.scenario.boxes.items():
-            stand = box.where(self.at_home)
+            pose = box.where(self.at_home)
             size = (box.size[0] + 2 * margin, box.size[1] + 2 * margin)
-            if math.dist(stand.at, (x, y)) > 0.5 * math.hypot(*size):
+            if math.dist(pose.at, (x, y)) > 0.5 * math.hypot(*size):
                 continue
             below = box.base < self.scenario.camera.above_floor + margin
-            if below and contains_xy(Polygon(footprint(stand.at, stand.yaw, size)), x, y):
+            if below and contains_xy(Polygon(footprint(pose.at, pose.yaw, size)), x, y):
                 return name
         return None
 
@@ -144,7 +144,7 @@ class RoomScene:
 
 
 def build_scene(scenario: RenderScenario, at_home: bool = False) -> RoomScene:
-    """Return the scene of a `furnished` scenario: as when home was stored, or as it is now."""
+    """Return the scene of a `furnished` scenario, when home was stored or during the drive."""
     room = scenario.room
     names = ["floor", "ceiling", *(f"wall {i}" for i in range(len(room.outline)))]
     names += [*scenario.boxes, *scenario.posters, *scenario.movers]
@@ -152,9 +152,9 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> RoomScene:
     parts = [*_walls(scenario, textures), *_posters(scenario, textures, names)]
     parts += [*_tags(scenario, textures, names, at_home)]
     for name, box in scenario.boxes.items():
-        stand, seed = box.where(at_home), _seed(scenario, name)
+        pose, seed = box.where(at_home), _seed(scenario, name)
         skin = Skin(textures.index(Texture(box.texture, seed)), TILES.get(box.texture, 1.0))
-        parts += block(stand.at, stand.yaw, box.size, box.base, skin, names.index(name), seed)
+        parts += block(pose.at, pose.yaw, box.size, box.base, skin, names.index(name), seed)
     still = Surfaces.joined(parts)
     light = scenario.light(at_home)
     lamps = _lamps(scenario, light)
@@ -189,7 +189,7 @@ def place_on_path(mover: Mover, t: float) -> tuple[float, float, float]:
 
 
 def _aside(place: tuple[float, float, float], view: Viewpoint) -> tuple[float, float, float]:
-    """Return a mover's place, kept at a distance from the camera."""
+    """Return a mover's position, moved away from a camera that is too close."""
     x, y, yaw = place
     dx, dy = x - view.position[0], y - view.position[1]
     distance = math.hypot(dx, dy)
@@ -202,12 +202,12 @@ def _aside(place: tuple[float, float, float], view: Viewpoint) -> tuple[float, f
 
 
 def _seed(scenario: RenderScenario, name: str) -> int:
-    """Return a seed that things of one name share in no two rooms."""
+    """Return a seed from the names of an object and of its scenario."""
     return zlib.crc32(f"{scenario.seed} {scenario.name} {name}".encode())
 
 
 def _textures(scenario: RenderScenario) -> list[Texture]:
-    """Return every texture of the room once."""
+    """Return all textures of the room, without duplicates."""
     room, seed = scenario.room, scenario.seed
     found = [Texture(kind, seed) for kind in (room.walls, room.floor, room.ceiling)]
     for things in (scenario.boxes, scenario.posters, scenario.movers):
@@ -219,7 +219,7 @@ def _textures(scenario: RenderScenario) -> list[Texture]:
 
 
 def _walls(scenario: RenderScenario, textures: list[Texture]) -> list[Surfaces]:
-    """Return floor, ceiling and walls, as things 0, 1, 2 and so on."""
+    """Return floor, ceiling and walls, as objects 0, 1, 2 and so on."""
     room = scenario.room
     corners = np.array(room.outline, float)
     floor, ceiling, wall = (
@@ -232,7 +232,7 @@ def _walls(scenario: RenderScenario, textures: list[Texture]) -> list[Surfaces]:
         rectangle(np.array([*low, 0.0]), x, y, floor, 0),
         rectangle(np.array([*low, room.height]), y, x, ceiling, 1),
     ]
-    # Each wall shows another part of its texture, all along one line round the room.
+    # Each wall shows a different part of the texture.
     along = 0.0
     for i, (a, b) in enumerate(zip(corners, np.roll(corners, -1, axis=0), strict=True)):
         skin = Skin(wall.texture, wall.tile, (along, 0.0))
@@ -258,13 +258,13 @@ def _posters(scenario: RenderScenario, textures: list[Texture], names: list[str]
 
 @dataclass(frozen=True)
 class TagPlace:
-    """Where a tag hangs."""
+    """Position of a tag."""
 
     number: int
     thing: str
-    """What it hangs on."""
+    """Name of the box or wall with the tag."""
     left: np.ndarray
-    """(2,), its ends on the ground as one looks at it [m]."""
+    """(2,), its ends on the ground, seen from the front [m]."""
     right: np.ndarray
     middle: float
     """Height [m]."""
@@ -276,31 +276,31 @@ class TagPlace:
 
 
 def tag_places(scenario: RenderScenario, at_home: bool) -> list[TagPlace]:
-    """Return where tags hang: box k bears numbers 4k to 4k + 3, and those on the walls follow."""
-    told, places = scenario.tags, list[TagPlace]()
-    if told is None:
+    """Return the positions of tags: box k has numbers 4k to 4k + 3; tags on walls follow."""
+    tags, places = scenario.tags, list[TagPlace]()
+    if tags is None:
         return places
-    size = 1.34 * told.size  # with its white border
+    size = 1.34 * tags.size  # with its white border
 
     def hang(a: np.ndarray, b: np.ndarray, at: float, middle: float, thing: str) -> None:
-        """Hang the next tag before the face over the line from a to b, seen from its right."""
+        """Place the next tag on the face above the line from a to b, visible from its right."""
         along = (b - a) / math.dist(a, b)
         half = 0.5 * min(size, 0.95 * math.dist(a, b), 1.9 * middle) * along
         centre = a + at * (b - a) + POSTER_GAP * np.array([along[1], -along[0]])
         places.append(TagPlace(len(places), thing, centre - half, centre + half, middle))
 
     for name, box in scenario.boxes.items():
-        stand = box.where(at_home)
-        base = footprint(stand.at, stand.yaw, box.size[:2])
+        pose = box.where(at_home)
+        base = footprint(pose.at, pose.yaw, box.size[:2])
         for a, b in zip(base, np.roll(base, -1, axis=0), strict=True):
             hang(a, b, 0.5, box.base + box.size[2] / 2, name)
     corners = np.array(scenario.room.outline, float)
     lengths = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T)
     ends = np.concatenate([[0.0], np.cumsum(lengths)])
-    for way in (np.arange(told.walls) + 0.5) / max(told.walls, 1) * ends[-1]:
-        wall = int(np.searchsorted(ends, way)) - 1
+    for along in (np.arange(tags.walls) + 0.5) / max(tags.walls, 1) * ends[-1]:
+        wall = int(np.searchsorted(ends, along)) - 1
         a, b = corners[wall], corners[(wall + 1) % len(corners)]
-        hang(b, a, 1 - (way - ends[wall]) / lengths[wall], told.height, f"wall {wall}")
+        hang(b, a, 1 - (along - ends[wall]) / lengths[wall], tags.height, f"wall {wall}")
     return places
 
 
@@ -319,7 +319,7 @@ def _tags(
 
 
 def _lamps(scenario: RenderScenario, light: Lighting) -> tuple[Lamp, ...]:
-    """Return everything that shines: lamps, and the sun."""
+    """Return all lamps and the sun."""
     lamps = [Lamp(np.array(lamp.at), lamp.power) for lamp in light.lights or (_lamp(scenario),)]
     if (sun := light.sun) is not None:
         outline = np.array(scenario.room.outline)
@@ -335,7 +335,7 @@ def _lamps(scenario: RenderScenario, light: Lighting) -> tuple[Lamp, ...]:
 
 
 def _lamp(scenario: RenderScenario) -> Light:
-    """Return a lamp under the ceiling, over home if the room's middle is outside of it."""
+    """Return a lamp under the ceiling: in the middle, or above home if the middle is outside."""
     corners = np.array(scenario.room.outline, float)
     x, y = corners.mean(axis=0).tolist()
     if not contains_xy(scenario.room.polygon, x, y):

@@ -1,1 +1,1 @@
-"""Long computations in blocks: spread over processes or machines, stopped and resumed."""
+"""Long computations in blocks: parallel on processes or machines, resumable."""

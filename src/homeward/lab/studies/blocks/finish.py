@@ -1,4 +1,4 @@
-"""The missing blocks of a study: computed by a pool of processes or a Dask cluster, and stored."""
+"""Compute the missing blocks of a study on processes or a Dask cluster, and store them."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from homeward.lab.studies.blocks.store import Arrays, BlockStore, our_version
 
 Argument = TypeVar("Argument")
 CONNECT_S = 10.0
-"""A scheduler that does not answer for so long is not there [s]."""
+"""Timeout of a connection to a scheduler [s]."""
 
 
 def on_cluster(
@@ -31,12 +31,12 @@ def on_cluster(
     arguments: Mapping[str, Argument],
     scheduler: str,
 ) -> Generator[tuple[str, Arrays]]:
-    """Yield (name, result) of each block as it finishes, computed by a Dask scheduler's workers.
+    """Yield (name, result) of each block as it finishes on the workers of a Dask scheduler.
 
-    The function is importable from a module, arguments can be pickled. A block whose worker is lost
-    goes to another one; each name is yielded once. Raises `HomewardError` when no scheduler
-    answers, its workers have another homeward or none, or blocks kill their workers again and
-    again.
+    The function must be importable from a module, and arguments picklable. A block whose worker is
+    lost goes to another worker; each name is yielded once. Raises `HomewardError` when no scheduler
+    answers, its workers have another version of homeward or none, or blocks kill their workers
+    repeatedly.
     """
     distributed: Any = import_module("distributed")
     with closing(_connected(distributed, scheduler)) as client:
@@ -56,8 +56,8 @@ def on_cluster(
                 yield name, result
         except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
             raise HomewardError(
-                f"the workers are lost ({type(error).__name__}); finished blocks are kept, and "
-                "the same command goes on from them"
+                f"lost the workers ({type(error).__name__}); finished blocks are kept: run the "
+                "same command again to continue"
             ) from error
         finally:
             with suppress(Exception):
@@ -69,29 +69,29 @@ def _connected(distributed: Any, scheduler: str) -> Any:
     try:
         return distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise InputError(f"no Dask scheduler answers at {scheduler}") from error
+        raise InputError(f"no Dask scheduler at {scheduler}; check the address") from error
 
 
 def _check_workers(client: Any) -> None:
-    """Refuse workers with another homeward than ours, or none."""
+    """Raise InputError for workers with another version of homeward, or none."""
     try:
         found = client.run(our_version)
     except Exception as error:
         raise InputError(
-            f"the Dask workers cannot import this version of homeward ({type(error).__name__}: "
-            f"{error})"
+            f"the Dask workers cannot import homeward {our_version()} "
+            f"({type(error).__name__}: {error}); install it there"
         ) from error
     for address, version in found.items():
         if version != our_version():
             raise InputError(
-                f"Dask worker {address} has homeward {version}; here it is {our_version()}"
+                f"Dask worker {address} has homeward {version}; install {our_version()} there"
             )
 
 
-MOST_BREAKAGES = 3
-"""Pools that may break one after the other without a single block finished."""
+MAX_BREAKAGES = 3
+"""Number of pools that may break in a row before a block is finished."""
 AHEAD = 2
-"""Blocks handed out per process, so that none waits."""
+"""Blocks submitted per process, so that no process waits."""
 
 
 def on_processes(
@@ -99,11 +99,11 @@ def on_processes(
     arguments: Mapping[str, Argument],
     processes: int | None,
 ) -> Generator[tuple[str, Arrays]]:
-    """Yield (name, result) of each block as it finishes, computed by a pool of processes.
+    """Yield (name, result) of each block as it finishes on a pool of processes.
 
-    The function is importable from a module, arguments can be pickled; None: a process for each
-    processor. Workers ignore the interrupt from the keyboard and end when the generator is closed,
-    or when this process is gone. Raises `HomewardError` when workers die again and again.
+    The function must be importable from a module, and arguments picklable; `processes` None: one
+    for each processor. Workers ignore Ctrl-C and end when the generator is closed or this process
+    has ended. Raises `HomewardError` when workers die repeatedly.
     """
     waiting, breakages = dict(arguments), 0
     count = min(processes or available_threads(), max(len(waiting), 1))
@@ -116,10 +116,10 @@ def on_processes(
                     yield name, result
         except BrokenProcessPool:
             breakages += 1
-            if breakages >= MOST_BREAKAGES:
+            if breakages >= MAX_BREAKAGES:
                 raise HomewardError(
                     "worker processes die before they finish a block (out of memory?); finished "
-                    "blocks are kept, and the same command goes on from them"
+                    "blocks are kept: run the same command again to continue"
                 ) from None
 
 
@@ -129,7 +129,7 @@ def _round(
     """Compute blocks with one pool, until all are done or it breaks."""
     # Spawned workers share nothing with this process, its threads and its locks.
     context = multiprocessing.get_context("spawn")
-    # Its end is what workers wait for: it comes too when this process is killed.
+    # Workers wait for the end of this pipe, which also comes when this process is killed.
     lifeline, ours = context.Pipe(duplex=False)
     left = iter(list(arguments.items()))
     with ProcessPoolExecutor(processes, context, _begin_worker, (lifeline,)) as pool:
@@ -152,9 +152,9 @@ def _round(
 
 @contextmanager
 def _interrupt_held_back() -> Iterator[None]:
-    """Take Ctrl-C at the end of a block; processes that begin in it never do.
+    """Delay Ctrl-C to the end of the block; processes that start in it ignore Ctrl-C.
 
-    They import for a second or more before `_begin_worker` could say so.
+    They import for a second or more before `_begin_worker` could set that.
     """
     if not hasattr(signal, "pthread_sigmask"):  # Windows
         yield
@@ -167,7 +167,7 @@ def _interrupt_held_back() -> Iterator[None]:
 
 
 def _begin_worker(lifeline: Connection) -> None:
-    """Leave the keyboard to the parent, and end when it no longer wants us."""
+    """Ignore Ctrl-C, and end with the parent."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with, args=(lifeline,), daemon=True).start()
 
@@ -180,55 +180,56 @@ def _end_with(lifeline: Connection) -> None:
 
 @single_threaded_blas()
 def _compute(function: Callable[[Argument], Arrays], argument: Argument) -> Arrays:
-    """Compute a block in a worker, which is one of as many as there are processors."""
+    """Compute a block in a worker, with one thread."""
     return function(argument)
 
 
 @dataclass(frozen=True)
 class Where:
-    """Where blocks are computed; by default by a pool of processes on this machine."""
+    """Where blocks are computed: by default on processes of this machine."""
 
     scheduler: str | None = None
     """Address of a Dask scheduler."""
     workers: int | None = None
-    """Processes of that pool; None: as many as there are processors."""
+    """Number of processes; None: one for each processor."""
 
     def __post_init__(self) -> None:
-        """Refuse both at once."""
+        """Raise InputError when both are given."""
         if self.scheduler is not None and self.workers is not None:
-            raise InputError("--scheduler and --workers: one of them; a scheduler has its workers")
+            raise InputError(
+                "give one of --scheduler and --workers: a scheduler has its own workers"
+            )
 
 
 @dataclass(frozen=True)
 class StudyBlocks:
-    """A study's blocks: where they are kept and computed, and the callback of its progress."""
+    """Blocks of a study: their store, where to compute them, and a progress callback."""
 
     store: BlockStore
     where: Where = Where()
-    progress: Callable[[float], None] = lambda fraction: None
-    """Called with the fraction done, in [0, 1]."""
+    on_progress: Callable[[float], None] = lambda fraction: None
+    """Receives the finished fraction, in [0, 1]."""
 
     def part(self, begin: float, end: float) -> StudyBlocks:
-        """Return the work between two fractions of all of it."""
-        return replace(self, progress=lambda f: self.progress(begin + (end - begin) * f))
+        """Return the same, with progress between two fractions of the whole."""
+        return replace(self, on_progress=lambda f: self.on_progress(begin + (end - begin) * f))
 
     def finish(
         self, function: Callable[[Argument], Arrays], arguments: Mapping[str, Argument]
     ) -> None:
-        """Compute every block that the store does not hold yet, and keep it there.
+        """Compute every block that is missing in the store, and store it.
 
-        The function makes of an argument what its block leaves; it is of a module, so that workers
-        can import it. Progress is reported at the beginning and after each block. Raises
-        `HomewardError` when the workers are lost, or the folder cannot be written; finished blocks
-        are kept.
+        The function returns the arrays of a block from its argument; workers import it from its
+        module. Raises `HomewardError` when the workers are lost, or the folder cannot be written;
+        finished blocks are kept.
         """
         missing = {name: a for name, a in arguments.items() if name not in self.store}
         done = len(arguments) - len(missing)
-        self.progress(done / len(arguments))
+        self.on_progress(done / len(arguments))
         if not missing:
             return
         if self.where.scheduler is None:
-            # Pipes alone: a scheduler of our own would listen to whoever else works on this one.
+            # Pipes only: a local scheduler would listen on a port that other users can reach.
             results: Generator[tuple[str, Arrays]]
             results = on_processes(function, missing, self.where.workers)
         else:
@@ -237,4 +238,4 @@ class StudyBlocks:
             for name, arrays in results:
                 self.store.save(name, arrays)
                 done += 1
-                self.progress(done / len(arguments))
+                self.on_progress(done / len(arguments))

@@ -1,7 +1,7 @@
-"""Finished blocks in a folder: each written whole or not at all, none ever lost or counted twice.
+"""Store of finished blocks in a folder; each is written completely or not at all.
 
-MARKER           the settings in words; it marks the folder as ours
-blocks/          manifest.json (the settings, from which the key of the study is made)
+MARKER           the settings; marks the folder as output of homeward
+blocks/          manifest.json (the settings, whose digest is the key of the study)
                  and NAME.npz, one for each finished block
 """
 
@@ -24,21 +24,21 @@ from homeward.io.reading import is_there, naming, opened, read_small
 from homeward.io.writing import whole_file
 
 Arrays = dict[str, np.ndarray]
-"""What a block leaves: names to arrays, text as ``str`` arrays."""
+"""Results of a block: names to arrays, text as ``str`` arrays."""
 
 MARKER = "study.yaml"
-"""The settings of a study; a folder that holds it is one of ours."""
-LARGEST_MANIFEST = 2**26
+"""Settings of a study; a folder with this file is output of homeward."""
+MAX_MANIFEST = 2**26
 """[byte]; settings as JSON are a few times as long as in YAML."""
 _KEY = "__study__"
 
 
 class BlockStore:
-    """The finished blocks of one study in one folder, which is made when it does not exist.
+    """Finished blocks of one study in one folder, which is created if necessary.
 
-    `settings` are all that the results depend on, as plain JSON values; they are written as YAML to
-    the file `marker`. Raises `InputError` when the folder cannot be written, contains something
-    else, or blocks made with other settings or by another version of homeward.
+    `settings` are all settings that determine the results, as plain JSON values; they are written
+    as YAML to the file `marker`. Raises `InputError` when the folder cannot be written, contains
+    something else, or blocks of other settings or of another version of homeward.
     """
 
     def __init__(self, folder: Path, settings: Mapping[str, Any], marker: str) -> None:
@@ -51,14 +51,14 @@ class BlockStore:
             self._claim(tree, marker)
 
     def __contains__(self, name: str) -> bool:
-        """Return whether a block is finished and whole."""
+        """Whether a block is finished and readable."""
         return self._read(name) is not None
 
     def save(self, name: str, arrays: Arrays) -> None:
-        """Keep a finished block; it appears whole, whatever happens meanwhile."""
+        """Store a finished block atomically."""
         path = self._path(name)
         with naming(path, "cannot be written"), whole_file(path) as scratch:
-            # mypy: a mapping may not hold allow_pickle, which is another argument
+            # mypy: the mapping could contain allow_pickle, which is another argument.
             np.savez_compressed(scratch, **{_KEY: np.array(self.key), **arrays})  # type: ignore[arg-type]
 
     def load(self, name: str) -> Arrays:
@@ -72,18 +72,18 @@ class BlockStore:
         return self._blocks / f"{name}.npz"
 
     def _read(self, name: str) -> Arrays | None:
-        """Return a block, or None when it is missing, damaged, or another study's."""
+        """Return a block, or None when it is missing, damaged, or of another study."""
         try:
-            # Opened here: of a damaged file NumPy would leave it open.
+            # Opened here: NumPy would leave a damaged file open.
             with opened(self._path(name)) as stream, np.load(stream) as file:
                 arrays = {k: file[k] for k in file.files}
-        except Exception:  # whatever zip, zlib and NumPy make of a damaged file: it counts as none
+        except Exception:  # zip, zlib and NumPy raise many types for damaged files
             return None
         key = arrays.pop(_KEY, None)
         return arrays if key is not None and str(key) == self.key else None
 
     def _claim(self, tree: dict[str, Any], marker: str) -> None:
-        """Make the folder ours, or check that its blocks are of this very study."""
+        """Create the folder, or check that its blocks are of this study."""
         manifest = self._blocks / "manifest.json"
         if is_there(manifest):
             self._refuse_change(manifest, tree)
@@ -91,9 +91,9 @@ class BlockStore:
         new = not is_there(self.folder)
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            # First of all: what happens now, the folder is known to be ours.
-            words = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-            _write_text(self.folder / marker, words)
+            # First, so that an interrupted folder is recognised as output of homeward.
+            text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+            _write_text(self.folder / marker, text)
             self._blocks.mkdir(exist_ok=True)
             _write_text(manifest, json.dumps(tree, indent=1))
         except BaseException:
@@ -103,14 +103,14 @@ class BlockStore:
 
     def _refuse_change(self, manifest: Path, tree: dict[str, Any]) -> None:
         try:
-            before = json.loads(read_small(manifest, LARGEST_MANIFEST, "a manifest"))
+            before = json.loads(read_small(manifest, MAX_MANIFEST, "a manifest"))
         except (ValueError, RecursionError):
             raise InputError("damaged; choose another output folder", manifest) from None
         change = _first_change(before, json.loads(json.dumps(tree)))
         if change is not None:
             raise InputError(
-                f"holds the blocks of another study: {change}; choose another output folder, "
-                "or delete this one",
+                f"contains blocks of another study ({change}); choose another output folder, or "
+                "delete this one",
                 self.folder,
             )
 
@@ -122,7 +122,7 @@ def store_of(settings: BaseModel, folder: Path) -> BlockStore:
 
 
 def our_version() -> str:
-    """Return the version of homeward, as it is installed."""
+    """Return the installed version of homeward."""
     try:
         return version("homeward")
     except PackageNotFoundError:
@@ -135,7 +135,7 @@ def _write_text(path: Path, text: str) -> None:
 
 
 def _first_change(before: Any, now: Any, key: str = "") -> str | None:
-    """Say the first difference between two trees of plain values; None when there is none."""
+    """Describe the first difference between two trees of plain values; None without one."""
     if before == now:
         return None
     if isinstance(before, dict) and isinstance(now, dict):

@@ -1,1 +1,1 @@
-"""The paper's four simulated cases, with what it leaves open as options."""
+"""The four simulated cases of the paper, with options for unspecified parameters."""

@@ -1,4 +1,4 @@
-"""The paper's filters in the loop that they close: one run of a case, or many at once."""
+"""The paper's filters in closed loop: one run of a case, or many at once."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world
 
 PI_HT, DEAD_RECKONING = "PI-EKF (HT)", "dead reckoning"
 FILTERS = ("EKF", "A-EKF (one)", "A-EKF (all)", "PI-EKF", PI_HT, DEAD_RECKONING)
-"""A-EKF with the first wrong home bearing as its one parameter (beta*_1 if none is wrong), and
-with all of them; PI-EKF with M as set, and with M = H'; and the EKF without bearings."""
+"""A-EKF with the first wrong home bearing as only parameter (beta*_1 if none is wrong), and with
+all home bearings; PI-EKF with M as set, and with M = H'; the EKF without bearings."""
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ class Run:
 
     @property
     def errors(self) -> np.ndarray:
-        """Estimate minus truth of R [m], theta, alpha [rad]: (k, 3)."""
+        """Estimated minus true R [m], theta, alpha [rad]: (k, 3)."""
         return polar_errors(self.state, self.pose)
 
 
 def polar_errors(state: np.ndarray, pose: np.ndarray) -> np.ndarray:
     """Return estimates (k, 3 or more) minus true poses (k, 3) of R [m], theta, alpha [rad]: (k, 3).
 
-    An estimate with R below zero counts as the same place said with a positive R.
+    An estimate with negative R counts as the same position with positive R.
     """
     (x, y, heading), (R, theta, alpha) = pose.T, state[:, :POLAR].T
     away, direction = np.abs(R) - np.hypot(x, y), theta + np.pi * (R < 0) - np.arctan2(y, x)
@@ -98,7 +98,7 @@ def draw(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
 
 
 def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
-    """Return the settings that make one of `FILTERS` of the kind it is of."""
+    """Return the settings with the changes for one of `FILTERS`."""
     change: dict[str, Any] = {}
     if name == PI_HT:
         change = {"printed": settings.printed.model_copy(update={"M": "HT"})}
@@ -109,7 +109,7 @@ def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
 
 
 def filter_kind(name: str, world: PaperWorld, settings: PaperSettings) -> ExtendedKalmanFilter:
-    """Return one of `FILTERS` for a world, whose faults determine which parameter is the one."""
+    """Return one of `FILTERS` for a world, whose faults determine the parameters."""
     q, assumed = settings.printed.landmarks, settings.assumed
     if name.startswith("A-EKF"):
         wrong = np.flatnonzero(world.moved)
@@ -127,10 +127,10 @@ def fill(
     world: PaperWorld,
     settings: PaperSettings,
 ) -> None:
-    """Put everything that does not change from sample to sample into the loop's inputs."""
+    """Set the inputs of the loop that are the same in all samples."""
     printed, assumed, model = settings.printed, settings.assumed, kind.model
     unit = np.ones(model.n)
-    unit[0] = 0.01  # the paper counts R in cm
+    unit[0] = 0.01  # the paper has R in cm
     parameters = slice(POLAR + model.q, model.n)
 
     given["pose"][:] = world.start
@@ -168,7 +168,7 @@ def _integral_gain(M: float | Literal["HT", "own"], shape: tuple[int, ...]) -> n
 
 
 def control_law(case: CaseName, settings: PaperSettings) -> Law:
-    """Return the law of a case; the same object for the same law."""
+    """Return the control law of a case; the same object for the same law."""
     return _circle_law(settings.assumed.circle_turn_rate) if case == "4" else homing
 
 
@@ -183,28 +183,28 @@ OF_WORLD = ("pose", "landmarks", "stored", "state")
 DRAWN = {"mask": "visible", "noise": "noise", "disturbance": "disturbance"}
 """Inputs that differ from sample to sample, and the attribute of a world that has them."""
 FAR = 0.2
-"""Nearer to home than this [m] its direction, theta, says little."""
+"""Minimum distance from home [m] at which theta is meaningful."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """What is kept of one filter's runs; infinite where it diverged."""
+    """Errors of one filter in several runs; infinite where it diverged."""
 
     rmse: np.ndarray
     """(runs, 3), of R [m], theta, alpha [rad] over each run."""
     theta_far: np.ndarray
     """(runs,), RMSE of theta [rad] over the samples farther than `FAR` from home."""
     final: np.ndarray
-    """(runs, 3), the size of the last sample's errors of R [m], theta, alpha [rad]."""
+    """(runs, 3), absolute errors of R [m], theta, alpha [rad] in the last sample."""
     final_distance: np.ndarray
     """(runs,), true distance from home at the end [m]."""
 
 
 def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
-    """Return what is kept of one run, with a leading axis of one.
+    """Return the errors of one run, with a leading axis of one.
 
-    Errors (k, 3) are of R [m], theta, alpha [rad] at each sample, no numbers where the filter
-    diverged; poses (k, 3) are true.
+    `error` (k, 3) has R [m], theta, alpha [rad] at each sample, NaN where the filter diverged;
+    `pose` (k, 3) is true.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         square = np.square(error)
@@ -270,9 +270,9 @@ def run_many(
 
 
 def rolled(world: PaperWorld) -> PaperWorld:
-    """Return the same world with its landmarks counted from the first wrong one on.
+    """Return the same world with its first wrong landmark as number 0.
 
-    So one compiled filter serves all.
+    One compiled filter then serves all worlds.
     """
     first = int(np.argmax(world.faults != 0))
     return replace(

@@ -1,7 +1,7 @@
 """The paper's second kind of measurement: bearings of features in panoramic images.
 
 A small room is rendered with home in its middle. Features of the home image are the landmarks; in
-cases with faults some of them lie on boxes that were moved between the home image and the drive.
+cases with faults some of them are on boxes that were moved between the home image and the drive.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from homeward.vision.features.detection import Features, extract
 SIDE = 3.8
 """Length of the room's walls [m]: landmarks are 1 to 2.5 m from home, as in the paper's layout."""
 TRIES = 8
-"""Rooms drawn at most until one shows enough landmarks, and moved ones."""
+"""Maximum number of rooms drawn until one has enough landmarks, and moved ones."""
 
 
 @dataclass
 class Sight:
-    """A camera in a rendered room, and which features of its home image are the landmarks."""
+    """Camera in a rendered room, and the features of its home image that are landmarks."""
 
     eye: Eye
     camera: Panorama
@@ -41,18 +41,18 @@ class Sight:
     """(height, width), grey."""
     home: Features
     landmarks: np.ndarray
-    """(q,), rows of the home view."""
+    """(q,), rows of the home features."""
     moved: np.ndarray
-    """(q,) bool, which of them lie on boxes that were moved since."""
+    """(q,) bool, which of them are on boxes that were moved since."""
     every: int
-    """Number of samples from image to image."""
+    """Number of samples between images."""
     _seen: dict[tuple[float, ...], tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     def measure(self, sample: int, pose: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
         """Return bearings (q,) [rad] and which of them were seen (q,).
 
         `pose` (3,) is the true one in the home frame, `dt` the time between two samples [s].
-        Between images nothing is seen.
+        Between images there are no bearings.
         """
         key = (sample, *pose.tolist())
         if key not in self._seen:
@@ -62,7 +62,7 @@ class Sight:
     def _measure(self, sample: int, pose: Pose, dt: float) -> tuple[np.ndarray, np.ndarray]:
         bearings, seen = np.zeros(self.landmarks.size), np.zeros(self.landmarks.size)
         centre = compose(self.eye.scenario.home.pose, pose)
-        # A filter that diverged drives anywhere; inside of things nothing is seen.
+        # A filter that diverged can drive into objects, where no landmark is visible.
         if sample % self.every or self.eye.now.blocked(centre.x, centre.y):
             return bearings, seen
         now = extract(self.eye.look(sample * dt, pose, sample + 1), self.camera)
@@ -77,7 +77,7 @@ class Sight:
 def draw_image_world(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
     """Draw run number `run` of a case with a rendered room; arguments as for `draw_world`.
 
-    Raises `InputError` when no room shows enough landmarks.
+    Raises `InputError` when no room has enough landmarks in view.
     """
     drawn = _draw_sight(case, settings, run)
     eye, home, rows, moved = drawn.eye, drawn.home, drawn.landmarks, drawn.moved
@@ -96,9 +96,9 @@ def draw_image_world(case: CaseName, settings: PaperSettings, run: int) -> Paper
 
 
 def _draw_sight(case: CaseName, settings: PaperSettings, run: int) -> Sight:
-    """Draw rooms until one shows enough landmarks, and as many moved ones as the case has.
+    """Draw rooms until one has enough landmarks in view, including the case's moved ones.
 
-    When none has so many moved ones, the room with the most of them serves.
+    If no room has enough moved ones, the room with the most of them is used.
     """
     q, wanted = settings.printed.landmarks, fault_count(case, settings)
     every = max(1, round(1 / (settings.images.rate * settings.printed.sample_time)))
@@ -115,12 +115,14 @@ def _draw_sight(case: CaseName, settings: PaperSettings, run: int) -> Sight:
         if best is not None and best.moved.sum() == wanted:
             return best
     if best is None:
-        raise InputError(f"no room of {TRIES} shows {q} landmarks from home and from the start")
+        raise InputError(
+            f"none of {TRIES} rooms has {q} landmarks in view of home and start; use fewer"
+        )
     return best
 
 
 def _room(case: CaseName, settings: PaperSettings, seed: int) -> RenderScenario:
-    """Return a square room with home in the middle, and as many moved boxes as the case has."""
+    """Return a square room with home in the middle, and the case's number of moved boxes."""
     R, theta, alpha = settings.printed.start_cm
     wanted, width = fault_count(case, settings), settings.images.width
     return RenderScenario(
@@ -136,7 +138,7 @@ def _room(case: CaseName, settings: PaperSettings, seed: int) -> RenderScenario:
 
 
 def _matched(compared: Comparison, now: Features) -> tuple[list[int], list[float]]:
-    """Return the rows of the home view that were found again, and where [rad]."""
+    """Return the matched rows of the home features, and their azimuths now [rad]."""
     found = compared.agrees | compared.moved
     if not compared.accepted:
         found = np.zeros_like(found)
@@ -144,7 +146,7 @@ def _matched(compared: Comparison, now: Features) -> tuple[list[int], list[float
 
 
 def _on_moved_boxes(eye: Eye, home: Features) -> np.ndarray:
-    """Say of each feature of the home view whether it lies on a box that has been moved since."""
+    """Return which home features are on a box that has been moved since."""
     boxes = eye.scenario.boxes
     names = things_seen(eye, home)
     return np.array([n in boxes and boxes[n].stood is not None for n in names], bool)
@@ -153,7 +155,7 @@ def _on_moved_boxes(eye: Eye, home: Features) -> np.ndarray:
 def _choose(
     compared: Comparison, home: Features, moved: np.ndarray, q: int, wanted: int
 ) -> np.ndarray:
-    """Choose q features seen again from the start: some on moved boxes, the rest spread out."""
+    """Choose q features matched from the start: some on moved boxes, the others spread out."""
     rows = np.unique(compared.home_row[compared.agrees | compared.moved])
     if not compared.accepted or rows.size < q:
         return rows[:0]
@@ -163,14 +165,14 @@ def _choose(
             left = np.setdiff1d(pool, chosen)
             if left.size and chosen.size < q:
                 gaps = np.abs(wrap(home.azimuth[left][:, None] - home.azimuth[chosen]))
-                # The next is the one farthest from those that there are.
+                # The next one is farthest from all chosen ones.
                 nearest = gaps.min(axis=1) if chosen.size else -home.sigma[left]
                 chosen = np.append(chosen, left[np.argmax(nearest)])
     return np.sort(chosen)
 
 
 def _places(eye: Eye, home: Features, rows: np.ndarray) -> np.ndarray:
-    """Return where landmarks stand during the drive, (q, 2) in the home frame [m]."""
+    """Return the landmark positions during the drive, (q, 2) in the home frame [m]."""
     view = eye.home_view
     surfaces, _ = eye.then.at(eye.scenario.home_time, view)
     rays = unit_vectors(home.azimuth[rows], home.elevation[rows])

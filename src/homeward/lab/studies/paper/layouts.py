@@ -1,8 +1,7 @@
 """The paper's Cases 1, 2 and 4 over thousands of random layouts and fault sets, in blocks.
 
-What `homeward study layouts` asks: the filters under every reading of what the paper leaves
-open, what else their order depends on, and on the first layouts the robust localiser and the
-Cramer-Rao bound.
+`homeward study layouts` runs the filters under every reading of what the paper leaves open, with
+further variants, and on the first layouts the robust localiser and the Cramer-Rao bound.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ BOUND, ROBUST = "bound", "robust"
 Start = tuple[float, float, float]
 """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]."""
 FIXED: dict[CaseName, set[str]] = {"1": {"faults"}, "4": {"faults", "stop_radius"}}
-"""What a case does not depend on."""
+"""Settings without influence in a case."""
 
 LONG = "circle for 200 s"
-"""Of Case 4 alone."""
+"""A variant of Case 4 only."""
 VARIANTS: dict[str, dict[str, Any]] = {
     "bearings exact": {"assumed": {"bearing_sigma": 0.0}},
     "bearing noise 0.05 rad": {"assumed": {"bearing_sigma": 0.05}},
-    "bearing noise 0.22 rad, as R says": {"assumed": {"bearing_sigma": 0.05**0.5}},
+    "bearing noise 0.22 rad, as in R": {"assumed": {"bearing_sigma": 0.05**0.5}},
     "R a standard deviation": {"assumed": {"meaning_of_R": "deviation"}},
     "Q of the states, R a deviation": {
         "assumed": {"meaning_of_Q": "state", "meaning_of_R": "deviation"}
@@ -65,15 +64,15 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "samples every 0.025 s": {"printed": {"sample_time": 0.025}},
     LONG: {"assumed": {"circle_time": 200.0}},
 }
-"""What else the order may depend on: name to what is changed in `PaperSettings`."""
+"""Further variants: name to changes of `PaperSettings`."""
 
 
 BLOCK, SLOW_BLOCK = 250, 10
-"""Layouts in a block of filters, and of the robust localiser and the bound."""
+"""Number of layouts in a block of filters, and of the robust localiser and the bound."""
 
 
 class Reading(NamedTuple):
-    """One way to read what the paper leaves open: values of `Assumed`."""
+    """One reading of what the paper leaves open: values of `Assumed`."""
 
     initial_error: Start
     meaning_of_Q: Literal["input", "state"]
@@ -83,9 +82,9 @@ class Reading(NamedTuple):
 
 
 class Grid(Strict):
-    """Values that are run in every combination, beside those of `paper.assumed`.
+    """Values to combine, in addition to those of `paper.assumed`.
 
-    M needs none: the PI-EKF runs with that of `paper.printed` and with H'.
+    M is not among them: the PI-EKF runs with that of `paper.printed` and with H'.
     """
 
     initial_error: tuple[tuple[NonNegative, NonNegative, NonNegative], ...] = (
@@ -99,31 +98,31 @@ class Grid(Strict):
 
 
 class LayoutSettings(Strict):
-    """How much of it is computed."""
+    """Settings of `homeward study layouts`."""
 
     layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
-    """Random layouts and fault sets of every reading."""
+    """Number of random layouts and fault sets of every reading."""
     varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
-    """The first so many of them for each of `VARIANTS`."""
+    """Number of the first layouts for each of `VARIANTS`."""
     robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
-    """The first so many for the robust localiser and the bound."""
+    """Number of the first layouts for the robust localiser and the bound."""
     grid: Grid = Grid()
     paper: PaperSettings = PaperSettings()
-    """What all of it starts from; its `runs` is not used."""
+    """Base settings; `runs` is not used."""
 
     def axis(self, name: str) -> tuple[Any, ...]:
-        """Return the values of one field of `Reading`, those of `paper` first."""
+        """Return the values of one field of `Reading`, that of `paper` first."""
         own = getattr(self.paper.assumed, name)
         return tuple(dict.fromkeys((own, *getattr(self.grid, name))))
 
     def readings(self, case: CaseName) -> list[Reading]:
-        """Return every reading of a case; the first is that of `paper`."""
+        """Return all readings of a case; the first is that of `paper`."""
         fixed = FIXED.get(case, set())
         axes = (self.axis(k)[: 1 if k in fixed else None] for k in Reading._fields)
         return [Reading(*values) for values in product(*axes)]
 
     def bounded(self, case: CaseName) -> list[Reading]:
-        """Return the readings of a case that the bound depends on: of start and disturbance."""
+        """Return the readings of a case that differ in the bound: by start and disturbance."""
         first = self.readings(case)[0]
         return [
             first._replace(initial_error=start, disturbance=noise)
@@ -136,12 +135,12 @@ class LayoutSettings(Strict):
 
 
 class Block(NamedTuple):
-    """Some layouts of one case, for some filters, the robust localiser or the bound."""
+    """Layouts of one case, for some filters, the robust localiser or the bound."""
 
     settings: PaperSettings
     case: CaseName
     names: tuple[str, ...]
-    """Of `FILTERS`, or `ROBUST`, or `BOUND`."""
+    """From `FILTERS`, or `ROBUST`, or `BOUND`."""
     first: int
     last: int
     """The layout after the last one."""
@@ -149,11 +148,11 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True)
 class Outcome(Errors):
-    """One case over many layouts: what is kept of each filter, (names, layouts, ...)."""
+    """Errors of each filter in one case over many layouts, (names, layouts, ...)."""
 
     names: tuple[str, ...]
     moved: np.ndarray
-    """(layouts,), how many landmarks were moved."""
+    """(layouts,), number of moved landmarks."""
 
     def of(self, name: str) -> np.ndarray:
         """Return the RMSE of one filter, shape (layouts, 3)."""
@@ -161,7 +160,7 @@ class Outcome(Errors):
 
 
 def run_block(block: Block) -> Arrays:
-    """Run every filter of a block through its worlds; layout k is the same in any block."""
+    """Run every filter of a block through its worlds; layout k is the same in all blocks."""
     settings, case = block.settings, block.case
     worlds = [draw(case, settings, k) for k in range(block.first, block.last)]
     kept = [_errors(name, case, worlds, settings) for name in block.names]
@@ -185,7 +184,7 @@ def _run_one(name: str, case: CaseName, world: PaperWorld, settings: PaperSettin
 
 
 def changed(paper: PaperSettings, change: Mapping[str, Mapping[str, Any]]) -> PaperSettings:
-    """Return settings with some of them changed, by section and key."""
+    """Return settings with changes by section and key."""
     tree = paper.model_dump()
     for section, values in change.items():
         tree[section] = {**tree[section], **values}
@@ -194,7 +193,7 @@ def changed(paper: PaperSettings, change: Mapping[str, Mapping[str, Any]]) -> Pa
 
 @dataclass(frozen=True)
 class Question:
-    """One variant of the settings in one case: what is run, and over how many layouts."""
+    """Filters to run in one case over a number of layouts."""
 
     settings: PaperSettings
     case: CaseName
@@ -202,7 +201,7 @@ class Question:
     layouts: int
 
     def blocks(self) -> dict[str, Block]:
-        """Return its blocks by names that identify everything they depend on."""
+        """Return its blocks by names that identify their settings."""
         tree = self.settings.model_dump(mode="json", exclude={"runs"})
         text = json.dumps([tree, self.case, self.names], sort_keys=True)
         key = hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -221,8 +220,8 @@ def open_store(folder: Path, marker: str = MARKER) -> BlockStore:
     return BlockStore(folder, {"study": "the paper's cases over many layouts"}, marker)
 
 
-def ask(work: StudyBlocks, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
-    """Answer questions, block by block; what the store holds already is not computed again."""
+def compute(work: StudyBlocks, questions: Mapping[Any, Question]) -> dict[Any, Outcome]:
+    """Return the outcomes of questions; blocks in the store are not computed again."""
     blocks = {label: question.blocks() for label, question in questions.items()}
     work.finish(run_block, {name: b for some in blocks.values() for name, b in some.items()})
     return {
@@ -237,7 +236,7 @@ def _outcome(names: tuple[str, ...], parts: list[Arrays]) -> Outcome:
 
 
 def grid_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], Question]:
-    """Return every reading of every case, for the paper's filters and dead reckoning."""
+    """Return all readings of all cases, for the paper's filters and dead reckoning."""
     return {
         (case, reading): Question(settings.read(reading), case, FILTERS, settings.layouts)
         for case in STUDIED
@@ -258,11 +257,11 @@ def bound_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], 
 def varied_questions(settings: LayoutSettings) -> dict[tuple[str, CaseName, Start], Question]:
     """Return each of `VARIANTS` in each case and from each start."""
     number = min(settings.varied, settings.layouts)
-    asked = {}
+    questions = {}
     for case, start in product(STUDIED, settings.axis("initial_error")):
         paper = settings.read(settings.readings(case)[0]._replace(initial_error=start))
         for name, change in VARIANTS.items():
             if name == LONG and case != "4":
                 continue
-            asked[name, case, start] = Question(changed(paper, change), case, FILTERS, number)
-    return asked
+            questions[name, case, start] = Question(changed(paper, change), case, FILTERS, number)
+    return questions

@@ -1,4 +1,4 @@
-"""`homeward study paper` and `layouts`: cases or many layouts, and the paper's tables of RMSE."""
+"""`homeward study paper` and `layouts`, and the paper's tables of RMSE."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from homeward.lab.studies.paper.layouts import (
     Question,
     Reading,
     Start,
-    ask,
     bound_questions,
+    compute,
     grid_questions,
     varied_questions,
 )
@@ -28,12 +28,12 @@ from homeward.lab.studies.paper.world import CASES, CaseName, PaperWorld
 
 @dataclass(frozen=True)
 class Shown:
-    """The run of a case that its figures draw."""
+    """The run of a case in its figures."""
 
     number: int
-    """Of the layout, from 0 on."""
+    """Number of the layout, from 0 on."""
     percentile: dict[str, float]
-    """By filter: the share of runs with a smaller error of R than this one [%]."""
+    """By filter: share of runs with a smaller error of R [%]."""
     world: PaperWorld
     runs: dict[str, Run]
     """By filter."""
@@ -41,7 +41,7 @@ class Shown:
 
 @dataclass(frozen=True)
 class Reproduction:
-    """All cases, all filters, all runs."""
+    """Results of all cases, filters and runs."""
 
     settings: PaperSettings
     outcomes: dict[CaseName, Outcome]
@@ -50,14 +50,14 @@ class Reproduction:
 
 def reproduce(settings: PaperSettings, work: StudyBlocks) -> Reproduction:
     """Run the paper's Cases 1 to 4 with its filters over random layouts."""
-    asked = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
-    outcomes = ask(work, asked)
+    questions = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
+    outcomes = compute(work, questions)
     shown = {case: _shown(case, settings, outcomes[case]) for case in CASES}
     return Reproduction(settings, outcomes, shown)
 
 
 def _shown(case: CaseName, settings: PaperSettings, outcome: Outcome) -> Shown:
-    """Run the median layout again: for R of all filters together nearest to the middle."""
+    """Rerun the layout whose errors of R are nearest to the median for all filters."""
     rank = outcome.rmse[..., 0].argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
     percentile = 100 * (rank + 0.5) / rank.shape[1]
     number = int(np.argmin(np.abs(percentile - 50).max(axis=0)))
@@ -69,32 +69,32 @@ def _shown(case: CaseName, settings: PaperSettings, outcome: Outcome) -> Shown:
 
 @dataclass(frozen=True)
 class LayoutStudy:
-    """Everything that `homeward study layouts` computes."""
+    """Results of `homeward study layouts`."""
 
     settings: LayoutSettings
     grid: dict[tuple[CaseName, Reading], Outcome]
-    """The paper's filters and dead reckoning under every reading."""
+    """The paper's filters and dead reckoning under all readings."""
     bounds: dict[tuple[CaseName, Reading], Outcome]
-    """The robust localiser and the bound, under the readings that the bound depends on."""
+    """The robust localiser and the bound, under the readings that differ in the bound."""
     varied: dict[tuple[str, CaseName, Start], Outcome]
     """By variant, case and start."""
 
     def reading(self, case: CaseName, **change: Any) -> Reading:
-        """Return the first reading of a case with some of it changed."""
+        """Return the first reading of a case with changes."""
         return self.settings.readings(case)[0]._replace(**change)
 
     @property
     def starts(self) -> tuple[Start, ...]:
-        """The starts, each a column of everything; the first is that of the settings."""
+        """All starts; the first is that of the settings."""
         return self.settings.axis("initial_error")
 
 
 def layout_settings(
     values: Mapping[str, Any], layouts: int | None = None, seed: int | None = None
 ) -> LayoutSettings:
-    """Return settings from values by key: those of `PaperSettings`, and of `LayoutSettings`.
+    """Return settings from keys of `PaperSettings` and `LayoutSettings`.
 
-    Raises `InputError` for a key that does not exist, or a value out of range.
+    Raises `InputError` for an unknown key, or a value out of range.
     """
     own = {k: v for k, v in values.items() if k in LayoutSettings.model_fields and k != "paper"}
     paper = {k: v for k, v in values.items() if k not in own}
@@ -106,10 +106,10 @@ def layout_settings(
 
 
 def study_layouts(settings: LayoutSettings, work: StudyBlocks) -> LayoutStudy:
-    """Compute what the store does not hold yet, and return all of it."""
-    grid = ask(work.part(0.0, 0.5), grid_questions(settings))
-    bounds = ask(work.part(0.5, 0.7), bound_questions(settings))
-    varied = ask(work.part(0.7, 1.0), varied_questions(settings))
+    """Compute the missing blocks, and return all results."""
+    grid = compute(work.part(0.0, 0.5), grid_questions(settings))
+    bounds = compute(work.part(0.5, 0.7), bound_questions(settings))
+    varied = compute(work.part(0.7, 1.0), varied_questions(settings))
     return LayoutStudy(settings, grid, bounds, varied)
 
 
@@ -129,12 +129,12 @@ PRINTED: dict[CaseName, dict[str, tuple[float, float, float]]] = {
     },
 }
 PRINTED["1"] = PRINTED["4"]
-"""RMSE of R [cm], theta, alpha [rad], as the paper prints them; Table 3 twice, since its caption
-says closed loop, which is Case 1, and its text open loop, which is Case 4."""
+"""RMSE of R [cm], theta, alpha [rad] as printed; Table 3 twice, since its caption has closed loop
+(Case 1), and its text open loop (Case 4)."""
 
 
 def printed_of(case: CaseName, name: str) -> tuple[float, float, float] | None:
-    """Return what the paper prints of one of `FILTERS` in a case, where it does."""
+    """Return the printed errors of one of `FILTERS` in a case, if there are any."""
     return PRINTED.get(case, {}).get(name.split(" ")[0])
 
 
@@ -145,17 +145,17 @@ class Row:
     case: CaseName
     filter: str
     printed: tuple[float, float, float] | None
-    """What the paper prints, where it does."""
+    """Printed errors, if there are any."""
     median: np.ndarray
     """(3,), over all runs."""
     low: np.ndarray
-    """(3,), 5 % of runs are better than this."""
+    """(3,), 5 % quantile."""
     high: np.ndarray
-    """(3,), 5 % are worse."""
+    """(3,), 95 % quantile."""
     theta_far: float
     """Median RMSE of theta over the samples farther than 20 cm from home [rad]."""
     home_share: float
-    """Share of runs that ended truly within twice the stop radius of home."""
+    """Share of runs whose true end is within twice the stop radius of home."""
 
 
 def rows(result: Reproduction) -> list[Row]:
@@ -175,37 +175,37 @@ def _quantiles(values: np.ndarray) -> np.ndarray:
     """Return the 5, 50 and 95 % quantiles over axis 0; infinite where runs diverged."""
     with np.errstate(invalid="ignore"):
         found = np.quantile(values, [0.05, 0.5, 0.95], axis=0)
-    # Between two infinite runs NumPy makes a NaN.
+    # NumPy interpolates between two infinite runs to NaN.
     return np.where(np.isnan(found), np.inf, found)
 
 
 def printed_order(case: CaseName, column: int) -> tuple[str, ...]:
-    """Return the paper's three filters, least printed error first, in one column of a case.
+    """Return the paper's three filters by increasing printed error, in one column of a case.
 
-    They are not in the same order everywhere: PI-EKF, A-EKF, EKF in R and theta of Case 2 alone.
+    The order differs: PI-EKF, A-EKF, EKF only in R and theta of Case 2.
     """
     return tuple(sorted(PRINTED[case], key=lambda name: PRINTED[case][name][column]))
 
 
 def order_share(outcome: Outcome, order: tuple[str, ...], a_ekf: str) -> np.ndarray:
-    """Return the shares of layouts in which errors have an order: R, theta, alpha, and all three.
+    """Return the shares of layouts with an order of errors: in R, theta, alpha, and all three.
 
-    The order is three of the paper's names, least error first; `a_ekf` is which of `FILTERS` stands
-    for the A-EKF, of which the paper has one.
+    The order has three of the paper's names by increasing error; `a_ekf` is the one of `FILTERS`
+    that represents the paper's A-EKF.
     """
     ours = {"A-EKF": a_ekf}
-    least, middle, most = (outcome.of(ours.get(name, name)) for name in order)
-    holds = (least < middle) & (middle < most)
+    low, middle, high = (outcome.of(ours.get(name, name)) for name in order)
+    holds = (low < middle) & (middle < high)
     return np.append(holds.mean(axis=0), holds.all(axis=1).mean())
 
 
 def printed_order_shares(outcome: Outcome, case: CaseName, a_ekf: str) -> list[float]:
-    """Return the share with the order that the table prints, for R, theta and alpha."""
+    """Return the shares of layouts with the printed order, in R, theta and alpha."""
     return [float(order_share(outcome, printed_order(case, k), a_ekf)[k]) for k in range(3)]
 
 
 def better_shares(outcome: Outcome, name: str, other: str) -> np.ndarray:
-    """Return the shares of layouts in which one errs less than another: R, theta, alpha."""
+    """Return the shares of layouts with smaller errors than another filter: R, theta, alpha."""
     return np.asarray(np.mean(outcome.of(name) < outcome.of(other), axis=0))
 
 

@@ -28,11 +28,11 @@ from homeward.lab.studies.paper.world import CaseName, PaperWorld
 from homeward.registry import make_estimator
 
 EXACT = 1e-5
-"""What the paper's worlds leave exact counts as this, which changes no bound by 0.1 % [m, rad]."""
+"""Standard deviation of exact quantities, small enough to change no bound by 0.1 % [m, rad]."""
 
 
 def drive_of(world: PaperWorld, settings: PaperSettings) -> Drive:
-    """Return the drive of a world before it begins: home, honest noise, and the start prior."""
+    """Return home, true noise and start prior of a world as a drive without samples."""
     assumed, dt = settings.assumed, settings.printed.sample_time
     guess = world.guess if world.guess.R >= 0 else to_polar(from_polar(world.guess))
     sigmas = np.maximum(assumed.initial_error, EXACT)
@@ -57,10 +57,10 @@ def drive_of(world: PaperWorld, settings: PaperSettings) -> Drive:
 
 
 def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
-    """Run the robust localiser through a world, closing the loop in Cases 1 to 3.
+    """Run the robust localiser through a world, in closed loop in Cases 1 to 3.
 
-    It is given the true noise, unlike the paper's filters; homing ends as for them.
-    Errors are over the samples with a pose, NaN when there was none.
+    Unlike the paper's filters it is given the true noise; homing ends as for them. Errors are over
+    the samples with a pose, NaN when there was none.
     """
     printed, assumed = settings.printed, settings.assumed
     estimator = make_estimator("robust", drive_of(world, settings))
@@ -69,16 +69,16 @@ def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Er
     poses: list[Pose] = []
     for k, visible in enumerate(world.visible):
         answer = estimator.estimate(k * dt)
-        believed = answer.polar
-        if believed is not None:
-            answers.append(believed)
+        polar = answer.polar
+        if polar is not None:
+            answers.append(polar)
             poses.append(pose)
         twist = Twist(speed, assumed.circle_turn_rate)
         if case != "4":
-            sure = answer.status in (Status.LOCALISED, Status.COASTING)
-            if believed is not None and sure and assumed.stop_radius > believed.R:
+            localised = answer.status in (Status.LOCALISED, Status.COASTING)
+            if polar is not None and localised and assumed.stop_radius > polar.R:
                 break
-            twist = homing(believed, speed) if believed is not None else Twist(speed, 0.0)
+            twist = homing(polar, speed) if polar is not None else Twist(speed, 0.0)
         estimator.odometry(k * dt, float(twist.v), float(twist.omega))
         pose = advance(pose, Twist(*(np.array(twist) + world.disturbance[k])), dt)
         seen = bearing(pose, *world.landmarks.T) + world.noise[k]
@@ -97,13 +97,13 @@ def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Er
 def bound_errors(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:
     """Return the Cramer-Rao bound on the errors over a run.
 
-    Along the path that the truth steers; which home bearings are wrong counts as known.
+    It is along the path steered by the true pose; the wrong home bearings count as known.
     """
     poses, twists = _true_path(case, world, settings)
     assumed, dt = settings.assumed, settings.printed.sample_time
     n = len(poses)
     start = np.diag(np.square(np.maximum(assumed.initial_error, EXACT)))
-    # The update of sample k comes after its motion: at the start nothing is in sight.
+    # The update of sample k follows its motion: at the start no landmark is in view.
     visible = np.vstack([np.zeros((1, len(world.landmarks)), bool), world.visible[: n - 1] > 0])
     bound = posterior_bound(
         poses,
@@ -124,7 +124,7 @@ def bound_errors(case: CaseName, world: PaperWorld, settings: PaperSettings) -> 
 def _true_path(
     case: CaseName, world: PaperWorld, settings: PaperSettings
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return poses (n, 3) and the twists between them (n - 1, 2) when the truth steers."""
+    """Return poses (n, 3) and twists (n - 1, 2) of the path steered by the true pose."""
     printed, assumed = settings.printed, settings.assumed
     speed, pose = printed.speed_cm / 100, world.start
     poses, twists = [np.array(pose, float)], []

@@ -1,4 +1,4 @@
-"""One random world of the paper's cases: where landmarks stand, what is wrong, what is noise."""
+"""Random worlds of the paper's cases: landmarks, faults and noise."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ CASES: tuple[CaseName, ...] = ("1", "2", "3 (one fault)", "3 (several)", "4")
 
 @dataclass(frozen=True)
 class PaperWorld:
-    """Everything random of one run; the same for every filter."""
+    """Random quantities of one run, the same for all filters."""
 
     landmarks: np.ndarray
     """(q, 2), in the home frame [m]."""
@@ -29,38 +29,38 @@ class PaperWorld:
     start: Pose
     """Of the robot."""
     guess: Polar
-    """First estimate of it."""
+    """First estimate of the start."""
     visible: np.ndarray
-    """(k, q), 1 where a landmark is in sight."""
+    """(k, q), 1 where a landmark is in view."""
     noise: np.ndarray
     """(k, q), of the bearings [rad]."""
     disturbance: np.ndarray
     """(k, 2), of the twist [m/s, rad/s]."""
     moved: np.ndarray
-    """(q,) bool, which landmarks stand elsewhere than when home was stored."""
+    """(q,) bool, which landmarks have moved since home was stored."""
     sight: Sight | None = None
-    """Where bearings come from instead of `visible` and `noise`: images."""
+    """Source of bearings instead of `visible` and `noise`: images."""
 
     @property
     def stored(self) -> np.ndarray:
-        """beta* as home stored them, (q,) [rad]."""
+        """beta* as stored at home, (q,) [rad]."""
         return np.asarray(wrap(self.true_home_bearings + self.faults))
 
     @property
     def true_home_bearings(self) -> np.ndarray:
-        """Where the landmarks stand, (q,) [rad]."""
+        """Directions of the landmarks from home, (q,) [rad]."""
         return np.asarray(np.arctan2(self.landmarks[:, 1], self.landmarks[:, 0]))
 
 
 def fault_count(case: CaseName, settings: PaperSettings) -> int:
-    """Return how many landmarks of a case have been moved."""
+    """Return the number of moved landmarks of a case."""
     if case == "2":
         return min(settings.assumed.faults, settings.printed.landmarks)
     return sum(fault != 0 for fault in _given_faults(case, settings))
 
 
 def _given_faults(case: CaseName, settings: PaperSettings) -> tuple[float, ...]:
-    """Return the faults of the first landmarks, as far as none is drawn [rad]."""
+    """Return the given (not drawn) faults of the first landmarks [rad]."""
     assumed = settings.assumed
     given: dict[str, tuple[float, ...]] = {"3 (one fault)": (assumed.single_fault,)}
     given["3 (several)"] = assumed.several_faults
@@ -68,7 +68,7 @@ def _given_faults(case: CaseName, settings: PaperSettings) -> tuple[float, ...]:
 
 
 def visibility(case: CaseName, settings: PaperSettings) -> float:
-    """Return the share of landmarks in sight at each sample of a case."""
+    """Return the share of landmarks in view at each sample of a case."""
     return settings.assumed.visibility if case.startswith(("2", "3")) else 1.0
 
 

@@ -1,4 +1,4 @@
-"""The scenarios and estimators of a study, each combination spelt out, and its blocks."""
+"""Scenarios, estimators and blocks of a study, with all combinations."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from homeward.lab.studies.study.settings import StudySettings
 from homeward.lab.studies.study.trial import Recording, recorded
 from homeward.registry import estimator_settings
 
-MOST_CELLS = 10_000
+MAX_CELLS = 10_000
 """Scenarios times estimators."""
 MAX_NUMBERS = 100_000_000
-"""Of each error over time; more would not fit into memory."""
+"""Size of each series of errors over time, so that it fits into memory."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +35,9 @@ class Case:
     """Axis of the grid to value, or name of the point."""
     scenario: Scenario | Recording
     duration: float
-    """The longest that it takes [s]."""
+    """Maximum duration [s]."""
     runs: int
-    """One where nothing is random."""
+    """1 where nothing is random."""
 
 
 @dataclass(frozen=True)
@@ -53,13 +53,13 @@ class Contender:
 
 @dataclass(frozen=True)
 class StudyBlock:
-    """Some runs of one scenario by all estimators."""
+    """Runs of one scenario by all estimators."""
 
     case: Case
     contenders: tuple[Contender, ...]
     study: StudySettings
     times: np.ndarray
-    """(k,) [s], at which errors over time are kept."""
+    """(k,), times at which errors are stored [s]."""
     first: int
     last: int
     """The run after the last one."""
@@ -67,7 +67,7 @@ class StudyBlock:
 
 @dataclass(frozen=True)
 class StudyPlan:
-    """Everything that a study computes."""
+    """All cases and estimators of a study."""
 
     study: StudySettings
     cases: tuple[Case, ...]
@@ -75,7 +75,7 @@ class StudyPlan:
 
     @property
     def times(self) -> np.ndarray:
-        """Times at which errors are kept [s], shape (k,)."""
+        """Times at which errors are stored [s], shape (k,)."""
         longest = max(case.duration for case in self.cases)
         return self.study.interval * np.arange(math.floor(longest / self.study.interval + 1e-9) + 1)
 
@@ -91,12 +91,12 @@ class StudyPlan:
 
 
 def block_name(case: int, first: int) -> str:
-    """Return the name of the block of a scenario that begins with run `first`."""
+    """Return the name of a scenario's block with the first run `first`."""
     return f"scenario{case:05d}-run{first:07d}"
 
 
 def make_plan(study: StudySettings) -> StudyPlan:
-    """Spell out every scenario and estimator of a study, and check them all.
+    """Return all scenarios and estimators of a study, validated.
 
     Raises `InputError` when a combination is not valid, or there are too many.
     """
@@ -104,9 +104,9 @@ def make_plan(study: StudySettings) -> StudyPlan:
     if study.scenario is not None:
         points += math.prod(len(axis) for axis in study.grid.values())
     entries = sum(math.prod(map(len, entry.grid.values())) for entry in study.estimators)
-    if points * entries > MOST_CELLS:
+    if points * entries > MAX_CELLS:
         raise InputError(
-            f"{points:,} scenarios times {entries:,} estimators; at most {MOST_CELLS:,} in a study"
+            f"{points:,} scenarios times {entries:,} estimators; the limit is {MAX_CELLS:,}"
         )
     cases = (*_cases(study), *_recordings(study))
     plan = StudyPlan(study, cases, tuple(_contenders(study)))
@@ -114,8 +114,8 @@ def make_plan(study: StudySettings) -> StudyPlan:
     numbers = points * entries * study.runs * (longest / study.interval + 1)
     if numbers > MAX_NUMBERS:
         raise InputError(
-            f"{numbers:,.0f} errors over time would not fit into memory: fewer runs, or a longer "
-            "interval than " + f"{study.interval:g} s"
+            f"{numbers:,.0f} errors over time would not fit into memory: use fewer runs, or an "
+            f"interval above {study.interval:g} s"
         )
     _refuse_equal("estimators", [c.label for c in plan.contenders])
     _refuse_equal("drives", [c.label for c in plan.cases])
@@ -125,7 +125,7 @@ def make_plan(study: StudySettings) -> StudyPlan:
 def _cases(study: StudySettings) -> Iterator[Case]:
     if study.scenario is None:
         return
-    assert isinstance(study.scenario, dict)  # load_study has spelt it out
+    assert isinstance(study.scenario, dict)  # filled in by load_study
     base = changed_scenario(validated(Scenario, study.scenario), study.changes)
     axes = [_points(key, axis) for key, axis in study.grid.items()]
     for combination in itertools.product(*axes):
@@ -152,7 +152,7 @@ def _recordings(study: StudySettings) -> Iterator[Case]:
 
 
 def _points(key: str, axis: Any) -> list[tuple[str, Any, dict[str, Any]]]:
-    """Return (label, value, changes) of each point of an axis."""
+    """Return the label, value and changes of each point of an axis."""
     if isinstance(axis, dict):
         return [(f"{key} {name}", name, changes) for name, changes in axis.items()]
     return [(f"{key} {_short(value)}", value, {key: value}) for value in axis]
@@ -162,15 +162,15 @@ def _contenders(study: StudySettings) -> Iterator[Contender]:
     for entry in study.estimators:
         for point, words in _combinations(entry.grid):
             try:
-                told = estimator_settings(entry.estimator, nested({**entry.settings, **point}))
+                settings = estimator_settings(entry.estimator, nested({**entry.settings, **point}))
             except InputError as error:
                 raise InputError(f"estimators: {entry.estimator}: {error}") from None
             label = ", ".join((entry.label or entry.estimator, *words))
-            yield Contender(label, entry.estimator, told, point)
+            yield Contender(label, entry.estimator, settings, point)
 
 
 def _combinations(grid: dict[str, list[Any]]) -> Iterator[tuple[dict[str, Any], list[str]]]:
-    """Yield each combination of a grid, key to value, and the same in words."""
+    """Yield each combination of a grid, key to value, and its labels."""
     for values in itertools.product(*grid.values()):
         point = dict(zip(grid, values, strict=True))
         yield point, [f"{key} {_short(value)}" for key, value in point.items()]
@@ -179,7 +179,7 @@ def _combinations(grid: dict[str, list[Any]]) -> Iterator[tuple[dict[str, Any], 
 def _refuse_equal(what: str, labels: list[str]) -> None:
     label, number = Counter(labels).most_common(1)[0]
     if number > 1:
-        raise InputError(f"{what}: two are called {label!r}; give one of them a label")
+        raise InputError(f"{what}: two have the name {label!r}; give one of them a `label`")
 
 
 def _short(value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The results of a study: arrays with names, and one netCDF file."""
+"""Results of a study: named arrays, and one netCDF file."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ from homeward.lab.studies.study.runs import FAILURE, RUN, SERIES, run_block, run
 
 @dataclass(frozen=True)
 class Results:
-    """Everything that came out of a study."""
+    """All results of a study."""
 
     plan: StudyPlan
     run: dict[str, np.ndarray]
-    """Quantities of `RUN`, (scenarios, estimators, runs); NaN beyond the runs of a scenario."""
+    """Quantities of `RUN`, (scenarios, estimators, runs); NaN where a scenario has fewer runs."""
     series: dict[str, np.ndarray]
     """Quantities of `SERIES`, (scenarios, estimators, runs, times)."""
     failure: np.ndarray
-    """(scenarios, estimators, runs), why a run failed; empty where it did not."""
+    """(scenarios, estimators, runs), reason of a failed run; empty otherwise."""
 
     @property
     def number(self) -> int:
-        """How many runs there were; a drive in which nothing is random has one an estimator."""
+        """Number of runs; a drive without randomness has one for each estimator."""
         return len(self.plan.contenders) * sum(case.runs for case in self.plan.cases)
 
     @property
@@ -42,16 +42,13 @@ class Results:
 
 
 def run_study(plan: StudyPlan, work: StudyBlocks) -> Results:
-    """Compute what is left of a study, and return all of it.
-
-    Errors as `homeward.lab.studies.blocks.finish.Work.finish`.
-    """
+    """Compute the missing blocks of a study, and return all results; see `StudyBlocks.finish`."""
     work.finish(run_block, plan.blocks())
     return _gather(plan, work.store)
 
 
 def _gather(plan: StudyPlan, store: BlockStore) -> Results:
-    """Put the blocks together."""
+    """Combine the blocks."""
     study = plan.study
     shape = len(plan.cases), len(plan.contenders), study.runs
     run = {name: np.full(shape, np.nan) for name in RUN}
@@ -75,7 +72,7 @@ def _gather(plan: StudyPlan, store: BlockStore) -> Results:
 
 
 def to_dataset(results: Results) -> Any:
-    """Return results as an `xarray.Dataset` whose variables carry units and meanings."""
+    """Return results as an `xarray.Dataset` with units and long names."""
     xarray: Any = import_module("xarray")
     plan, study = results.plan, results.plan.study
     dims = ("scenario", "estimator", "run")
@@ -83,15 +80,19 @@ def to_dataset(results: Results) -> Any:
     for name, quantity in (RUN | SERIES).items():
         along, values = (dims, results.run) if name in RUN else ((*dims, "time"), results.series)
         data[name] = along, values[name], {"units": quantity.unit, "long_name": quantity.meaning}
-    words = {"long_name": "why the run failed; empty where it did not"}
-    data[FAILURE] = (dims, results.failure.astype(object), words)
+    attributes = {"long_name": "reason of a failed run; empty otherwise"}
+    data[FAILURE] = (dims, results.failure.astype(object), attributes)
 
     seeds = [run_seed(study.seed, k) for k in range(study.runs)]
     coordinates: dict[str, Any] = {
         "scenario": [case.label for case in plan.cases],
         "estimator": [contender.label for contender in plan.contenders],
         "run": np.arange(study.runs),
-        "time": ("time", plan.times, {"units": "s", "long_name": "since the drive began"}),
+        "time": (
+            "time",
+            plan.times,
+            {"units": "s", "long_name": "time since the start of the drive"},
+        ),
         "seed": ("run", np.array(seeds), {"long_name": "seed of the scenario of each run"}),
     }
     for key in study.grid:
@@ -118,14 +119,14 @@ def write_netcdf(results: Results, path: Path) -> None:
     """Write results as one compressed netCDF 4 file; `OSError` when it cannot be written."""
     dataset = to_dataset(results)
     compressed = {name: {"zlib": True, "complevel": 4} for name in (*RUN, *SERIES)}
-    # In memory first: on a disk that is full, HDF5 may end the whole process.
+    # In memory first: on a full disk, HDF5 can abort the process.
     content = dataset.to_netcdf(engine="h5netcdf", encoding=compressed)
     with whole_file(path) as scratch:
         scratch.write_bytes(content)
 
 
 def _coordinate(values: list[Any]) -> Any:
-    """Return numbers as numbers, and anything else as words."""
+    """Return numbers as floats, and other values as text."""
     if all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
         return np.array(values, float)
     words = [v if isinstance(v, str) else json.dumps(v) for v in values]
@@ -133,5 +134,5 @@ def _coordinate(values: list[Any]) -> Any:
 
 
 def _name(text: str) -> str:
-    """Return a name that netCDF takes for a coordinate."""
+    """Return a valid netCDF name of a coordinate."""
     return "_".join(text.replace("/", " ").split())

@@ -1,6 +1,6 @@
-"""Quantities of a run, and the runs of a block: simulated, estimated, measured.
+"""Quantities of a run, and the runs of a block.
 
-A run that fails is recorded with its reason, and the others go on.
+A run that fails is recorded with its reason; the others continue.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Quantity(NamedTuple):
     """One number of a run, or one number of a run at each time."""
 
     unit: str
-    """As netCDF conventions write it; 1 for a number without one."""
+    """As in netCDF conventions; 1 for numbers without a unit."""
     meaning: str
 
 
@@ -47,7 +47,7 @@ RUN: dict[str, Quantity] = {
     "heading_rmse": Quantity("rad", "RMSE of the heading"),
     "position_max": Quantity("m", "largest error of the position"),
     "position_bias": Quantity("m", "size of the mean position error, second half of the run"),
-    "position_oscillation": Quantity("m", "RMS of what is left of it, second half of the run"),
+    "position_oscillation": Quantity("m", "RMS around that mean, second half of the run"),
     "position_bound": Quantity("m", "Cramer-Rao bound on position_rmse, at the true path"),
     "heading_bound": Quantity("rad", "Cramer-Rao bound on heading_rmse, at the true path"),
     "nees": Quantity("1", "mean NEES of (x, y, heading): 3 when consistent"),
@@ -57,13 +57,15 @@ RUN: dict[str, Quantity] = {
     "first_pose": Quantity("s", "time of the first pose"),
     "duration": Quantity("s", "length of the drive"),
     "final_distance": Quantity("m", "true distance from home at the end"),
-    "reached_home": Quantity("1", "1 where the run truly ended at home, else 0"),
-    "moved_right": Quantity("1", "1 where exactly the moved landmarks were named, else 0"),
+    "reached_home": Quantity("1", "1 where the true end of the run is at home, else 0"),
+    "moved_right": Quantity(
+        "1", "exact detection: 1 where exactly the moved landmarks were named, else 0"
+    ),
     "moved_bearing_error": Quantity("rad", "RMS of the moved landmarks' estimated home bearings"),
-    "moved_bearing_stored": Quantity("rad", "the same of what home stored"),
-    "seconds": Quantity("s", "processor time; the one number that does not repeat"),
+    "moved_bearing_stored": Quantity("rad", "RMS of the errors of their stored home bearings"),
+    "seconds": Quantity("s", "runtime (processor time); differs between repetitions"),
 }
-"""Each has a value for every scenario, estimator and run; NaN where it cannot be told."""
+"""Quantities of every scenario, estimator and run; NaN where unknown."""
 
 SERIES: dict[str, Quantity] = {
     "position_error": Quantity("m", "error of the position"),
@@ -72,29 +74,29 @@ SERIES: dict[str, Quantity] = {
     "position_bound_over_time": Quantity("m", "Cramer-Rao bound on the position's error"),
     "heading_bound_over_time": Quantity("rad", "Cramer-Rao bound on the heading's error"),
 }
-"""The same at each time."""
+"""Quantities at each time."""
 
 FAILURE = "failure"
-"""Why a run failed, in words; empty where it did not."""
+"""Reason of a failed run; empty otherwise."""
 
 
 TOGETHER = 100
-"""Runs whose drives are held at once."""
-LONGEST_REASON = 200
-"""Letters of the reason of a failure that are kept."""
+"""Number of runs whose drives are in memory at once."""
+MAX_REASON = 200
+"""Maximum number of characters of a failure's reason."""
 
 
 def run_seed(seed: int, run: int) -> int:
     """Return the seed of the scenario of run number `run` in a study with a seed."""
     state = np.random.SeedSequence([seed, run]).generate_state(1, np.uint64)
-    return int(state[0] >> np.uint64(1))  # so that it fits a signed integer of netCDF
+    return int(state[0] >> np.uint64(1))  # fits a signed integer of netCDF
 
 
 def run_block(block: StudyBlock) -> Arrays:
     """Run a block: every estimator through every run.
 
-    Return the quantities of `RUN`, (estimators, runs); of `SERIES`, (estimators, runs, times); and
-    `FAILURE`, (estimators, runs), the reason where a run failed.
+    Return the quantities of `RUN`, (estimators, runs), of `SERIES`, (estimators, runs, times), and
+    `FAILURE`, (estimators, runs).
     """
     shape = len(block.contenders), block.last - block.first
     kept: Arrays = {name: np.full(shape, np.nan) for name in RUN}
@@ -106,7 +108,7 @@ def run_block(block: StudyBlock) -> Arrays:
             i = run - block.first
             if isinstance(found, Exception):
                 reason = " ".join(f"{type(found).__name__}: {found}".split())
-                failures[j][i] = reason[:LONGEST_REASON]
+                failures[j][i] = reason[:MAX_REASON]
             else:
                 for name, value in found.items():
                     kept[name][j, i] = value
@@ -114,12 +116,12 @@ def run_block(block: StudyBlock) -> Arrays:
 
 
 Found = dict[str, float | np.ndarray]
-"""What is known of one run, by the names of `RUN` and `SERIES`."""
+"""Known quantities of one run, by the names of `RUN` and `SERIES`."""
 T = TypeVar("T")
 
 
 def _tried(function: Callable[[], T]) -> T | Exception:
-    """Return what a function returns or raises: one of a million runs must not end the others."""
+    """Return the result or the exception of a function, so that one run does not end the others."""
     try:
         return function()
     except Exception as error:
@@ -127,7 +129,7 @@ def _tried(function: Callable[[], T]) -> T | Exception:
 
 
 def _closed_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
-    """Yield estimator, run and what came of it, where each estimator steers its own drives."""
+    """Yield estimator, run and result, where each estimator steers its own drives."""
     for run in runs:
         for j, contender in enumerate(block.contenders):
             yield j, run, _tried(partial(_steered, contender, block, run))
@@ -135,7 +137,7 @@ def _closed_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Fou
 
 def _steered(contender: Contender, block: StudyBlock, run: int) -> Found:
     began, case = time.process_time(), block.case.scenario
-    assert isinstance(case, Scenario)  # who steers cannot do so in a log
+    assert isinstance(case, Scenario)  # a recorded drive cannot be steered
     seed = run_seed(block.study.seed, run)
     own = case.model_copy(update={"seed": seed, "estimator": contender.estimator})
     estimator = make_estimator(contender.estimator, prepare(own), contender.settings)
@@ -146,7 +148,7 @@ def _steered(contender: Contender, block: StudyBlock, run: int) -> Found:
 
 
 def _open_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
-    """Yield the same where all run over the same drives: compiled filters side by side."""
+    """Yield the same for drives shared by all estimators; compiled filters run as a batch."""
     together: dict[Any, list[tuple[int, int, Trial, Drive, Any]]] = {}
     for run in runs:
         trial = _tried(partial(_recorded, block.case.scenario, run_seed(block.study.seed, run)))
@@ -174,7 +176,7 @@ def _recorded(case: Scenario | Recording, seed: int) -> Trial:
 def _made(
     contender: Contender, case: Scenario | Recording, drive: Drive
 ) -> tuple[Drive, Estimator]:
-    """Return the drive with the start prior that an estimator gets, and the estimator."""
+    """Return the drive with the estimator's start prior, and the estimator."""
     if isinstance(case, Recording):
         _, drive = with_start(drive, contender.estimator)
     return drive, make_estimator(contender.estimator, drive, contender.settings)
@@ -190,11 +192,11 @@ def _followed(trial: Trial, drive: Drive, estimator: Estimator, block: StudyBloc
 def _alike(
     contender: Contender, estimator: Estimator
 ) -> tuple[ExtendedKalmanFilter, Engine] | None:
-    """Return what filters have in common that run side by side; None for what does not."""
+    """Return the key of filters that can run as a batch; None for other estimators."""
     engine: Engine = getattr(contender.settings, "engine", "interpreter")
     if engine == "interpreter":
         return None
-    # Imported here alone: whoever studies the localiser needs nothing symbolic.
+    # Imported here, so that studies of the localiser need no CasADi.
     from homeward.lab.engine.estimators.batched_online import batch_kind
 
     kind = batch_kind(estimator)
@@ -223,7 +225,7 @@ def _side_by_side(
 
 
 def _measure(trial: Trial, estimator: Estimator, track: Track, block: StudyBlock) -> Found:
-    """Return every quantity of one run that is known."""
+    """Return all known quantities of one run."""
     begin, end = trial.drive.span
     found: Found = {
         "duration": end - begin,
@@ -255,7 +257,7 @@ def _known(value: float | None) -> float:
 
 
 def _errors(e: Errors, total: Accuracy | None) -> Found:
-    """Return errors over the whole run, and how they split into bias and oscillation."""
+    """Return errors over the whole run, with their bias and oscillation."""
     if total is None:
         return {}
     late = e.t >= (e.t[0] + e.t[-1]) / 2
@@ -291,7 +293,7 @@ def _bounds(times: np.ndarray, trial: Trial, longest: float) -> Found:
 def _latest(
     times: np.ndarray, stamps: np.ndarray, values: np.ndarray, longest: float
 ) -> np.ndarray:
-    """Return the latest value at each time, NaN where there is none as young as `longest` [s]."""
+    """Return the latest value at each time; NaN where it is older than `longest` [s]."""
     if not stamps.size:
         return np.full(times.shape, np.nan)
     row = np.searchsorted(stamps, times + 1e-9, side="right") - 1
@@ -300,14 +302,14 @@ def _latest(
 
 
 def _landmarks(trial: Trial, estimator: Estimator) -> Found:
-    """Return what became of the moved landmarks, as far as the estimator says."""
+    """Return the detection of moved landmarks, if the estimator reports it."""
     known, home, true = estimator.landmarks(), trial.drive.home_bearings(), trial.true_home
     found: Found = {}
-    judged = {m.landmark: m.moved for m in known if m.moved is not None}
-    if judged and trial.none_else:
-        named = {landmark for landmark, moved in judged.items() if moved}
+    tested = {m.landmark: m.moved for m in known if m.moved is not None}
+    if tested and trial.none_else:
+        named = {landmark for landmark, moved in tested.items() if moved}
         found["moved_right"] = float(named == trial.moved)
-    # The stored bearing holds the fault and the noise of home; the truth is where it stands.
+    # The stored bearing contains the fault and the noise of home.
     moved = [m for m in known if m.landmark in trial.moved]
     if moved:
         stored = np.array([wrap(home[m.landmark] - true[m.landmark]) for m in moved])

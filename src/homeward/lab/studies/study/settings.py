@@ -1,4 +1,4 @@
-"""A study as validated settings: what STUDY.yaml may say."""
+"""Settings of a study: the keys of STUDY.yaml."""
 
 from __future__ import annotations
 
@@ -19,23 +19,23 @@ from homeward.lab.studies.study.trial import Recording
 from homeward.registry import settings_model
 
 VERSION_KEY = "homeward"
-"""A study.yaml that a study wrote carries the version of homeward under this key."""
+"""Key of the version of homeward in a study.yaml written by a study."""
 
 Axis = list[Any] | dict[str, dict[str, Any]]
-"""Values of one key, or names of points to the keys that each sets."""
+"""Values of one key, or names of points to the keys that they set."""
 
 
 class EstimatorEntry(Strict):
-    """An estimator of a study, perhaps with several settings."""
+    """An estimator of a study, with one or several settings."""
 
     estimator: str
-    """As `homeward run --estimator` takes it."""
+    """As in `homeward run --estimator`."""
     label: str | None = None
     """Its name in figures; None: the estimator's."""
     settings: dict[str, Any] = {}
-    """As `homeward run --set` takes them; keys may have dots."""
+    """As in `homeward run --set`; keys may be dotted."""
     grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
-    """Key to values; the entry stands for every combination."""
+    """Key to values; every combination is an estimator of the study."""
 
     @field_validator("estimator")
     @classmethod
@@ -48,43 +48,43 @@ class EstimatorEntry(Strict):
 
 
 class DriveEntry(Recording):
-    """A recorded drive of a study, perhaps made harder in several ways."""
+    """A recorded drive of a study, with one or several modifications."""
 
     grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
-    """Key to values, as falsified or dropped; the entry stands for every combination."""
+    """Key (such as falsified, dropped) to values; every combination is a scenario."""
 
 
 class StudySettings(Strict):
-    """Everything that a study depends on."""
+    """Settings of a study."""
 
     name: str = "study"
     seed: Annotated[int, Field(ge=0)] = 0
-    """Of everything; run k of a study with this seed is the same in every scenario and block."""
+    """Seed of all randomness; run k is the same in every scenario and block."""
     runs: Annotated[int, Field(ge=1, le=1_000_000)]
-    """Of each scenario; of a drive in which nothing is random, one."""
+    """Number of runs of each scenario; a drive without randomness has one."""
     block: Annotated[int, Field(ge=1, le=100_000)] = 10
-    """Runs that are computed, and kept, together; changes no result."""
+    """Number of runs in a block; does not change the results."""
     loop: Literal["closed", "open"] = "closed"
-    """Whether each estimator steers its own drives, or the truth steers one drive for all."""
+    """closed: each estimator steers its own drives; open: the true pose steers one for all."""
     scenario: str | dict[str, Any] | None = None
-    """A preset, a scenario's file, or a whole scenario; its seed and estimator do not count.
-    None: paper-homing, or where there are drives, these alone."""
+    """A preset, a scenario's file, or a whole scenario; its seed and estimator are not used. None:
+    paper-homing, or only the drives, if there are any."""
     changes: Annotated[dict[str, Any], Field(alias="set")] = {}
-    """Keys of the scenario, in dots, to what they become."""
+    """Dotted keys of the scenario to new values."""
     grid: dict[str, Axis] = {}
     """Axes of scenarios: a key of the scenario to values, or a name to points that set keys."""
     drives: tuple[DriveEntry, ...] = ()
-    """Recorded drives with truth, beside the simulated ones, in the open loop."""
+    """Recorded drives with ground truth, in the open loop, in addition to simulated ones."""
     estimators: Annotated[tuple[EstimatorEntry, ...], Field(min_length=1)]
     interval: Positive = 0.5
-    """Errors over time are kept this often [s]."""
+    """Interval of the stored errors over time [s]."""
     home_radius: Positive = 2 * STOP_RADIUS
-    """A run reached home when it truly ended within this distance of it [m]."""
+    """A run reached home if its true end is within this distance of it [m]."""
 
     @field_validator("estimators", "drives", mode="before")
     @classmethod
     def _bare_names(cls, entries: Any, info: ValidationInfo) -> Any:
-        """Let a name stand for an entry with defaults."""
+        """Convert names to entries with defaults."""
         if not isinstance(entries, (list, tuple)):
             return entries
         key = str(info.field_name).removesuffix("s")
@@ -96,33 +96,33 @@ class StudySettings(Strict):
             if not axis:
                 raise ValueError(f"grid.{key}: has no values")
         if self.drives and self.loop != "open":
-            raise ValueError("drives: a log cannot be steered; loop must be open")
+            raise ValueError("drives: a recorded drive cannot be steered; set loop: open")
         if self.drives and self.scenario is None and (self.grid or self.changes):
-            raise ValueError("grid and set are of a scenario, and none is named")
+            raise ValueError("grid and set need a scenario; name one")
         return self
 
 
 def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:
-    """Return a study by the name of one that ships or from a file, with its scenario spelt out.
+    """Return a study that ships, by name, or from a file, with its whole scenario.
 
-    `changes` are top-level keys to their new values. Raises `InputError` for a file that cannot be
-    read, a key that does not exist, or a value out of range.
+    `changes` are top-level keys to new values. Raises `InputError` for a file that cannot be read,
+    an unknown key, or a value out of range.
     """
     file = shipped_or_file(source, "studies")
     tree = read_tree(file)
     tree.pop(VERSION_KEY, None)
     study = validated(StudySettings, {**tree, **(changes or {})}, file)
-    drives = (e.model_copy(update={"drive": _beside(e.drive, file)}) for e in study.drives)
+    drives = (e.model_copy(update={"drive": _relative_to(e.drive, file)}) for e in study.drives)
     update: dict[str, Any] = {"drives": tuple(drives)}
     name = "paper-homing" if study.scenario is None and not study.drives else study.scenario
     if isinstance(name, str):
-        scenario = load_scenario(name if name in PRESETS else _beside(name, file))
+        scenario = load_scenario(name if name in PRESETS else _relative_to(name, file))
         excluded = {"seed", "estimator"}
         update["scenario"] = scenario.model_dump(mode="json", exclude_none=True, exclude=excluded)
     return study.model_copy(update=update)
 
 
-def _beside(path: str, file: Path) -> str:
-    """Return where something is, beside a file or from here; where it is not, as it was."""
+def _relative_to(path: str, file: Path) -> str:
+    """Return an existing path relative to a file's folder or to this folder, else `path`."""
     places = (file.parent / path, Path(path))
     return next((os.path.realpath(place) for place in places if is_there(place)), path)

@@ -1,4 +1,4 @@
-"""Statistics over runs: means, quantiles, shares, intervals, and tests paired over the runs."""
+"""Statistics over runs: means, quantiles, shares, intervals and paired tests."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 from scipy.stats import binomtest, bootstrap, false_discovery_control, wilcoxon
 
 RESAMPLES = 2000
-"""Of a bootstrap; its 95 % ends are off by chance by some percent of the interval's width."""
+"""Number of bootstrap samples; the ends of an interval vary by some percent of its width."""
 AT_ONCE = 10_000_000
-"""Numbers that a bootstrap draws at once; more would not fit into memory."""
+"""Numbers that a bootstrap draws at once, so that they fit into memory."""
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 MIN_RUNS = 3
-"""Runs that an interval or a test needs: of two, neither knows anything."""
+"""Minimum number of runs for an interval or a test."""
 
 
 class Interval(NamedTuple):
-    """A value and its 95 % interval; NaN where it is not known."""
+    """A value and its 95 % interval; NaN where unknown."""
 
     value: float
     low: float = np.nan
@@ -29,20 +29,19 @@ class Pairing(NamedTuple):
     """One estimator against another on the same runs."""
 
     ratio: Interval
-    """Of their RMSE, over the runs in which both have a pose."""
+    """RMSE ratio, over the runs in which both have a pose."""
     p: float
-    """Of Wilcoxon's signed-rank test, two-sided, on the runs' logarithms: that neither is better. A
-    run without a pose is worse than any with one. NaN of fewer than `MIN_RUNS` runs, or where
-    neither ever has one."""
+    """p-value of the two-sided Wilcoxon signed-rank test on the logarithms of RMSE. A run without a
+    pose ranks below any with one. NaN for fewer than `MIN_RUNS` runs, or if neither has a pose."""
 
 
 def rmse_interval(rmse: np.ndarray) -> Interval:
-    """Return the RMSE over runs (n,) with its bootstrap interval; NaN where a run has none."""
+    """Return the RMSE over runs (n,), NaN for unknown ones, with its bootstrap interval."""
     return interval(_root_mean_square, rmse[~np.isnan(rmse)])
 
 
 def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
-    """Compare an estimator with another by the RMSE of each run (n,), NaN without a pose."""
+    """Compare two estimators by the RMSE of each run (n,), NaN without a pose."""
     both = ~np.isnan(rmse) & ~np.isnan(other)
     ratio = interval(
         lambda a, b, axis=-1: _root_mean_square(a, axis) / _root_mean_square(b, axis),
@@ -53,13 +52,14 @@ def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
         return Pairing(ratio, np.nan)
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b = (np.log(np.where(np.isnan(r), np.inf, r)) for r in (rmse, other))
-        by = a - b
-    by[a == b] = 0.0  # neither has a pose, or both are the same
-    # Wilcoxon's test takes ranks alone; so do these numbers, which are finite.
-    size = np.unique(np.abs(by), return_inverse=True)[1] + (0.0 if (by == 0).any() else 1.0)
+        difference = a - b
+    difference[a == b] = 0.0  # neither has a pose, or both are the same
+    # Wilcoxon's test uses only ranks; ranks of infinite differences are finite.
+    size = np.unique(np.abs(difference), return_inverse=True)[1]
+    size = size + (0.0 if (difference == 0).any() else 1.0)
     if not size.any():
         return Pairing(ratio, 1.0)
-    return Pairing(ratio, float(wilcoxon(np.sign(by) * size).pvalue))
+    return Pairing(ratio, float(wilcoxon(np.sign(difference) * size).pvalue))
 
 
 def adjusted(p: Sequence[float]) -> np.ndarray:
@@ -72,7 +72,7 @@ def adjusted(p: Sequence[float]) -> np.ndarray:
 
 
 def known(values: np.ndarray, statistic: Callable[[np.ndarray], Any]) -> float:
-    """Return a statistic of the values that are known; NaN where none is."""
+    """Return a statistic of the known values; NaN where none is known."""
     some = values[~np.isnan(values)]
     return float(statistic(some)) if some.size else np.nan
 
@@ -99,7 +99,7 @@ def _root_mean_square(values: np.ndarray, axis: int = -1) -> np.ndarray:
 
 
 def quantiles(values: np.ndarray) -> np.ndarray:
-    """Return `QUANTILES` of what is known, (5,): values that occur; NaN where nothing is known."""
+    """Return `QUANTILES` of the known values, (5,), without interpolation; NaN for no values."""
     known = values[~np.isnan(values)]
     if not known.size:
         return np.full(len(QUANTILES), np.nan)
@@ -107,7 +107,7 @@ def quantiles(values: np.ndarray) -> np.ndarray:
 
 
 def wilson(hits: int, number: int) -> tuple[float, float]:
-    """Return the 95 % interval of a share of which `hits` in `number` were seen (Wilson 1927)."""
+    """Return the 95 % interval of a share with `hits` out of `number` (Wilson 1927)."""
     if not number:
         return np.nan, np.nan
     low, high = binomtest(hits, number).proportion_ci(method="wilson")

@@ -1,4 +1,4 @@
-"""A study in numbers and tables: per scenario and estimator, over its runs; failures first."""
+"""Summary and tables of a study: per scenario and estimator, over all runs."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from homeward.lab.studies.study.statistics import (
     wilson,
 )
 
-FEWEST_SHARE = 0.2
-"""Over time, means are given while at least this share of the runs goes on."""
+MIN_SHARE = 0.2
+"""Minimum share of runs still in progress for a mean over time."""
 
 
 @dataclass(frozen=True)
@@ -32,11 +32,11 @@ class Line:
     scenario: str
     estimator: str
     rmse: float
-    """Of the position, over all runs [m]."""
+    """RMSE of the position over all runs [m]."""
     quantiles: np.ndarray
-    """(5,), `QUANTILES` of the runs' RMSE of the position [m]."""
+    """(5,), `QUANTILES` of the position RMSE of single runs [m]."""
     bound: float
-    """Cramer-Rao bound on `rmse` [m]; NaN where it is not known."""
+    """Cramer-Rao bound on `rmse` [m]; NaN where unknown."""
     heading_rmse: float
     """[rad]"""
     nees: np.ndarray
@@ -46,14 +46,14 @@ class Line:
     home_interval: tuple[float, float]
     """95 % interval of that share (Wilson)."""
     moved_right: float
-    """Share of runs in which exactly the moved landmarks were named; NaN if it names none."""
+    """Exact detection rate of moved landmarks; NaN if the estimator detects none."""
     no_pose: int
-    """Runs that never had a pose."""
+    """Number of runs without any pose."""
     failed: int
-    """Runs that ended in an error."""
+    """Number of runs that ended in an error."""
     runs: int
     seconds: float
-    """Processor time of a run, median [s]."""
+    """Median runtime (processor time) of a run [s]."""
 
     @property
     def ratio(self) -> float:
@@ -75,7 +75,7 @@ def _line(results: Results, i: int, j: int) -> Line:
     run = {name: values[i, j, :runs] for name, values in results.run.items()}
     failed = results.failed[i, j, :runs]
     home = run["reached_home"]
-    arrived, judged = int(np.nansum(home)), int(np.isfinite(home).sum())
+    arrived, known = int(np.nansum(home)), int(np.isfinite(home).sum())
     return Line(
         scenario=results.plan.cases[i].label,
         estimator=results.plan.contenders[j].label,
@@ -84,8 +84,8 @@ def _line(results: Results, i: int, j: int) -> Line:
         bound=root_mean_square(run["position_bound"]),
         heading_rmse=root_mean_square(run["heading_rmse"]),
         nees=quantiles(run["nees"]),
-        home=arrived / judged if judged else np.nan,
-        home_interval=wilson(arrived, judged),
+        home=arrived / known if known else np.nan,
+        home_interval=wilson(arrived, known),
         moved_right=mean(run["moved_right"]),
         no_pose=int(np.sum(~failed & np.isnan(run["position_rmse"]))),
         failed=int(failed.sum()),
@@ -95,21 +95,21 @@ def _line(results: Results, i: int, j: int) -> Line:
 
 
 def over_time(results: Results, name: str, i: int, j: int, root: bool) -> np.ndarray:
-    """Return the mean of a series over the runs that go on, (times,), or the root mean square.
+    """Return the mean, or root mean square, of a series over the runs still in progress, (times,).
 
-    NaN where fewer than `FEWEST_SHARE` of the runs go on.
+    NaN where fewer than `MIN_SHARE` of the runs are in progress.
     """
     values = np.asarray(results.series[name][i, j, : results.plan.cases[i].runs], float)
     here = ~np.isnan(values)
     with warnings.catch_warnings(), np.errstate(over="ignore"):
-        warnings.simplefilter("ignore", RuntimeWarning)  # of times without a run
+        warnings.simplefilter("ignore", RuntimeWarning)  # at times without a run
         found = np.nanmean(values**2 if root else values, axis=0)
-    enough = here.sum(axis=0) >= max(FEWEST_SHARE * len(values), 1)
+    enough = here.sum(axis=0) >= max(MIN_SHARE * len(values), 1)
     return np.asarray(np.where(enough, np.sqrt(found) if root else found, np.nan))
 
 
 def failures(results: Results) -> dict[str, int]:
-    """Return each reason for which runs failed, with their number, the most frequent first."""
+    """Return the reasons of failed runs with their numbers, most frequent first."""
     reasons, counts = np.unique(results.failure[results.failed], return_counts=True)
     order = np.argsort(-counts, kind="stable")
     return {str(reasons[k]): int(counts[k]) for k in order}
@@ -117,19 +117,19 @@ def failures(results: Results) -> dict[str, int]:
 
 @dataclass(frozen=True)
 class Summary:
-    """What a study says, estimator by estimator, each beside the one that it names first."""
+    """Results by estimator, compared with the first one of the study."""
 
     closed: bool
-    """Whether each steered its own drives."""
+    """Whether each estimator steered its own drives."""
     first: str
-    """The estimator that the others are compared with."""
+    """The reference estimator."""
     lines: list[Line]
     rmse: list[Interval]
-    """Of each line [m]."""
+    """RMSE of each line [m]."""
     pairings: list[Pairing]
-    """Of each line with that of the first in its scenario."""
+    """Each line compared with the reference in its scenario."""
     p: np.ndarray
-    """Of each line, adjusted for the number of all comparisons; NaN of the first itself."""
+    """p-value of each line, adjusted for multiple comparisons; NaN for the reference."""
 
 
 def summary(results: Results) -> Summary:
@@ -150,13 +150,13 @@ def summary(results: Results) -> Summary:
 
 
 def table(found: Summary) -> list[list[str]]:
-    """Return the table of the terminal and of the page, its head first, as text.
+    """Return the table of the terminal and of the page as text, its head first.
 
-    Failures come first. A column in which nothing is known is left out.
+    Columns without any known value are left out.
     """
     head = ["scenario", "estimator", "failed", "no pose", "RMSE [m]", "5 to 95 % of runs"]
-    head += ["RMSE / bound", f"x {found.first}", "p", "heading [deg]", "NEES"]
-    head += [*(["reached home"] if found.closed else []), "moved right", "time of a run [s]"]
+    head += ["RMSE / bound", f"RMSE ratio to {found.first}", "p", "heading [deg]", "NEES"]
+    head += [*(["reached home"] if found.closed else []), "exact detection rate", "runtime [s]"]
     rows, before = [head], ""
     for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
         shown = line.scenario if line.scenario != before else ""
@@ -192,7 +192,7 @@ EXACT = (
 
 
 def exact_table(found: Summary) -> list[list[object]]:
-    """Return the same to the last bit, units in the head; ratio and p are against the first."""
+    """Return the table with exact numbers; ratio and p are relative to the first estimator."""
     rows: list[list[object]] = [list(EXACT)]
     for line, rmse, pair, p in zip(found.lines, found.rmse, found.pairings, found.p, strict=True):
         rows.append(
@@ -206,14 +206,14 @@ def exact_table(found: Summary) -> list[list[object]]:
 
 
 def with_interval(found: Interval) -> str:
-    """Return a value and its interval; empty where it is not known."""
+    """Return a value and its interval as text; empty where unknown."""
     if np.isnan(found.low):
         return number(found.value)
     return f"{number(found.value)} ({number(found.low)} to {number(found.high)})"
 
 
 def probability(p: float) -> str:
-    """Return a p-value; empty where it is not known."""
+    """Return a p-value as text; empty where unknown."""
     return "" if np.isnan(p) else "< 0.001" if p < 1e-3 else f"{p:.2g}"
 
 

@@ -1,4 +1,4 @@
-"""A drive with ground truth, simulated or recorded, and the references to score estimators by."""
+"""Drives with ground truth, simulated or recorded, and references for scores."""
 
 from __future__ import annotations
 
@@ -23,21 +23,21 @@ from homeward.lab.simulation.simulate import Simulation
 from homeward.runs.single_run import DriveChoice, RunSettings, opened
 
 MAX_SIGMAS = 5.0
-"""A sighting with a larger error is not of the landmark whose id it carries."""
+"""Sightings with a larger error count as having a wrong id."""
 
 
 @dataclass(frozen=True)
 class Trial:
-    """A drive with ground truth, and what its estimators are scored by."""
+    """A drive with ground truth and references for scores."""
 
     drive: Drive
     moved: frozenset[str]
-    """Landmarks that are, at the end, not where home saw them."""
+    """Landmarks that have moved since home was stored, at the end of the drive."""
     stamps: np.ndarray
     """(n,), of the bearings [s]."""
     bound: np.ndarray
-    """(n, 3, 3), posterior Cramer-Rao bound of (x [m], y [m], heading [rad]) given the sightings so
-    far; infinite where it is unknown."""
+    """(n, 3, 3), posterior Cramer-Rao bound of (x [m], y [m], heading [rad]) from all sightings up
+    to the stamp; infinite where unknown."""
     none_else: bool = True
     """Whether `moved` is complete."""
     true_home: dict[str, float] = field(default_factory=dict)
@@ -64,13 +64,13 @@ def drive_bound(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the bearing stamps of a simulated drive, (n,) [s], and the bound there, (n, 3, 3).
 
-    The estimator that the bound is for is given the camera extrinsics, the noise, which landmarks
-    moved and which sightings carry a wrong id; constant errors of the odometry count as zero. The
-    bound is infinite where it is unknown: without noise, or with another camera at home.
+    The bound assumes known camera extrinsics and noise, known moved landmarks and wrong ids, and no
+    constant errors of the odometry. It is infinite where unknown: without noise, or with another
+    camera at home.
 
     `marks` (m, 2) are true positions in the home frame [m], with two rows for a landmark that moves
-    on the way; `column` is the row of each sighting; `moved` (m,) are those that home saw
-    elsewhere. `carried` (n - 1,) are the steps between stamps on which the robot was carried.
+    during the drive; `column` is the row of each sighting; `moved` (m,) are those that moved since
+    home was stored. `carried` (n - 1,) are the steps between stamps in which the robot is carried.
     """
     noise, seen, truth = case.noise, drive.sightings, drive.truth
     same_camera = case.home_sensor is None or case.home_sensor == case.sensor
@@ -129,47 +129,45 @@ def simulated_trial(simulation: Simulation) -> Trial:
 
 
 class Recording(DriveChoice):
-    """A recorded drive with truth; what is drawn is drawn anew in each run, by its seed.
+    """A recorded drive with ground truth; random modifications depend on the seed of each run.
 
-    Its path may be beside the study's file.
+    Its path may be relative to the study's file.
     """
 
     robot: int | None = None
-    """For an MRCLAM folder: which robot."""
+    """For an MRCLAM folder: number of the robot."""
     home: tuple[Finite, Finite, Finite] | None = None
     """For an MRCLAM folder: x [m], y [m], heading [rad] of home in its map."""
     home_noise_deg: NonNegative = 0.0
-    """For an MRCLAM folder: standard deviation of the home bearings, which are computed [deg]."""
+    """For an MRCLAM folder: standard deviation of the computed home bearings [deg]."""
     label: str | None = None
     """Its name in figures; None: the drive's."""
     falsified: Annotated[int, Field(ge=0)] = 0
-    """Home bearings that are made wrong, as if so many landmarks had been moved since."""
+    """Number of home bearings with an added error, as if landmarks had been moved."""
     fault: Interval = (0.2, 0.6)
-    """Size of each, uniform, of either sign [rad]."""
+    """Size of these errors, uniform, with random sign [rad]."""
     dropped: Annotated[float, Field(ge=0, lt=1)] = 0.0
-    """Share of the sightings that is left out, each by chance."""
+    """Share of the sightings that are removed at random."""
 
     @property
     def random(self) -> bool:
-        """Whether its runs differ at all."""
+        """Whether its runs differ."""
         return bool(self.falsified or self.dropped or self.home_noise_deg)
 
 
 def recorded(recording: Recording) -> Drive:
-    """Return the drive as it was recorded, for a study to judge by its truth.
+    """Return the unmodified drive.
 
-    Raises `InputError` when it cannot be read, has no truth, or too few home bearings to be
-    falsified.
+    Raises `InputError` when it cannot be read, has no ground truth, or fewer home bearings than
+    `falsified`.
     """
     if recording.home_noise_deg and recording.robot is None:
         raise InputError(f"{recording.drive}: home_noise_deg is for MRCLAM folders")
     drive = _opened(recording.drive, recording.robot, recording.home, recording.topics)
     if drive.truth is None:
-        raise InputError(f"{recording.drive}: there is no truth in it to judge by")
-    if recording.falsified > len(drive.home):
-        raise InputError(
-            f"{recording.drive}: falsified is {recording.falsified}; home saw {len(drive.home)}"
-        )
+        raise InputError(f"{recording.drive}: no ground truth in the drive; a study needs it")
+    if recording.falsified > (number := len(drive.home)):
+        raise InputError(f"{recording.drive}: falsified must be at most {number} home bearings")
     return drive
 
 
@@ -183,11 +181,10 @@ def _opened(path: str, robot: int | None, home: Any, topics: str | None) -> Driv
 
 
 def recorded_trial(recording: Recording, seed: int) -> Trial:
-    """Return the drive of one run; wrong are the home bearings that were falsified.
+    """Return the drive of one run, with falsified home bearings as the moved landmarks.
 
-    Others may be, too, unless they were computed from a survey, as an MRCLAM folder's are. Each
-    kind of trouble has random numbers of its own, so that runs that differ in one are alike in the
-    others.
+    Other home bearings may be wrong, too, unless they were computed from a survey (MRCLAM). Each
+    kind of modification has its own random numbers, so that it does not change the others.
     """
     right = recorded(recording)
     noise, faults, drops = (np.random.default_rng([seed, k]) for k in range(3))
@@ -199,7 +196,7 @@ def recorded_trial(recording: Recording, seed: int) -> Trial:
         right = dataclasses.replace(right, home=home)
     drive = falsified(right, recording.falsified, faults, recording.fault)
     drive = with_dropped(drive, recording.dropped, drops)
-    assert drive.truth is not None  # a recording has it
+    assert drive.truth is not None  # checked in `recorded`
     return Trial(
         drive,
         frozenset(i for i, b in drive.home.items() if b != right.home[i]),
@@ -216,9 +213,9 @@ def falsified(
     draw: np.random.Generator,
     fault: tuple[float, float] = (0.2, 0.6),
 ) -> Drive:
-    """Return a drive with a number of its home bearings off.
+    """Return a drive with errors in a number of its home bearings.
 
-    `draw` chooses which, to which side, and how far: uniformly between the sizes of `fault` [rad].
+    `draw` chooses the bearings, the signs and the sizes, uniform in `fault` [rad].
     """
     chosen = set(draw.choice(sorted(drive.home), number, replace=False).tolist())
     home = {
@@ -233,6 +230,6 @@ def falsified(
 
 
 def with_dropped(drive: Drive, share: float, draw: np.random.Generator) -> Drive:
-    """Return a drive without a share of its sightings, each left out by chance."""
+    """Return a drive without a random share of its sightings."""
     kept = draw.random(drive.sightings.t.size) >= share
     return dataclasses.replace(drive, sightings=drive.sightings.rows(kept))

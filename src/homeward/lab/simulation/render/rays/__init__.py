@@ -1,1 +1,1 @@
-"""Surfaces in space, and what rays meet there."""
+"""Surfaces in space, and their intersections with rays."""

@@ -1,9 +1,9 @@
 """Ray casting: which surface each ray meets first, and where.
 
-A ray is a unit vector in the camera's frame, whatever the camera's model. For a rectangle with
-corner o (seen from the camera) and normal n, ray d meets its plane at the distance ``1 / q0``, and
-tile coordinates there are ``q1 / q0`` and ``q2 / q0`` plus constants, with q = M d linear in d:
-nine products a pixel, and no other geometry. Each rectangle is tried only where its pyramid can be.
+A ray is a unit vector in the camera's frame, for any camera model. For a rectangle with corner o
+(seen from the camera) and normal n, ray d meets its plane at the distance ``1 / q0``, and tile
+coordinates there are ``q1 / q0`` and ``q2 / q0`` plus constants, with q = M d linear in d: nine
+products a pixel. Each rectangle is tested only in the blocks that its pyramid can reach.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.native.program import Program
 
 SLACK = 1e-6
-"""Rectangles reach this far beyond their edges, in tiles, so that no ray passes where two meet."""
+"""Rectangles extend beyond their edges by this, in tiles, so that no ray passes between two."""
 
 ANGLE_SLACK = 1e-4
-"""And cones, for the same reason [rad]."""
-LEAST_BLOCK, MOST_BLOCKS = 8, 64
-"""Least number of columns of a block, and largest number of blocks side by side in a picture."""
+"""Extension of cones, for the same reason [rad]."""
+MIN_BLOCK, MAX_BLOCKS = 8, 64
+"""Minimum number of columns of a block, and maximum number of blocks in a row of an image."""
 
 
 @dataclass(frozen=True)
 class Projected:
-    """Those rectangles that face a camera, in its frame. Arrays over m of them."""
+    """The m rectangles that face a camera, in its frame."""
 
     index: np.ndarray
     matrix: np.ndarray
@@ -39,23 +39,20 @@ class Projected:
     shift: np.ndarray
     """(m, 2), added to q1 / q0 and q2 / q0."""
     low: np.ndarray
-    """(m, 2), least tile coordinates."""
+    """(m, 2), minimum tile coordinates."""
     high: np.ndarray
-    """(m, 2), greatest tile coordinates."""
+    """(m, 2), maximum tile coordinates."""
     corners: np.ndarray
     """(m, 4, 3), in the camera's frame [m]."""
 
     @property
     def limits(self) -> np.ndarray:
-        """Shift, least and greatest tile coordinates of each, (m, 6)."""
+        """Shift, minimum and maximum tile coordinates, (m, 6)."""
         return np.hstack([self.shift, self.low, self.high])
 
 
 def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> Projected:
-    """Return the rectangles that face a camera, in its frame.
-
-    `position`, (3,) [m], and `rotation`, (3, 3), are those of a `Viewpoint`.
-    """
+    """Return the rectangles that face a camera, in its frame; arguments as in `Viewpoint`."""
     away = np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - position)
     index = np.flatnonzero(away < -1e-9)
     corner = (surfaces.corner[index] - position) @ rotation
@@ -76,12 +73,12 @@ def project(surfaces: Surfaces, position: np.ndarray, rotation: np.ndarray) -> P
 
 
 def windows(projected: Projected, blocks: Blocks) -> np.ndarray:
-    """Return where each rectangle may be in a picture: runs of blocks that its pyramid meets.
+    """Return where each rectangle can be in an image: runs of blocks that its pyramid meets.
 
-    From the camera a rectangle is a pyramid between four planes, and rays of a block lie within a
-    cone: where a whole cone lies beyond one of the planes, no ray of it meets the rectangle. Rows
-    of the result, (k, 5) int64, are the rectangle's number, its first row and the one after the
-    last, and the columns alike.
+    From the camera a rectangle is a pyramid between four planes, and the rays of a block are within
+    a cone: if the cone is beyond one of the planes, no ray of it meets the rectangle. Rows of the
+    result, (k, 5) int64, are the rectangle's number, its first row and the row after its last, and
+    the same for columns.
     """
     corners = projected.corners
     inwards = np.cross(np.roll(corners, -1, axis=1), corners)
@@ -99,22 +96,22 @@ def windows(projected: Projected, blocks: Blocks) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Blocks:
-    """A picture's rays in blocks of rows and columns, each within a cone."""
+    """Rays of an image in blocks of rows and columns, each within a cone."""
 
     rows: np.ndarray
-    """(high + 1,), where they begin, and where the last one ends."""
+    """(high + 1,), first row of each block, and the end of the last one."""
     columns: np.ndarray
     """(wide + 1,)"""
     axis: np.ndarray
-    """(high, wide, 3), unit vectors; zero where no pixel has a ray."""
+    """(high, wide, 3), unit vectors; zero for blocks without rays."""
     sine: np.ndarray
-    """(high, wide), of the angle from there to the outermost ray; less than none without rays."""
+    """(high, wide), sine of the angle from the axis to the outermost ray; -1 without rays."""
 
     @classmethod
     def of(cls, rays: np.ndarray) -> Blocks:
-        """Return those of rays, (3, height, width), unit vectors or NaN."""
+        """Return the blocks of rays (3, height, width), unit vectors or NaN."""
         height, width = rays.shape[1:]
-        side = max(LEAST_BLOCK, -(-width // MOST_BLOCKS))
+        side = max(MIN_BLOCK, -(-width // MAX_BLOCKS))
         rows, columns = np.arange(0, height, side), np.arange(0, width, side)
 
         def over(ufunc: np.ufunc, values: np.ndarray) -> np.ndarray:
@@ -135,19 +132,18 @@ class Blocks:
 compiled = Program(
     "homeward.lab.simulation.render.rays", {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"}, ("cast",)
 )
-"""As `homeward.vision.compiled`: the innermost loop in C, or None."""
+"""The innermost loop in C, or None; see `homeward.vision.compiled`."""
 TINY = 1e-30
-"""No ray is seen to go so far as the inverse of this [m]."""
+"""Inverse of the maximum distance [1/m]."""
 
 
 class Viewpoint(NamedTuple):
-    """Where a camera is in the room and how it is turned."""
+    """Position and rotation of a camera in the room."""
 
     position: np.ndarray
     """(3,) [m]"""
     rotation: np.ndarray
-    """(3, 3), takes directions in the camera's frame (x along its axis, y left, z up) to the
-    room's."""
+    """(3, 3), from the camera's frame (x along its axis, y left, z up) to the room's."""
 
 
 def viewpoint(
@@ -161,36 +157,35 @@ def viewpoint(
 
 @dataclass(frozen=True)
 class Hits:
-    """What rays meet; every array has the rays' shape."""
+    """Intersections of rays with surfaces; every array has the rays' shape."""
 
     distance: np.ndarray
-    """In units of the ray's direction, infinite where it meets nothing."""
+    """In units of the ray's direction, infinite without an intersection."""
     across: np.ndarray
     """Tile coordinate along the surface's `right`."""
     along: np.ndarray
     """Tile coordinate along its `up`."""
     surface: np.ndarray
-    """Index of the surface; -1 where the ray meets nothing."""
+    """Index of the surface; -1 without an intersection."""
 
     def window(self, rows: slice, columns: slice) -> Hits:
-        """Return a part of a picture's hits, as views."""
+        """Return a part of an image's hits, as views."""
         parts = self.distance, self.across, self.along, self.surface
         return Hits(*(part[rows, columns] for part in parts))
 
 
 @dataclass(frozen=True)
 class Rays:
-    """The rays of a picture, of a camera of any model."""
+    """Rays of an image, for any camera model."""
 
     planes: np.ndarray
-    """(3, h, w), unit vectors in the camera's frame, each component by itself; NaN where there is
-    no ray."""
+    """(3, h, w), unit vectors in the camera's frame, by component; NaN where there is no ray."""
 
     @classmethod
     def of(
         cls, azimuth: np.ndarray, elevation: np.ndarray, dtype: type[np.floating] = np.float64
     ) -> Rays:
-        """Return the rays of azimuths and elevations, (h, w) [rad]; float32 serves pictures."""
+        """Return the rays of azimuths and elevations, (h, w) [rad]; float32 suffices for images."""
         return cls(np.moveaxis(unit_vectors(azimuth, elevation), -1, 0).astype(dtype, order="C"))
 
     @property
@@ -200,15 +195,12 @@ class Rays:
 
     @cached_property
     def blocks(self) -> Blocks:
-        """Where in the picture each part of space is."""
+        """Blocks of the image with their cones."""
         return Blocks.of(self.planes)
 
 
 def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
-    """Find what any rays meet, from where the view is.
-
-    Directions (..., 3) are in the camera's frame, of any length but 0.
-    """
+    """Intersect any rays from a viewpoint; directions (..., 3) are in the camera's frame, not 0."""
     hits = _nothing(directions.shape[:-1], np.float64)
     projected = project(surfaces, *view)
     limits = projected.limits.tolist()
@@ -219,7 +211,7 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
 
 
 def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
-    """Find what the rays of a picture (h, w) meet, in their precision; distances are in metres."""
+    """Intersect the rays of an image (h, w), in their precision; distances are in metres."""
     planes = rays.planes
     hits = _nothing(planes.shape[1:], planes.dtype.type)
     projected = project(surfaces, *view)
@@ -230,7 +222,7 @@ def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
         given = covered, projected.index.astype(np.int64), planes, matrix, limits
         found = hits.distance, hits.across, hits.along, hits.surface
         if native.cast(*sizes, *given, TINY, *found):
-            raise ValueError("a window outside of the picture")
+            raise ValueError("a window outside the image")
         return hits
     for k, top, bottom, left, right in covered.tolist():
         part = slice(top, bottom), slice(left, right)
@@ -240,7 +232,7 @@ def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
 
 
 def points(hits: Hits, view: Viewpoint, directions: np.ndarray) -> np.ndarray:
-    """Return where rays met something, (..., 3) in room coordinates [m]; NaN where nothing."""
+    """Return the points of intersection, (..., 3) in room coordinates [m]; NaN without one."""
     reach = np.where(hits.surface >= 0, hits.distance, np.nan)
     return np.asarray(view.position + (directions * reach[..., None]) @ view.rotation.T)
 
@@ -255,7 +247,7 @@ def _nothing(shape: tuple[int, ...], dtype: type[np.floating]) -> Hits:
 
 
 def _meet(hits: Hits, index: int, limits: Sequence[float], q: Sequence[np.ndarray]) -> None:
-    """Keep those hits on a rectangle that are nearer than what was met before.
+    """Keep the hits on a rectangle that are nearer than earlier hits.
 
     `q` are three arrays of the shape of the hits, `limits` as in `Projected`.
     """

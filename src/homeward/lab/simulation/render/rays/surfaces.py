@@ -1,4 +1,4 @@
-"""Surfaces of a room: rectangles in space, each with a texture, all in arrays."""
+"""Surfaces of a room: textured rectangles in space, as arrays."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from homeward.drives.drive import Columns
 
 @dataclass(frozen=True)
 class Surfaces(Columns):
-    """Rectangles seen from one side, that to which ``right x up`` points. Arrays over n of them.
+    """The n rectangles, visible from the side to which ``right x up`` points.
 
-    A point of rectangle k is ``corner[k] + a right[k] + b up[k]``, a and b in [0, 1]; its place on
-    the texture is ``offset[k] + (a, b) tiles[k]``, in tiles.
+    A point of rectangle k is ``corner[k] + a right[k] + b up[k]``, a and b in [0, 1]; its texture
+    coordinates are ``offset[k] + (a, b) tiles[k]``, in tiles.
     """
 
     corner: np.ndarray
@@ -23,19 +23,19 @@ class Surfaces(Columns):
     right: np.ndarray
     """(n, 3) [m]"""
     up: np.ndarray
-    """(n, 3), at right angles to `right` [m]."""
+    """(n, 3), perpendicular to `right` [m]."""
     texture: np.ndarray
     """(n,), index into the room's textures."""
     offset: np.ndarray
     """(n, 2), in tiles."""
     tiles: np.ndarray
-    """(n, 2), how many tiles lie along each side."""
+    """(n, 2), number of tiles along each side."""
     thing: np.ndarray
-    """(n,), index of what the surface belongs to."""
+    """(n,), index of the object that the surface belongs to."""
 
     @property
     def normal(self) -> np.ndarray:
-        """(n, 3), unit vectors to the side from which each is seen."""
+        """(n, 3), unit vectors to the visible side."""
         out = np.cross(self.right, self.up)
         return np.asarray(out / np.linalg.norm(out, axis=1, keepdims=True))
 
@@ -48,12 +48,12 @@ class Surfaces(Columns):
 
 @dataclass(frozen=True)
 class Skin:
-    """How a surface is covered."""
+    """Texture of a surface."""
 
     texture: int
     """Index into the room's textures."""
     tile: float | None
-    """One tile is this wide and high [m]; None: stretched over the whole surface."""
+    """Width and height of a tile [m]; None: stretched over the whole surface."""
     offset: tuple[float, float] = (0.0, 0.0)
     """In tiles."""
 
@@ -78,10 +78,9 @@ def rectangle(
 def upright(
     a: np.ndarray, b: np.ndarray, bottom: float, top: float, skin: Skin, thing: int
 ) -> Surfaces:
-    """Return the vertical rectangle over the ground line from `a` to `b` (2,), seen from its right.
+    """Return the vertical rectangle above the ground line from `a` to `b` (2,) [m].
 
-    From above, one looks at it from the right-hand side of the way from `a` to `b`; it reaches from
-    one height to another [m].
+    It is visible from the right-hand side of the line, from the height `bottom` to `top` [m].
     """
     along = np.array([b[0] - a[0], b[1] - a[1], 0.0])
     up = np.array([0.0, 0.0, top - bottom])
@@ -97,10 +96,10 @@ def block(
     thing: int,
     seed: int,
 ) -> list[Surfaces]:
-    """Return the six faces of a box that stands on its base, at the height `bottom` [m].
+    """Return the six faces of an upright box whose base is at the height `bottom` [m].
 
-    Its centre is (x, y) [m], its size length, width and height [m], its length at `yaw` [rad]. Each
-    side shows another part of the texture, drawn by a seed.
+    Its centre is (x, y) [m], its size length, width and height [m], its length along `yaw` [rad].
+    Each side shows a part of the texture drawn with `seed`.
     """
     base, top = footprint(centre, yaw, size[:2]), bottom + size[2]
     rng, faces = np.random.default_rng(seed), []

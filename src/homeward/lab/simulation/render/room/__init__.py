@@ -1,1 +1,1 @@
-"""The room and what is in it, as settings."""
+"""Rooms and their objects, as settings."""

@@ -1,4 +1,4 @@
-"""Boxes, posters and movers that chance puts into a room."""
+"""Random boxes, posters and movers of a room."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ from homeward.lab.simulation.trajectories import SEARCH_RADIUS
 from homeward.lab.simulation.world import Stream, generator
 
 TRIES = 500
-"""Number of draws after which a thing has no free place."""
+"""Number of draws after which there is no free place for an object."""
 CLEAR = 0.6
-"""Boxes by chance keep so far from the way between start, way points and home [m]."""
+"""Distance of random boxes from the path between start, way points and home [m]."""
 ARC_CLEAR = SEARCH_RADIUS + 0.2
-"""... and so far from the middle of the arc that a robot without a pose drives at first [m]."""
+"""Their distance from the centre of the first arc of a search [m]."""
 GAP = 0.03
 """Between a box and its wall, and between boxes [m]."""
 
 
 def furnished(scenario: RenderScenario) -> RenderScenario:
-    """Return a scenario with everything listed that `furnish` asks for; it then asks for nothing.
+    """Return a scenario that lists the objects that `furnish` requests, with `furnish` empty.
 
-    Raises `InputError` where the room has no place for so much.
+    Raises `InputError` where the room has no place for all of them.
     """
     wanted = scenario.furnish
     rng = generator(scenario, Stream.FURNITURE)
@@ -62,7 +62,7 @@ def furnished(scenario: RenderScenario) -> RenderScenario:
 
 
 class _Room:
-    """What chance must respect."""
+    """Constraints on random objects."""
 
     def __init__(self, scenario: RenderScenario) -> None:
         self.floor = scenario.room.polygon
@@ -79,25 +79,25 @@ class _Room:
         self.arc = compose(start, Pose(0.0, SEARCH_RADIUS, 0.0))
 
     def wall(self, rng: np.random.Generator) -> int:
-        """Draw a wall, the longer the likelier."""
+        """Draw a wall, with a probability proportional to its length."""
         return int(rng.choice(len(self.lengths), p=self.lengths / self.lengths.sum()))
 
     def holds(self, base: np.ndarray) -> bool:
-        """Say whether a footprint (4, 2) stands within the walls."""
+        """Whether a footprint (4, 2) is within the walls."""
         fine = np.concatenate([base + f * (np.roll(base, -1, 0) - base) for f in (0, 0.25, 0.5)])
         return bool(contains_xy(self.floor, fine).all())
 
     def clear_of_arc(self, at: Place, radius: float) -> bool:
-        """Say whether a disc [m] leaves the first arc free."""
+        """Whether a disc [m] leaves the first arc free."""
         return math.hypot(at[0] - self.arc.x, at[1] - self.arc.y) > radius + ARC_CLEAR
 
     def clear_of_way(self, at: Place, radius: float) -> bool:
-        """Say whether a disc [m] leaves the way free."""
+        """Whether a disc [m] leaves the path free."""
         return bool(self.way.distance(Point(at)) > radius + CLEAR)
 
 
 def _names(kind: str, number: int, taken: Collection[str]) -> Iterator[str]:
-    """Return a number of names that nothing listed has."""
+    """Return unused names."""
     return islice((name for i in count(1) if (name := f"{kind} {i}") not in taken), number)
 
 
@@ -106,11 +106,11 @@ def _radius(size: tuple[float, ...]) -> float:
 
 
 def _apart(at: Place, size: tuple[float, ...], others: dict[str, Box], but: str = "") -> bool:
-    """Say whether a box would keep clear of where all others stand and stood."""
+    """Whether a box is clear of all others, at their present and former positions."""
     return all(
-        math.dist(at, stand.at) >= _radius(size) + _radius(other.size) + GAP
+        math.dist(at, pose.at) >= _radius(size) + _radius(other.size) + GAP
         for name, other in others.items()
-        for stand in (other, other.stood or other)
+        for pose in (other, other.stood or other)
         if name != but
     )
 
@@ -130,7 +130,9 @@ def _box(rng: np.random.Generator, room: _Room, others: dict[str, Box]) -> Box:
             texture = str(rng.choice(["cardboard", "painted"]))
             size = tuple(round(v, 3) for v in size)
             return Box(at=place, yaw=round(yaw, 4), size=size, texture=texture)
-    raise InputError(f"furnish.boxes: the room has no place for {len(others) + 1} boxes")
+    raise InputError(
+        f"furnish.boxes: no place for {len(others) + 1} boxes; use fewer, or a larger room"
+    )
 
 
 def _poster(rng: np.random.Generator, room: _Room, others: dict[str, Poster]) -> Poster:
@@ -156,7 +158,7 @@ def _poster(rng: np.random.Generator, room: _Room, others: dict[str, Poster]) ->
 
 
 def _mover(rng: np.random.Generator, room: _Room) -> Mover:
-    """Let someone walk between two places 0.5 m before the walls."""
+    """Draw a mover that walks between two points 0.5 m from the walls."""
     path: list[Place] = []
     for _ in range(TRIES):
         wall = room.wall(rng)
@@ -171,13 +173,13 @@ def _mover(rng: np.random.Generator, room: _Room) -> Mover:
             return Mover(
                 path=tuple(path), speed=round(rng.uniform(0.5, 1.2), 3), size=(0.45, height)
             )
-    raise InputError("furnish.movers: the room has no way to walk")
+    raise InputError("furnish.movers: no free path to walk; use a larger room")
 
 
 def _move(
     rng: np.random.Generator, room: _Room, boxes: dict[str, Box], scenario: RenderScenario
 ) -> None:
-    """Give some boxes an old place, at a distance from where they stand now."""
+    """Give some boxes a former position, at a distance from the present one."""
     left = scenario.furnish.moved
     still = [name for name, box in boxes.items() if box.stood is None]
     for name in rng.permutation(still) if still else ():
@@ -188,7 +190,7 @@ def _move(
             boxes[str(name)] = boxes[str(name)].model_copy(update={"stood": old})
             left -= 1
     if left:
-        raise InputError("furnish.moved: the room has no place where so many boxes can have stood")
+        raise InputError("furnish.moved: no free former positions for all moved boxes; use fewer")
 
 
 def _old_place(
@@ -200,8 +202,8 @@ def _old_place(
 ) -> Stand | None:
     box = boxes[name]
     for _ in range(TRIES):
-        way, direction = rng.uniform(*shift), rng.uniform(-math.pi, math.pi)
-        x, y = box.at[0] + way * math.cos(direction), box.at[1] + way * math.sin(direction)
+        length, direction = rng.uniform(*shift), rng.uniform(-math.pi, math.pi)
+        x, y = box.at[0] + length * math.cos(direction), box.at[1] + length * math.sin(direction)
         yaw = box.yaw + rng.normal(0, 0.3)
         place = (round(x, 3), round(y, 3))
         fits = room.holds(footprint(place, yaw, box.size[:2])) and room.clear_of_way(

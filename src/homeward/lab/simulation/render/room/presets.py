@@ -1,4 +1,4 @@
-"""Rooms that come with homeward: ten shapes and sizes, sparsely furnished."""
+"""Rooms that ship with homeward: ten shapes and sizes, sparsely furnished."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, S
 from homeward.lab.simulation.simulate import changed_scenario
 
 TRIES = 2000
-"""Draws of home and start before a room counts as too small."""
+"""Number of draws of home and start before a room counts as too small."""
 FREE = 1.15
-"""The robot begins so far from every wall, for it drives an arc of 1 m across first [m]."""
+"""Distance of the start from all walls [m]: the first arc is 1 m wide."""
 HOME_FREE = 0.6
-"""Home is so far from every wall [m]."""
+"""Distance of home from all walls [m]."""
 SPEED = 0.15
 """[m/s]"""
 STOP_RADIUS = 0.005
-"""The robot is home within this distance [m]."""
+"""The drive ends within this distance of home [m]."""
 
 
 @dataclass(frozen=True)
 class RoomPlan:
-    """A room's shape and what stands in it."""
+    """A room's shape and its objects."""
 
     outline: tuple[tuple[float, float], ...]
     """Corners [m]."""
@@ -64,16 +64,16 @@ PLANS = {
     ),
     "hall": RoomPlan(_oblong(14.0, 9.0), 4.0, "tiles", boxes=12, posters=12),
 }
-"""By name, the smallest first, more or less."""
+"""By name, roughly from small to large."""
 
 
 def room(
     name: str, seed: int = 0, distance: tuple[float, float] = (1.0, 4.0), moved: int = 3
 ) -> RenderScenario:
-    """Return a room of `PLANS` with a homing drive through it; all that is drawn follows the seed.
+    """Return a room of `PLANS` with a homing drive, drawn from the seed.
 
-    The start is at a distance from home [m], least to greatest, as far as the room lets; so many
-    boxes stood elsewhere when home was stored. Raises `InputError` for another name.
+    `distance` is the minimum and maximum distance of the start from home [m], as far as the room
+    allows; `moved` boxes were elsewhere when home was stored. Raises `InputError` for another name.
     """
     if name not in PLANS:
         raise InputError(f"no room {name!r}: there are {', '.join(PLANS)}")
@@ -104,10 +104,10 @@ def room(
 def load_room(
     source: str, seed: int | None = None, changes: Mapping[str, Any] | None = None
 ) -> RenderScenario:
-    """Return a room by the name of a plan or from a YAML file, perhaps changed.
+    """Return a room of `PLANS` by name, or a room from a YAML file, with optional changes.
 
-    A seed stands for the file's; changes are keys in dots ("camera.width") to values. Raises
-    `InputError` for a file that cannot be read, a key that does not exist, or a value out of range.
+    `seed` replaces the file's; changes are dotted keys ("camera.width") to values. Raises
+    `InputError` for a file that cannot be read, an unknown key, or a value out of range.
     """
     given = dict(changes or {})
     if source in PLANS:
@@ -121,12 +121,12 @@ def load_room(
 def _poses(
     plan: RoomPlan, rng: np.random.Generator, distance: tuple[float, float]
 ) -> tuple[Pose, Pose]:
-    """Draw home and start, the way between them free of walls."""
+    """Draw home and start such that no wall is between them."""
     corners = np.array(plan.outline, float)
     low, high = corners.min(axis=0), corners.max(axis=0)
     floor = Polygon(corners)
     grid = np.stack(np.meshgrid(*np.linspace(low, high, 25).T), -1).reshape(-1, 2)
-    # As far from all walls as one can be, roughly.
+    # Not farther from the walls than the room allows.
     free = min(FREE, float(_from_walls(floor, grid).max()) - 0.05)
     best: tuple[float, Pose, Pose] | None = None
     for _ in range(TRIES):
@@ -135,11 +135,11 @@ def _poses(
         far = _from_walls(floor, np.linspace([hx, hy], [sx, sy], 9))
         if far.min() < HOME_FREE or far[-1] < free:
             continue
-        way = math.hypot(sx - hx, sy - hy)
+        length = math.hypot(sx - hx, sy - hy)
         home, start = Pose(hx, hy, headings[0]), Pose(sx, sy, headings[1])
-        if distance[0] <= way <= distance[1]:
+        if distance[0] <= length <= distance[1]:
             return home, start
-        off = max(distance[0] - way, way - distance[1])
+        off = max(distance[0] - length, length - distance[1])
         if best is None or off < best[0]:
             best = off, home, start
     if best is None:
@@ -148,6 +148,6 @@ def _poses(
 
 
 def _from_walls(floor: Polygon, places: np.ndarray) -> np.ndarray:
-    """Return how far places (n, 2) are from all walls [m]; 0 for those outside of them."""
+    """Return the distances of places (n, 2) from the walls [m]; 0 outside."""
     far = distance_between(floor.exterior, points(places))
     return np.where(contains_xy(floor, places), far, 0.0)

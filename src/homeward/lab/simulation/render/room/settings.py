@@ -16,31 +16,31 @@ from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, 
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
 
-LEAST_TILT = 0.002
-"""A camera that is said not to tilt is still not trusted more than this [rad]."""
+MIN_TILT_SIGMA = 0.002
+"""Minimum tilt noise that a front-end assumes [rad]."""
 LENSES = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
 RIM = 2.0
-"""A ring keeps so far from the picture's edge [px]."""
+"""Distance of a ring from the image edge [px]."""
 INNER = 0.3
-"""Its inner radius, as a share of the outer one."""
+"""Inner radius as a share of the outer one."""
 
 
 class RoomCamera(Strict):
-    """A camera that sees all round, or (pinhole, fisheye) ahead."""
+    """A panoramic camera, or one that looks ahead (pinhole, fisheye)."""
 
     projection: Literal["equirectangular", "cylindrical", "ring", "pinhole", "fisheye"] = (
         "equirectangular"
     )
     width: Annotated[int, Field(ge=64, le=4096)] = 512
-    """Columns; of a panorama, they share the full turn."""
+    """Columns; those of a panorama cover the full circle."""
     field_of_view: Annotated[float, Field(ge=0.1, le=6.2)] = 1.2
-    """Across the width of a pinhole's (at most 2.6) or a fisheye's picture [rad]."""
+    """Across the image width of a pinhole (at most 2.6) or a fisheye [rad]."""
     height: Annotated[int, Field(ge=16, le=2048)] = 128
-    """Rows; the horizon lies in the middle, and there a pixel is as high as it is wide."""
+    """Rows; the horizon is in the middle, where pixels are square."""
     distortion: tuple[Finite, ...] = ()
     """Coefficients of a pinhole (plumb_bob) or a fisheye (equidistant), as of `Lens`."""
     elevations: tuple[Finite, Finite] = (-0.7, 0.5)
-    """Of a ring, at its inner and its outer edge [rad]."""
+    """Elevations of a ring at its inner and outer edge [rad]."""
     above_floor: Positive = 0.5
     """[m]"""
     roll: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
@@ -48,20 +48,20 @@ class RoomCamera(Strict):
     pitch: Annotated[float, Field(ge=-0.5, le=0.5)] = 0.0
     """Nose down [rad]."""
     tilt_sigma: Annotated[float, Field(ge=0, le=0.2)] = 0.0
-    """Each image is rolled and pitched by chance beside that [rad]."""
+    """Standard deviation of additional roll and pitch of each image [rad]."""
     noise: Annotated[float, Field(ge=0, le=100)] = 2.0
     """Standard deviation of each pixel [grey levels of 255]."""
     exposure_sigma: Annotated[float, Field(ge=0, le=1)] = 0.05
-    """Each image is brighter or darker by such a share."""
+    """Relative standard deviation of the brightness of each image."""
 
     @property
     def view(self) -> float:
-        """The full opening angle [rad]; a panorama's is all round."""
+        """Field of view [rad]; 2 pi for a panorama."""
         return self.field_of_view if self.projection in LENSES else math.tau
 
     @property
     def pixel_angle(self) -> float:
-        """What a pixel in the middle spans [rad]."""
+        """Angle of a pixel in the middle [rad]."""
         known = self.known
         if isinstance(known, Lens):
             return 1 / known.fx
@@ -70,9 +70,9 @@ class RoomCamera(Strict):
 
     @property
     def known(self) -> Panorama | Lens:
-        """The camera as a front-end knows it: its tilt, but not each shake."""
+        """Camera model for a front-end: mean tilt, but not the tilt of each image."""
         tilt = {"roll": self.roll, "pitch": self.pitch}
-        tilt["tilt_sigma"] = max(LEAST_TILT, self.tilt_sigma)
+        tilt["tilt_sigma"] = max(MIN_TILT_SIGMA, self.tilt_sigma)
         middle = (self.width - 1) / 2, (self.height - 1) / 2
         if self.projection == "equirectangular":
             return Equirectangular(**tilt)
@@ -83,13 +83,13 @@ class RoomCamera(Strict):
             radii = {"inner": INNER * outer, "outer": outer}
             return Ring(centre=middle, elevations=self.elevations, **radii, **tilt)
         lens = {"model": LENSES[self.projection], "distortion": self.distortion}
-        # Where a lens of focal length 1 draws what is half the view aside.
+        # Image position at half the field of view, for a focal length of 1.
         edge, _ = Lens(fx=1, fy=1, cx=0, cy=0, **lens).pixels(
             np.array([-self.field_of_view / 2]), np.zeros(1)
         )
         focal = self.width / 2 / float(edge[0])
         if not 0 < focal < math.inf:
-            raise ValueError("field_of_view: more than the lens can draw")
+            raise ValueError("field_of_view: larger than the lens model can image")
         size = {"width": self.width, "height": self.height}
         return Lens(fx=focal, fy=focal, cx=middle[0], cy=middle[1], **lens, **size, **tilt)
 
@@ -106,14 +106,14 @@ class RoomCamera(Strict):
     @model_validator(mode="after")
     def _possible(self) -> Self:
         if self.projection == "equirectangular" and 2 * self.height > self.width:
-            raise ValueError("height: at most half the width, which is from pole to pole")
+            raise ValueError("height: at most half the width (the full range of elevations)")
         if self.height > 8 * self.width:
             raise ValueError("height: too high for the width")
         if self.projection == "pinhole" and self.field_of_view > 2.6:
-            raise ValueError("field_of_view: a pinhole sees 2.6 rad at most; a fisheye sees more")
+            raise ValueError("field_of_view: at most 2.6 rad for a pinhole; use a fisheye")
         if self.distortion and self.projection not in LENSES:
             raise ValueError(f"distortion: {self.projection} has none")
-        _ = self.known  # whether there is such a camera
+        _ = self.known  # validates the camera model
         return self
 
 
@@ -123,7 +123,7 @@ Where = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
 class Light(Strict):
-    """A lamp without a shape."""
+    """A point lamp."""
 
     at: tuple[Where, Where, Where]
     """x, y, height [m]."""
@@ -131,10 +131,10 @@ class Light(Strict):
 
 
 class OnWall(Strict):
-    """Something flat on a wall."""
+    """A flat object on a wall."""
 
     wall: Annotated[int, Field(ge=0)]
-    """From corner number `wall` of the outline (taken anti-clockwise) to the next."""
+    """From corner number `wall` of the anti-clockwise outline to the next."""
     along: NonNegative
     """From that corner to its middle [m]."""
     height: Positive = 1.4
@@ -144,23 +144,23 @@ class OnWall(Strict):
 
 
 class Sun(OnWall):
-    """The sun, which comes in by a window on a wall; the window itself is not drawn."""
+    """Sunlight through a window in a wall; the window itself is not drawn."""
 
     size: tuple[Length, Length] = (1.2, 1.2)
     azimuth: Finite
-    """Where the sun stands [rad]."""
+    """Azimuth of the sun [rad]."""
     elevation: Annotated[float, Field(gt=0, lt=math.pi / 2)] = 0.6
-    """And how high [rad]."""
+    """Elevation of the sun [rad]."""
     power: Positive = 2.0
 
 
 class Lighting(Strict):
-    """All light of a time."""
+    """All light at one time."""
 
     lights: tuple[Light, ...] = ()
-    """None: one under the middle of the ceiling."""
+    """Default: one below the middle of the ceiling."""
     ambient: NonNegative = 0.45
-    """Light from everywhere, beside which one lamp gives up to about 1."""
+    """Ambient light; one lamp adds up to about 1."""
     sun: Sun | None = None
 
 
@@ -174,7 +174,7 @@ Place = tuple[Where, Where]
 def _simple(outline: tuple[Point, ...]) -> tuple[Point, ...]:
     corners = np.array(outline, float)
     if np.any(np.hypot(*(corners - np.roll(corners, -1, axis=0)).T) < 0.01):
-        raise ValueError("two corners in a row are the same")
+        raise ValueError("two consecutive corners are equal")
     ring = LinearRing(corners)
     if not ring.is_simple:
         raise ValueError("the walls cross each other")
@@ -182,14 +182,14 @@ def _simple(outline: tuple[Point, ...]) -> tuple[Point, ...]:
 
 
 Outline = Annotated[tuple[Place, ...], Field(min_length=3, max_length=200), AfterValidator(_simple)]
-"""Corners in turn, either way round; kept anti-clockwise."""
+"""Corners in order, stored anti-clockwise."""
 
 
 class Walls(Strict):
     """The room itself."""
 
     outline: Outline
-    """Its corners as seen from above [m]."""
+    """Corners, seen from above [m]."""
     height: Length = 2.5
     """[m]"""
     walls: TextureName = "plaster"
@@ -203,27 +203,27 @@ class Walls(Strict):
 
 
 class Stand(Strict):
-    """Where a box stands."""
+    """Pose of a box."""
 
     at: Place
-    """Its middle [m]."""
+    """Centre [m]."""
     yaw: Finite = 0.0
     """Of its length [rad]."""
 
 
 class Box(Stand):
-    """A box: furniture, a crate, a shelf that hangs."""
+    """A box: furniture, a package, a shelf on a wall."""
 
     size: tuple[Length, Length, Length]
     """Length, width, height [m]."""
     base: NonNegative = 0.0
-    """Height of its underside [m]."""
+    """Height of the lower side [m]."""
     texture: TextureName = "cardboard"
     stood: Stand | None = None
-    """Where it stood when home was stored, if it has been moved since."""
+    """Pose when home was stored, if the box has been moved since."""
 
     def where(self, at_home: bool) -> Stand:
-        """Return where it stands during the drive, or stood when home was stored."""
+        """Return the pose during the drive, or when home was stored."""
         return self.stood if at_home and self.stood is not None else self
 
 
@@ -235,10 +235,10 @@ class Poster(OnWall):
 
 
 class Mover(Strict):
-    """Someone who walks to and fro along a line, for ever."""
+    """A person who walks back and forth along a path."""
 
     path: Annotated[tuple[Place, ...], Field(min_length=1, max_length=200)]
-    """Way points [m]; a single one: stands still."""
+    """Way points [m]; a single one for a static person."""
     speed: NonNegative = 0.8
     """[m/s]"""
     size: tuple[Length, Length] = (0.45, 1.75)
@@ -247,34 +247,34 @@ class Mover(Strict):
 
 
 class Furnish(Strict):
-    """What is put into the room by chance, beside what is listed."""
+    """Random objects, in addition to the listed ones."""
 
     boxes: Annotated[int, Field(ge=0, le=100)] = 0
     """Along the walls."""
     posters: Annotated[int, Field(ge=0, le=100)] = 0
     movers: Annotated[int, Field(ge=0, le=20)] = 0
-    """Each walks from one place at the walls to another."""
+    """Each walks between two points near the walls."""
     moved: Annotated[int, Field(ge=0, le=100)] = 0
-    """So many of the boxes stood elsewhere when home was stored."""
+    """Number of boxes that were elsewhere when home was stored."""
     shift: Interval = (0.4, 1.2)
-    """How far from there, uniform [m]."""
+    """Distance from there, uniform [m]."""
 
 
 class Tags(Strict):
-    """Square tags on the sides of every box, each with a number of its own, and on the walls."""
+    """Square tags with unique numbers, on the sides of all boxes and on the walls."""
 
     family: str = "36h11"
-    """As `homeward see --tags` takes it."""
+    """As in `homeward see --tags`."""
     size: Length = 0.16
-    """Side of the black square, a little less on small boxes [m]."""
+    """Side of the black square, smaller on small boxes [m]."""
     walls: Annotated[int, Field(ge=0, le=200)] = 12
-    """How many hang on the walls, all round at even distances."""
+    """Number of tags on the walls, evenly spaced."""
     height: Positive = 0.9
-    """Of the middle of those [m]."""
+    """Height of the centre of tags on walls [m]."""
 
 
 class RenderScenario(Course, Lighting):
-    """Everything that makes an image drive; the same one always makes the same images."""
+    """Settings of an image drive; the same scenario always gives the same images."""
 
     room: Walls
     furnish: Furnish = Furnish()
@@ -283,20 +283,20 @@ class RenderScenario(Course, Lighting):
     movers: dict[str, Mover] = Field(default_factory=dict)
     tags: Tags | None = None
     home_light: Lighting | None = None
-    """When home was stored; None: as now."""
+    """Light when home was stored; None: as during the drive."""
     camera: RoomCamera = RoomCamera()
     home_time: Finite = -100.0
-    """When the home image was taken [s]; movers were elsewhere then."""
+    """Time of the home image [s], which determines where movers were."""
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
-    """`bearings` counts images."""
+    """`bearings` is the rate of images."""
 
     def light(self, at_home: bool) -> Lighting:
-        """Return the light of the drive, or that when home was stored."""
+        """Return the light during the drive, or when home was stored."""
         return self.home_light if at_home and self.home_light is not None else self
 
     @property
     def view(self) -> float:
-        """The full opening angle of the camera [rad]; a panorama's is all round."""
+        """Field of view of the camera [rad]; 2 pi for a panorama."""
         return self.camera.view
 
     @model_validator(mode="after")
@@ -305,7 +305,7 @@ class RenderScenario(Course, Lighting):
         if not contains_xy(floor, self.home.x, self.home.y):
             raise ValueError("home: outside the room")
         if self.camera.above_floor >= self.room.height:
-            raise ValueError("camera.above_floor: through the ceiling")
+            raise ValueError("camera.above_floor: must be below the ceiling")
         if self.trajectory.kind == "repeat":
             raise ValueError("trajectory.kind: a rendered drive repeats no route")
         points = self.trajectory.points if isinstance(self.trajectory, ByPoints) else ()
@@ -315,7 +315,7 @@ class RenderScenario(Course, Lighting):
         names = [*self.boxes, *self.posters, *self.movers, "floor", "ceiling"]
         names += [f"wall {i}" for i in range(len(outline))]
         if twice := [name for name in names if names.count(name) > 1]:
-            raise ValueError(f"{twice[0]!r} is a name given twice")
+            raise ValueError(f"{twice[0]!r}: name used twice; rename one")
         sides = np.hypot(*(np.roll(outline, -1, axis=0) - outline).T)
         for name, mover in self.movers.items():
             if not contains_xy(floor, mover.path).all():
@@ -333,7 +333,7 @@ class RenderScenario(Course, Lighting):
             if on.wall >= len(outline):
                 raise ValueError(f"{key}.wall: the room has {len(outline)} walls")
             if not half_width <= on.along <= sides[on.wall] - half_width:
-                raise ValueError(f"{key}: beyond the wall")
+                raise ValueError(f"{key}: extends beyond the wall")
             if not half_height <= on.height <= self.room.height - half_height:
-                raise ValueError(f"{key}: higher than the wall, or through the floor")
+                raise ValueError(f"{key}: extends above the wall or below the floor")
         return self

@@ -1,1 +1,1 @@
-"""Textures, light and the sensor: from what rays meet to a picture."""
+"""Textures, light and the sensor: from ray intersections to images."""

@@ -1,4 +1,4 @@
-"""Pictures: what the rays of a camera meet, textured, lit and taken by a sensor."""
+"""Images: ray intersections, textured, lit and exposed by a sensor."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from homeward.lab.simulation.render.shading.textures import LEVELS, SIZE, Atlas
 from homeward.vision.opencv import opencv
 
 SHEET = 1024
-"""Number of samples looked up in a row."""
+"""Number of samples in a row of a lookup."""
 _SIZES = (SIZE / 2.0 ** np.arange(LEVELS)).astype(np.float32)
 MEAN_GREY = 115.0
-"""The exposure aims at this mean [grey levels of 255]."""
+"""Target mean of the exposure [grey levels of 255]."""
 
 
 NOTHING = 65535
-"""Is seen where a camera has no ray."""
+"""Object index of pixels without a ray."""
 
 
 @dataclass(frozen=True)
 class PixelTruth:
-    """What each pixel's middle shows; arrays of shape (height, width)."""
+    """Ground truth of each pixel's centre; arrays of shape (height, width)."""
 
     point: np.ndarray
     """(height, width, 3), in room coordinates [m]."""
     distance: np.ndarray
-    """From the camera [m]; infinite where the camera has no ray."""
+    """From the camera [m]; infinite where there is no ray."""
     thing: np.ndarray
     """Index into the scene's `things`; `NOTHING` where there is no ray."""
 
@@ -42,14 +42,14 @@ class PixelTruth:
 def rays_of(
     camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
 ) -> Rays:
-    """Return the rays of a camera's pixels, or of n x n parts of each."""
+    """Return the rays of a camera's pixels, with n x n rays each."""
     rows, columns = np.indices((camera.height * oversampling, camera.width * oversampling))
     middle = [(part + 0.5) / oversampling - 0.5 for part in (columns, rows)]
     return Rays.of(*camera.directions(*middle), dtype)
 
 
 def pixel_truth(scene: RoomScene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
-    """Return the exact truth of every pixel's middle, in double precision."""
+    """Return the exact ground truth of every pixel's centre, in double precision."""
     rays = rays_of(camera)
     surfaces, _ = scene.at(t, view)
     hits = cast(surfaces, view, rays)
@@ -64,9 +64,9 @@ def picture(
     camera: RoomCamera,
     rng: np.random.Generator | None = None,
 ) -> np.ndarray:
-    """Take a picture at `t` [s] from the viewpoint: (height, width, 3), uint8, blue, green, red.
+    """Render the image at `t` [s] from a viewpoint: (height, width, 3), uint8, blue, green, red.
 
-    Noise and exposure are drawn with `rng`; None: without either.
+    Noise and exposure are drawn with `rng`; None: without both.
     """
     surfaces, light = scene.at(t, view)
     rays = _samples(surfaces, view, camera)
@@ -79,10 +79,10 @@ def picture(
 
 @dataclass(frozen=True)
 class _Samples:
-    """What is to be shaded: the middle of each pixel, then parts of those that lie on an edge.
+    """The n samples to shade: the centre of each pixel, then four parts of each edge pixel.
 
-    A pixel whose four rays meet one surface needs but one sample, since the texture's level fits
-    its size. Arrays over n samples.
+    A pixel whose four rays meet one surface needs only one sample, since the mip level fits its
+    size.
     """
 
     across: np.ndarray
@@ -91,15 +91,15 @@ class _Samples:
     """From the camera [m]."""
     surface: np.ndarray
     edge: np.ndarray
-    """(m,), flat indices of the pixels on edges; the last 4 m samples are theirs."""
+    """(m,), flat indices of the edge pixels; the last 4 m samples are theirs."""
 
 
 def _samples(surfaces: Surfaces, view: Viewpoint, camera: RoomCamera) -> _Samples:
-    """Cast four rays a pixel, and join those that meet one surface."""
+    """Cast four rays a pixel, and average those that meet one surface."""
     cv2 = opencv()
 
     hits = cast(surfaces, view, rays_of(camera, 2, np.float32))
-    # Where there is no ray any distance will do.
+    # Without a ray the distance is not used.
     distance = np.where(hits.surface < 0, np.float32(1.0), hits.distance)
     four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
     met = [hits.surface[i::2, j::2] for i, j in four]
@@ -156,7 +156,7 @@ def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> 
     """Return the mip level at which a texel is as large as a sample's footprint, float32.
 
     The footprint at distance rho on a plane at distance h is ``step rho`` across and
-    ``step rho^2 / h`` along; it is taken as the square of the same area.
+    ``step rho^2 / h`` along; it is replaced by a square of the same area.
     """
     plane = np.abs(np.einsum("ni,ni->n", surfaces.normal, surfaces.corner - view.position))
     side = np.linalg.norm(surfaces.right, axis=1) / surfaces.tiles[:, 0]
@@ -166,7 +166,7 @@ def _level(rays: _Samples, surfaces: Surfaces, view: Viewpoint, step: float) -> 
 
 
 def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
-    """Return the light that falls on each sample, float32."""
+    """Return the light on each sample, float32."""
     grid = light.shape[1]
     scale = ((grid - 1) / surfaces.tiles).astype(np.float32)
     first = -surfaces.offset * (grid - 1) / surfaces.tiles
@@ -178,9 +178,9 @@ def _lit(rays: _Samples, surfaces: Surfaces, light: np.ndarray) -> np.ndarray:
 
 
 def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Interpolate an image at places x, y (n,), in its pixels; one row each, or a number."""
+    """Interpolate an image at pixel positions x, y (n,); return (n,) or (n, channels)."""
     cv2 = opencv()
-    # OpenCV wants a sheet, and no side of it longer than 2^15.
+    # OpenCV requires a two-dimensional map with sides below 2^15.
     n = x.size
     sheet = np.zeros((2, -(-n // SHEET), SHEET), np.float32)
     sheet.reshape(2, -1)[:, :n] = x, y
@@ -191,7 +191,7 @@ def _looked_up(image: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _exposed(
     image: np.ndarray, camera: RoomCamera, seen: float, rng: np.random.Generator | None
 ) -> np.ndarray:
-    """Return what the sensor makes of light, of which a share is seen: exposure, noise, grey."""
+    """Return the exposed image with noise; `seen` is the share of pixels with light."""
     cv2 = opencv()
 
     gain = MEAN_GREY * seen / max(float(np.mean(cv2.mean(image)[:3])), 1e-6)
@@ -200,18 +200,18 @@ def _exposed(
     gain *= math.exp(camera.exposure_sigma * rng.standard_normal())
     image *= np.float32(gain)
     grain = np.float32(camera.noise) * rng.standard_normal(image.shape[:2], np.float32)
-    # Rounded and kept within 0 and 255.
+    # Rounds, and clips to 0 and 255.
     return np.asarray(cv2.add(image, _grey(grain), dtype=cv2.CV_8U))
 
 
 def _grey(values: np.ndarray) -> np.ndarray:
-    """Return values (...) as three channels that are alike, (..., 3)."""
-    # Three times as fast as to broadcast along an axis of three.
+    """Return values (...) as three equal channels, (..., 3)."""
+    # Three times as fast as broadcasting along an axis of three.
     return np.asarray(opencv().merge([values] * 3)).reshape(*values.shape, 3)
 
 
 def png(image: np.ndarray) -> bytes:
-    """Return an image as a PNG file, level 1: noise does not get smaller by trying harder."""
+    """Return an image as a PNG file; higher compression levels do not reduce noise."""
     cv2 = opencv()
 
     return bytes(cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1])

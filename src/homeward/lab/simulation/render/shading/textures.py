@@ -1,7 +1,7 @@
-"""Procedural textures, and the atlas that holds them with all their mip levels.
+"""Procedural textures, and their atlas with all mip levels.
 
 Every texture is a square tile that repeats without a seam: noise is made in the frequency domain,
-and what is painted on it wraps around.
+and painted shapes wrap around.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ LEVELS = 8
 PAD = 2
 """Texels repeated round each tile, so that interpolation wraps."""
 TAG = "tag "
-"""Before the family of a tag's texture."""
+"""Prefix of the kind of a tag's texture, before the family."""
 ACROSS = 4
 """Textures side by side in the atlas."""
 
 
 class Texture(NamedTuple):
-    """Which texture: one of `KINDS`, drawn with a seed; or a tag of a family, `tag_texture`."""
+    """Key of a texture: one of `KINDS` with a seed, or a tag of a family (see `tag_texture`)."""
 
     kind: str
     seed: int
@@ -38,7 +38,7 @@ class Texture(NamedTuple):
 
 @lru_cache(maxsize=256)
 def paint(texture: Texture) -> np.ndarray:
-    """Return a tile, shape (SIZE, SIZE, 3), blue green red in [0, 1]; not to be changed."""
+    """Return a tile, shape (SIZE, SIZE, 3), blue green red in [0, 1]; cached, do not modify."""
     if texture.kind.startswith(TAG):
         return _tag(texture.kind.removeprefix(TAG), texture.seed)
     # The kind's place in the table separates kinds that share a seed.
@@ -47,15 +47,17 @@ def paint(texture: Texture) -> np.ndarray:
 
 
 def tag_texture(family: str, number: int) -> Texture:
-    """Return the texture of a tag: its code, a black border, and a white one round that."""
+    """Return the texture of a tag: its code with a black and a white border."""
     return Texture(TAG + family, number)
 
 
 def _tag(family: str, number: int) -> np.ndarray:
-    """Print a tag on white; texels that its cells share are grey by their shares."""
+    """Print a tag on white; texels on cell borders are averaged."""
     cv2, dictionary = opencv(), family_of(family)
     if number >= len(dictionary.bytesList):
-        raise InputError(f"tags: {family} has {len(dictionary.bytesList)} tags, too few")
+        raise InputError(
+            f"tags: {family} has only {len(dictionary.bytesList)} tags; use another family"
+        )
     cells = int(dictionary.markerSize) + 2
     fine = SIZE * (cells + 2)
     code = cv2.aruco.generateImageMarker(dictionary, number, cells)
@@ -66,7 +68,7 @@ def _tag(family: str, number: int) -> np.ndarray:
 
 
 def noise(rng: np.random.Generator, slope: float) -> np.ndarray:
-    """Return seamless noise with mean 0 and deviation 1, shape (SIZE, SIZE).
+    """Return seamless noise with mean 0 and standard deviation 1, shape (SIZE, SIZE).
 
     The amplitude falls with the power `slope` of the frequency; 0 is white.
     """
@@ -84,18 +86,18 @@ def _grey(rng: np.random.Generator, level: float) -> np.ndarray:
 
 
 def _plaster(rng: np.random.Generator) -> np.ndarray:
-    """Paint a wall with next to nothing on it."""
+    """Paint a wall with very little contrast."""
     relief = 0.6 * noise(rng, 1.4) + 0.4 * noise(rng, 0.3)
     return _grey(rng, 0.72) + 0.010 * relief[..., None]
 
 
 def _carpet(rng: np.random.Generator) -> np.ndarray:
-    """Weave a floor of fine noise with faint stains."""
+    """Paint a carpet: fine noise with faint stains."""
     return _grey(rng, 0.36) + (0.03 * noise(rng, 0.2) + 0.012 * noise(rng, 1.8))[..., None]
 
 
 def _wood(rng: np.random.Generator) -> np.ndarray:
-    """Lay boards: stripes of different brown, each with its grain along it."""
+    """Paint boards: brown stripes with grain along them."""
     boards = 32
     across = np.arange(SIZE) * boards // SIZE
     shade = rng.uniform(-0.06, 0.06, boards)[across]
@@ -106,14 +108,14 @@ def _wood(rng: np.random.Generator) -> np.ndarray:
 
 
 def _smooth(line: np.ndarray) -> np.ndarray:
-    """Smear a line along itself, round the seam."""
+    """Smooth a line with wrap-around."""
     kernel = np.hanning(21)
     wide = np.convolve(np.tile(line, 3), kernel / kernel.sum(), "same")[line.size : 2 * line.size]
     return np.asarray(wide / max(wide.std(), 1e-9))
 
 
 def _tiles(rng: np.random.Generator) -> np.ndarray:
-    """Lay tiles: a regular grid, and hardly two shades of it."""
+    """Paint tiles: a regular grid with little contrast."""
     many = 16
     each = SIZE // many
     joint = (np.arange(SIZE) % each) < 1
@@ -123,7 +125,7 @@ def _tiles(rng: np.random.Generator) -> np.ndarray:
 
 
 def _cardboard(rng: np.random.Generator) -> np.ndarray:
-    """Paint packing: brown, a band of tape, and a few printed marks."""
+    """Paint packaging: brown, a band of tape, and a few printed marks."""
     image = np.array([0.34, 0.50, 0.64]) * rng.uniform(0.7, 1.15) + np.zeros((SIZE, SIZE, 1))
     image = image + 0.02 * noise(rng, 1.0)[..., None]
     _rectangle(image, rng, (0.10, 1.0), (0.06, 0.10), _grey(rng, 0.75))
@@ -133,7 +135,7 @@ def _cardboard(rng: np.random.Generator) -> np.ndarray:
 
 
 def _painted(rng: np.random.Generator) -> np.ndarray:
-    """Paint furniture: one colour, a little worn, with seams and handles."""
+    """Paint furniture: one colour, slightly worn, with seams and handles."""
     image = rng.uniform(0.25, 0.75) + rng.uniform(-0.1, 0.1, 3) + np.zeros((SIZE, SIZE, 1))
     image = image + 0.012 * noise(rng, 1.2)[..., None]
     for _ in range(2):
@@ -144,7 +146,7 @@ def _painted(rng: np.random.Generator) -> np.ndarray:
 
 
 def _print(rng: np.random.Generator) -> np.ndarray:
-    """Print a poster: shapes on paper, lines of text, a border."""
+    """Paint a poster: shapes, lines of text, a border."""
     image = rng.uniform(0.5, 0.95, 3) + np.zeros((SIZE, SIZE, 1))
     rows, columns = np.arange(SIZE)[:, None] / SIZE, np.arange(SIZE) / SIZE
     for _ in range(rng.integers(4, 9)):
@@ -162,7 +164,7 @@ def _print(rng: np.random.Generator) -> np.ndarray:
 
 
 def _text(image: np.ndarray, rng: np.random.Generator, at: float) -> None:
-    """Set a line of words, as dark dashes."""
+    """Paint a line of words as dark dashes."""
     top, x = int(at * SIZE), int(0.1 * SIZE)
     while x < int(0.85 * SIZE):
         length = int(rng.integers(3, 15))
@@ -171,7 +173,7 @@ def _text(image: np.ndarray, rng: np.random.Generator, at: float) -> None:
 
 
 def _cloth(rng: np.random.Generator) -> np.ndarray:
-    """Weave clothes: one colour in folds."""
+    """Paint clothes: one colour in folds."""
     return rng.uniform(0.1, 0.7, 3) + 0.06 * noise(rng, 2.0)[..., None]
 
 
@@ -182,7 +184,7 @@ def _rectangle(
     height: tuple[float, float],
     colour: np.ndarray | float,
 ) -> None:
-    """Paint a rectangle of random place and size (in parts of the tile), round the seam."""
+    """Paint a rectangle of random position and size (in parts of the tile), with wrap-around."""
     w, h = (max(1, int(rng.uniform(*span) * SIZE)) for span in (width, height))
     top, left = rng.integers(0, SIZE, 2)
     rows, columns = (top + np.arange(h)) % SIZE, (left + np.arange(w)) % SIZE
@@ -206,7 +208,7 @@ KINDS: dict[str, Callable[[np.random.Generator], np.ndarray]] = {
 class Atlas:
     """All textures with all their levels in one image.
 
-    Texel (i, j) of texture k at level l stands at row ``top[k, l] + i``, column ``left[k, l] + j``.
+    Texel (i, j) of texture k at level l is at row ``top[k, l] + i``, column ``left[k, l] + j``.
     """
 
     image: np.ndarray
@@ -219,7 +221,7 @@ class Atlas:
 
 @lru_cache(maxsize=4)
 def build_atlas(textures: tuple[Texture, ...]) -> Atlas:
-    """Paint textures and stack their levels: the finest on the left, the others beside it."""
+    """Paint textures and stack their levels: the finest on the left, the others to its right."""
     width, height = SIZE + SIZE // 2 + 4 * PAD, SIZE + 2 * LEVELS * PAD
     down = -(-len(textures) // ACROSS)
     image = np.zeros((down * height, min(len(textures), ACROSS) * width, 3), np.uint8)

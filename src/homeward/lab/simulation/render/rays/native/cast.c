@@ -2,11 +2,11 @@
 
 #include <stdint.h>
 
-#define TILES 6  /* limits of a rectangle: shift, least and greatest tile coordinates */
+#define TILES 6  /* limits of a rectangle: shift, minimum and maximum tile coordinates */
 #define WINDOW 5 /* rectangle, rows from and to, columns from and to */
 
-/* Keep of one row's hits (n) on a rectangle those that are nearer than what was met before.
- * Not inlined: compilers then still know that rows do not overlap, and take several rays at once. */
+/* Keep one row's hits (n) on a rectangle that are nearer than earlier hits.
+ * Not inlined: compilers then still assume that rows do not overlap, and vectorise. */
 EACH_PROCESSOR
 __attribute__((noinline)) static void meet(long n, const float *restrict x, const float *restrict y,
                                            const float *restrict z, const float *m,
@@ -29,8 +29,8 @@ __attribute__((noinline)) static void meet(long n, const float *restrict x, cons
   }
 }
 
-/* Find what the rays of a picture, (3, height, width), meet, in `count` windows on m rectangles,
- * each with its matrix, (m, 3, 3). 1 if a window lies outside. */
+/* Intersect the rays of an image, (3, height, width), in `count` windows on m rectangles, each with
+ * its matrix, (m, 3, 3). Return 1 if a window is outside the image. */
 EACH_PROCESSOR
 int cast(long count, long m, long height, long width, const int64_t *windows,
          const int64_t *indices, const float *rays, const float *matrices, const float *limits,
