@@ -56,8 +56,9 @@ def test_an_empty_drive_is_drawn_too():
         90.0,
     )
     assert np.isinf(view.whole.position_sigma)
-    assert "together do not tell the pose: home may lie anywhere on the circle" in drive_summary(
-        view
+    assert (
+        "together do not determine the pose: home may lie anywhere on the circle"
+        in drive_summary(view)
     )
     figure = draw_drive_view(view)
     figure.draw_without_rendering()

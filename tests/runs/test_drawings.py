@@ -75,7 +75,7 @@ def test_a_page_explains_the_figures_that_it_has_alone(tmp_path):
     for name, estimators, there in (("few", ["ekf"], True), ("many", ["ekf", many], False)):
         write_study(tmp_path / name, made_up_study(tmp_path, estimators=estimators, grid={}))
         page = (tmp_path / name / PAGE).read_text()
-        assert ("a dashed line is the bound" in page) == there
+        assert ("Dashed: bound of the drives" in page) == there
 
 
 def test_crowded_ticks_are_left_out_and_others_stay():
@@ -115,12 +115,12 @@ def test_who_lies_below_its_bound_is_noted(tmp_path):
     rng = np.random.default_rng(1)
     bounds = rng.uniform(0.9, 1.1, 40)
     assert below_bound(1.2 * bounds, bounds) == ""
-    assert below_bound(0.8 * bounds, bounds) == "80.0 % of it, which is not chance"
-    assert below_bound(0.8 * bounds[:5], bounds[:5]) == "80.0 % of it, perhaps by chance"
+    assert below_bound(0.8 * bounds, bounds) == "80.0 % of it, significant"
+    assert below_bound(0.8 * bounds[:5], bounds[:5]) == "80.0 % of it, not significant"
     assert below_bound(np.full(4, np.nan), bounds[:4]) == ""
     assert note_below({"a": "", "b": ""}) == ""
-    assert "b (80.0 % of it, perhaps by chance)" in note_below(
-        {"a": "", "b": "80.0 % of it, perhaps by chance"}
+    assert "b (80.0 % of it, not significant)" in note_below(
+        {"a": "", "b": "80.0 % of it, not significant"}
     )
     results = made_up_study(tmp_path)
     results.run["position_rmse"][:] = 2.0 * results.run["position_bound"]

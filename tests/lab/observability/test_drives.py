@@ -80,7 +80,7 @@ def test_stretches_that_see_nothing_say_so(circle):
     view = observe_drive(replace(drive, sightings=Sightings(*parts)), window=4.0)
     blind = [w for w in view.windows if not w.landmarks]
     assert blind
-    assert all("nothing that home knows" in w.weakest[0] for w in blind)
+    assert all("no landmark with a home bearing" in w.weakest[0] for w in blind)
 
 
 @pytest.mark.parametrize("window", [0.0, -1.0, np.nan, np.inf])

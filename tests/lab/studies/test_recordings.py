@@ -110,7 +110,7 @@ def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, mo
         ({"drives": [{"drive": "short", "falsified": 99}]}, "falsified must be at most"),
         ({"drives": [{"drive": "short", "home_noise_deg": 1}]}, "MRCLAM"),
         ({"drives": [{"drive": "short", "grid": {"dropt": [1]}}]}, "dropt"),
-        ({"drives": ["blind"]}, "no truth"),
+        ({"drives": ["blind"]}, "no ground truth"),
     ],
 )
 def test_drives_that_cannot_be_studied_are_one_line(short, tmp_path, changes, told):

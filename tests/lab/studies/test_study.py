@@ -101,7 +101,7 @@ def test_an_axis_may_name_points_that_set_several_keys(tmp_path):
     ("changes", "words"),
     [
         ({"estimators": []}, "estimators"),
-        ({"estimators": ["kalman"]}, "there are robust"),
+        ({"estimators": ["kalman"]}, "use one of robust"),
         ({"estimators": [{"estimator": "ekf", "settings": {"gaet": 1}}]}, "gaet"),
         ({"estimators": ["ekf", "ekf"]}, "two have the name 'ekf'"),
         ({"runs": 0}, "runs"),
