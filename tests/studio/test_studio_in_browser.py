@@ -35,9 +35,9 @@ def test_a_landmark_is_dragged_while_it_drives_and_robust_names_it(tmp_path):
         x, y = page.find("studio.scene.landmarks.L06")
         page.drag("landmark L06", 60, -60)
         page.until(f"Math.abs(studio.scene.landmarks.L06[0] - {x}) > 0.3")
-        stood = page.find("studio.scene.stood.L06")
-        assert stood == pytest.approx([x, y], abs=1e-6)
-        assert page.find("document.querySelectorAll('[data-stood=L06]').length") == 1
+        previous = page.find("studio.scene.previous.L06")
+        assert previous == pytest.approx([x, y], abs=1e-6)
+        assert page.find("document.querySelectorAll('[data-previous=L06]').length") == 1
         page.until("studio.frame.rivals.robust.moved.L06 > 0.9")
         assert "L06" in words(page, "robust").split("Moved since home")[1]
         assert "Moved" not in words(page, "ekf")
@@ -107,10 +107,10 @@ def test_visits_of_a_place_are_slid_through(tmp_path):
     with studio(tmp_path, str(tmp_path / "hall"), width=390, dark=True) as page:
         odd = "[...document.querySelectorAll('.landmark.odd')].map((c) => c.parentNode.dataset.id)"
         assert page.find(odd) == ["L0"]
-        assert "1 moved (L0)" in page.find("document.querySelector('#said').textContent")
+        assert "1 moved (L0)" in page.find("document.querySelector('#text').textContent")
         page.key("ArrowLeft", "ArrowLeft")
         page.until(f"!{odd}.length")
-        assert "a new place" in page.find("document.querySelector('#said').textContent")
+        assert "a new place" in page.find("document.querySelector('#text').textContent")
         assert page.find("document.querySelectorAll('.handle[tabindex]').length") == 0
 
 
@@ -127,6 +127,6 @@ def test_a_drive_is_scrubbed_and_run_with_another_camera(tmp_path):
         assert page.find(odd) == []  # the EKF calls none moved
         first = words(page, "ekf")
         page.find(slide.format("set-yaw", 20))
-        page.until("document.querySelector('#said').textContent.includes('other settings')")
+        page.until("document.querySelector('#text').textContent.includes('other settings')")
         page.find(slide.format("moment", 900))
         assert words(page, "ekf") != first

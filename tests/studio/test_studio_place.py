@@ -30,13 +30,13 @@ def test_visits_show_what_stood_where(place):
     first, second, third = scene["visits"]
     assert "N" not in second["landmarks"]
     assert "N" in third["landmarks"]
-    moved = {n for n, at in second["landmarks"].items() if at != second["stood"][n]}
+    moved = {n for n, at in second["landmarks"].items() if at != second["previous"][n]}
     assert moved == {"L0", "L1"}
-    assert second["stood"]["L0"] == first["landmarks"]["L0"]
-    assert {n for n, at in third["landmarks"].items() if at != third["stood"][n]} == set()
+    assert second["previous"]["L0"] == first["landmarks"]["L0"]
+    assert {n for n, at in third["landmarks"].items() if at != third["previous"][n]} == set()
     there = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
     assert third["landmarks"] == there
-    assert "2 moved (L0 and L1)" in second["said"]
+    assert "2 moved (L0 and L1)" in second["text"]
     assert first["homes"] == {"home": [0.0, 0.0, 0.0]}
     x0, y0, x1, y1 = scene["extent"]
     for visit in scene["visits"]:

@@ -96,8 +96,8 @@ def test_what_is_saved_plays_as_what_was_seen(session):
     here = session.scene()
     assert again["landmarks"] == here["landmarks"]
     home = np.array(here["home"])
-    for mark in here["stood"]:  # home sees it in the same direction, however far
-        a, b = (np.array(s["stood"][mark]) - home[:2] for s in (here, again))
+    for mark in here["previous"]:  # home sees it in the same direction, however far
+        a, b = (np.array(s["previous"][mark]) - home[:2] for s in (here, again))
         if mark == "L06":
             assert abs(a[0] * b[1] - a[1] * b[0]) < 0.05 * np.hypot(*a) * np.hypot(*b)
 
@@ -105,7 +105,7 @@ def test_what_is_saved_plays_as_what_was_seen(session):
 def test_a_scene_from_anywhere_names_no_code(session):
     scene = session.scene()["scenario"]
     scene["trajectory"] = {"kind": "repeat", "place": "/etc", "route": "round"}
-    with pytest.raises(InputError, match="repeats no route"):
+    with pytest.raises(InputError, match="cannot repeat a route"):
         say(session, "open", scene=scene)
     scene["trajectory"] = {"kind": "homing", "law": "os:system"}
     with pytest.raises(InputError, match="law"):
@@ -215,7 +215,7 @@ def test_a_law_drives_home(law, believing):
     play(session, 15.0)
     say(session, "steer", by="law", law=law, believing=believing)
     end = play(session, 25.0)
-    assert "stands" in end["said"]
+    assert "stopped" in end["text"]
     assert math.hypot(*np.array(end["robot"][:2]) - session.scene()["home"][:2]) < 0.15
 
 
@@ -264,10 +264,10 @@ def test_of_a_drive_too_other_estimators_are_undone():
 def test_late_bearings_are_saved_and_run_again_as_the_slider_had_them(tmp_path):
     folder = tmp_path / "sample"
     save_drive(open_drive("sample"), folder)
-    first = Replay(open_drive(folder), ("ekf",), told=read_drive_settings(folder / "drive.yaml"))
+    first = Replay(open_drive(folder), ("ekf",), given=read_drive_settings(folder / "drive.yaml"))
     first.do(parse_adjust(first.scene()["adjusted"] | {"bearings_late": 0.3}))
     (folder / "drive.yaml").write_text(say(first, "save")["text"])
-    again = Replay(open_drive(folder), ("ekf",), told=read_drive_settings(folder / "drive.yaml"))
+    again = Replay(open_drive(folder), ("ekf",), given=read_drive_settings(folder / "drive.yaml"))
     assert again.scene()["adjusted"]["bearings_late"] == 0.3
     ends = [replay.picture()["rivals"]["ekf"]["pose"][-1] for replay in (first, again)]
     assert ends[0] == ends[1]

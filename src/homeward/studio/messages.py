@@ -1,4 +1,4 @@
-"""What the page may ask for; anything else is refused in one line."""
+"""Requests of the page; anything else is an InputError."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from homeward.io.keys import Strict
 from homeward.io.validation_messages import message
 from homeward.lab.simulation.scenario import Scenario
 
-LONGEST = 2**20
-"""Of a message [byte]; a whole scene is the longest."""
-LARGEST = 1e4
-"""Of a place or a length [m], and of any other number of a scene; larger ones overflow."""
-Bounded = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
+MAX_MESSAGE = 2**20
+"""Length of a message [byte]; a whole scene is the longest."""
+MAX_NUMBER = 1e4
+"""Maximum of coordinates and lengths [m], and of other numbers of a scene, against overflow."""
+Bounded = Annotated[float, Field(ge=-MAX_NUMBER, le=MAX_NUMBER)]
 """[m] or [rad]"""
 Name = Annotated[str, Field(min_length=1, max_length=200)]
 
@@ -28,7 +28,7 @@ class Hello(Strict):
 
 
 class Move(Strict):
-    """Put a landmark, home or the robot somewhere, in room coordinates."""
+    """Move a landmark, home or the robot, in room coordinates."""
 
     do: Literal["move"]
     what: Literal["landmark", "home", "robot"]
@@ -36,13 +36,13 @@ class Move(Strict):
     x: Bounded
     y: Bounded
     heading: Bounded | None = None
-    """None: as it was [rad]."""
+    """None: unchanged [rad]."""
     stroke: int = 0
-    """Moves of one stroke are undone together."""
+    """Changes of one stroke are undone together."""
 
 
 class Add(Strict):
-    """Put up a landmark that home knew; the drive begins again."""
+    """Add a landmark with a home bearing; the drive restarts."""
 
     do: Literal["add"]
     x: Bounded
@@ -50,14 +50,14 @@ class Add(Strict):
 
 
 class Remove(Strict):
-    """Take a landmark away; the drive begins again."""
+    """Remove a landmark; the drive restarts."""
 
     do: Literal["remove"]
     name: str
 
 
 class Set(Strict):
-    """Give a key of the scenario another value, at once."""
+    """Change a key of the scenario during the drive."""
 
     do: Literal["set"]
     key: Literal[
@@ -75,54 +75,54 @@ class Set(Strict):
 
 
 class Steer(Strict):
-    """Say who drives: keys, a law, the scene's path, or nobody."""
+    """Choose the control: keys, a law, the scene's path, or none."""
 
     do: Literal["steer"]
     by: Literal["keys", "law", "path", "nobody"]
     law: Literal["paper", "lyapunov", "alv", "tron"] = "paper"
     believing: str = "truth"
-    """Whose pose a law or a path steers by: the word for an estimator, or the truth."""
+    """Pose for the law or path: an estimator's, or ``truth``."""
 
 
 class Keys(Strict):
-    """What the keys say now; to be repeated while they are held."""
+    """State of the keys, repeated while they are held."""
 
     do: Literal["keys"]
     v: Annotated[float, Field(ge=-1, le=1)]
-    """Of the scene's speed."""
+    """Share of the scene's speed."""
     omega: Annotated[float, Field(ge=-1, le=1)]
-    """Of the fastest turn by keys."""
+    """Share of the maximum yaw rate."""
 
 
 class Estimators(Strict):
-    """Let others run side by side; the drive begins again."""
+    """Choose the estimators; the drive restarts."""
 
     do: Literal["estimators"]
     names: Annotated[tuple[Name, ...], Field(max_length=6)]
 
 
 class Pace(Strict):
-    """Play so many times as fast as time goes by; 0: stand still."""
+    """Set the speed as a multiple of real time; 0: pause."""
 
     do: Literal["pace"]
     pace: Annotated[float, Field(ge=0, le=10)]
 
 
 class Open(Strict):
-    """Play another scene."""
+    """Open another scene."""
 
     do: Literal["open"]
     scene: Scenario
 
 
 class Plain(Strict):
-    """Begin again, undo, show the worlds that look the same, or save."""
+    """Restart, undo, show worlds with equal bearings, or save."""
 
     do: Literal["again", "undo", "worlds", "save"]
 
 
 class Adjust(Strict):
-    """Run an opened drive otherwise."""
+    """Run an opened drive with other settings."""
 
     do: Literal["adjust"]
     x: Bounded = 0.0
@@ -134,10 +134,12 @@ class Adjust(Strict):
     stroke: int = 0
 
 
-Asked = Hello | Move | Add | Remove | Set | Steer | Keys | Estimators | Pace | Open | Plain | Adjust
-_ASKED: TypeAdapter[Asked] = TypeAdapter(Annotated[Asked, Field(discriminator="do")])
+Request = (
+    Hello | Move | Add | Remove | Set | Steer | Keys | Estimators | Pace | Open | Plain | Adjust
+)
+_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
 
 
-def parse(text: str | bytes) -> Asked:
-    """Return what a message asks for; else raise InputError."""
-    return message(_ASKED, text)
+def parse(text: str | bytes) -> Request:
+    """Return the request in a message, or raise InputError."""
+    return message(_REQUEST, text)

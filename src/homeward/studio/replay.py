@@ -1,4 +1,4 @@
-"""A drive in the studio: run with another camera, lag or noise, and looked at by moments.
+"""A recorded drive in the studio, run with other camera extrinsics, lag or noise.
 
 Everything is in the home frame.
 """
@@ -19,24 +19,24 @@ from homeward.io.keys import Strict
 from homeward.io.settings import settings_yaml, validated
 from homeward.registry import ESTIMATORS, make_estimator
 from homeward.runs.single_run import with_start
-from homeward.studio.messages import Adjust, Asked, Estimators, Plain
-from homeward.studio.rival import NAMED, ellipse, scores
+from homeward.studio.messages import Adjust, Estimators, Plain, Request
+from homeward.studio.rival import MOVED, ellipse, is_overconfident, scores
 from homeward.studio.undo import Undo
 from homeward.track import Track, run
 
-MOST_ROWS = 2000
-"""Of a long drive so many moments are shown."""
+MAX_ROWS = 2000
+"""Maximum number of stamps shown."""
 MARGIN_M = 0.5
 VIEW_S = 0.5
-"""A view is shown for so long [s]."""
+"""Time for which sightings are shown [s]."""
 
 
 class Replay:
-    """What the studio shows of a drive, as it was opened, and of estimators on it.
+    """View of a recorded drive, and of estimators on it.
 
-    Of a drive from a log, `log` says which topics were used: its topics file is saved instead of
-    drive.yaml. `told` are the settings in the drive's file; readers have taken home and lateness
-    out of `drive` already. `InputError` where the drive has no sightings or no home bearings.
+    For a drive from a log, `log` has its topics; a topics file is saved instead of drive.yaml.
+    `given` are the settings in the drive's file, of which readers have already applied home and
+    lateness to `drive`. `InputError` where the drive has no sightings or no home bearings.
     """
 
     now_s = math.inf
@@ -46,13 +46,13 @@ class Replay:
         drive: Drive,
         estimators: tuple[str, ...],
         log: LogSettings | None = None,
-        told: DriveSettings | None = None,
+        given: DriveSettings | None = None,
     ) -> None:
         if not drive.sightings.t.size or not drive.home:
-            raise InputError(f"{drive.name}: no sightings in it, or no home bearings")
+            raise InputError(f"{drive.name}: no sightings, or no home bearings")
         self._drive, self._names, self._log = drive, estimators, log
-        told = told or DriveSettings()
-        self._home, self._late = told.home, told.bearings_late or 0.0
+        given = given or DriveSettings()
+        self._home, self._late = given.home, given.bearings_late or 0.0
         self._file = "drive.yaml" if log is None else "topics.yaml"
         self._known = tuple(dict.fromkeys((*ESTIMATORS, *estimators)))
         sensor = drive.settings.sensor
@@ -63,10 +63,10 @@ class Replay:
         self._run()
 
     def step(self) -> None:
-        """Do nothing: it was driven already."""
+        """Do nothing: the drive is recorded."""
 
     def adjusted(self) -> Drive:
-        """Return the drive as it is run now."""
+        """Return the drive with the chosen settings."""
         drive, asked = self._drive, self._asked
         mount = {"x": asked.x, "y": asked.y, "yaw": asked.yaw}
         sensor = drive.settings.sensor.model_copy(
@@ -91,20 +91,20 @@ class Replay:
                 self._tracks[name] = str(error)
         self.version, self._begun = self.version + 1, self._begun + 1
 
-    def do(self, asked: Asked) -> dict[str, Any] | None:
-        """Do what the page asks for, else raise InputError; return what to answer, if anything."""
-        match asked:
+    def do(self, request: Request) -> dict[str, Any] | None:
+        """Execute a request, or raise InputError; return an answer, if there is one."""
+        match request:
             case Adjust():
-                if self._drive.home.keys() <= set(asked.moved):
-                    raise InputError("one home bearing at least must be left")
+                if self._drive.home.keys() <= set(request.moved):
+                    raise InputError("at least one home bearing must remain")
                 before = self._asked
-                self._change(asked)
-                self._undo.remember(asked.stroke, lambda: self._change(before))
+                self._change(request)
+                self._undo.remember(request.stroke, lambda: self._change(before))
             case Estimators():
-                if unknown := set(asked.names) - set(self._known):
+                if unknown := set(request.names) - set(self._known):
                     raise InputError(f"no estimator {min(unknown)} here")
                 names = self._names
-                self._choose(asked.names)
+                self._choose(request.names)
                 self._undo.remember(None, lambda: self._choose(names))
             case Plain(do="undo"):
                 self._undo.back()
@@ -117,17 +117,18 @@ class Replay:
                     known["bearings_late"] = self._asked.bearings_late
                 if self._home is not None:
                     known["home"] = self._home
-                told: Strict = settings.model_copy(update=known)
+                saved: Strict = settings.model_copy(update=known)
                 if self._log is not None:
-                    # The mount of /tf_static would count for more than what the sliders say.
-                    told = self._log.model_copy(update={"drive": told, "mount": self._mount_told()})
-                return {"type": "file", "name": self._file, "text": settings_yaml(told)}
+                    # Extrinsics from /tf_static would override those of the sliders.
+                    update = {"drive": saved, "mount": self._log_extrinsics()}
+                    saved = self._log.model_copy(update=update)
+                return {"type": "file", "name": self._file, "text": settings_yaml(saved)}
             case _:
-                raise InputError("that is for a scene, not for a drive that was driven")
+                raise InputError("not possible for a recorded drive; open a scene")
         return None
 
-    def _mount_told(self) -> MountFrames | None:
-        """Return the log's frames of the mount, unless the camera was put elsewhere."""
+    def _log_extrinsics(self) -> MountFrames | None:
+        """Return the log's frames of the camera, unless the extrinsics were changed."""
         assert self._log is not None
         now, first = self._asked, self._first
         same = (now.x, now.y, now.yaw) == (first.x, first.y, first.yaw)
@@ -142,7 +143,7 @@ class Replay:
         self._run()
 
     def scene(self) -> dict[str, Any]:
-        """Return what changes seldom."""
+        """Return the static part of the view."""
         placed = self._places()
         return {
             "type": "scene",
@@ -153,7 +154,7 @@ class Replay:
             "room": None,
             "home": [0.0, 0.0, 0.0],
             "landmarks": placed,
-            "stood": placed,
+            "previous": placed,
             "stored": sorted(self._drive.home),
             "path": [],
             "estimators": list(self._names),
@@ -163,9 +164,9 @@ class Replay:
         }
 
     def picture(self) -> dict[str, Any]:
-        """Return the whole run, a row a moment."""
+        """Return the whole run, with a row for each stamp."""
         first, last = self._drive.span
-        number = min(MOST_ROWS, max(2, int((last - first) / 0.1)))
+        number = min(MAX_ROWS, max(2, int((last - first) / 0.1)))
         t = np.linspace(first, last, number)
         adjusted, true = self.adjusted(), self._drive.truth
         return {
@@ -178,16 +179,16 @@ class Replay:
                 name: {"failure": track} if isinstance(track, str) else _rows(track, t, true)
                 for name, track in self._tracks.items()
             },
-            "said": self._words(),
+            "text": self._description(),
         }
 
-    def _words(self) -> str:
+    def _description(self) -> str:
         if self._asked == self._first:
-            return f"{self._drive.name}, as it was driven."
-        return f"{self._drive.name}, with other settings; {self._file} keeps them."
+            return f"{self._drive.name} with its own settings."
+        return f"{self._drive.name} with other settings; save them as {self._file}."
 
     def _places(self) -> dict[str, list[float]]:
-        """Return where the first estimator that tells has the landmarks at the end."""
+        """Return the final landmark positions of the first estimator that has any."""
         for track in self._tracks.values():
             if isinstance(track, Track):
                 known = {m.landmark: [m.x, m.y] for m in track.landmarks if math.isfinite(m.x)}
@@ -212,7 +213,7 @@ class Replay:
 
 
 def _rows(track: Track, t: np.ndarray, truth: Truth | None) -> dict[str, Any]:
-    """Return what the page shows of a track at times `t` (m,), the last answer at each."""
+    """Return the last state of a track at times `t` (m,), for the page."""
     at = np.clip(np.searchsorted(track.t, t, side="right") - 1, 0, len(track.t) - 1)
     pose = np.stack([track.x, track.y, track.heading], axis=1)[at]
     covariance, there = track.covariance[at], track.has_pose[at]
@@ -229,23 +230,24 @@ def _rows(track: Track, t: np.ndarray, truth: Truth | None) -> dict[str, Any]:
         "reason": [track.reason[k] for k in at],
         "error": error.tolist(),
         "nees": nees.tolist(),
+        "overconfident": [is_overconfident(value) for value in nees],
         "moved": _moved(track, t),
         "marks": {m.landmark: [m.x, m.y] for m in track.landmarks if math.isfinite(m.x)},
     }
 
 
 def _moved(track: Track, t: np.ndarray) -> list[dict[str, float]]:
-    """Return which landmarks were called moved at each time (m,), and how probably."""
+    """Return the moved landmarks at each time (m,), with their probabilities."""
     known = track.history
     probable = known.moved_probability
     rows = [
-        {known.landmark[k]: float(row[k]) for k in np.flatnonzero(row > NAMED)} for row in probable
+        {known.landmark[k]: float(row[k]) for k in np.flatnonzero(row > MOVED)} for row in probable
     ]
     return [rows[k] if k >= 0 else {} for k in known.at(t)]
 
 
 def _seen(drive: Drive, t: np.ndarray) -> list[dict[str, float]]:
-    """Return the last view before each time (m,), id to bearing [rad]; none that is old."""
+    """Return the last sightings before each time (m,), id to bearing [rad], unless they are old."""
     stamps = [(at, seen) for at, seen, _ in drive.sightings.stamps()]
     at = np.array([stamp for stamp, _ in stamps])
     last = np.searchsorted(at, t, side="right") - 1

@@ -1,4 +1,4 @@
-"""The estimators that run side by side in the studio, their errors, and the bound on them."""
+"""Estimators that run side by side in the studio, their errors, and the bound."""
 
 from __future__ import annotations
 
@@ -19,26 +19,28 @@ from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Scenario
 from homeward.registry import make_estimator
 
-NAMED = 0.5
-"""A landmark is called moved where that is more probable than not."""
-TOLD_S = 0.5
-"""What is known of landmarks is asked for so often [s of the drive]."""
+MOVED = 0.5
+"""Minimum probability of a landmark that is shown as moved."""
+LANDMARKS_S = 0.5
+"""Interval of updates of landmark estimates [s of the drive]."""
+NEES_95 = 7.8
+"""95 % quantile of chi-square with three degrees of freedom."""
 
 
 class Rival:
-    """An estimator in the studio, on a drive before it begins; one that fails gets no more data."""
+    """An estimator in the studio; one that fails gets no more data."""
 
     def __init__(self, name: str, drive: Drive) -> None:
         self.name = name
-        self.estimate = Estimate(0.0, Status.WAITING, "nothing seen yet")
+        self.estimate = Estimate(0.0, Status.WAITING, "no sightings yet")
         self.failure: str | None = None
         self.update_s = 0.0
         """Wall time of the last update [s]."""
-        self._told = -math.inf
+        self._landmarks_t = -math.inf
         self._marks: dict[str, tuple[float, float]] = {}
         self._moved: dict[str, float] = {}
         self.error = self.nees = math.nan
-        """Distance from the truth [m], and NEES, which is 3 on average when consistent."""
+        """Position error [m], and NEES, which is 3 on average if consistent."""
         self._scored, self._sum = 0, 0.0
         try:
             self._estimator = make_estimator(name, drive)
@@ -46,7 +48,7 @@ class Rival:
             self.failure = str(error)
 
     def feed(self, t: float, twist: Twist, seen: Mapping[str, float] | None) -> None:
-        """Take what was sensed at `t` [s]: odometry, and bearings where the camera looked."""
+        """Process the samples at `t` [s]: odometry, and bearings if there is a frame."""
         if self.failure is not None:
             return
         try:
@@ -57,22 +59,22 @@ class Rival:
             began = time.perf_counter()
             self.estimate = self._estimator.bearings(t, seen)
             self.update_s = time.perf_counter() - began
-            if t - self._told >= TOLD_S:
-                self._told = t
-                self._tell_landmarks()
+            if t - self._landmarks_t >= LANDMARKS_S:
+                self._landmarks_t = t
+                self._update_landmarks()
         except HomewardError as error:
             self.failure = str(error)
             self.estimate = Estimate(t, Status.WAITING, "failed")
 
-    def _tell_landmarks(self) -> None:
+    def _update_landmarks(self) -> None:
         known = self._estimator.landmarks()
         self._marks = {m.landmark: (m.x, m.y) for m in known if math.isfinite(m.x)}
         self._moved = {
-            m.landmark: m.moved_probability for m in known if m.moved_probability > NAMED
+            m.landmark: m.moved_probability for m in known if m.moved_probability > MOVED
         }
 
     def score(self, true: Pose) -> None:
-        """Compare its answer to the true pose of that time, in the home frame."""
+        """Compare the estimate with the true pose in the home frame."""
         pose, covariance = self.estimate.pose, self.estimate.covariance
         self.error = self.nees = math.nan
         if pose is None or covariance is None:
@@ -83,11 +85,12 @@ class Rival:
         self._scored += 1
         self._sum += self.nees
 
-    def told(self, home: Pose) -> dict[str, Any]:
-        """Return what the page shows of it, in room coordinates."""
+    def state(self, home: Pose) -> dict[str, Any]:
+        """Return the state for the page, in room coordinates."""
         pose, covariance = self.estimate.pose, self.estimate.covariance
         out: dict[str, Any] = {
             "status": self.estimate.status.value,
+            "overconfident": is_overconfident(self.nees),
             "reason": self.failure or self.estimate.reason,
             "update_ms": 1e3 * self.update_s,
             "moved": self._moved,
@@ -106,18 +109,23 @@ def _placed(home: Pose, x: float, y: float) -> list[float]:
     return [float(there.x), float(there.y)]
 
 
+def is_overconfident(nees: float) -> bool:
+    """Whether ground truth is outside the 95 % region of the estimate."""
+    return bool(nees > NEES_95)
+
+
 def scores(
     pose: np.ndarray, covariance: np.ndarray, true: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return distances from the truth [m] and NEES of poses (m, 3), each of shape (m,)."""
-    off = pose - true
-    off[:, 2] = wrap(off[:, 2])
-    solved = np.linalg.pinv(covariance, hermitian=True) @ off[..., None]
-    return np.hypot(off[:, 0], off[:, 1]), np.einsum("ki,ki->k", off, solved[..., 0])
+    """Return position errors [m] and NEES of poses (m, 3), each of shape (m,)."""
+    error = pose - true
+    error[:, 2] = wrap(error[:, 2])
+    solved = np.linalg.pinv(covariance, hermitian=True) @ error[..., None]
+    return np.hypot(error[:, 0], error[:, 1]), np.einsum("ki,ki->k", error, solved[..., 0])
 
 
 def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:
-    """Return half axes [m] and direction [rad] of one sigma of (x, y), turned; None if infinite."""
+    """Return half axes [m] and direction [rad] of a rotated 1-sigma ellipse; None if infinite."""
     if not np.isfinite(covariance).all():
         return None
     values, vectors = np.linalg.eigh(covariance)
@@ -125,15 +133,15 @@ def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:
     return [float(a), float(b), float(math.atan2(vectors[1, 1], vectors[0, 1]) + turn)]
 
 
-NEAREST_M = 1e-3
-"""A prior in polar coordinates says nothing of a direction nearer to home than this [m]."""
+MIN_R_M = 1e-3
+"""Minimum distance from home for a prior in polar coordinates [m]."""
 
 
 class Best:
-    """The posterior Cramer-Rao bound on a robot that is driven, carried and deceived."""
+    """Posterior Cramer-Rao bound on the pose of the robot, including kidnapping."""
 
     radius: float | None = None
-    """One sigma of the position [m]; None where it is not fixed, or bearings have no noise."""
+    """One sigma of the position [m]; None where unobservable, or without bearing noise."""
 
     def __init__(self, robot: LiveRobot, scenario: Scenario) -> None:
         self._robot, self._last = robot, (math.nan, robot.pose)
@@ -143,7 +151,7 @@ class Best:
         world, start, errors = robot.world, scenario.start, scenario.odometry
         covariance = None
         if start.prior:
-            polar = to_polar(robot.pose)._replace(R=max(math.hypot(*robot.pose[:2]), NEAREST_M))
+            polar = to_polar(robot.pose)._replace(R=max(math.hypot(*robot.pose[:2]), MIN_R_M))
             sigmas = start.sigma_R, start.sigma_theta, start.sigma_alpha
             covariance = polar_covariance_to_pose(polar, np.diag(np.square(sigmas)))
         self._bound = RunningBound(
@@ -158,14 +166,14 @@ class Best:
         )
 
     def see(self, t: float, pose: Pose, seen: set[str]) -> None:
-        """Take what was seen at `t` [s] from a true pose in the home frame."""
+        """Add the sightings at `t` [s] from a true pose in the home frame."""
         if self._bound is None:
             return
         world, now, (then, before) = self._robot.world, np.array(pose, float), self._last
         if math.isfinite(then):
-            # The chord of so short an arc is nearly the arc.
-            way = math.hypot(pose.x - before.x, pose.y - before.y)
-            twist = np.array([way, wrap(pose.heading - before.heading)]) / (t - then)
+            # For a short arc the chord is nearly as long.
+            length = math.hypot(pose.x - before.x, pose.y - before.y)
+            twist = np.array([length, wrap(pose.heading - before.heading)]) / (t - then)
             self._bound.drive(np.array(before, float), now, twist, t - then)
         self._bound.see(now, world.in_home_frame, np.array([i in seen for i in world.ids]))
         self._last = t, pose
@@ -173,18 +181,18 @@ class Best:
         self.radius = None if axes is None else math.hypot(axes[0], axes[1])
 
     def carry(self) -> None:
-        """Take it that the robot was carried away."""
+        """Account for a robot that was carried elsewhere."""
         self._last = math.nan, self._robot.pose
         if self._bound is not None:
             self._bound.carry()
 
     def move(self, landmark: str) -> None:
-        """Take it that a landmark was moved."""
+        """Account for a moved landmark."""
         if self._bound is not None:
             self._bound.move(self._robot.world.ids.index(landmark))
 
     def sense_by(self, scenario: Scenario) -> None:
-        """Take it that the camera and its noise are others now."""
+        """Account for a changed camera or noise."""
         if self._bound is not None and scenario.noise.bearing_sigma:
             self._bound.bearing_sigma = scenario.noise.bearing_sigma
             self._bound.mount = scenario.sensor.pose

@@ -1,4 +1,4 @@
-"""Scenarios as the studio plays them: every landmark listed, and nothing that would run code."""
+"""Scenarios for the studio: all landmarks listed, and no code to import."""
 
 from __future__ import annotations
 
@@ -18,14 +18,12 @@ from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.simulation.world import World, build_world
-from homeward.studio.messages import LARGEST
+from homeward.studio.messages import MAX_NUMBER
 
-MOST_LANDMARKS = 100
-"""More do not make a better picture, and a scene may come from anywhere."""
-FASTEST_HZ = 100.0
-"""Likewise, of samples."""
-SMALLEST = 1e-9
-"""Of a sigma or a rate that is not 0."""
+MAX_LANDMARKS = 100
+MAX_RATE_HZ = 100.0
+MIN_NUMBER = 1e-9
+"""Minimum of a sigma or a rate that is not 0."""
 
 
 def open_scene(source: str) -> Scenario:
@@ -36,32 +34,32 @@ def open_scene(source: str) -> Scenario:
 def as_scene(scenario: Scenario) -> Scenario:
     """Return a scenario whose landmarks, and faults of those that moved, are listed.
 
-    `InputError` where it cannot be built, is too large to be played, has an absurd number, or a law
-    that is not homeward's: a scene may come from anywhere, and must not name code to run.
+    `InputError` where it cannot be built, is too large, has a number out of range, or a law that is
+    not homeward's: a scene can come from anywhere, and must not name code to run.
     """
     trajectory = scenario.trajectory
     if isinstance(trajectory, Repeat):
-        raise InputError("trajectory.kind: the studio knows no places, and repeats no route")
+        raise InputError("trajectory.kind: the studio cannot repeat a route of a place")
     check_numbers(scenario)
     if isinstance(trajectory, Homing) and trajectory.law not in LAWS:
-        raise InputError(f"trajectory.law: the studio plays {', '.join(LAWS)}")
-    if scenario.landmarks.count > MOST_LANDMARKS:
-        raise InputError(f"landmarks: the studio plays {MOST_LANDMARKS} at most")
-    if max(scenario.rates.odometry, scenario.rates.bearings) > FASTEST_HZ:
-        raise InputError(f"rates: the studio plays {FASTEST_HZ:g} Hz at most")
+        raise InputError(f"trajectory.law: use one of {', '.join(LAWS)} in the studio")
+    if scenario.landmarks.count > MAX_LANDMARKS:
+        raise InputError(f"landmarks: at most {MAX_LANDMARKS} in the studio")
+    if max(scenario.rates.odometry, scenario.rates.bearings) > MAX_RATE_HZ:
+        raise InputError(f"rates: at most {MAX_RATE_HZ:g} Hz in the studio")
     return with_landmarks(scenario, build_world(scenario))
 
 
 def check_numbers(scenario: Scenario) -> None:
-    """Raise InputError for a number of a scenario that would overflow, or be divided by in vain."""
+    """Raise InputError for a number of a scenario that would overflow."""
     for key, value in _numbers(scenario.model_dump(exclude={"trajectory": {"duration"}})):
         divides = "sigma" in key or key.startswith("rates.")
-        if abs(value) > LARGEST or (divides and 0 < value < SMALLEST):
-            raise InputError(f"{key}: {value:g} is beyond what the studio plays")
+        if abs(value) > MAX_NUMBER or (divides and 0 < value < MIN_NUMBER):
+            raise InputError(f"{key}: {value:g} is out of the studio's range")
 
 
 def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
-    """Yield the floats in nested mappings and sequences, with their keys in dots."""
+    """Yield the floats in nested mappings and sequences, with dotted keys."""
     if isinstance(value, float):
         yield key.lstrip("."), value
     inner = value.items() if isinstance(value, dict) else ()
@@ -70,7 +68,7 @@ def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
 
 
 def with_landmarks(scenario: Scenario, world: World) -> Scenario:
-    """Return a scenario whose landmarks stand, and stood, as in a world."""
+    """Return a scenario with the landmark positions of a world, now and at home."""
     at = {i: (float(x), float(y)) for i, (x, y) in zip(world.ids, world.places, strict=True)}
     camera = compose(world.home, scenario.home_mount.pose)
     new = {
@@ -83,7 +81,7 @@ def with_landmarks(scenario: Scenario, world: World) -> Scenario:
 
 
 def with_start(scenario: Scenario, robot: Pose) -> Scenario:
-    """Return a scenario that begins where the robot is now, given in the home frame."""
+    """Return a scenario that starts at the robot's pose, given in the home frame."""
     x, y, heading = map(float, compose(scenario.home.pose, robot))
     polar = dict.fromkeys(("R", "theta", "alpha"))
     start = scenario.start.model_copy(update={"x": x, "y": y, "heading": heading, **polar})
@@ -91,10 +89,10 @@ def with_start(scenario: Scenario, robot: Pose) -> Scenario:
 
 
 def with_home(scenario: Scenario, robot: Pose, x: float, y: float, heading: float) -> Scenario:
-    """Return a scenario with home elsewhere in the room, and the robot where it stands.
+    """Return a scenario with home elsewhere in the room, and the robot at its pose.
 
-    Home is stored there anew, so that no landmark has moved since. `InputError` where home would be
-    in a shelf or outside the room.
+    Home is stored again there, so that no landmark has moved since. `InputError` where home would
+    be in a shelf or outside the room.
     """
     if scenario.room is not None and not scenario.room.free(x, y):
         raise InputError("home: outside the room or in a shelf")
@@ -116,38 +114,38 @@ def extent(scenario: Scenario) -> tuple[float, float, float, float]:
     return x - half, y - half, x + half, y + half
 
 
-MOST_POSES = 40
-"""So many views tell what hundreds tell."""
-MOST_KEPT = 10 * MOST_POSES
+MAX_POSES = 40
+"""Number of views for the null space; more do not change it."""
+MAX_KEPT = 10 * MAX_POSES
 
 
 class Views:
-    """Views spread evenly over a drive, a few hundred however long it is."""
+    """A few hundred evenly spaced views of a drive of any length."""
 
     def __init__(self) -> None:
         self.kept: list[tuple[Pose, frozenset[str]]] = []
-        """True poses of the robot in the home frame, and the ids that were seen from each."""
+        """True poses of the robot in the home frame, and the ids seen from each."""
         self._count, self._every = 0, 1
 
     def add(self, pose: Pose, seen: frozenset[str]) -> None:
-        """Take what was seen next."""
+        """Add the next view."""
         if self._count % self._every == 0:
             self.kept.append((pose, seen))
         self._count += 1
-        if len(self.kept) > MOST_KEPT:
+        if len(self.kept) > MAX_KEPT:
             self.kept, self._every = self.kept[::2], 2 * self._every
 
 
 def worlds_alike(robot: LiveRobot, views: Sequence[tuple[Pose, frozenset[str]]]) -> dict[str, Any]:
-    """Return homes and landmarks of other worlds in which all was seen as it was, and words.
+    """Return homes and landmarks of other worlds with equal bearings, and descriptions.
 
-    `views` are true poses of the robot in the home frame, and the ids that were seen from each.
-    `InputError` where nothing was seen yet.
+    `views` are true poses of the robot in the home frame, and the ids seen from each. `InputError`
+    where there are no sightings yet.
     """
-    world, few = robot.world, views[:: max(1, len(views) // MOST_POSES)]
+    world, few = robot.world, views[:: max(1, len(views) // MAX_POSES)]
     seen = [i for i in world.ids if any(i in ids for _, ids in few)]
     if not seen:
-        raise InputError("nothing was seen yet: drive first")
+        raise InputError("no sightings yet; drive first")
     settings = robot.drive.settings
     poses = [compose(pose, settings.sensor.pose) for pose, _ in few]
     scene = Scene(
@@ -167,7 +165,7 @@ def worlds_alike(robot: LiveRobot, views: Sequence[tuple[Pose, frozenset[str]]])
 
     words = [freedom.words for freedom in view.freedoms]
     return {
-        "words": words or ["Nothing: home and all landmarks that were seen are told."],
+        "words": words or ["Nothing: home and all landmarks in view are observable."],
         "homes": [placed(curve.homes) for curve in curves],
         "landmarks": [
             [placed(m) for m in curve.landmarks(len(seen)).transpose(1, 0, 2)] for curve in curves

@@ -1,7 +1,6 @@
-"""The host of the studio: the page and its WebSocket on one port of this machine.
+"""Server of the studio: the page and its WebSocket on one port of this machine.
 
-The page is a handful of files, which the WebSocket server hands out itself: no second server, and
-no more packages than `homeward live` needs.
+The WebSocket server also sends the files of the page, so that no second server is needed.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from typing import Any, NamedTuple, Protocol
 
 from homeward.errors import InputError
 from homeward.io.blas_threads import single_threaded_blas
-from homeward.studio.messages import LONGEST, Asked, Hello, Pace, parse
+from homeward.studio.messages import MAX_MESSAGE, Hello, Pace, Request, parse
 
 TICK_S = 1 / 40
-"""Between two pictures at least [s]; the page draws those between."""
+"""Minimum interval of pictures [s]; the page interpolates."""
 BUSY_S = 0.1
-"""The session works for so long at most before it is asked and shown again [s]."""
+"""Maximum time of one turn of the session [s]."""
 HELLO_S = 5.0
 CLOSE_S = 1.0
-"""A page that does not answer when the studio ends is dropped after this [s]."""
-MOST_WAITING = 1000
+"""Timeout of pages that do not answer when the studio ends [s]."""
+MAX_WAITING = 1000
 OWN = re.compile(r"http://(localhost|127\.0\.0\.1)(:\d+)?")
 KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; " + (
@@ -41,53 +40,53 @@ POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline
 
 
 class Played(Protocol):
-    """What the studio can host: a scene that is played, or a drive that was."""
+    """A scene, a recorded drive or a place in the studio."""
 
     @property
     def version(self) -> int:
-        """Counts what changes `scene`."""
+        """Number of changes of `scene`."""
 
     @property
     def now_s(self) -> float:
-        """How far it is [s of its own time]; infinite where nothing is left to play."""
+        """Its own time [s]; infinite where nothing can be played."""
 
     def step(self) -> None:
-        """Go on a little."""
+        """Advance by one step."""
 
-    def do(self, asked: Asked) -> dict[str, Any] | None:
-        """Do what the page asks for; return what to answer, if anything."""
+    def do(self, request: Request) -> dict[str, Any] | None:
+        """Execute a request of the page; return an answer, if there is one."""
 
     def scene(self) -> dict[str, Any]:
-        """Return what changes seldom."""
+        """Return the static part of the drawing."""
 
     def picture(self) -> dict[str, Any] | None:
-        """Return what changes with every step; None when nothing did."""
+        """Return the part that changes with every step; None without changes."""
 
 
 class Line(NamedTuple):
-    """A message as it is sent."""
+    """A serialised message."""
 
     kind: str
     text: str
 
 
 class Page:
-    """Sends a page what it has not read yet: of each kind of message the newest alone.
+    """Queue of unsent messages to a page, with only the newest message of each kind.
 
-    Nobody waits for a page that does not read; websockets' keepalive lets it go in the end.
+    A page that does not read delays nothing; websockets' keepalive ends its connection.
     """
 
     def __init__(self, socket: Any) -> None:
         self._socket, self._unsent, self._some = socket, dict[str, str](), asyncio.Event()
 
-    def tell(self, line: Line) -> None:
-        """Send a line soon, in place of one of its kind that is still to be sent."""
+    def queue(self, line: Line) -> None:
+        """Queue a message; it replaces an unsent one of its kind."""
         self._unsent.pop(line.kind, None)
         self._unsent[line.kind] = line.text
         self._some.set()
 
     async def send(self) -> None:
-        """Send what is told until the page is gone."""
+        """Send queued messages until the page has disconnected."""
         from websockets.exceptions import ConnectionClosed
 
         with contextlib.suppress(ConnectionClosed):
@@ -98,16 +97,16 @@ class Page:
 
 
 class Studio:
-    """Serves one session to the pages of this machine that know the token."""
+    """Serves one session to pages of this machine with the token."""
 
     def __init__(self, session: Played) -> None:
         self._session, self.token = session, secrets.token_urlsafe(16)
         self._pages: set[Page] = set()
-        self._asked: deque[tuple[Asked, Page]] = deque(maxlen=MOST_WAITING)
+        self._requests: deque[tuple[Request, Page]] = deque(maxlen=MAX_WAITING)
         self._pace = 1.0
 
     async def serve(self, port: int = 0, opened: Callable[[str], None] | None = None) -> None:
-        """Serve until Ctrl-C or SIGTERM; `opened` receives the page's address."""
+        """Serve until Ctrl-C or SIGTERM; `opened` receives the address of the page."""
         from websockets.asyncio.server import serve
 
         ended = asyncio.Event()
@@ -120,7 +119,7 @@ class Studio:
                 "127.0.0.1",
                 port,
                 origins=[OWN],
-                max_size=LONGEST,
+                max_size=MAX_MESSAGE,
                 close_timeout=CLOSE_S,
                 process_request=_page,
             )
@@ -139,26 +138,26 @@ class Studio:
             raise failed
 
     async def _talk(self, socket: Any) -> None:
-        """Take what a page asks for, once it said the token."""
+        """Receive the requests of a page, after a hello with the token."""
         from websockets.exceptions import ConnectionClosed
 
         page = Page(socket)
         sending = asyncio.create_task(page.send())
         try:
             hello = parse(await asyncio.wait_for(socket.recv(), HELLO_S))
-            told = hello.token.encode() if isinstance(hello, Hello) else b""
-            if not hmac.compare_digest(told, self.token.encode()):
+            token = hello.token.encode() if isinstance(hello, Hello) else b""
+            if not hmac.compare_digest(token, self.token.encode()):
                 raise InputError("wrong token: open the address that homeward studio printed")
-            page.tell(_line(self._session.scene()))
+            page.queue(_line(self._session.scene()))
             picture = self._session.picture()
             if picture is not None:
-                page.tell(_line(picture))
+                page.queue(_line(picture))
             self._pages.add(page)
             async for line in socket:
                 try:
-                    self._asked.append((parse(line), page))
+                    self._requests.append((parse(line), page))
                 except InputError as error:
-                    page.tell(_refusal(error))
+                    page.queue(_refusal(error))
         except InputError as error:
             with contextlib.suppress(ConnectionClosed):
                 await socket.send(_refusal(error).text)
@@ -169,53 +168,53 @@ class Studio:
             sending.cancel()
 
     async def _play(self) -> None:
-        """Let time go by for the session while somebody looks."""
+        """Advance the time of the session while a page is connected."""
         behind, then = 0.0, time.monotonic()
         while True:
             await asyncio.sleep(max(TICK_S - (time.monotonic() - then), 0.001))
             now = time.monotonic()
-            # Time that could not be kept up with is let go, not made up for.
+            # A slow machine loses time instead of catching up.
             behind = min(behind + self._pace * (now - then), 2 * BUSY_S * max(self._pace, 1.0))
             then = now
             if not self._pages:
                 behind = 0.0
                 continue
-            said, behind = await asyncio.to_thread(self._work, behind)
-            for line, to in said:
+            messages, behind = await asyncio.to_thread(self._work, behind)
+            for line, to in messages:
                 for page in self._pages if to is None else [to]:
-                    page.tell(line)
+                    page.queue(line)
 
     def _work(self, behind: float) -> tuple[list[tuple[Line, Page | None]], float]:
-        """Do what was asked for, and step; return what to say to whom, None being all."""
-        said: list[tuple[Line, Page | None]] = []
+        """Execute requests, and step; return messages with their page, None for all pages."""
+        messages: list[tuple[Line, Page | None]] = []
         session, version = self._session, self._session.version
         with single_threaded_blas():
-            while self._asked:
-                asked, page = self._asked.popleft()
+            while self._requests:
+                request, page = self._requests.popleft()
                 try:
-                    if isinstance(asked, Pace):
-                        self._pace = asked.pace
-                    elif (answer := session.do(asked)) is not None:
-                        said.append((_line(answer), page))
+                    if isinstance(request, Pace):
+                        self._pace = request.pace
+                    elif (answer := session.do(request)) is not None:
+                        messages.append((_line(answer), page))
                 except InputError as error:
-                    said.append((_refusal(error), page))
-                    version = -1  # what the page drew already is put right
+                    messages.append((_refusal(error), page))
+                    version = -1  # redraw: the page may have drawn the change
             until, stepped = time.monotonic() + BUSY_S, False
             began = session.now_s
             while session.now_s - began < behind and time.monotonic() < until:
                 session.step()
                 stepped = True
         if session.version != version:
-            said.insert(0, (_line(session.scene()), None))
+            messages.insert(0, (_line(session.scene()), None))
             stepped = True
         if stepped and (picture := session.picture()) is not None:
-            said.append((_line(picture), None))
+            messages.append((_line(picture), None))
         left = behind - (session.now_s - began) if math.isfinite(began) else 0.0
-        return said, max(left, -TICK_S * 8)
+        return messages, max(left, -TICK_S * 8)
 
 
 def _line(message: dict[str, Any]) -> Line:
-    """Return a message as JSON; a number that is not finite is null."""
+    """Return a message as JSON, with null for infinite numbers and NaN."""
     return Line(message["type"], json.dumps(_finite(message), separators=(",", ":")))
 
 
@@ -232,7 +231,7 @@ def _finite(value: Any) -> Any:
 
 
 def _page(connection: Any, request: Any) -> Any:
-    """Answer a request for one of the page's files; None lets a WebSocket pass."""
+    """Return the response with a file of the page; None for a WebSocket."""
     upgrades = request.headers.get_all("Upgrade")
     if len(upgrades) > 1:
         return connection.respond(HTTPStatus.BAD_REQUEST, "more than one Upgrade header\n")
@@ -247,7 +246,7 @@ def _page(connection: Any, request: Any) -> Any:
     }
     kind = KINDS.get(name.rpartition(".")[2])
     if name not in files or kind is None:
-        return connection.respond(HTTPStatus.NOT_FOUND, "there is no such page\n")
+        return connection.respond(HTTPStatus.NOT_FOUND, "no such page\n")
     body = files[name].read_bytes()
     headers = Headers(
         {

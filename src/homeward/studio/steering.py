@@ -1,4 +1,4 @@
-"""Who drives the robot of a scene: keys, a homing law, the scene's own way, or nobody."""
+"""Control of the robot of a scene: keys, a homing law, the scene's path, or none."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from homeward.studio.rival import Rival
 from homeward.studio.scenes import with_start
 
 KEYS_HOLD_S, KEYS_TURN = 0.4, 1.0
-"""Keys that are not said again for so long are let go [s]; they turn so fast [rad/s]."""
+"""Time after which keys that are not repeated count as released [s], and their yaw rate [rad/s]."""
 
 
 class Steering:
-    """Makes commands for the robot of a scenario."""
+    """Source of commands for the robot of a scenario."""
 
     def __init__(self, scenario: Scenario, robot: LiveRobot, asked: Steer) -> None:
         self._scenario, self._robot = scenario, robot
@@ -29,7 +29,7 @@ class Steering:
         self.steer(asked)
 
     def steer(self, asked: Steer) -> None:
-        """Let somebody drive, from where the robot is."""
+        """Change the control, from the current pose."""
         self._control = None if asked.by in ("keys", "nobody") else self._make(asked)
         self.asked, self.done = asked, False
 
@@ -42,16 +42,16 @@ class Steering:
         return make_control(now, self._robot.pose, home)
 
     def hold(self, keys: Keys) -> None:
-        """Take what the keys say."""
+        """Set the state of the keys."""
         self._keys = Twist(self._scenario.trajectory.speed * keys.v, KEYS_TURN * keys.omega)
         self._keys_until = self._robot.t + KEYS_HOLD_S
 
     def twist(self, rivals: Sequence[Rival], seen: Mapping[str, float]) -> Twist:
-        """Return the command now; by what is believed, and what was `seen` last, id to [rad]."""
+        """Return the command now; `seen` are the last bearings by id [rad]."""
         t = self._robot.t
         if self._control is None:
             return self._keys if self.asked.by == "keys" and t < self._keys_until else STAND
-        belief = self._believed(rivals)
+        belief = self._belief(rivals)
         if belief.pose is not None:
             turn = self._scenario.sensor.yaw + belief.pose.heading
             belief = belief._replace(seen={i: float(wrap(b + turn)) for i, b in seen.items()})
@@ -60,8 +60,8 @@ class Steering:
             self._control, self.done = None, True
         return twist or STAND
 
-    def _believed(self, rivals: Sequence[Rival]) -> Belief:
-        """Return the estimate that steers."""
+    def _belief(self, rivals: Sequence[Rival]) -> Belief:
+        """Return the estimate for the control."""
         for rival in rivals:
             if rival.name == self.asked.believing:
                 estimate = rival.estimate

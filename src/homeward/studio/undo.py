@@ -1,4 +1,4 @@
-"""What was done, to be undone."""
+"""Undo of changes."""
 
 from __future__ import annotations
 
@@ -7,25 +7,25 @@ from collections.abc import Callable, Hashable
 
 from homeward.errors import InputError
 
-MOST = 100
+MAX_CHANGES = 100
 
 
 class Undo:
-    """How to take back what was done last; all of one stroke at once."""
+    """The last changes, each with a function that reverts it; a stroke counts as one change."""
 
     def __init__(self) -> None:
-        self._done: deque[tuple[Hashable, Callable[[], None]]] = deque(maxlen=MOST)
+        self._done: deque[tuple[Hashable, Callable[[], None]]] = deque(maxlen=MAX_CHANGES)
 
     def __len__(self) -> int:
         return len(self._done)
 
     def remember(self, stroke: Hashable, back: Callable[[], None]) -> None:
-        """Keep how to take something back, unless it goes on with a stroke; None is no stroke."""
+        """Store how to revert a change, unless it continues a stroke; None is no stroke."""
         if stroke is None or not self._done or self._done[-1][0] != stroke:
             self._done.append((stroke, back))
 
     def back(self) -> None:
-        """Take back what was done last; `InputError` where nothing was done."""
+        """Revert the last change; `InputError` without one."""
         if not self._done:
             raise InputError("there is nothing to undo")
         self._done.pop()[1]()

@@ -1,4 +1,4 @@
-"""A place in the studio: what stood where after each of its visits, its homes and its routes.
+"""A place in the studio: its landmarks after each visit, its homes and its routes.
 
 Everything is in the frame of the place's first home.
 """
@@ -15,29 +15,29 @@ import numpy as np
 from homeward.errors import InputError
 from homeward.places.place import Event, Place
 from homeward.runs.report.words import date, info_lines, visit_words
-from homeward.studio.messages import Asked
+from homeward.studio.messages import Request
 
 MARGIN_M = 0.5
 
 
 class Visited:
-    """What the studio shows of a place; nothing of it can be changed there."""
+    """View of a place, which cannot be changed in the studio."""
 
     now_s, version = math.inf, 1
 
     def __init__(self, place: Place) -> None:
         self._place = place
-        self._visits = list(self._told())
+        self._visits = list(self._drawn_visits())
 
     def step(self) -> None:
-        """Do nothing: it was visited already."""
+        """Do nothing: a place has no time to play."""
 
-    def do(self, asked: Asked) -> dict[str, Any] | None:
-        """Raise InputError: a place is changed by drives, and by ``homeward place``."""
-        raise InputError("that is for a scene, not for a place; homeward place changes one")
+    def do(self, request: Request) -> dict[str, Any] | None:
+        """Raise InputError: only drives and ``homeward place`` change a place."""
+        raise InputError("a place cannot be changed in the studio; use homeward place")
 
     def scene(self) -> dict[str, Any]:
-        """Return all visits, the oldest first."""
+        """Return all visits, oldest first."""
         first = self._place.home_pose(self._place.origin)
         return {
             "type": "scene",
@@ -54,30 +54,30 @@ class Visited:
         }
 
     def picture(self) -> None:
-        """Return nothing: the page has all visits, and picks one."""
+        """Return nothing: the page has all visits."""
 
-    def _told(self) -> Iterator[dict[str, Any]]:
-        """Yield what is drawn and said of each visit."""
+    def _drawn_visits(self) -> Iterator[dict[str, Any]]:
+        """Yield the drawing and the description of each visit."""
         place = self._place
         here: dict[str, list[float]]
         here = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
         known = {e.landmark for e in place.events if e.what == "new"}
-        # Events of long ago are not kept: who has none of its coming was always here.
+        # Old events are not stored: a landmark without a "new" event was always here.
         at, away = {n: xy for n, xy in here.items() if n not in known}, set[str]()
         for number, visit in enumerate(place.visits, 1):
-            stood, moved = dict(at), set[str]()
+            previous, moved = dict(at), set[str]()
             for event in (e for e in place.events if e.visit == visit.number):
                 _follow(event, at, away)
                 if event.what == "moved":
                     moved.add(event.landmark)
-            if number == len(place.visits):  # as it is mapped by all of them
+            if number == len(place.visits):  # the map of all visits
                 at = here
             then = replace(place, visits=place.visits[:number])
             yield {
                 "number": visit.number,
-                "said": f"{date(visit.when)}, {visit_words(then)}",
+                "text": f"{date(visit.when)}, {visit_words(then)}",
                 "landmarks": dict(at),
-                "stood": {n: stood.get(n, xy) if n in moved else xy for n, xy in at.items()},
+                "previous": {n: previous.get(n, xy) if n in moved else xy for n, xy in at.items()},
                 "stored": sorted(at.keys() - away),
                 "homes": {
                     name: [*place.home_pose(name)]
@@ -95,7 +95,7 @@ class Visited:
             }
 
     def _extent(self) -> list[float]:
-        """Return the rectangle in which everything is that ever was: x, y, x, y [m]."""
+        """Return the rectangle around everything in all visits: x, y, x, y [m]."""
         points = [np.zeros((1, 2)), *(route.poses[:, :2] for route in self._place.routes.values())]
         points += [np.array([*v["landmarks"].values()]).reshape(-1, 2) for v in self._visits]
         points += [np.array([pose[:2] for pose in v["homes"].values()]) for v in self._visits[-1:]]
@@ -105,7 +105,7 @@ class Visited:
 
 
 def _follow(event: Event, at: dict[str, list[float]], away: set[str]) -> None:
-    """Take what an event says of where a landmark is, or that it is away."""
+    """Update the positions and the missing landmarks from an event."""
     if event.what == "gone":
         away.add(event.landmark)
         return

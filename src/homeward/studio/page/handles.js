@@ -1,4 +1,4 @@
-// Things to drag by pointer or finger, or to choose by Tab and move by arrow keys.
+// Handles to drag by pointer or finger, or to select with Tab and move with arrow keys.
 import {make} from "./view.js";
 
 const STEP_M = 0.05, FAR_M = 0.5;
@@ -6,8 +6,8 @@ const ARROWS = {ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDo
 let strokes = Date.now() % 1e6; // moves of one stroke are undone together
 
 /**
- * A handle named `label` in `view`; `moved(x, y, stroke, done)` is told of every move.
- * Unless it `turns` it is drawn upright; `held` says that it is being dragged.
+ * A handle named `label` in `view`; `moved(x, y, stroke, done)` is called with every move.
+ * Unless it `turns` it is drawn upright; `held` is true while it is dragged.
  */
 export function handle(view, label, moved, shape, turns = true) {
   const g = make("g", {class: "handle"}, view.layers.handles);
@@ -19,11 +19,11 @@ export function handle(view, label, moved, shape, turns = true) {
     Object.assign(thing, {x, y, heading, scale: view.scale});
     view.place(g, x, y, turns ? heading : 0);
   };
-  /** Let it be looked at alone, or be moved as well. */
+  /** Disable or enable moving. */
   thing.fix = (fixed) => {
     thing.fixed = fixed;
     g.setAttribute("role", fixed ? "img" : "button");
-    g.setAttribute("aria-label", fixed ? label : `${label}, to drag or to move by arrow keys`);
+    g.setAttribute("aria-label", fixed ? label : `${label}, to drag or to move with arrow keys`);
     if (fixed) g.removeAttribute("tabindex");
     else g.setAttribute("tabindex", 0);
   };

@@ -1,4 +1,4 @@
-// Driving by keys, and by the pad on the page; held, they are said again until they are let go.
+// Driving with keys and with the pad on the page; repeated while they are held.
 
 const WAYS = {ArrowUp: [1, 0], KeyW: [1, 0], ArrowDown: [-1, 0], KeyS: [-1, 0], ArrowLeft: [0, 1], KeyA: [0, 1], ArrowRight: [0, -1], KeyD: [0, -1]};
 const AGAIN_MS = 100;
@@ -7,7 +7,7 @@ const AGAIN_MS = 100;
 export function listen(drive, shortcuts) {
   const held = new Map();
   let timer = null;
-  const say = () => {
+  const update = () => {
     const sum = [...held.values()].reduce(([a, b], [v, w]) => [a + v, b + w], [0, 0]);
     drive(...sum.map((x) => Math.max(-1, Math.min(1, x))));
     if (!held.size) { clearInterval(timer); timer = null; }
@@ -15,10 +15,10 @@ export function listen(drive, shortcuts) {
   const hold = (key, way) => {
     if (held.has(key)) return;
     held.set(key, way);
-    say();
-    timer ??= setInterval(say, AGAIN_MS);
+    update();
+    timer ??= setInterval(update, AGAIN_MS);
   };
-  const release = (key) => { if (held.delete(key)) say(); };
+  const release = (key) => { if (held.delete(key)) update(); };
   addEventListener("keydown", (e) => {
     if (e.target.closest?.("input, select, textarea, button, summary")) return;
     if (e.code in WAYS && !e.ctrlKey && !e.metaKey) { e.preventDefault(); hold(e.code, WAYS[e.code]); return; }

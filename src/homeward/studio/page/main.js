@@ -1,4 +1,4 @@
-// The page: a socket to the session, a picture that is drawn as often as the screen is, and the panel.
+// The page: a socket to the session, a picture that is drawn with every frame of the screen, and the panel.
 import * as keys from "./keys.js";
 import {Panel} from "./panel.js";
 import {Replay} from "./replay.js";
@@ -8,85 +8,85 @@ import {Visits} from "./visits.js";
 import {Watchers} from "./watchers.js";
 import {World} from "./world.js";
 
-const LEAP = 10; // moments of a drive by one press of an arrow key
+const LEAP = 10; // rows of a drive for one press of an arrow key
 const $ = (id) => document.getElementById(id);
-const svg = $("picture"), said = $("said");
+const svg = $("picture"), text = $("text");
 const socket = new WebSocket(`ws://${location.host}/`);
 const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
 const view = new View(svg), world = new World(view, send), watchers = new Watchers(view), panel = new Panel(send);
 const replay = new Replay(view, send), visits = new Visits(world);
 let scene = null, before = null, after = null, arrived = 0, interval = 50, playing = true, wrong = 0, drawn = 0;
 
-function say(words, error = false) {
+function display(words, error = false) {
   if (!error && performance.now() < wrong) return;
   if (error) wrong = performance.now() + 4000;
-  said.classList.toggle("error", error);
-  if (said.textContent !== words) said.textContent = words;
+  text.classList.toggle("error", error);
+  if (text.textContent !== words) text.textContent = words;
 }
 
-const hear = {
-  scene(told) {
-    if (scene && told.begun !== scene.begun) { watchers.clear(); view.layers.alike.replaceChildren(); before = after = null; }
-    scene = told;
-    document.body.dataset.mode = told.mode;
-    if (told.mode === "place") {
+const handlers = {
+  scene(state) {
+    if (scene && state.begun !== scene.begun) { watchers.clear(); view.layers.alike.replaceChildren(); before = after = null; }
+    scene = state;
+    document.body.dataset.mode = state.mode;
+    if (state.mode === "place") {
       toggle();
-      visits.take(told);
-      say(visits.draw());
+      visits.take(state);
+      display(visits.draw());
       return;
     }
-    world.show(told);
-    watchers.show(told);
-    if (told.mode === "scene") panel.show(told);
+    world.show(state);
+    watchers.show(state);
+    if (state.mode === "scene") panel.show(state);
     else {
       if (!replay.sliders) toggle();
-      panel.choices(told);
-      replay.show(told);
+      panel.choices(state);
+      replay.show(state);
     }
   },
-  frame(told) {
+  frame(state) {
     const now = performance.now();
-    before = after ?? told;
-    after = told;
+    before = after ?? state;
+    after = state;
     interval = Math.min(Math.max(0.8 * interval + 0.2 * (now - arrived), 10), 200);
     arrived = now;
-    watchers.take(told);
-    panel.tell(told);
-    say(told.said || "Drag a landmark while it drives, and see who notices.");
+    watchers.take(state);
+    panel.update(state);
+    display(state.text || "Drag a landmark during the drive: robust reports it as moved after some sightings.");
   },
-  run(told) {
-    replay.take(told);
+  run(state) {
+    replay.take(state);
     moment();
   },
-  worlds(told) {
-    watchers.alike(told);
-    $("free").replaceChildren(...told.words.map((words) => Object.assign(document.createElement("li"), {textContent: words})));
+  worlds(state) {
+    watchers.alike(state);
+    $("free").replaceChildren(...state.words.map((words) => Object.assign(document.createElement("li"), {textContent: words})));
   },
-  file(told) { download(told.name, new Blob([told.text], {type: "text/plain"})); },
-  error(told) { say(told.text, true); },
+  file(state) { download(state.name, new Blob([state.text], {type: "text/plain"})); },
+  error(state) { display(state.text, true); },
 };
 
-/** Of an opened drive or place: show the chosen moment. */
+/** Show the selected time of a recorded drive, or visit of a place. */
 function moment() {
-  if (scene?.mode === "place") { say(visits.draw()); return; }
+  if (scene?.mode === "place") { display(visits.draw()); return; }
   const frame = replay.frame();
   if (!frame) return;
   before = after = frame;
   watchers.take(frame);
-  panel.tell(frame);
+  panel.update(frame);
   $("moment").setAttribute("aria-valuetext", `${frame.t.toFixed(0)} s`);
-  world.name(new Set(Object.values(frame.rivals).flatMap((told) => Object.keys(told.moved ?? {}))));
-  say(frame.said);
+  world.name(new Set(Object.values(frame.rivals).flatMap((state) => Object.keys(state.moved ?? {}))));
+  display(frame.text);
 }
 
 socket.addEventListener("open", () => {
   send({do: "hello", token: new URLSearchParams(location.search).get("token") ?? ""});
   let shared = null;
-  try { shared = fromFragment(location.hash); } catch { say("This link holds no scene.", true); }
+  try { shared = fromFragment(location.hash); } catch { display("This link contains no scene.", true); }
   if (shared) send({do: "open", scene: shared});
 });
-socket.addEventListener("message", (e) => { const told = JSON.parse(e.data); hear[told.type]?.(told); });
-socket.addEventListener("close", () => { wrong = 0; say("The studio ended, or this address is an old one. Start homeward studio again.", true); });
+socket.addEventListener("message", (e) => { const state = JSON.parse(e.data); handlers[state.type]?.(state); });
+socket.addEventListener("close", () => { wrong = 0; display("The studio has ended, or this address is old. Start homeward studio again.", true); });
 
 function draw() {
   drawn += 1;
@@ -113,15 +113,15 @@ $("worlds").addEventListener("click", () => send({do: "worlds"}));
 $("save").addEventListener("click", () => send({do: "save"}));
 $("svg").addEventListener("click", () => download("studio.svg", new Blob([svgText(svg)], {type: "image/svg+xml"})));
 $("png").addEventListener("click", async () => download("studio.png", await png(svg)));
-$("film").addEventListener("click", async () => download("frames.tar", await film(svg, say)));
+$("film").addEventListener("click", async () => download("frames.tar", await film(svg, display)));
 $("link").addEventListener("click", async () => {
   location.hash = toFragment(scene.scenario);
   const there = location.origin + "/#" + toFragment(scene.scenario);
   await navigator.clipboard?.writeText(there).catch(() => {});
-  say("The scene is in the address of this page, and, without your token, in the clipboard.");
+  display("The link is in the address of this page and, without your token, in the clipboard.");
 });
 replay.chosen = moment;
-replay.busy = say;
+replay.busy = display;
 visits.chosen = moment;
 svg.addEventListener("dblclick", (e) => {
   if (e.target.closest(".handle") || scene?.mode !== "scene") return;
@@ -141,5 +141,5 @@ keys.listen((v, omega) => {
   send({do: "keys", v, omega});
 }, {" ": toggle, "Ctrl+z": () => send({do: "undo"})});
 
-// For tests and measurements: pictures drawn so far.
+// For tests and measurements.
 Object.defineProperty(window, "studio", {value: {get drawn() { return drawn; }, get frame() { return after; }, get scene() { return scene; }}});

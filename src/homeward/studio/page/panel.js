@@ -1,18 +1,17 @@
-// Beside the picture: how each estimator fares, in words and figures, and what can be set.
+// Panel: status and errors of each estimator, and controls.
 import {colour} from "./watchers.js";
 
 const $ = (id) => document.getElementById(id);
 const DEG = 180 / Math.PI;
-const NEES_95 = 7.8; // 95 % of chi-square with three degrees of freedom
 const SLIDERS = [
   ["noise.bearing_sigma", "noise of bearings", 0, 5, 0.1, "°", 1 / DEG],
-  ["noise.wrong_ids", "wrong names", 0, 0.3, 0.01, "", 1],
-  ["visibility.probability", "seen with chance", 0, 1, 0.05, "", 1],
+  ["noise.wrong_ids", "wrong ids", 0, 0.3, 0.01, "", 1],
+  ["visibility.probability", "detection rate", 0, 1, 0.05, "", 1],
   ["visibility.field_of_view", "field of view", 30, 360, 10, "°", 1 / DEG],
-  ["visibility.range", "sees as far as", 1, 20, 0.5, " m", 1],
+  ["visibility.range", "maximum range", 1, 20, 0.5, " m", 1],
   ["sensor.x", "camera ahead", -0.5, 0.5, 0.02, " m", 1],
   ["sensor.y", "camera to the left", -0.5, 0.5, 0.02, " m", 1],
-  ["sensor.yaw", "camera turned", -180, 180, 1, "°", 1 / DEG],
+  ["sensor.yaw", "camera yaw", -180, 180, 1, "°", 1 / DEG],
 ];
 
 function element(name, more, ...children) {
@@ -21,17 +20,17 @@ function element(name, more, ...children) {
   return made;
 }
 
-/** Sliders for `list`; `set(key, value, stroke)` is told of every change. Returns what shows values. */
+/** Sliders for `list`; `set(key, value, stroke)` is called with every change. Returns objects that show values. */
 export function sliders(host, list, set) {
   let stroke = 0;
   const shown = list.map(([key, label, min, max, step, unit, factor]) => {
     const input = element("input", {type: "range", min, max, step, id: `set-${key}`});
-    const output = element("output", {}), told = () => { output.textContent = Number(input.value).toFixed(step < 1 ? (step < 0.1 ? 2 : 1) : 0) + unit; };
+    const output = element("output", {}), state = () => { output.textContent = Number(input.value).toFixed(step < 1 ? (step < 0.1 ? 2 : 1) : 0) + unit; };
     input.setAttribute("aria-label", label);
     input.addEventListener("pointerdown", () => { stroke += 1; });
-    input.addEventListener("input", () => { told(); set(key, Number(input.value) * factor, stroke); });
+    input.addEventListener("input", () => { state(); set(key, Number(input.value) * factor, stroke); });
     host.append(element("div", {className: "slider"}, element("label", {htmlFor: input.id, textContent: label}), input, output));
-    return {key, show(value) { if (document.activeElement !== input) input.value = value / factor; told(); }};
+    return {key, show(value) { if (document.activeElement !== input) input.value = value / factor; state(); }};
   });
   return shown;
 }
@@ -59,13 +58,13 @@ export class Panel {
     $("law").value = scene.steer.law;
     $("law-box").hidden = scene.steer.by !== "law";
     $("believing-box").hidden = !["law", "path"].includes(scene.steer.by);
-    const believed = ["truth", ...scene.estimators];
-    $("believing").replaceChildren(...believed.map((name) => element("option", {textContent: name})));
-    $("believing").value = believed.includes(scene.steer.believing) ? scene.steer.believing : "truth";
+    const sources = ["truth", ...scene.estimators];
+    $("believing").replaceChildren(...sources.map((name) => element("option", {textContent: name})));
+    $("believing").value = sources.includes(scene.steer.believing) ? scene.steer.believing : "truth";
     this.choices(scene);
   }
 
-  /** Which estimators run, to choose; and a card of each. */
+  /** Choice of estimators, and a card for each. */
   choices(scene) {
     $("undo").disabled = !scene.undo;
     const key = JSON.stringify([scene.known, scene.estimators]);
@@ -91,21 +90,21 @@ export class Panel {
     }));
   }
 
-  /** Say how each fares now. */
-  tell(frame) {
+  /** Show the state of each estimator. */
+  update(frame) {
     $("clock").textContent = `${frame.t.toFixed(0)} s`;
-    put($("best"), frame.bound === null ? "" : `Nobody could know it better than to ${(100 * frame.bound).toFixed(1)} cm (one sigma; the bound).`);
+    put($("best"), frame.bound === null ? "" : `Minimum position error of any estimator (Cramér-Rao bound): ${(100 * frame.bound).toFixed(1)} cm (one sigma).`);
     for (const [name, card] of this.cards) {
-      const told = frame.rivals[name];
-      if (!told) continue;
-      const moved = Object.entries(told.moved ?? {}).map(([id, p]) => `${id} (${(100 * p).toFixed(0)} %)`);
-      const known = told.error ?? null;
-      const figures = known === null ? (told.pose ? "" : "no pose") : `${known.toFixed(2)} m off; NEES ${large(told.nees)}` +
-        (told.nees > NEES_95 ? ", outside 95 %" : "") + (told.nees_mean === undefined ? "" : `, mean ${large(told.nees_mean)}`);
-      put(card.status, told.status);
-      put(card.reason, told.reason);
+      const state = frame.rivals[name];
+      if (!state) continue;
+      const moved = Object.entries(state.moved ?? {}).map(([id, p]) => `${id} (${(100 * p).toFixed(0)} %)`);
+      const known = state.error ?? null;
+      const figures = known === null ? (state.pose ? "" : "no pose") : `error ${known.toFixed(2)} m; NEES ${large(state.nees)}` + (state.nees_mean === undefined ? "" : `, mean ${large(state.nees_mean)}`);
+      const wrong = known !== null && state.overconfident;
+      put(card.status, wrong ? `${state.status}, but overconfident` : state.status);
+      put(card.reason, wrong ? "Ground truth is outside the 95 % region of this estimate." : state.reason);
       put(card.moved, moved.length ? `Moved since home: ${moved.join(", ")}` : "");
-      put(card.figures, figures + (told.update_ms === undefined ? "" : `; ${told.update_ms.toFixed(1)} ms an update`));
+      put(card.figures, figures + (state.update_ms === undefined ? "" : `; ${state.update_ms.toFixed(1)} ms per update`));
     }
   }
 }

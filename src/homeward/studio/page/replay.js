@@ -1,4 +1,4 @@
-// A drive that was driven: scrub it, run it with another camera, lag or noise, mark what was moved.
+// A recorded drive: move along it, run it with other extrinsics, lag or noise, mark moved landmarks.
 import {sliders} from "./panel.js";
 
 const $ = (id) => document.getElementById(id);
@@ -6,7 +6,7 @@ const DEG = 180 / Math.PI;
 const SLIDERS = [
   ["x", "camera ahead", -1, 1, 0.02, " m", 1],
   ["y", "camera to the left", -1, 1, 0.02, " m", 1],
-  ["yaw", "camera turned", -180, 180, 1, "°", 1 / DEG],
+  ["yaw", "camera yaw", -180, 180, 1, "°", 1 / DEG],
   ["bearings_late", "bearings late by", -1, 1, 0.02, " s", 1],
   ["bearing_sigma", "noise of bearings", 0.05, 10, 0.05, "°", 1 / DEG],
 ];
@@ -27,7 +27,7 @@ export class Replay {
     $("moment").addEventListener("input", () => { this.chosen(); });
   }
 
-  /** Show what can be set; once, and then what is set. */
+  /** Create the controls once, and show their values. */
   show(scene) {
     if (!this.sliders) {
       for (const id of ["driving", "alike"]) $(id).hidden = true;
@@ -49,7 +49,7 @@ export class Replay {
       });
       label.append(box, ` ${id}`);
       return label;
-    }), names.length ? "" : "No landmark is placed yet.");
+    }), names.length ? "" : "No landmark has a position yet.");
   }
 
   adjust(change) {
@@ -57,7 +57,7 @@ export class Replay {
     clearTimeout(this.timer);
     this.timer = setTimeout(() => {
       this.send({do: "adjust", ...this.asked});
-      this.busy("Running it again …");
+      this.busy("Running the estimators …");
     }, SETTLED_MS);
   }
 
@@ -74,16 +74,16 @@ export class Replay {
     this.chosen();
   }
 
-  /** The chosen moment, as a picture of a scene that is played. */
+  /** The selected time, as a frame of a scene. */
   frame() {
     const {run} = this;
     if (!run) return null;
     const k = Math.min(Number($("moment").value), run.t.length - 1);
     const rivals = Object.fromEntries(Object.entries(run.rivals).map(([name, r]) => [name, r.failure ? {status: "failed", reason: r.failure, moved: {}, marks: {}} : {
-      status: r.status[k], reason: r.reason[k], moved: r.moved[k], marks: r.marks, pose: r.pose[k] ?? undefined, ellipse: r.ellipse[k], error: r.error[k] ?? undefined, nees: r.nees[k]}]));
+      status: r.status[k], reason: r.reason[k], moved: r.moved[k], marks: r.marks, pose: r.pose[k] ?? undefined, ellipse: r.ellipse[k], error: r.error[k] ?? undefined, nees: r.nees[k], overconfident: r.overconfident[k]}]));
     const trails = Object.fromEntries(Object.entries(run.rivals).map(([name, r]) => [name, (r.pose ?? []).slice(0, k + 1).filter(Boolean)]));
     if (run.truth) trails.truth = run.truth.slice(0, k + 1);
     const robot = run.truth?.[k] ?? rivals[Object.keys(rivals)[0]]?.pose ?? [0, 0, 0];
-    return {t: run.t[k], robot, camera: compose(robot, run.camera), seen: run.seen[k], bound: null, rivals, trails, said: run.said};
+    return {t: run.t[k], robot, camera: compose(robot, run.camera), seen: run.seen[k], bound: null, rivals, trails, text: run.text};
   }
 }

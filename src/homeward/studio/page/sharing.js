@@ -1,4 +1,4 @@
-// What leaves the page: the scene in a link, files to save, and the picture as SVG and PNG.
+// Export: the scene as a link, files, and the picture as SVG and PNG.
 
 const FRAMES = 60, EVERY_MS = 100;
 
@@ -8,7 +8,7 @@ export function download(name, blob) {
   setTimeout(() => URL.revokeObjectURL(link.href), 10_000);
 }
 
-/** A scenario as text for an address, and back; null where there is none. */
+/** Convert a scenario to text for an address. */
 export function toFragment(scenario) {
   const bytes = new TextEncoder().encode(JSON.stringify(scenario));
   return "scene=" + btoa(String.fromCharCode(...bytes)).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
@@ -23,7 +23,7 @@ export function fromFragment(text) {
 
 const KEPT = ["display", "fill", "fill-opacity", "stroke", "stroke-width", "stroke-opacity", "stroke-dasharray", "stroke-linejoin", "font"];
 
-/** The picture as a file of its own: styles written into the elements, handles no more than drawn. */
+/** The picture as an SVG file, with styles in its elements and without interactive handles. */
 export function svgText(svg) {
   const copy = svg.cloneNode(true), box = svg.getBoundingClientRect();
   const from = svg.querySelectorAll("*"), to = copy.querySelectorAll("*");
@@ -52,18 +52,18 @@ export async function png(svg) {
 }
 
 /** The next pictures as one tar file. */
-export async function film(svg, tell, frames = FRAMES) {
+export async function film(svg, onProgress, frames = FRAMES) {
   const parts = [];
   for (let k = 1; k <= frames; k++) {
     const began = performance.now(), image = await png(svg);
     parts.push(tarHead(`frame-${String(k).padStart(3, "0")}.png`, image.size), image, new Uint8Array(-image.size & 511));
-    tell(`Frame ${k} of ${frames}.`);
+    onProgress(`Frame ${k} of ${frames}.`);
     await new Promise((resolve) => setTimeout(resolve, Math.max(0, EVERY_MS - (performance.now() - began))));
   }
   return new Blob([...parts, new Uint8Array(1024)], {type: "application/x-tar"});
 }
 
-/** What stands before a file in a tar (ustar): 512 bytes of text, numbers in octal. */
+/** Header of a file in a tar (ustar): 512 bytes of text, numbers in octal. */
 function tarHead(name, size) {
   const head = new Uint8Array(512);
   const write = (at, text) => head.set(new TextEncoder().encode(text), at);

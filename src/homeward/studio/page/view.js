@@ -50,7 +50,7 @@ export class View {
     element.setAttribute("transform", `translate(${u.toFixed(2)} ${v.toFixed(2)}) rotate(${((-heading * 180) / Math.PI).toFixed(2)})`);
   }
 
-  /** A line through points, broken where one is far from the one before. */
+  /** A path through points, interrupted where the distance exceeds `far`. */
   line(points, far = Infinity) {
     return points.map(([x, y], k) => {
       const jumped = !k || Math.hypot(x - points[k - 1][0], y - points[k - 1][1]) > far;

@@ -1,4 +1,4 @@
-// A place: slide through its visits, and see what stood where, its homes and its routes.
+// A place: its visits, homes and routes.
 
 const $ = (id) => document.getElementById(id);
 const EVERY_MS = 700;
@@ -10,7 +10,7 @@ export class Visits {
     this.playing = false;
   }
 
-  /** Take all visits, and show the last. */
+  /** Store all visits, and show the last. */
   take(scene) {
     this.scene = scene;
     const last = scene.visits.length - 1;
@@ -24,16 +24,16 @@ export class Visits {
     setInterval(() => this.tick(), EVERY_MS);
   }
 
-  /** Draw the chosen visit; return what is to be said of it. */
+  /** Draw the selected visit; return its description. */
   draw() {
     const {visits} = this.scene, now = visits[Math.min(Number($("moment").value), visits.length - 1)];
     this.world.show({...this.scene, ...now});
     $("moment").setAttribute("aria-valuetext", `visit ${now.number}`);
     $("clock").textContent = `visit ${now.number} of ${visits.at(-1).number}`;
-    return now.said;
+    return now.text;
   }
 
-  /** Play on, from the first where it stood at the last. */
+  /** Play the visits, from the first one if the last is shown. */
   play(playing) {
     const there = $("moment");
     if (playing && Number(there.value) >= Number(there.max)) there.value = 0;

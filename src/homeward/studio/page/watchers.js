@@ -1,4 +1,4 @@
-// What is seen and what is believed: rays, and of each estimator pose, ellipse, trail and landmarks.
+// Rays of sightings, and pose, ellipse, path and landmarks of each estimator.
 import {make, wrap} from "./view.js";
 
 const SIGMAS = 2, TRAIL = 600, JUMP_M = 0.5;
@@ -17,7 +17,7 @@ export class Watchers {
     this.points = [];
   }
 
-  /** Make what is drawn of each estimator. */
+  /** Create the elements of each estimator. */
   show(scene) {
     this.scene = scene;
     for (const [name, r] of this.rivals) {
@@ -30,39 +30,39 @@ export class Watchers {
       const own = {style: `--own:${colour(name, k)}`, "data-rival": name}, {layers} = this.view;
       const g = make("g", {...own, display: "none"}, layers.estimates);
       const ellipse = make("ellipse", {class: "estimate"}, g);
-      make("path", {d: "M11 0L-7 6L-3 0L-7-6Z", class: "believed"}, g);
+      make("path", {d: "M11 0L-7 6L-3 0L-7-6Z", class: "pose"}, g);
       const trail = make("path", {...own, class: "trail"}, layers.trails);
       this.rivals.set(name, {g, ellipse, trail, marks: make("g", own, layers.marks), points: []});
     });
   }
 
-  /** Forget what was driven. */
+  /** Clear all paths. */
   clear() {
     this.points = [];
     for (const r of this.rivals.values()) r.points = [];
   }
 
-  /** Take a new picture: what need not be drawn in between. */
+  /** Draw the parts of a new frame that are not interpolated. */
   take(frame) {
     const {view} = this;
     this.points = frame.trails?.truth ?? [...this.points.slice(-TRAIL), frame.robot];
     this.path.setAttribute("d", view.line(this.points, JUMP_M));
     for (const [name, r] of this.rivals) {
-      const told = frame.rivals[name];
-      r.g.setAttribute("display", told?.pose ? "inline" : "none");
-      r.points = frame.trails?.[name] ?? (told?.pose ? [...r.points.slice(-TRAIL), told.pose] : []);
+      const state = frame.rivals[name];
+      r.g.setAttribute("display", state?.pose ? "inline" : "none");
+      r.points = frame.trails?.[name] ?? (state?.pose ? [...r.points.slice(-TRAIL), state.pose] : []);
       r.trail.setAttribute("d", view.line(r.points, JUMP_M));
-      const e = told?.ellipse;
+      const e = state?.ellipse;
       if (e) {
         r.ellipse.setAttribute("rx", Math.min(SIGMAS * e[0] * view.scale, 5000));
         r.ellipse.setAttribute("ry", Math.min(SIGMAS * e[1] * view.scale, 5000));
         r.turn = e[2];
       }
-      const key = JSON.stringify(told?.marks ?? {}) + view.scale;
+      const key = JSON.stringify(state?.marks ?? {}) + view.scale;
       if (key !== r.key) {
         r.key = key;
         r.marks.setAttribute("class", "mark");
-        const d = Object.values(told?.marks ?? {}).map((at) => { const [x, y] = view.px(...at); return `M${x - 4} ${y - 4}l8 8m0-8l-8 8`; });
+        const d = Object.values(state?.marks ?? {}).map((at) => { const [x, y] = view.px(...at); return `M${x - 4} ${y - 4}l8 8m0-8l-8 8`; });
         r.marks.replaceChildren();
         make("path", {d: d.join("")}, r.marks);
       }
@@ -86,7 +86,7 @@ export class Watchers {
     }
   }
 
-  /** Draw between two pictures: `share` of the way from one to the next. */
+  /** Interpolate between two frames by `share`. */
   draw(before, after, share) {
     const mix = (a, b) => [a[0] + share * (b[0] - a[0]), a[1] + share * (b[1] - a[1]), a[2] + share * wrap(b[2] - a[2])];
     const jumped = (a, b) => !a || Math.hypot(a[0] - b[0], a[1] - b[1]) > JUMP_M;
@@ -103,12 +103,12 @@ export class Watchers {
     return robot;
   }
 
-  /** Draw homes and landmarks of other worlds in which all was seen as it was. */
-  alike(told) {
+  /** Draw homes and landmarks of other worlds with equal bearings. */
+  alike(state) {
     const layer = this.view.layers.alike;
     layer.replaceChildren();
-    for (const homes of told.homes) make("path", {d: this.view.line(homes), class: "alike", "data-alike": "home"}, layer);
-    for (const curves of told.landmarks) {
+    for (const homes of state.homes) make("path", {d: this.view.line(homes), class: "alike", "data-alike": "home"}, layer);
+    for (const curves of state.landmarks) {
       for (const curve of curves) make("path", {d: this.view.line(curve), class: "alike marks", "data-alike": "landmark"}, layer);
     }
   }

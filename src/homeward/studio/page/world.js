@@ -1,9 +1,9 @@
-// What stands in the room: walls, shelves, landmarks, home; and the robot, which can be carried off.
+// The room: walls, shelves, landmarks, home and robot, which can be dragged.
 import {handle} from "./handles.js";
 import {make} from "./view.js";
 
 const HOUSE = "M-9 9H9V-2L0-11L-9-2Z", DIAMOND = "M0-5L5 0L0 5L-5 0Z", KITE = "M13 0L-9 8L-4 0L-9-8Z";
-const APART = 0.02; // a landmark that stands farther from where it stood was moved [m]
+const APART = 0.02; // landmarks farther from their previous position are shown as moved [m]
 const NOSE_M = 0.55;
 
 export class World {
@@ -29,7 +29,7 @@ export class World {
     });
   }
 
-  /** Draw what changes seldom. */
+  /** Draw the static part. */
   show(scene) {
     this.scene = scene;
     this.view.fit(scene.extent);
@@ -51,13 +51,13 @@ export class World {
     for (let y = Math.ceil(y0); y <= y1; y++) line([x0, y], [x1, y]);
     for (const shelf of scene.room?.shelves ?? []) box(shelf, "shelf");
     if (scene.path.length) make("path", {d: view.line(scene.path), class: "way"}, ground);
-    this.beside();
-    for (const [id, at] of Object.entries(scene.stood)) {
+    this.homesAndRoutes();
+    for (const [id, at] of Object.entries(scene.previous)) {
       const now = scene.landmarks[id];
       if (Math.hypot(at[0] - now[0], at[1] - now[1]) < APART) continue;
       const [x, y] = view.px(...at), [u, v] = view.px(...now);
-      make("line", {x1: x, y1: y, x2: u, y2: v, class: "stood"}, ground);
-      make("circle", {cx: x, cy: y, r: 6, class: "stood", "data-stood": id}, ground);
+      make("line", {x1: x, y1: y, x2: u, y2: v, class: "previous"}, ground);
+      make("circle", {cx: x, cy: y, r: 6, class: "previous", "data-previous": id}, ground);
     }
     this.landmarks();
     for (const thing of [this.home, this.robot, this.nose, this.door]) { thing.fix(scene.mode !== "scene"); thing.replace(); }
@@ -65,8 +65,8 @@ export class World {
     this.ahead(this.door, this.home);
   }
 
-  /** Draw a place's other homes, and its routes with their way points. */
-  beside() {
+  /** Draw the homes of a place, and its routes with their way points. */
+  homesAndRoutes() {
     const {homes = {}, routes = {}} = this.scene, {view} = this, ground = view.layers.ground;
     const named = (name, at, d, kind, below = 14) => {
       const g = make("g", {}, ground);
@@ -110,25 +110,25 @@ export class World {
       mark.fix(scene.mode !== "scene");
       mark.replace();
       if (!mark.held) mark.place(x, y);
-      const [a, b] = scene.stood[id];
+      const [a, b] = scene.previous[id];
       mark.dot.classList.toggle("odd", Math.hypot(a - x, b - y) >= APART);
       mark.dot.classList.toggle("unseen", !scene.stored.includes(id));
     }
   }
 
-  /** Colour the landmarks that somebody calls moved. */
+  /** Colour the landmarks that an estimator reports as moved. */
   name(moved) {
     for (const [id, mark] of this.marks) mark.dot.classList.toggle("odd", moved.has(id));
   }
 
-  /** Put a knob ahead of what it turns. */
+  /** Place a heading knob ahead of its owner. */
   ahead(knob, owner, heading = owner.heading) {
     if (knob.held) return;
     const far = Math.max(NOSE_M, 26 / this.view.scale);
     knob.place(owner.x + far * Math.cos(heading), owner.y + far * Math.sin(heading));
   }
 
-  /** Draw the robot where it is. */
+  /** Draw the robot at its pose. */
   drive([x, y, heading]) {
     if (!this.robot.held && !this.nose.held) {
       this.robot.place(x, y, heading);
