@@ -63,11 +63,6 @@ PENDING = (
     "docs/understand/consistency.md",
     "docs/understand/leaderboard.md",
     "src/homeward/lab/__init__.py",
-    "src/homeward/lab/planning/",
-    "src/homeward/lab/report/",
-    "src/homeward/lab/simulation/",
-    "src/homeward/lab/studies/",
-    "src/homeward/studio/",
 )
 
 

@@ -22,7 +22,6 @@ from homeward.studio.rival import Best, Rival
 from homeward.studio.steering import Steering
 from homeward.studio.undo import Undo
 
-
 WAIT_FOR = "Wait up to 30 s of driving: robust needs several sightings of it to report it as moved."
 
 
