@@ -55,8 +55,8 @@ def paired(rmse: np.ndarray, other: np.ndarray) -> Pairing:
         difference = a - b
     difference[a == b] = 0.0  # neither has a pose, or both are the same
     # Wilcoxon's test uses only ranks; ranks of infinite differences are finite.
-    size = np.unique(np.abs(difference), return_inverse=True)[1]
-    size = size + (0.0 if (difference == 0).any() else 1.0)
+    ranks = np.unique(np.abs(difference), return_inverse=True)[1]
+    size = ranks + (0.0 if (difference == 0).any() else 1.0)
     if not size.any():
         return Pairing(ratio, 1.0)
     return Pairing(ratio, float(wilcoxon(np.sign(difference) * size).pvalue))
