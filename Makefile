@@ -82,8 +82,8 @@ lint: install
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-# The site, in out/site: open its index.html. Whatever is wrong with a page fails (but not with
-# --quiet, which hides it from what counts it).
+# The site, in out/site: open its index.html. Any error in a page fails the build (but not with
+# --quiet, which hides errors from their counter).
 docs: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build

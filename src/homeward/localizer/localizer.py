@@ -131,7 +131,7 @@ class Localizer:
 
     @property
     def learnt(self) -> Learnt:
-        """Estimates of what was not given, for drive.yaml."""
+        """Estimates of parameters that were not given, for drive.yaml."""
         calibration = self.chart.map.smoother.state.calibration
         extrinsics = self.chart.extrinsics.learnt(calibration)
         return Learnt(extrinsics, self.chart.noise.learnt, notable_lag(calibration))
