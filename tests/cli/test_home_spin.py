@@ -85,6 +85,29 @@ def test_drive_yaml_gives_the_time_at_home(narrow, tmp_path):
     assert open_drive(folder, home_spin=(0.0, 14.0)).home == by_file.home
 
 
+def test_home_is_taken_from_a_rest_by_an_option_alike_on_run_import_and_convert(narrow, tmp_path):
+    folder = shutil.copytree(narrow, tmp_path / "rest")
+    rows = (folder / "odometry.csv").read_text().splitlines()
+    t0 = float(rows[1].split(",")[0])
+    still = [
+        f"{t},0,0" if float(t) < t0 + 3 else f"{t},{rest}"
+        for t, _, rest in (row.partition(",") for row in rows[1:])
+    ]
+    (folder / "odometry.csv").write_text("\n".join([rows[0], *still]) + "\n")
+    rest = ("--home-during", "0,2.5")
+    home = open_drive(folder, home_during=(0.0, 2.5)).home
+    assert len(home) >= 3
+    done(call("convert", folder, tmp_path / "converted", *rest))
+    assert read_folder(tmp_path / "converted").home.keys() == home.keys()
+    files = folder / "odometry.csv", folder / "bearings.csv"
+    picture = ("--picture", tmp_path / "seen.png")
+    done(call("import", *files, *picture, *rest, "--out", tmp_path / "mine"))
+    assert read_folder(tmp_path / "mine").home.keys() == home.keys()
+    both = refused(call("run", folder, *rest, "--home-spin", "0,14"))
+    assert "not both" in both
+    assert "--home-during FROM,TO" in refused(call("import", *files, *picture))
+
+
 def test_import_takes_home_from_a_turn(narrow, tmp_path):
     out, files = tmp_path / "mine", (narrow / "odometry.csv", narrow / "bearings.csv")
     picture = ("--picture", tmp_path / "seen.png")

@@ -79,8 +79,8 @@ def test_a_log_without_home_names_the_way_out(tmp_path):
     log = tmp_path / "homeless.mcap"
     done(call("convert", folder, log))
     line = refused(call("run", log, "--out", tmp_path / "out"))
-    assert "name their source under home in a topics file" in line
-    assert "home.csv has no rows" in refused(call("run", folder, "--out", tmp_path / "out"))
+    assert "name a file or topic under home in a topics file" in line
+    assert "--home-during" in refused(call("run", folder, "--out", tmp_path / "out"))
 
 
 def test_a_log_without_bearings_names_the_way_out(tmp_path):

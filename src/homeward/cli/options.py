@@ -203,13 +203,15 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
 
 
 def read_drive(
-    source: str, topics: Path | None, home_spin: tuple[float, float] | None = None
+    source: str, topics: Path | None, home_spin: str | None = None, home_during: str | None = None
 ) -> Drive:
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 
+    when = {"home_spin": spin_span(home_spin)}
+    when["home_during"] = spin_span(home_during, "--home-during")
     with progress(f"reading {source}") as on_progress:
-        return open_drive(source, topics=topics, home_spin=home_spin, on_progress=on_progress)
+        return open_drive(source, topics=topics, **when, on_progress=on_progress)
 
 
 def day(text: str) -> float:

@@ -34,8 +34,8 @@ from homeward.odometry.clock import MAX_DELAY_S
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
 HOME_ADVICE = (
-    "add a table with the columns landmark, bearing (home.csv); or use --home-spin FROM,TO [s] if "
-    "the robot turned on the spot at home"
+    "add a table with the columns landmark, bearing (home.csv); or use --home-during FROM,TO [s] "
+    "if the robot was at rest at home, or --home-spin FROM,TO [s] if it turned on the spot there"
 )
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 SORTED = "rows of {} were out of order; sorted by time"

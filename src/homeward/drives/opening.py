@@ -21,11 +21,10 @@ from homeward.drives.images import IMAGES
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.ros.log import is_log
-from homeward.drives.settings import HomeWhen
+from homeward.drives.settings import home_when
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.reading import is_there, shipped
-from homeward.io.settings import validated
 from homeward.io.table import quoted
 
 SAMPLE = "sample"
@@ -42,6 +41,7 @@ def open_drive(
     *,
     topics: str | os.PathLike[str] | None = None,
     home_spin: tuple[float, float] | None = None,
+    home_during: tuple[float, float] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive in any known format.
@@ -55,6 +55,8 @@ def open_drive(
     home_spin : (float, float), optional
         Interval in which the robot turned on the spot at home, since the first sample of the drive
         [s]; replaces the home bearings of the drive.
+    home_during : (float, float), optional
+        Interval in which it was at rest there, instead.
     on_progress : callable, optional
         Receives the fraction done, in [0, 1], of a log or of images.
 
@@ -63,6 +65,7 @@ def open_drive(
     InputError
         For an unknown format or invalid data, or where bearings and odometry do not overlap.
     """
+    chosen = home_when(home_spin, home_during)
     place = located(path)
     kind = kind_of(place)
     if topics is not None and kind != LOG:
@@ -73,15 +76,15 @@ def open_drive(
 
         drive = see_recording(place, on_progress)
     elif kind == DRIVE_FOLDER:
-        drive = read_folder(place, home_needed=home_spin is None)
+        drive = read_folder(place, home_needed=chosen is None)
     else:
         from homeward.drives.ros.reading import read_log
 
         drive = read_log(place, None if topics is None else Path(topics), on_progress)
     drive = _truth_from_home(with_clock_remarks(without_bearing_delay(drive), place), place)
     when = drive.settings.home
-    if home_spin is not None:
-        when = validated(HomeWhen, {"spin": home_spin})
+    if chosen is not None:
+        when = chosen
     elif when is not None and drive.home:
         raise InputError(
             f"home is given twice, in {HOME} and under home in {SETTINGS}; remove one of them",

@@ -8,8 +8,10 @@ from typing import Annotated, Any, Literal, Self, TypedDict
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
+from homeward.errors import InputError
 from homeward.geometry.frames import Polar, Pose
 from homeward.io.keys import Strict
+from homeward.io.settings import validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
@@ -123,6 +125,16 @@ class HomeWhen(Strict):
         if sum(value is not None for _, value in self) != 1:
             raise ValueError(f"give one of {', '.join(type(self).model_fields)}")
         return self
+
+
+def home_when(
+    spin: tuple[float, float] | None, during: tuple[float, float] | None
+) -> HomeWhen | None:
+    """Return the time at home from two options, of which at most one is given."""
+    if spin is not None and during is not None:
+        raise InputError("give --home-spin or --home-during, not both")
+    given = {"spin": spin, "during": during}
+    return None if spin is during is None else validated(HomeWhen, given)
 
 
 class TruthFrame(Strict):

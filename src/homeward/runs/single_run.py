@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from homeward.drives.drive import Drive
-from homeward.drives.folder import HOME
+from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
@@ -61,6 +61,8 @@ class DriveChoice(Strict):
 class RunSettings(DriveChoice):
     """Everything that a run depends on: the content of run.yaml, which repeats the run."""
 
+    home_during: Span | None = None
+    """When the robot was at rest at home, in the drive itself [s]."""
     home_spin: Span | None = None
     """Time span of the drive in which the robot turned on the spot at home [s]."""
     estimator: str = DEFAULT
@@ -126,7 +128,11 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     if run.smooth and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; use the estimator robust")
     drive = open_drive(
-        drive_path(run), topics=run.topics, home_spin=run.home_spin, on_progress=progress
+        drive_path(run),
+        topics=run.topics,
+        home_spin=run.home_spin,
+        home_during=run.home_during,
+        on_progress=progress,
     )
     if not drive.sightings.t.size:
         raise _no_sightings(drive_path(run), drive.remark_lines)
@@ -134,7 +140,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     if not (drive.home or visits) and not (
         drive.known.surveyed_from_home and run.estimator == DEFAULT
     ):
-        remedy = NAME_HOME if is_log(drive_path(run)) else f"{HOME} has no rows"
+        remedy = NAME_HOME if is_log(drive_path(run)) else HOME_ADVICE
         raise InputError(f"no home bearings found: {remedy}", Path(run.drive))
     return drive
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeSpin, Topics, progress, read_drive, say, spin_span, warn
+from homeward.cli.options import HomeDuring, HomeSpin, Topics, progress, read_drive, say, warn
 
 
 def convert(
@@ -19,11 +19,12 @@ def convert(
     ],
     topics: Topics = None,
     home_spin: HomeSpin = None,
+    home_during: HomeDuring = None,
 ) -> None:
     """Convert a drive to a drive folder, an MCAP file or a ROS bag, without loss."""
     from homeward.drives.opening import save_drive
 
-    drive = read_drive(source, topics, spin_span(home_spin))
+    drive = read_drive(source, topics, home_spin, home_during)
     with progress(f"writing {target}") as on_progress:
         kind = save_drive(drive, target, on_progress)
     say(

@@ -36,6 +36,7 @@ def import_(
         ),
     ] = None,
     home_spin: shared.HomeSpin = None,
+    home_during: shared.HomeDuring = None,
     picture: Annotated[Path, typer.Option(help="The figure of the imported data to write.")] = Path(
         "out/import.png"
     ),
@@ -58,7 +59,7 @@ def import_(
     from homeward.drives.opening import save_drive
 
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or home_spin:
+        if columns or home_spin or home_during:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
@@ -69,6 +70,7 @@ def import_(
             "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
     from homeward.drives.importers.reading import drive_of, home_warnings, understand
+    from homeward.drives.settings import home_when
     from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png
     from homeward.runs.report.imported import draw_drive
@@ -81,7 +83,11 @@ def import_(
     ]
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
-    drive = drive_of(found, "import" if out is None else out.name, shared.spin_span(home_spin))
+    spin, during = (
+        shared.spin_span(home_spin),
+        shared.spin_span(home_during, "--home-during"),
+    )
+    drive = drive_of(found, "import" if out is None else out.name, home_when(spin, during))
     write_whole(picture, png(draw_drive(drive)))
     remarks = [*drive.remark_lines, *home_warnings(drive)]
     if json:

@@ -50,6 +50,7 @@ def run(
     ] = None,
     topics: shared.Topics = None,
     home_spin: shared.HomeSpin = None,
+    home_during: shared.HomeDuring = None,
     place: shared.KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place after the run.")
@@ -99,6 +100,7 @@ def run(
         "estimator": estimator,
         "start": _start(start),
         "home_spin": shared.spin_span(home_spin),
+        "home_during": shared.spin_span(home_during, "--home-during"),
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,

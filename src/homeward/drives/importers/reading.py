@@ -30,7 +30,6 @@ from homeward.drives.ros.log import is_log
 from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.errors import InputError
 from homeward.io.naming import listing, natural
-from homeward.io.settings import validated
 from homeward.io.table import Table, quoted
 
 OTHER_SOURCES = {
@@ -87,15 +86,13 @@ def _refuse_drives(path: Path) -> None:
         raise InputError(f"a {'drive ' * is_drive}folder, not a text file; {advice}", path)
 
 
-def drive_of(
-    found: Sequence[ImportedColumn], name: str, home_spin: tuple[float, float] | None = None
-) -> Drive:
+def drive_of(found: Sequence[ImportedColumn], name: str, home: HomeWhen | None = None) -> Drive:
     """Return the drive of imported tables, with its home as in `open_drive`.
 
     `InputError` names the missing table, or the file and row of the problem.
     """
     tables = {one.kind: one.table for one in found}
-    for kind in ("odometry", "bearings", "home")[: 3 if home_spin is None else 2]:
+    for kind in ("odometry", "bearings", "home")[: 3 if home is None else 2]:
         if kind not in tables:
             needs = ", ".join(KINDS[kind]) + OTHER_SOURCES.get(kind, "")
             label = kind.replace("home", "home bearings")
@@ -120,9 +117,7 @@ def drive_of(
         remarks=remarks,
     )
     drive = with_clock_remarks(drive, tables["bearings"].file)
-    if home_spin is None:
-        return drive
-    return with_home(drive, validated(HomeWhen, {"spin": home_spin}))
+    return drive if home is None else with_home(drive, home)
 
 
 def home_warnings(drive: Drive) -> list[str]:
