@@ -209,11 +209,11 @@ def test_keys_drive_while_they_are_held(session):
     assert np.array(play(session, 1.0)["robot"]) == pytest.approx(let_go)
 
 
-@pytest.mark.parametrize(("law", "believing"), [("lyapunov", "robust")])
-def test_a_law_drives_home(law, believing):
+@pytest.mark.parametrize(("law", "pose_source"), [("lyapunov", "robust")])
+def test_a_law_drives_home(law, pose_source):
     session = Session(open_scene("paper-homing"), ("robust",))
     play(session, 15.0)
-    say(session, "steer", by="law", law=law, believing=believing)
+    say(session, "steer", by="law", law=law, pose_source=pose_source)
     end = play(session, 25.0)
     assert "stopped" in end["text"]
     assert math.hypot(*np.array(end["robot"][:2]) - session.scene()["home"][:2]) < 0.15

@@ -80,7 +80,7 @@ class Steer(Strict):
     do: Literal["steer"]
     by: Literal["keys", "law", "path", "nobody"]
     law: Literal["paper", "lyapunov", "alv", "tron"] = "paper"
-    believing: str = "truth"
+    pose_source: str = "truth"
     """Pose for the law or path: an estimator's, or ``truth``."""
 
 

@@ -38,7 +38,7 @@ class Steering:
         drive = now.trajectory
         if asked.by == "law":
             drive = Homing(law=asked.law, speed=drive.speed)
-        now = now.model_copy(update={"trajectory": drive, "estimator": asked.believing})
+        now = now.model_copy(update={"trajectory": drive, "estimator": asked.pose_source})
         return make_control(now, self._robot.pose, home)
 
     def hold(self, keys: Keys) -> None:
@@ -63,7 +63,7 @@ class Steering:
     def _belief(self, rivals: Sequence[Rival]) -> Belief:
         """Return the estimate for the control."""
         for rival in rivals:
-            if rival.name == self.asked.believing:
+            if rival.name == self.asked.pose_source:
                 estimate = rival.estimate
                 return Belief(estimate.status, estimate.pose, estimate.covariance)
         return exact(self._robot.pose)

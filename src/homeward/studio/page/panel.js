@@ -43,8 +43,8 @@ export class Panel {
       const least = this.scene?.settings.visibility.range[0] ?? 0;
       send({do: "set", key, value: key === "visibility.range" ? [Math.min(least, value), value] : value, stroke});
     });
-    const steer = () => send({do: "steer", by: $("by").value, law: $("law").value, believing: $("believing").value});
-    for (const id of ["by", "law", "believing"]) $(id).addEventListener("change", (e) => { steer(); e.target.blur(); });
+    const steer = () => send({do: "steer", by: $("by").value, law: $("law").value, pose_source: $("pose-source").value});
+    for (const id of ["by", "law", "pose-source"]) $(id).addEventListener("change", (e) => { steer(); e.target.blur(); });
   }
 
   show(scene) {
@@ -57,10 +57,10 @@ export class Panel {
     $("by").value = scene.steer.by;
     $("law").value = scene.steer.law;
     $("law-box").hidden = scene.steer.by !== "law";
-    $("believing-box").hidden = !["law", "path"].includes(scene.steer.by);
+    $("pose-source-box").hidden = !["law", "path"].includes(scene.steer.by);
     const sources = ["truth", ...scene.estimators];
-    $("believing").replaceChildren(...sources.map((name) => element("option", {textContent: name})));
-    $("believing").value = sources.includes(scene.steer.believing) ? scene.steer.believing : "truth";
+    $("pose-source").replaceChildren(...sources.map((name) => element("option", {value: name, textContent: name === "truth" ? "ground truth" : name})));
+    $("pose-source").value = sources.includes(scene.steer.pose_source) ? scene.steer.pose_source : "truth";
     this.choices(scene);
   }
 
