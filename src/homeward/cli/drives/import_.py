@@ -32,7 +32,8 @@ def import_(
             metavar="[FILE:]ROLE=COLUMN[UNIT]",
             help="Roles of columns, separated by commas; a minus before COLUMN changes the sign. "
             "Without a header, columns are 1, 2, 3. "
-            "Roles: t, v, omega, landmark, bearing, sigma, x, y, heading.",
+            "Roles: t, v, omega, landmark, bearing, sigma, x, y, z, heading; "
+            "of positions: forward, left, right.",
         ),
     ] = None,
     home_spin: shared.HomeSpin = None,

@@ -46,16 +46,21 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "landmark": (
         "name",
-        "landmark id tag marker beacon feature name label subject barcode landmarke marke",
+        "landmark id tag marker beacon feature name label subject barcode landmarke marke "
+        "landmark.id tag.id marker.id landmark.name",
     ),
     "bearing": (
         "angle",
         "bearing azimuth angle direction beta phi theta alpha peilung winkel richtung",
     ),
     "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
-    "x": ("length", "x px tx pos.x position.x"),
-    "y": ("length", "y py ty pos.y position.y"),
+    "x": ("length", "x px tx pos.x position.x translation.x"),
+    "y": ("length", "y py ty pos.y position.y translation.y"),
+    "z": ("length", "z pz tz pos.z position.z translation.z"),
     "heading": ("angle", "heading yaw theta orientation psi phi angle kurs"),
+    "forward": ("length", "forward ahead"),
+    "left": ("length", "left"),
+    "right": ("length", "right"),
 }
 """The quantity of each role, and English and German names for it; a dot matches any separator."""
 _NAMES = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
@@ -141,15 +146,18 @@ def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Col
 
 
 def assigned(
-    kind: str, names: Sequence[str], specified: Sequence[Column]
+    required: Sequence[str],
+    names: Sequence[str],
+    specified: Sequence[Column],
+    optional: Sequence[str] = (),
 ) -> dict[str, Column] | None:
-    """Return the columns of one kind of table by role; None where a required role is missing.
+    """Return the columns of a table by role; None where a required role is missing.
 
     `InputError` where two columns match the same role.
     """
-    roles = [*KINDS[kind], *(["sigma"] if kind in ("bearings", "home") else [])]
+    roles = [*required, *optional]
     found = {c.role: c for c in _combined(names) if c.role in roles}
-    found |= {c.role: c for c in specified if c.name in names and c.role in (*KINDS[kind], "sigma")}
+    found |= {c.role: c for c in specified if c.name in names and c.role in roles}
     taken = {column.name for column in specified}
     taken |= {name for column in found.values() for name in (column.name, *column.more)}
     ambiguous = []
@@ -161,7 +169,7 @@ def assigned(
             ambiguous.append((role, *likeliest[:2]))
         found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
         taken.add(likeliest[0])
-    if not set(KINDS[kind]) <= set(found):
+    if not set(required) <= set(found):
         return None
     for role, one, other in ambiguous:
         raise InputError(f"{one!r} and {other!r} may both be {role}; use --columns '{role}={one}'")
@@ -234,9 +242,16 @@ def _unit(text: str) -> str:
     return _SPELT.get(plain, _SPELT.get(text.strip().lower(), plain))
 
 
+def matches(name: str, role: str) -> bool:
+    """Whether a name contains a word for a role."""
+    return _score(name, role) != NO_MATCH
+
+
 def _score(name: str, role: str) -> tuple[int, int]:
     """Return the match of a name with a role: number of matching words, minus all its words."""
     words = words_in(name)
+    if role == "landmark" and "frame" in words and "child" not in words:
+        return NO_MATCH
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
     matching = max((len(span) for span in spans if span in _NAMES[role]), default=0)
     return (matching, -len(words)) if matching else NO_MATCH

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -12,14 +13,24 @@ import numpy as np
 
 from homeward.drives.folder import sorted_by_time
 from homeward.drives.importers.columns import (
+    KINDS,
     UNITS,
     Column,
     assigned,
     landmark_columns,
     landmark_in,
     long,
+    matches,
     times_in,
     unit_of,
+)
+from homeward.drives.importers.positions import (
+    POSITION_ROLES,
+    Axes,
+    bearings_of,
+    formula,
+    position_columns,
+    with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
 from homeward.errors import InputError
@@ -31,9 +42,9 @@ UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 RECOGNISED = {
     "odometry": "time, speed, yaw rate",
-    "detections": "time, landmark id, bearing",
-    "home bearings": "landmark id, bearing",
-    "poses": "time, x, y, heading",
+    "detections": "time, landmark id, bearing or position",
+    "home bearings": "landmark id, bearing or position",
+    "ground truth": "time, x, y, heading",
 }
 """Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
 MAX_SHOWN = 12
@@ -81,6 +92,8 @@ class Part:
     """Columns by landmark id, where each landmark has one."""
     is_alone: bool = True
     """Whether the file contains no other table."""
+    axes: Axes | None = None
+    """Axes of the positions from which bearings are computed; None: no positions."""
 
     def read(self, clock: str | None, angle: str | None = None) -> list[ImportedColumn]:
         """Read the table in SI units.
@@ -99,6 +112,13 @@ class Part:
                 unit, _ = units[role] = _unit(table, column, clock, angle)
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
         remarks: dict[str, int] = {}
+        columns = dict(self.columns)
+        if self.axes:
+            for role in set(POSITION_ROLES).intersection(units):
+                units[role] = units[role][0], self.axes.name
+            values["bearing"] = bearings_of(values)
+            columns["bearing"] = Column("bearing", formula(columns), "rad")
+            units["bearing"] = "rad", self.axes.reason
         ordered = dataclasses.replace(table, columns=values)
         if "t" in values:
             ordered = sorted_by_time(ordered, self.kind, remarks)
@@ -113,7 +133,7 @@ class Part:
                 "specified" if column.is_specified else source,
                 remarks,
             )
-            for (unit, source), column in zip(units.values(), self.columns.values(), strict=True)
+            for (unit, source), column in zip(units.values(), columns.values(), strict=True)
         ]
 
     def _plain(self) -> tuple[Table, int]:
@@ -121,6 +141,8 @@ class Part:
         raw = self._raw()
         values = {role: _value(raw, column) for role, column in self.columns.items()}
         needed = [role for role in self.columns if role != "sigma"]
+        if self.axes:  # programs write zeros for landmarks out of view
+            values["forward"] = np.where(np.isnan(bearings_of(values)), np.nan, values["forward"])
         given = np.stack([_has_value(values[role]) for role in needed])
         complete, partial = given.all(axis=0), given.any(axis=0)
         if partial.any() and not complete.any():
@@ -151,9 +173,7 @@ def parts_of(sheets: Sequence[Sheet], specified: Sequence[Column]) -> list[Part]
     parts, others = list[Part](), list[Sheet]()
     for one in sheets:
         mine = one.specified(specified)
-        kinds = {kind: assigned(kind, one.names, mine) for kind in ("odometry", "bearings")}
-        if not any(kinds.values()):  # poses along with twists belong to the odometry
-            kinds = {kind: assigned(kind, one.names, mine) for kind in ("truth", "home")}
+        kinds = _kinds_of(one, mine)
         parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
         if not kinds.get("bearings") and not kinds.get("home"):
             others.append(one)
@@ -167,7 +187,66 @@ def parts_of(sheets: Sequence[Sheet], specified: Sequence[Column]) -> list[Part]
         elif all(part.sheet is not one for part in parts):
             raise InputError(_not_recognised(one), one.path)
     _find_odometry(parts)
+    _find_axes(parts)
     return parts
+
+
+def _kinds_of(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column] | None]:
+    """Return the columns of each kind of table in a file, but those of wide tables."""
+
+    def kinds(*kinds: str) -> dict[str, dict[str, Column] | None]:
+        return {
+            kind: assigned(KINDS[kind], one.names, mine, ("sigma",) * ("bearing" in KINDS[kind]))
+            for kind in kinds
+        }
+
+    if any(c.role in POSITION_ROLES and c.name in one.names for c in mine):
+        return kinds("odometry") | _positions(one, mine)
+    found = kinds("odometry", "bearings")
+    if found["bearings"]:
+        _refuse_headings(one, found["bearings"]["bearing"], mine)
+    if any(found.values()):  # poses along with twists belong to the odometry
+        return found
+    found, positions = kinds("truth", "home"), _positions(one, mine)
+    if found["home"] or (found["truth"] and not _has_landmarks(one, positions.get("bearings"))):
+        return found
+    return positions or found
+
+
+def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> None:
+    """Refuse a bearing such as theta along with a position: it may be the landmark's heading."""
+    if bearing.is_specified or not matches(bearing.name, "heading"):
+        return
+    if any(_positions(one, mine).values()):
+        problem = (
+            f"{bearing.name!r} may be the bearing or the heading of a landmark with a position"
+        )
+        roles = f"'bearing={bearing.name}', or forward and left (or right) of the position"
+        raise InputError(f"{problem}; use --columns {roles}", one.path)
+
+
+def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column] | None]:
+    """Return the columns of positions of landmarks, by kind of table."""
+    every = ((kind, position_columns(kind, one.names, mine)) for kind in ("bearings", "home"))
+    return dict(itertools.islice(((kind, found) for kind, found in every if found), 1))
+
+
+def _has_landmarks(one: Sheet, columns: dict[str, Column] | None) -> bool:
+    """Whether poses are those of landmarks: several ids, each with several poses."""
+    name = one.path.name.lower()
+    if columns is None or TRUE_PATH.search(name) or "odom" in name:
+        return False
+    ids = read_csv(one.path, {columns["landmark"].name: names}, form=one.form)
+    return 1 < len(set(ids[columns["landmark"].name])) < len(ids)
+
+
+def _find_axes(parts: Sequence[Part]) -> None:
+    """Find the axes of positions, those of the drive before those of home."""
+    axes = None
+    for part in sorted(parts, key=lambda part: part.kind):
+        if part.kind in ("bearings", "home") and not part.wide and "bearing" not in part.columns:
+            part.columns, part.axes = with_axes(part.sheet, part.kind, part.columns, axes)
+            axes = part.axes
 
 
 def _not_recognised(one: Sheet) -> str:

@@ -34,6 +34,7 @@ from homeward.io.table import Table, quoted
 
 OTHER_SOURCES = {
     "odometry": ", and none with odom in its name has poses",
+    "bearings": ", or a position instead of the bearing",
     "home": f" without a time; {HOME_ADVICE}",
 }
 """Other sources of the tables of a drive."""

@@ -1,0 +1,194 @@
+"""Bearings from positions of landmarks relative to a camera or a robot.
+
+The bearing is atan2(left, forward), with left = -right. Camera axes are those of an optical frame:
+x right, y down, z forward. Robot axes are x forward, y left, z up.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.drives.importers.columns import KINDS, UNITS, Column, assigned, words_in
+from homeward.drives.importers.sheet import Sheet, names, number_parser
+from homeward.errors import InputError
+from homeward.io.table import quoted, read_csv
+
+AXES: Mapping[str, Mapping[str, str]] = {
+    "camera": {"right": "x", "forward": "z"},
+    "robot": {"forward": "x", "left": "y"},
+}
+"""The axis of each role in an optical frame and in a robot's frame."""
+POSITION_ROLES = ("forward", "left", "right")
+PLACES = (("forward", "left"), ("forward", "right"), ("x", "y"), ("x", "z"))
+"""The required roles of positions."""
+MAX_LENGTH = 100.0
+"""Maximum coordinate without a unit that is taken as metres; larger ones are millimetres."""
+MIN_RATIO = 3.0
+"""Minimum ratio of the spread of horizontal coordinates to that of the vertical one."""
+MIN_SHARE = 0.9
+"""Minimum share of landmarks in front of a camera."""
+ROBOT_FRAMES = re.compile("base|robot|body|chassis")
+FIXED_FRAMES = ("map", "odom", "world")
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The axes of positions."""
+
+    kind: str
+    """A key of `AXES`; empty where the roles of the columns are known."""
+    reason: str
+    """The reason for them, as shown to the user."""
+
+    @property
+    def name(self) -> str:
+        """Name of the axes, as shown to the user."""
+        return f"{self.kind} axes" if self.kind else "named"
+
+
+def position_columns(
+    kind: str, names: Sequence[str], specified: Sequence[Column]
+) -> dict[str, Column] | None:
+    """Return the columns of detections or home bearings given as positions; None without them."""
+    given = {c.role for c in specified if c.name in names}.intersection(POSITION_ROLES)
+    if given and ("forward" not in given or len(given) != 2):
+        raise InputError("--columns: a position requires the role forward and either left or right")
+    required = [role for role in KINDS[kind] if role != "bearing"]
+    places = [place for place in PLACES if given <= set(place)]
+    found = (assigned((*required, *place), names, specified, ("z",)) for place in places)
+    return next((columns for columns in found if columns), None)
+
+
+def with_axes(
+    one: Sheet, kind: str, columns: dict[str, Column], like: Axes | None
+) -> tuple[dict[str, Column], Axes]:
+    """Return the columns of positions by `POSITION_ROLES`, with units, and their axes.
+
+    `like` are the axes of the drive's positions, which also apply to those of home. `InputError`
+    where the axes are unknown.
+    """
+    by_axis = {role: c for role, c in columns.items() if role in (*POSITION_ROLES, *"xyz")}
+    frame = next((name for name in one.names if _is_frame(name)), None)
+    parsers = dict.fromkeys((c.name for c in by_axis.values()), number_parser(one.decimal_comma))
+    raw = read_csv(one.path, parsers | ({frame: names} if frame else {}), form=one.form)
+    by_axis = _with_units(by_axis, [raw[column.name] for column in by_axis.values()])
+    others = {role: column for role, column in columns.items() if role not in by_axis}
+    if "forward" in by_axis:
+        is_specified = by_axis["forward"].is_specified
+        axes = Axes("", "axes as specified" if is_specified else "axes as named")
+        return others | {r: c for r, c in by_axis.items() if r in POSITION_ROLES}, axes
+    frames = {str(f).strip("/").lower() for f in raw[frame]} - {""} if frame else set()
+    values = {
+        axis: c.sign * UNITS["length"][c.unit or "m"] * raw[c.name] for axis, c in by_axis.items()
+    }
+    axes = _axes_of(values, by_axis, frames, kind, like, one)
+    roles = {role: replace(by_axis[axis], role=role) for role, axis in AXES[axes.kind].items()}
+    return others | roles, axes
+
+
+def formula(columns: Mapping[str, Column]) -> str:
+    """Return the formula of the bearing, with the names of the columns."""
+    lateral = columns["left" if "left" in columns else "right"]
+    is_negative = (lateral.sign < 0) != (lateral.role == "right")
+    signs = ["-" * is_negative, "-" * (columns["forward"].sign < 0)]
+    return "atan2({}{}, {}{})".format(signs[0], lateral.name, signs[1], columns["forward"].name)
+
+
+def bearings_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the bearings [rad], (n,), of positions by role, (n,) each; NaN at the origin."""
+    forward = values["forward"]
+    left = values["left"] if "left" in values else -values["right"]
+    return np.where((left == 0) & (forward == 0), np.nan, np.arctan2(left, forward))
+
+
+def _is_frame(name: str) -> bool:
+    words = words_in(name)
+    return words == ("frame",) or (words[-2:] == ("frame", "id") and "child" not in words)
+
+
+def _with_units(columns: dict[str, Column], values: Sequence[np.ndarray]) -> dict[str, Column]:
+    """Return columns with a unit: that of another coordinate where the name has none."""
+    largest = max(float(np.nanmax(np.abs(v), initial=0.0)) for v in values)
+    named = next((column.unit for column in columns.values() if column.unit), None)
+    unit = named or ("mm" if largest > MAX_LENGTH else "m")
+    return {role: replace(column, unit=column.unit or unit) for role, column in columns.items()}
+
+
+def _axes_of(
+    values: Mapping[str, np.ndarray],
+    by_axis: Mapping[str, Column],
+    frames: set[str],
+    kind: str,
+    like: Axes | None,
+    one: Sheet,
+) -> Axes:
+    """Return the axes according to frame ids, else to the spread of coordinates."""
+    if fixed := frames.intersection(FIXED_FRAMES):
+        raise InputError(
+            f"positions are in the fixed frame {quoted(min(fixed))}; import requires them relative "
+            "to the camera or the robot",
+            one.path,
+        )
+    by_data = _by_spread(values)
+    known = f"frame {quoted(min(frames))}" if frames else ""
+    could_be = {"camera": _is_in_front(values.get("z")), "robot": "y" in values}
+    if frames and could_be["camera"] and all("optical" in frame for frame in frames):
+        return Axes("camera", known)
+    if frames and could_be["robot"] and all(map(ROBOT_FRAMES.search, frames)):
+        return Axes("robot", known)
+    # A survey in another frame looks like positions at home.
+    if kind == "home" and like is not None and like.kind and could_be[like.kind]:
+        return Axes(like.kind, "axes as in detections")
+    if kind != "home" and by_data and not any("optical" in frame for frame in frames):
+        return by_data
+    if frames and could_be["camera"] and all("camera" in frame for frame in frames):
+        return Axes("camera", known)
+    raise InputError(_unknown(values, by_axis, one, kind), one.path)
+
+
+def _by_spread(values: Mapping[str, np.ndarray]) -> Axes | None:
+    """Return the axes of which the vertical one varies least; None where unclear."""
+    seen = {axis: v[np.isfinite(v)] for axis, v in values.items()}
+    if not all(v.size for v in seen.values()):
+        return None
+    spread = {axis: float(np.ptp(np.quantile(v, (0.05, 0.95)))) for axis, v in seen.items()}
+    if "y" not in seen:
+        return Axes("camera", "x and z only, z > 0") if _is_in_front(values["z"]) else None
+    is_flat = "z" not in seen or MIN_RATIO * spread["z"] < min(spread["x"], spread["y"])
+    left = float(np.mean(seen["y"] > 0))
+    is_both = 1 - MIN_SHARE < left < MIN_SHARE  # all in one quadrant may be pixels, or a survey
+    ahead = float(np.mean(seen["x"] > 0))
+    if is_flat and is_both and ahead > 1 - MIN_SHARE:
+        return Axes("robot", "z varies least" if "z" in seen else "x and y only, y of both signs")
+    is_upright = MIN_RATIO * spread["y"] < spread.get("z", 0.0) and spread["y"] < spread["x"]
+    if is_upright and (seen["z"] > 0).all():
+        return Axes("camera", "z > 0, y varies least")
+    return None
+
+
+def _is_in_front(z: np.ndarray | None) -> bool:
+    """Whether positions are in front of an optical frame."""
+    seen = np.array([]) if z is None else z[np.isfinite(z)]
+    return bool(seen.size) and float(np.mean(seen > 0)) > MIN_SHARE
+
+
+def _unknown(
+    values: Mapping[str, np.ndarray], by_axis: Mapping[str, Column], one: Sheet, kind: str
+) -> str:
+    """Return the message for positions with unknown axes."""
+    ranges = ", ".join(
+        f"{axis} {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for axis, v in values.items()
+    )
+    options = []
+    for name, roles in AXES.items():
+        if set(roles.values()) <= set(by_axis):
+            columns = ", ".join(f"{role}={by_axis[axis].name}" for role, axis in roles.items())
+            options.append(f"'{one.path.name}: {columns}' ({name} axes)")
+    what = "a survey, or home positions" if kind == "home" else "positions"
+    return (
+        f"{what} in unknown axes ({ranges}); give the axes, as in --columns {' or '.join(options)}"
+    )
