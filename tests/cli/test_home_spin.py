@@ -128,8 +128,8 @@ def test_a_log_has_its_turn_too(narrow, tmp_path):
 @pytest.mark.parametrize(
     ("span", "words"),
     [
-        ("14,0", "FROM,UNTIL"),
-        ("-3,5", "FROM,UNTIL"),
+        ("14,0", "FROM,TO"),
+        ("-3,5", "FROM,TO"),
         ("3", "two numbers"),
         ("nan,5", "finite"),
         ("soon,later", "two numbers"),

@@ -307,7 +307,7 @@ def test_the_manuals_python_runs(tmp_path):
     (tmp_path / "camera.yaml").write_text(camera)
     localizer = Localizer({"7": 0.1})
     localizer.odometry(0.0, 0.1, 0.0)
-    names = {"folder": tmp_path, "picture": drawn(PINHOLE)[0], "localizer": localizer, "t": 0.1}
+    names = {"folder": tmp_path, "image": drawn(PINHOLE)[0], "localizer": localizer, "t": 0.1}
     exec(code, names)
     assert list(names["seen"].bearings) == ["7"]
     assert names["answer"].status is Status.MAPPING

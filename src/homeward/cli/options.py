@@ -125,15 +125,15 @@ Topics = Annotated[
 HomeSpin = Annotated[
     str | None,
     typer.Option(
-        metavar="FROM,UNTIL",
-        help="Take home from the robot turning on the spot in this time [s from the start].",
+        metavar="FROM,TO",
+        help="Interval in which the robot turned on the spot at home [s from the start].",
     ),
 ]
 HomeDuring = Annotated[
     str | None,
     typer.Option(
-        metavar="FROM,UNTIL",
-        help="Take home from the robot standing still in this time [s from the start].",
+        metavar="FROM,TO",
+        help="Interval in which the robot was at rest at home [s from the start].",
     ),
 ]
 Changes = Annotated[
@@ -186,7 +186,7 @@ def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, flo
         return None
     begin, end = _numbers(text, option, "two")
     if not 0.0 <= begin < end:
-        raise InputError(f"{option} must be FROM,UNTIL [s] with 0 <= FROM < UNTIL, not {text!r}")
+        raise InputError(f"{option} must be FROM,TO [s] with 0 <= FROM < TO, not {text!r}")
     return begin, end
 
 

@@ -37,6 +37,7 @@ HOME_ADVICE = (
     "add a table with the columns landmark, bearing (home.csv); or use --home-during FROM,TO [s] "
     "if the robot was at rest at home, or --home-spin FROM,TO [s] if it turned on the spot there"
 )
+IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 SORTED = "rows of {} were out of order; sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
@@ -220,7 +221,7 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     A row in which both v and omega are empty starts an interval of unknown motion.
     """
     columns = {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan}
-    table = read_csv(path, columns)
+    table = read_csv(path, columns, advice=IMPORT_ADVICE)
     for name in ("v", "omega"):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
@@ -240,7 +241,9 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
     """Read a bearings.csv (t, landmark, bearing[, sigma]); errors and remarks as `read_folder`."""
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
-    return sightings_of(read_csv(path, columns, {"sigma": numbers_or_nan}), remarks)
+    return sightings_of(
+        read_csv(path, columns, {"sigma": numbers_or_nan}, advice=IMPORT_ADVICE), remarks
+    )
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
@@ -255,7 +258,9 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma]; rad); errors and remarks as `read_folder`."""
     columns = {"landmark": identifiers, "bearing": numbers}
-    return home_of(read_csv(path, columns, {"sigma": numbers_or_nan}), remarks)
+    return home_of(
+        read_csv(path, columns, {"sigma": numbers_or_nan}, advice=IMPORT_ADVICE), remarks
+    )
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
@@ -286,7 +291,7 @@ def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
     if not is_there(path):
         return None
     columns = {"t": numbers, "x": numbers, "y": numbers, "heading": numbers}
-    return truth_of(read_csv(path, columns), remarks)
+    return truth_of(read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
 
 
 def truth_of(table: Table, remarks: dict[str, int]) -> Truth:

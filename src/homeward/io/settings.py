@@ -163,7 +163,7 @@ def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
     # Values stay text: the model converts them.
     tree = _without_absent(parse_yaml(text, path, typed=False))
     if not isinstance(tree, dict):
-        raise InputError("not a mapping of keys to values", path)
+        raise InputError("not a mapping of keys to values; write KEY: VALUE lines", path)
     sections = {k: _without_absent(v) for k, v in tree.items()}
     return validated(model, sections, path)
 

@@ -113,11 +113,13 @@ def read_csv(
     required: Mapping[str, Parser],
     optional: Mapping[str, Parser] | None = None,
     form: Form = PLAIN,
+    advice: str = "",
 ) -> Table:
     """Read the named columns of a CSV file with a header, in any order.
 
     Other columns, blank lines, a byte order mark and any line ending are accepted. A missing
-    optional column is not in the table. `form` specifies other layouts.
+    optional column is not in the table. `form` specifies other layouts; `advice` ends the error of
+    a missing column.
     """
     with text_lines(path, form.encoding) as lines:
         list(itertools.islice(lines, form.skip))
@@ -126,7 +128,12 @@ def read_csv(
         if header is None:
             raise InputError("empty file", path)
         wanted = {**required, **(optional or {})}
-        indices = _column_indices([name.strip() for name in header], required, wanted, path, row)
+        names = [name.strip() for name in header]
+        if missing := [name for name in required if name not in names]:
+            found = _shown(",".join(names), path)
+            what = f"no column {', '.join(missing)} in the header{found}{advice}"
+            raise InputError(what, path, row)
+        indices = _column_indices(names, wanted, path, row)
         return _collect(records, len(header), {n: (i, wanted[n]) for n, i in indices.items()}, path)
 
 
@@ -265,7 +272,6 @@ def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple
 
 def _column_indices(
     header: list[str],
-    required: Mapping[str, Parser],
     wanted: Mapping[str, Parser],
     path: Path,
     row: int,
@@ -274,10 +280,6 @@ def _column_indices(
     indices: dict[str, list[int]] = {}
     for index, name in enumerate(header):
         indices.setdefault(name, []).append(index)
-    missing = [name for name in required if name not in indices]
-    if missing:
-        found = _shown(",".join(header), path)
-        raise InputError(f"no column {', '.join(missing)} in the header{found}", path, row)
     for name in wanted:
         if len(indices.get(name, ())) > 1:
             raise InputError(f"the header has column {name} twice; rename one", path, row)

@@ -36,8 +36,9 @@ from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 
 SCALE_NOTE = (
-    "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. Give one"
-    " measured distance in landmarks.yaml to remove it."
+    "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. To remove"
+    " it, add one measured distance to landmarks.yaml in the drive folder: `distances: [{between:"
+    " [ID, ID], distance: METRES}]` (convert a log to a drive folder first)."
 )
 NOISY_NOTE = (
     "The bearings are noisier than given; larger standard deviations were used. Increase"

@@ -96,7 +96,7 @@ def _key(source: str, compiler: Compiler) -> str:
 
 def _uncached(source: str, compiler: Compiler, problem: str) -> Library:
     """Compile for this process only; the file can be deleted once loaded."""
-    note = f"Compiled code is not cached and will be compiled again: {problem}."
+    note = f"Compiled code cannot be cached, so each run compiles again: {problem}."
     try:
         with tempfile.TemporaryDirectory(prefix="homeward-") as scratch:
             return _opened(_compiled(source, compiler, Path(scratch)), (note,))

@@ -33,7 +33,10 @@ def run(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option(help="The folder to write [out/NAME OF THE DRIVE].")
+        Path | None,
+        typer.Option(
+            help="The folder to write [out/NAME; out/NAME-run if that folder has other contents]."
+        ),
     ] = None,
     estimator: Annotated[
         str | None,
@@ -61,14 +64,17 @@ def run(
     ] = None,
     home_at: Annotated[
         float | None,
-        typer.Option(help="With --store-home: time of the home [s from the start; the end]."),
+        typer.Option(
+            help="With --store-home: time at which the robot was there [s from the start; the end]."
+        ),
     ] = None,
     store_route: Annotated[
         str | None,
         typer.Option(help="With --update: store the path as a route with this name."),
     ] = None,
     place_home: Annotated[
-        str | None, typer.Option(help="Home of the place in whose frame poses are [the first].")
+        str | None,
+        typer.Option(help="Home whose frame the poses use [the first home of the place]."),
     ] = None,
     when: Annotated[
         str | None, typer.Option(help="Day of the visit, YYYY-MM-DD [the drive's, else today].")
@@ -79,8 +85,8 @@ def run(
     save_learnt: Annotated[
         Path | None,
         typer.Option(
-            help="A new YAML file for what the run learnt and drive.yaml did not give: camera "
-            "extrinsics, camera noise, lag."
+            help="Write the estimated camera extrinsics, camera noise and lag that drive.yaml does "
+            "not give to this new YAML file."
         ),
     ] = None,
     changes: shared.Changes = None,
@@ -252,10 +258,10 @@ def _run(
             shared.say(
                 f"Lines for drive.yaml: {save_learnt}"
                 if learnt
-                else f"{save_learnt} was not written: drive.yaml gives all that this run can learn."
+                else f"{save_learnt} was not written: no estimate for a key that drive.yaml lacks."
             )
         elif learnt:
-            shared.warn("--save-learnt FILE writes what this run learnt as lines for drive.yaml")
+            shared.say("--save-learnt FILE writes the estimates above as lines for drive.yaml.")
         if missing is None:
             shared.say(f"Report: {folder / PAGE}")
         else:

@@ -111,7 +111,10 @@ def simulate(
     chosen = settled(load_scenario(scenario, given | key_values(changes or [])))
     if live is not None:
         if chosen.trajectory.kind == "repeat":
-            raise InputError("--live cannot repeat the scenario's own place; give --route NAME")
+            raise InputError(
+                "--live cannot repeat the scenario's own place; give --trajectory repeat --route"
+                " NAME"
+            )
         _play(chosen, live, pace, json, route, teach=trajectory == "teach")
         return
     assert out is not None

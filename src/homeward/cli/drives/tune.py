@@ -42,6 +42,10 @@ def tune(
         answer(_facts(found))
         return
     table([HEAD, *_rows(found)], left=2)
+    say(
+        "Each held-out half starts without a map, so its pose share is below that of the whole "
+        "drive. Compare whole drives with `homeward run`, before and after you add the lines."
+    )
     say("Add these lines to drive.yaml (estimated from the first halves):")
     for line in settings_yaml(found.settings).splitlines():
         typer.echo(line)

@@ -28,7 +28,10 @@ def plan(
         bool, typer.Option("--compass", help="With --landmarks: the heading is known.")
     ] = False,
     distances: Annotated[
-        bool, typer.Option("--distances", help="With --landmarks: distances from home are known.")
+        bool,
+        typer.Option(
+            "--distances", help="With --landmarks: distances of the landmarks from home are known."
+        ),
     ] = False,
     motion: Annotated[
         str | None,
@@ -39,7 +42,7 @@ def plan(
     unknown: Annotated[
         list[str] | None,
         typer.Option(
-            help="With --landmarks: also unknown is speed-scale, turn-scale, turn-bias, lag or "
+            help="With --landmarks: add an unknown: speed-scale, turn-scale, turn-bias, lag or "
             "camera-yaw; repeatable."
         ),
     ] = None,

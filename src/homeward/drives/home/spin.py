@@ -204,7 +204,7 @@ def with_home(drive: Drive, when: HomeWhen) -> Drive:
     first, last = (drive.span[0] + t for t in span)
     if drive.settings.home_sensor is not None:
         raise InputError(
-            "home_sensor: home bearings come from the drive's own camera; remove the key"
+            "home_sensor does not apply if home comes from this drive; remove it from drive.yaml"
         )
     if drive.known.surveyed_from_home:
         raise InputError(

@@ -69,8 +69,8 @@ class BearingsTopic(Strict):
 NAME_BEARINGS = "name its topics under bearings in a topics file; homeward info lists them"
 """Advice for a log without a known topic of bearings."""
 NAME_HOME = (
-    "use --home-during FROM,TO [s] if the robot was at rest at home, --home-spin FROM,TO [s] if it "
-    "turned on the spot there, or name a file or topic under home in a topics file"
+    "use --home-during FROM,TO [s] if the robot was at rest at home; --home-spin FROM,TO [s] if it "
+    "turned on the spot there; or name a file or topic under home in a topics file"
 )
 """Advice for a log without home bearings."""
 

@@ -106,7 +106,9 @@ def _ranks(
     found = [rank(np.array(gradients(*point))) for point in points]
     k = max(range(len(points)), key=lambda i: (found[i].value, found[i].gap))
     if not found[k].clear:
-        raise ArithmeticError(f"the rank for {q} landmarks is not clear in floats")
+        raise ArithmeticError(
+            f"double precision does not determine the rank for {q} landmarks; use fewer"
+        )
     return found[k], k
 
 

@@ -209,8 +209,8 @@ def _on_surfaces(layout: OnSurfaces, room: Room, rng: np.random.Generator) -> np
         tries += 1
         if tries > TRIES:
             raise InputError(
-                f"landmarks.count: the room has no place for {layout.count} landmarks"
-                f" {layout.spacing:g} m apart"
+                f"landmarks.count: the room has no space for {layout.count} landmarks"
+                f" {layout.spacing:g} m apart; reduce landmarks.count or landmarks.spacing"
             )
     return np.array(places)
 

@@ -177,8 +177,8 @@ class IntegrityMonitor:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed
         if stayed < MINIMAL:
-            words = f"only {stayed} of {agreeing} home bearings that agree are of landmarks"
-            return Status.UNVERIFIED, f"{words} that stayed; former places verify nothing"
+            words = f"only {stayed} of {agreeing} agreeing home bearings belong to static landmarks"
+            return Status.UNVERIFIED, f"{words}; former positions do not confirm a pose"
         if self._rival_probability > 1.0 - self._settings.sure:
             return Status.UNVERIFIED, f"another home has probability {self._rival_probability:.2f}"
         if coasting:

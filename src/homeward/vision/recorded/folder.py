@@ -154,7 +154,7 @@ def home_image(folder: Path, settings: ImageSettings) -> Path:
     found = home_images(folder, settings)
     if len(found) != 1:
         what = "no home image" if not found else f"{len(found)} files named home"
-        raise InputError(f"{what}: name it in {IMAGE_SETTINGS} (home: FILE)", folder)
+        raise InputError(f"{what}: set home: FILE in {IMAGE_SETTINGS}", folder)
     return found[0]
 
 

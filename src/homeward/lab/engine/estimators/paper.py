@@ -166,8 +166,8 @@ class FilterConfig(Generic[Settings]):
             )
         if self.name == "pi-ekf":
             notes.append(
-                "pi-ekf never forgets its integral of innovations, as in the paper; on long drives "
-                "it winds up (integral_gain=0 gives the EKF)."
+                "pi-ekf integrates innovations without decay, as in the paper; on long drives the "
+                "integral grows. Use integral_gain=0 (EKF) for these."
             )
         return notes
 

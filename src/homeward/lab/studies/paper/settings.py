@@ -114,7 +114,9 @@ class PaperSettings(Strict):
     def _as_many_samples_as_fit(self) -> Self:
         times, dt, q = self.assumed, self.printed.sample_time, self.printed.landmarks
         if min(times.longest, times.circle_time) < dt:
-            raise ValueError("assumed.longest and circle_time: shorter than printed.sample_time")
+            raise ValueError(
+                "assumed.longest and assumed.circle_time: shorter than printed.sample_time"
+            )
         if max(times.longest, times.circle_time) / dt * q > MAX_BEARINGS:
             raise ValueError(
                 f"printed.sample_time and landmarks, assumed.longest and circle_time: more than"

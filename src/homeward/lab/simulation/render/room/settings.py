@@ -108,7 +108,7 @@ class RoomCamera(Strict):
         if self.projection == "equirectangular" and 2 * self.height > self.width:
             raise ValueError("height: at most half the width (the full range of elevations)")
         if self.height > 8 * self.width:
-            raise ValueError("height: too high for the width")
+            raise ValueError("height: at most 8 times the width")
         if self.projection == "pinhole" and self.field_of_view > 2.6:
             raise ValueError("field_of_view: at most 2.6 rad for a pinhole; use a fisheye")
         if self.distortion and self.projection not in LENSES:
