@@ -129,7 +129,7 @@ def test_output_is_wrapped_at_words_and_notes_are_highlighted(short, tmp_path):
     shown = on_terminal(width, "run", short, "--estimator", "ekf", "--out", tmp_path / "o")
     assert "\x1b[33m\x1b[1mNote: " in shown
     plain = re.sub(r"\x1b\[\d*m", "", shown)
-    assert "which bends every bearing." in " ".join(plain.split())
+    assert "which biases every bearing." in " ".join(plain.split())
     assert all(len(line) <= width or " " not in line.strip() for line in plain.splitlines())
 
 
