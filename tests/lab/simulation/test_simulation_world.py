@@ -156,7 +156,7 @@ def test_home_noise_is_as_large_as_it_says():
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"landmarks.count": 200}, "landmarks.count: the room has no place for 200"),
+        ({"landmarks.count": 200}, "landmarks.count: the room has no space for 200"),
         ({"visibility.range": [0.0, 0.1]}, "moved.count: home can have seen only"),
         ({"visibility.range": [0.0, 0.1], "moved.count": 0}, "home has no landmark in view"),
         ({"moved.count": 0, "moved.faults": {"L99": 0.3}}, "moved.faults.L99: no such landmark"),
