@@ -44,3 +44,22 @@ def odometry(log, stamp, v, omega, x=0.0, y=0.0, heading=0.0, sideways=0.0):
 
 def stamps(n, start=EPOCH, step=0.1):
     return [start * SECOND + round(i * step * SECOND) for i in range(n)]
+
+
+def transforms(log, stamp, frames):
+    """A TFMessage of {(parent, child): (x, y, z)} with zero quaternions, or a quaternion too."""
+    return log.make(
+        "tf2_msgs/msg/TFMessage",
+        transforms=[
+            log.make(
+                "geometry_msgs/msg/TransformStamped",
+                header=log.header(stamp, parent),
+                child_frame_id=child,
+                transform={
+                    "translation": dict(zip("xyz", map(float, values), strict=False)),
+                    "rotation": dict(zip("xyzw", map(float, values[3:]), strict=False)),
+                },
+            )
+            for (parent, child), values in frames.items()
+        ],
+    )

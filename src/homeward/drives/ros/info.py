@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,12 +18,12 @@ from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
-from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
+from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.settings import NAME_HOME, LogSettings
-from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
+from homeward.drives.ros.settings import NAME_HOME, LogSettings, wildcard_part
+from homeward.drives.ros.topics.choosing import OUR_SETTINGS, USES, choose, use_of
 from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, survey
+from homeward.drives.ros.topics.tag_frames import MIN_TAGS
 from homeward.errors import InputError
 from homeward.io.settings import read_settings, settings_yaml
 
@@ -68,7 +70,7 @@ def log_info(
     half = None if on_progress is None else lambda done: on_progress(done / 2)
     known = survey(
         log,
-        keep=(OUR_SETTINGS, *(kind for kinds, _ in _SERVES for kind in kinds)),
+        keep=(OUR_SETTINGS, *(kind for kinds, _ in USES for kind in kinds)),
         on_progress=half,
     )
     cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
@@ -82,6 +84,7 @@ def log_info(
         *cut_short,
         *missing,
         *(_candidates(known) if missing else ()),
+        *_tags_used(known, plan),
         *_tried(known, plan, topics, on_progress),
     )
     return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)))
@@ -163,32 +166,45 @@ def _missing(plan: LogSettings) -> Iterator[str]:
     if plan.odometry is None:
         yield "No topic contains odometry."
     if not plan.bearings:
-        yield "No topic contains bearings."
+        yield "No topic has a type that is read as bearings without a topics file."
     if plan.home is None:
         yield f"No home bearings found: {NAME_HOME}."
 
 
-_SERVES: tuple[tuple[tuple[str, ...], str], ...] = (
-    ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
-    ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
-    (TWISTS, "odometry"),
-    (POSES, "odometry, or ground truth"),
-    (IN_IMAGE, "bearings, with a camera model"),
-    ((POINT,), "the bearings of one landmark"),
-    (tuple(READERS), "bearings"),
-)
-"""Message types and their possible uses; the first match counts."""
+def _tags_used(known: TopicSurvey, plan: LogSettings) -> Iterator[str]:
+    """Yield the frames in /tf that are used as bearings."""
+    used = {(topic.topic, topic.frames) for topic in plan.bearings if topic.frames}
+    for tags in known.tag_frames if used else ():
+        if (tags.topic, tags.frames) in used:
+            yield f"Bearings from the positions of frames in {tags.topic}: {tags}."
+
+
+def _numbered(names: list[str]) -> list[str]:
+    """Return patterns of names that differ in one integer, for at least `MIN_TAGS` names."""
+    numbers = ((name, m) for name in names for m in re.finditer(r"\d+", name))
+    patterns = Counter(f"{name[: m.start()]}*{name[m.end() :]}" for name, m in numbers)
+    return [pattern for pattern, count in patterns.items() if count >= MIN_TAGS]
 
 
 def _candidates(known: TopicSurvey) -> Iterator[str]:
     """Yield the possible use of each topic, if its messages can be decoded."""
-    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
+    from homeward.drives.ros.messages.decoding import Decoder, is_well_known  # the extra bags
 
+    patterns = _numbered([t.name for t in known.topics if t.type in POSES_OF_TAGS])
+    for pattern in patterns:
+        yield f'Topics {pattern} can be used as bearings: {{topic: "{pattern}"}}.'
+    unknown = []
     for topic in known.topics:
-        if words := next((words for types, words in _SERVES if topic.type in types), ""):
+        if any(wildcard_part(pattern, topic.name) for pattern in patterns):
+            continue
+        if words := use_of(topic.type):
             first = known.kept[topic.name]
             try:
                 Decoder().decode(first.channel, first.data)
                 yield f"{topic.name} can be used as {words}."
             except InputError as error:
                 yield f"{error.what}."
+        elif not is_well_known(topic.type):
+            unknown.append(f"{topic.name} ({topic.type})")
+    if unknown:
+        yield f"Types that are not read yet: {', '.join(unknown)}."

@@ -15,8 +15,15 @@ from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings
 from homeward.drives.home.spin import with_home
 from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import SightingRows, TagDetector, frame_of
+from homeward.drives.ros.measurements.bearings import (
+    TRANSFORMS,
+    SightingRows,
+    TagDetector,
+    frame_of,
+    landmark_of,
+)
 from homeward.drives.ros.measurements.extrinsics import (
+    TF,
     TF_STATIC,
     TopicSightings,
     Transforms,
@@ -115,14 +122,10 @@ class _Reading:
             self._at_home = self._rows_of(BearingsTopic(topic=plan.home.topic))()
             self._subscribe(plan.home.topic, self._at_home.add)
         self._transforms = Transforms()
-        if plan.mount is not None:
-            if not plan.bearings:
-                raise InputError(f"mount needs topics of bearings: {NAME_BEARINGS}")
-            known.topic(TF_STATIC)
-        if plan.mount is not None or (
-            len(plan.bearings) > 1 and TF_STATIC in (topic.name for topic in known.topics)
-        ):
-            self._subscribe(TF_STATIC, self._transforms.add)
+        if plan.mount is not None and not plan.bearings:
+            raise InputError(f"mount needs topics of bearings: {NAME_BEARINGS}")
+        if plan.mount is not None or len(plan.bearings) > 1 or self._has_frames:
+            self._subscribe_transforms()
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
             self._subscribe(
@@ -162,6 +165,12 @@ class _Reading:
 
     def _set_extrinsics(self) -> None:
         """Set the extrinsics, and transform all bearings to the frame of the first camera."""
+        for given, by_frame in zip(self._plan.bearings, self._seen, strict=True):
+            if given.frames and not by_frame:
+                raise InputError(
+                    f"no frame in {given.topic} matches {given.frames}; homeward info without a "
+                    "topics file lists the frames that look like tags"
+                )
         self._cameras = [
             TopicSightings(frame, rows)
             for by_frame in self._seen
@@ -180,12 +189,36 @@ class _Reading:
     def _subscribe(self, topic: str, handler: Handler) -> None:
         self._handlers.setdefault(topic, []).append(handler)
 
+    @property
+    def _has_frames(self) -> bool:
+        return any(given.frames for given in self._plan.bearings)
+
+    def _subscribe_transforms(self) -> None:
+        """Collect the frames of the robot; those of landmarks are not needed."""
+        names = {topic.name for topic in self._known.topics}
+        if self._plan.mount is not None and TF not in names:
+            self._known.topic(TF_STATIC)
+        if TF_STATIC in names:
+            self._subscribe(TF_STATIC, lambda _, given: self._transforms.put(given))
+        if TF in names:
+            tags = [given for given in self._plan.bearings if given.frames]
+            self._subscribe(
+                TF,
+                lambda _, given: (
+                    None
+                    if any(landmark_of(given, topic) for topic in tags)
+                    else self._transforms.follow(given)
+                ),
+            )
+
     def _subscribe_sightings(self, given: BearingsTopic) -> dict[str, SightingRows]:
         """Return the sightings of a topic by frame, which are filled while the log is read."""
         rows: dict[str, SightingRows] = {}
         new = self._rows_of(given)
 
         def add(t: float, message: Any) -> None:
+            if given.frames and not landmark_of(message, given):
+                return
             frame = frame_of(message)
             if frame not in rows:
                 rows[frame] = new()
@@ -216,9 +249,11 @@ class _Reading:
             if topic in self._handlers:
                 decoded = self._decoder.decode(message.channel, message.data)
                 try:
-                    t = clock.time(message, decoded)
-                    for handle in self._handlers[topic]:
-                        handle(t, decoded)
+                    is_tree = message.channel.type in TRANSFORMS
+                    for part in decoded.transforms if is_tree else (decoded,):
+                        t = clock.time(message, part)
+                        for handle in self._handlers[topic]:
+                            handle(t, part)
                 except (AttributeError, TypeError, ValueError, IndexError) as error:
                     # The definition in the log lacks a field, or has another type of it.
                     kind = quoted(message.channel.type)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator
+from pydantic import Field, field_validator, model_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
@@ -15,6 +15,18 @@ ODOMETRY = "homeward_msgs/msg/Odometry"
 BEARINGS = "homeward_msgs/msg/Bearings"
 POSE = "homeward_msgs/msg/Pose"
 PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
+
+
+def wildcard_part(pattern: str, name: str) -> str | None:
+    """Return the part of a name that matches the ``*`` of a pattern; None without a match.
+
+    Without ``*`` the part is the whole name. It contains no slash.
+    """
+    before, star, after = pattern.partition("*")
+    part = name[len(before) : len(name) - len(after)]
+    if not star or not part or "/" in part or name != before + part + after:
+        return name if name == pattern else None
+    return part
 
 
 class OdometryTopic(Strict):
@@ -38,8 +50,12 @@ class BearingsTopic(Strict):
     """A topic of sightings of landmarks."""
 
     topic: str
+    """With one ``*`` for the landmark id in its name: a topic for each landmark."""
     landmark: str | None = None
-    """Id of the landmark of a geometry_msgs/PointStamped; None: the last part of the topic."""
+    """Id of the landmark in a topic of one landmark; None: the last part of the topic of a
+    geometry_msgs/PointStamped."""
+    frames: Annotated[str, Field(min_length=1)] | None = None
+    """For a tf2_msgs/TFMessage: names of the landmarks' frames, with ``*`` for the landmark id."""
     camera: str | Lens | None = None
     """For points in an image: the topic of the sensor_msgs/CameraInfo, a calibration file in the
     folder of the topics file (``FILE.yaml``, or ``FILE.yaml#cam1`` of several), or the model."""
@@ -59,6 +75,15 @@ class BearingsTopic(Strict):
     """Standard deviation of a bearing where the message has none [rad]."""
     sensor: Mount | None = None
     """Extrinsics of the camera of this topic; None: as `LogSettings.mount` or `drive` specify."""
+
+    @model_validator(mode="after")
+    def _one_source_of_ids(self) -> BearingsTopic:
+        for pattern in (self.topic, self.frames or ""):
+            if pattern.count("*") > 1:
+                raise ValueError(f"{pattern} has more than one *")
+            if "*" in pattern and self.landmark is not None:
+                raise ValueError(f"the landmark id is the * in {pattern}; remove landmark")
+        return self
 
     @property
     def tilt(self) -> dict[str, float]:

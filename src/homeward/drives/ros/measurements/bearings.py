@@ -12,7 +12,7 @@ import numpy as np
 from homeward.drives.cameras.camera import tag_bearings
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.rows import Remarks
-from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic
+from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic, wildcard_part
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted
@@ -24,8 +24,15 @@ FIDUCIALS = "fiducial_msgs/msg/FiducialArray"
 MARKERS = "aruco_msgs/msg/MarkerArray"
 FIDUCIAL_POSES = "fiducial_msgs/msg/FiducialTransformArray"
 TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
+ROS2_ARUCO = "ros2_aruco_interfaces/msg/ArucoMarkers"
+ARUCO_OPENCV = "aruco_opencv_msgs/msg/ArucoDetection"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
+POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
+"""Types of topics with the pose of one landmark."""
+OF_ONE_LANDMARK = (POINT, *POSES_OF_TAGS)
+TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
+"""Types whose transforms may be sightings; a reader receives one transform."""
 CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
 """Types with the corners of tags."""
 IN_IMAGE = (*CORNERS, DETECTIONS)
@@ -136,6 +143,16 @@ READERS: dict[str, Reader] = {
         ),
         "optical",
     ),
+    ROS2_ARUCO: _points(
+        lambda message, _: (
+            (name, pose.position)
+            for name, pose in zip(message.marker_ids, message.poses, strict=True)
+        ),
+        "optical",
+    ),
+    ARUCO_OPENCV: _points(
+        lambda message, _: ((m.marker_id, m.pose.position) for m in message.markers)
+    ),
     DETECTIONS: lambda message, _: map(_detection, message.detections),
     POSE_ARRAY: _points(
         lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
@@ -147,8 +164,32 @@ READERS: dict[str, Reader] = {
     ),
 }
 """By type, in order of preference."""
-IN_SPACE = tuple(kind for kind in READERS if kind not in (BEARINGS, *IN_IMAGE))
+NAMED_READERS: dict[str, Reader] = {
+    **dict.fromkeys(
+        POSES_OF_TAGS, _points(lambda message, given: [(given.landmark, _position(message))])
+    ),
+    **dict.fromkeys(
+        TRANSFORMS,
+        _points(
+            lambda message, given: [(landmark_of(message, given), message.transform.translation)]
+        ),
+    ),
+}
+"""Readers of types that are bearings only where the topics file names them."""
+ALL_READERS = READERS | NAMED_READERS
+IN_SPACE = tuple(kind for kind in ALL_READERS if kind not in (BEARINGS, *IN_IMAGE))
 """Types with points in space [m]."""
+
+
+def landmark_of(transform: Any, given: BearingsTopic) -> str | None:
+    """Return the landmark id of a transform; None where its frame is not a landmark."""
+    name = wildcard_part((given.frames or "").strip("/"), transform.child_frame_id.strip("/"))
+    return name and (given.landmark or name)
+
+
+def _position(message: Any) -> Any:
+    """Return the position of a stamped pose with or without covariance."""
+    return getattr(message.pose, "pose", message.pose).position
 
 
 def frame_of(message: Any) -> str:
@@ -202,7 +243,7 @@ class SightingRows:
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
         if self._detector is None:
-            found = list(READERS[self.kind](message, self.given))
+            found = list(ALL_READERS[self.kind](message, self.given))
         else:
             found = list(self._detector(message, self._camera()))
         counts = Counter(seen.landmark for seen in found)

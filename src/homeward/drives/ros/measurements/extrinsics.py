@@ -8,14 +8,22 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, IN_SPACE, SightingRows, axes_of
+from homeward.drives.ros.measurements.bearings import (
+    IN_IMAGE,
+    IN_SPACE,
+    TRANSFORMS,
+    SightingRows,
+    axes_of,
+)
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import between
 from homeward.io.settings import validated
 
-TF_STATIC = "/tf_static"
+TF, TF_STATIC = "/tf", "/tf_static"
+MAX_CHANGE = 1e-3
+"""Maximum change of a constant transform on /tf [m], or in each part of its quaternion [1]."""
 LEVEL = 0.05
 """Maximum tilt of a camera for bearings of points in space, which assume a level camera [rad]. The
 bearing of a landmark 10 deg above or below then has an error of up to 0.5 deg."""
@@ -38,24 +46,49 @@ class Placed(NamedTuple):
 
 
 class Transforms:
-    """The tree of frames from /tf_static."""
+    """The tree of frames from /tf_static, and the constant ones from /tf."""
 
     def __init__(self) -> None:
         self._parents: dict[str, tuple[str, Placed]] = {}
+        self._followed: dict[str, tuple[Any, ...]] = {}
+        self._moving: set[str] = set()
 
     def add(self, _: float, message: Any) -> None:
-        """Add a tf2_msgs/TFMessage."""
+        """Add a tf2_msgs/TFMessage of /tf_static."""
         for given in message.transforms:
-            shift, q = given.transform.translation, given.transform.rotation
-            child, parent = given.child_frame_id.strip("/"), given.header.frame_id.strip("/")
-            place = Placed(_rotation(q), np.array([shift.x, shift.y, shift.z]))
-            self._parents[child] = parent, place
+            self.put(given)
+
+    def put(self, given: Any) -> None:
+        """Add a geometry_msgs/TransformStamped."""
+        shift, q = given.transform.translation, given.transform.rotation
+        child, parent = given.child_frame_id.strip("/"), given.header.frame_id.strip("/")
+        place = Placed(_rotation(q), np.array([shift.x, shift.y, shift.z]))
+        self._parents[child] = parent, place
+
+    def follow(self, given: Any) -> None:
+        """Add a geometry_msgs/TransformStamped of /tf, which may change during the drive."""
+        child = given.child_frame_id.strip("/")
+        if child in self._moving:
+            return
+        shift, q = given.transform.translation, given.transform.rotation
+        values = given.header.frame_id.strip("/"), shift.x, shift.y, shift.z, q.x, q.y, q.z, q.w
+        first = self._followed.setdefault(child, values)
+        if first is values and (q.x or q.y or q.z or q.w):
+            self.put(given)
+        elif first[0] != values[0] or max(map(_distance, first[1:], values[1:])) > MAX_CHANGE:
+            self._moving.add(child)
 
     def find(self, base: str, frame: str) -> Placed | None:
         """Return the pose of a frame in the base frame; None while no transforms connect them."""
         here, there = self._above(frame), self._above(base)
         for above, place in here.items():
             if above in there:
+                path = [*here][: [*here].index(above)] + [*there][: [*there].index(above)]
+                if moving := self._moving.intersection(path):
+                    raise InputError(
+                        f"{TF}: {min(moving)} moves between {frame} and {base}, but the camera "
+                        "extrinsics must be constant: use a camera that is fixed on the robot"
+                    )
                 turn, shift = there[above]
                 return place.after(Placed(turn.T, -turn.T @ shift))
         return None
@@ -107,7 +140,11 @@ def mount(
 
 def not_connected(frames: MountFrames) -> str:
     """Return the message for missing transforms."""
-    return f"no transforms on {TF_STATIC} connect {frames.camera} to {frames.base}"
+    return f"no transforms on {TF_STATIC} or {TF} connect {frames.camera} to {frames.base}"
+
+
+def _distance(a: float, b: float) -> float:
+    return abs(a - b)
 
 
 def _rotation(q: Any) -> np.ndarray:
@@ -181,14 +218,19 @@ def _specified(
     camera: TopicSightings, transforms: Transforms, plan: LogSettings, several: bool
 ) -> Mount | None:
     """Return the extrinsics from the topic or the transforms; set the tilt from the latter."""
-    if camera.rows.given.sensor is not None or (plan.mount is None and not several):
+    is_given = plan.drive is not None and not plan.drive.sensor.model_fields_set.isdisjoint(
+        Mount.model_fields
+    )
+    is_found = camera.rows.kind in TRANSFORMS and not is_given  # in the tree of its own frames
+    needs_frames = plan.mount is not None or several
+    if camera.rows.given.sensor is not None or not (needs_frames or is_found):
         return camera.rows.given.sensor
     frames = plan.mount or MountFrames()
     if several or frames.camera is None:
         frames = frames.model_copy(update={"camera": camera.frame})
     found = mount(transforms, frames, camera.rows.kind, camera.rows.given)
     if found is None:
-        if several:
+        if several or plan.mount is None:
             return None
         raise InputError(not_connected(frames))
     own, camera.rows.given = found

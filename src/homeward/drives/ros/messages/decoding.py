@@ -107,6 +107,11 @@ class Decoder:
             ) from error
 
 
+def is_well_known(kind: str) -> bool:
+    """Whether a type belongs to ROS itself, or is read without a definition in the log."""
+    return kind in typestore(False).fielddefs or kind in typestore(True).fielddefs
+
+
 def begins_with_header(channel: Channel) -> bool:
     """Whether messages of a channel begin with a std_msgs/Header."""
     if channel.definition and channel.syntax == "msg":

@@ -4,8 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Container
 
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, POINT, READERS
-from homeward.drives.ros.measurements.odometry import JOINT_STATE, POSES, TWISTS
+from homeward.drives.ros.measurements.bearings import (
+    ALL_READERS,
+    IN_IMAGE,
+    OF_ONE_LANDMARK,
+    POINT,
+    POSES_OF_TAGS,
+    READERS,
+    TRANSFORMS,
+)
+from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
 from homeward.drives.ros.settings import (
     BEARINGS,
     PICTURES,
@@ -15,6 +23,7 @@ from homeward.drives.ros.settings import (
     LogSettings,
     OdometryTopic,
     TruthTopic,
+    wildcard_part,
 )
 from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.errors import InputError
@@ -27,13 +36,31 @@ OUR_BEARINGS = "/homeward/bearings"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 NO_PICTURES = "the log contains no images; use homeward run for a log with detected tags"
 
+USES: tuple[tuple[tuple[str, ...], str], ...] = (
+    ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
+    ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
+    (TWISTS, "odometry"),
+    (POSES_OF_TAGS, "odometry, ground truth, or the bearings of one landmark"),
+    (POSES, "odometry, or ground truth"),
+    (IN_IMAGE, "bearings, with a camera model"),
+    ((POINT,), "the bearings of one landmark"),
+    (TRANSFORMS, "bearings, with the names of the landmarks' frames"),
+    (tuple(READERS), "bearings"),
+)
+"""Message types and their possible uses; the first match counts."""
+
+
+def use_of(kind: str) -> str:
+    """Return the possible use of a message type; empty for one that is not read."""
+    return next((words for types, words in USES if kind in types), "")
+
 
 def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> LogSettings:
     """Return the settings of a log with guesses for the topics that the user did not name.
 
-    Bearings come from `pictures`, or else from messages that contain them. `InputError` where a
-    named topic is missing or has an unsuitable type, where several topics are equally suitable and
-    none is named, or where there are no images.
+    Bearings come from `pictures`, or else from messages that contain them, or else from frames in
+    /tf that look like tags. `InputError` where a named topic is missing or has an unsuitable type,
+    where several topics are equally suitable and none is named, or where there are no images.
     """
     odometry = given.odometry or next(
         (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None
@@ -46,8 +73,14 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     )
     if pictures and not bearings:
         raise InputError(NO_PICTURES, survey.log.path)
+    if not bearings and survey.tag_frames:
+        bearings = (_with_frames(survey, BearingsTopic(topic=survey.tag_frames[0].topic)),)
     truth = given.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
-    bearings = tuple(_with_camera(survey, topic) for topic in bearings)
+    bearings = tuple(
+        _with_frames(survey, _with_camera(survey, topic))
+        for given in bearings
+        for topic in _matching(survey, given)
+    )
     chosen = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
     plan = given.model_copy(update={k: v for k, v in chosen.items() if v})
     _check(survey, plan, types)
@@ -66,6 +99,48 @@ def _of_best_type(
         advice += ", or several, each with its sensor" if what == "bearings" else ""
         raise InputError(f"several topics of {kind}: {names}; {advice}", survey.log.path)
     return found
+
+
+def _matching(survey: TopicSurvey, given: BearingsTopic) -> list[BearingsTopic]:
+    """Return the topics of one landmark each that match a name with ``*``, or else the topic."""
+    if "*" not in given.topic:
+        return [given]
+    found = [
+        given.model_copy(update={"topic": t.name, "landmark": part})
+        for t in survey.topics
+        if t.type in OF_ONE_LANDMARK and (part := wildcard_part(given.topic, t.name))
+    ]
+    if not found:
+        types = ", ".join(OF_ONE_LANDMARK)
+        raise InputError(f"no topic {given.topic} of {types}", survey.log.path)
+    return found
+
+
+def _with_frames(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
+    """Add the frames that look like tags to a topic of transforms without names of frames."""
+    kind = survey.topic(given.topic).type
+    if kind in POSES_OF_TAGS and given.landmark is None:
+        raise InputError(
+            f"{given.topic} is a {kind}, read as the pose of one landmark: add landmark: ID to it "
+            'under bearings, or write the landmark id as *, as in {topic: "/tag_*/pose"}',
+            survey.log.path,
+        )
+    if given.frames and kind not in TRANSFORMS:
+        problem = f"{given.topic}: frames are for {TRANSFORMS[0]}, but it is a {kind}"
+        raise InputError(problem, survey.log.path)
+    if given.frames or kind not in TRANSFORMS:
+        return given
+    found = [tags for tags in survey.tag_frames if tags.topic == given.topic]
+    if len(found) != 1:
+        problem = "several sets of frames look like tags" if found else "no frames look like tags"
+        sets = f": {'; '.join(map(str, found))}" if found else ""
+        example = found[0].frames if found else "tag36h11:*"
+        raise InputError(
+            f"{given.topic}: {problem}{sets}; name the frames of the landmarks under bearings in "
+            f'a topics file, as in {{topic: {given.topic}, frames: "{example}"}}',
+            survey.log.path,
+        )
+    return given.model_copy(update={"frames": found[0].frames})
 
 
 def _with_camera(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
@@ -92,7 +167,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     """Refuse topics of unsuitable types."""
     wanted = [
         ("odometry", plan.odometry, (*TWISTS, *POSES, JOINT_STATE)),
-        *(("bearings", topic, (*types, *READERS)) for topic in plan.bearings),
+        *(("bearings", topic, (*types, *ALL_READERS)) for topic in plan.bearings),
         ("home", plan.home, (BEARINGS,)),
         ("truth", plan.truth, POSES),
     ]
@@ -100,6 +175,14 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     cameras = (t.camera for t in plan.bearings if isinstance(t.camera, str))
     named += [("camera", camera, (CAMERA_INFO,)) for camera in cameras]
     for what, name, suitable in named:
-        if name is not None and survey.topic(name).type not in suitable:
-            problem = f"{name} is a {survey.topic(name).type}, which contains no {what}"
-            raise InputError(f"{problem}; homeward info lists suitable topics", survey.log.path)
+        if name is not None and (kind := survey.topic(name).type) not in suitable:
+            use = use_of(kind)
+            problem = f"read as {use}" if use else "a type that is not read yet"
+            advice = "name a topic of another type"
+            if what == "bearings":
+                advice += ", or convert it to geometry_msgs/PoseStamped with a topic per landmark"
+            raise InputError(
+                f"{name} is a {kind}, {problem}, so it cannot be used under {what}: {advice}; "
+                "homeward info lists suitable topics",
+                survey.log.path,
+            )

@@ -6,12 +6,14 @@ import struct
 from array import array
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.log import Log, Message
+from homeward.drives.ros.measurements.bearings import OF_ONE_LANDMARK, TRANSFORMS
 from homeward.drives.ros.messages.stamps import (
     HEADER_BYTES,
     NANO,
@@ -22,6 +24,7 @@ from homeward.drives.ros.messages.stamps import (
     seconds,
 )
 from homeward.drives.ros.settings import LogSettings
+from homeward.drives.ros.topics.tag_frames import TagFrames, tag_frames
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
@@ -92,6 +95,12 @@ class TopicSurvey:
     kept: dict[str, Message]
     """First messages of the topics to keep, by name."""
 
+    @cached_property
+    def tag_frames(self) -> tuple[TagFrames, ...]:
+        """Sets of frames whose names look like tags, found in one more pass through /tf."""
+        names = [t.name for t in self.topics if t.type in TRANSFORMS and t.name != "/tf_static"]
+        return tag_frames(self.log, names) if names else ()
+
     def topic(self, name: str) -> Topic:
         """Return the topic of that name; `InputError` lists all topics if it is missing."""
         for topic in self.topics:
@@ -160,12 +169,7 @@ class MessageTimes:
         self._shift = 0
         if self._by_header and epoch is None:
             self._shift = _recorder_ahead(topics)
-            spans = {
-                t.name: (int(s.min()) / NANO, int(s.max()) / NANO)
-                for t in topics.values()
-                if (s := self._stamps(t)).size
-            }
-            require_overlap(spans, OTHER_CLOCKS)
+            require_overlap(self._spans(topics), OTHER_CLOCKS)
             for topic in topics.values():
                 _require_steady_clock(topic)
         stamps = [s for t in topics.values() if (s := self._stamps(t)).size]
@@ -180,6 +184,8 @@ class MessageTimes:
         if not hasattr(decoded, "header"):
             return seconds(message.receive - self._shift, epoch)
         stamp = decoded.header.stamp
+        if message.channel.type in TRANSFORMS and not (stamp.sec or stamp.nanosec):
+            return seconds(message.receive - self._shift, epoch)
         residue = getattr(decoded, "residue", 0.0)
         if not np.isfinite(residue):
             raise InputError(f"{message.channel.topic}: a residue is not finite")
@@ -188,6 +194,18 @@ class MessageTimes:
     def in_settings(self, settings: DriveSettings) -> DriveSettings:
         """Return the settings of the drive with its epoch."""
         return settings.model_copy(update={"epoch": self._epoch}) if self._epoch else settings
+
+    def _spans(self, topics: dict[str, Topic]) -> dict[str, tuple[float, float]]:
+        """Return first and last time [s] by topic; topics of one landmark each count as one."""
+        spans: dict[str, tuple[float, float]] = {}
+        single = next((t.name for t in topics.values() if t.type in OF_ONE_LANDMARK), "")
+        for topic in topics.values():
+            if (stamps := self._stamps(topic)).size:
+                name = single if topic.type in OF_ONE_LANDMARK else topic.name
+                first, last = int(stamps.min()) / NANO, int(stamps.max()) / NANO
+                known = spans.get(name, (first, last))
+                spans[name] = min(first, known[0]), max(last, known[1])
+        return spans
 
     def _stamps(self, topic: Topic) -> np.ndarray:
         if not self._by_header:

@@ -1,0 +1,233 @@
+"""Tags published as frames in /tf, and as one pose topic for each tag."""
+
+import math
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli.commands import call, done, refused
+from drives.ros.build import odometry, pose, stamps, transforms
+
+from homeward.drives.folder import read_folder
+from homeward.drives.opening import open_drive, sample_drive
+from homeward.drives.ros.writing import writing
+from homeward.errors import InputError
+
+CAMERA = "camera_optical_frame"
+LEVEL_OPTICAL = (-0.5, 0.5, -0.5, 0.5)
+"""Rotation of an optical frame that looks along the x axis of its parent."""
+UNTIL = 30.0
+"""Duration of the logs [s]."""
+
+
+@pytest.fixture(scope="module")
+def sample():
+    """The sample drive, with integers as landmark ids."""
+    drive = read_folder(sample_drive())
+    ids = np.array([name.lstrip("L0") for name in drive.sightings.landmark], object)
+    return replace(drive, sightings=replace(drive.sightings, landmark=ids))
+
+
+def write_sample(path, sample, write_tags, setup=lambda log, t: None):
+    """Write the odometry of the sample, and with `write_tags` its bearings {id: bearing}."""
+    rows = [(t, (v, w)) for t, v, w in zip(*vars(sample.odometry).values(), strict=True)]
+    seen = sample.sightings
+    for t in np.unique(seen.t):
+        now = seen.t == t
+        rows.append((t, dict(zip(seen.landmark[now], seen.bearing[now], strict=True))))
+    rows = [(round((t + 1000) * 1e9), row) for t, row in rows if t <= UNTIL]
+    with writing(path) as log:
+        setup(log, rows[0][0])
+        for stamp, row in sorted(rows, key=lambda r: r[0]):
+            if isinstance(row, tuple):
+                log.write("/odom", stamp, odometry(log, stamp, *row))
+            else:
+                write_tags(log, stamp, row)
+
+
+def optical(bearing, distance=3.0):
+    return -distance * math.sin(bearing), 0.2, distance * math.cos(bearing)
+
+
+def write_frames(log, t, seen, prefix="tag36h11:", parent=CAMERA, topic="/tf"):
+    tags = {(parent, f"{prefix}{i}"): optical(b) for i, b in seen.items()}
+    robot = {("base_link", f"wheel_{i}"): (0.1, i, 0.0, 0, 0, 0, 1) for i in range(4)}
+    moving = {("odom", "base_link"): (t * 1e-9, 0, 0, 0, 0, 0, 1)}
+    log.write(topic, t, transforms(log, t, moving | tags | robot))
+
+
+def assert_same(drive, sample):
+    """Assert that a drive has the bearings of the sample."""
+    shift = drive.settings.epoch or 0
+    found = rows_of(drive.sightings, shift - 1000)
+    expected = {key: b for key, b in rows_of(sample.sightings).items() if key[0] <= UNTIL}
+    assert found == pytest.approx(expected, abs=1e-9)
+
+
+def rows_of(sightings, shift=0):
+    t, bearings = np.round(sightings.t + shift, 6).tolist(), sightings.bearing
+    return dict(zip(zip(t, sightings.landmark, strict=True), bearings, strict=True))
+
+
+def mounted(topic):
+    """A camera on the robot at (0.2, -0.1), by a transform in a topic."""
+
+    def setup(log, t):
+        frames = {
+            ("base_link", "mast"): (0.2, 0.0, 0.5, 0, 0, 0, 1),
+            ("mast", CAMERA): (0.0, -0.1, 0.2, *LEVEL_OPTICAL),
+        }
+        log.write(topic, t, transforms(log, t, frames))
+
+    return setup
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])  # tf2_msgs of ROS 1 is not written here
+@pytest.mark.parametrize("topic", [None, "/tf", "/tf_static"])
+def test_frames_that_look_like_tags_are_bearings(tmp_path, sample, topic, suffix):
+    path = tmp_path / f"tf{suffix}"
+    setup = mounted(topic) if topic else lambda log, t: None
+    write_sample(path, sample, write_frames, setup)
+    drive = open_drive(path)
+    assert_same(drive, sample)
+    found = drive.settings.sensor.pose
+    assert found == pytest.approx((0.2, -0.1, 0.0) if topic else (0.0, 0.0, 0.0))
+    assert ("x" in drive.settings.sensor.model_fields_set) == (topic is not None)
+
+
+@pytest.mark.parametrize("prefix", ["tag_", "fiducial_", "ar_marker_", "front/tag36h11:"])
+def test_names_of_tag_frames(tmp_path, sample, prefix):
+    def fill(log, t, seen):
+        write_frames(log, t, seen, prefix)
+
+    write_sample(tmp_path / "tf.mcap", sample, fill)
+    assert_same(open_drive(tmp_path / "tf.mcap"), sample)
+
+
+def test_info_prints_the_frames_and_a_topics_file(tmp_path, sample):
+    path, topics = tmp_path / "tf.mcap", tmp_path / "topics.yaml"
+    write_sample(path, sample, write_frames)
+    result = done(call("info", path))
+    num_tags = np.unique(sample.sightings.landmark[sample.sightings.t <= UNTIL]).size
+    found = f"frames in /tf: tag36h11:* ({num_tags} frames in {CAMERA})"
+    assert found in result.stdout
+    text = result.stdout.partition("to change them):\n")[2]
+    assert "frames: tag36h11:*" in text
+    home = re.sub(r"\nL0*", r"\n", (sample_drive() / "home.csv").read_text())
+    (tmp_path / "home.csv").write_text(home)
+    topics.write_text(text + "home: {csv: home.csv}\n")
+    assert_same(open_drive(path, topics=topics), sample)
+    done(call("run", path, "--topics", topics, "--out", tmp_path / "out"))
+
+
+def test_ambiguous_and_missing_frames_are_refused(tmp_path, sample):
+    def two(log, t, seen):
+        write_frames(log, t, seen)
+        write_frames(log, t, seen, "marker_")
+
+    path, topics = tmp_path / "two.mcap", tmp_path / "topics.yaml"
+    write_sample(path, sample, two)
+    line = refused(call("run", path, "--out", tmp_path / "out"))
+    assert "/tf: several sets of frames look like tags: marker_* (" in line
+    assert 'as in {topic: /tf, frames: "marker_*"}' in line
+    topics.write_text('bearings: {topic: /tf, frames: "tag36h11:*"}\n')
+    assert_same(open_drive(path, topics=topics), sample)
+    for text, words in (
+        ('{topic: /tf, frames: "tag_*"}', r"no frame in /tf matches tag_\*"),
+        ('{topic: /tf, frames: "tag*_*"}', r"more than one \*"),
+        ('{topic: /odom, frames: "tag_*"}', "frames are for tf2_msgs/msg/TFMessage"),
+        ('{topic: /tf, frames: "tag_*", landmark: a}', "remove landmark"),
+    ):
+        topics.write_text(f"bearings: {text}\n")
+        with pytest.raises(InputError, match=words):
+            open_drive(path, topics=topics)
+
+
+def test_parts_of_the_robot_and_fixed_frames_are_no_tags(tmp_path, sample):
+    def fill(log, t, seen):
+        write_frames(log, t, seen, parent="map")
+
+    path, topics = tmp_path / "robot.mcap", tmp_path / "topics.yaml"
+    write_sample(path, sample, fill)
+    assert not open_drive(path).sightings.t.size
+    topics.write_text("bearings: {topic: /tf}\n")
+    with pytest.raises(InputError, match="no frames look like tags; name the frames"):
+        open_drive(path, topics=topics)
+    topics.write_text('bearings: {topic: /tf, frames: "tag36h11:*"}\n')
+    with pytest.raises(InputError, match="in the fixed frame map"):
+        open_drive(path, topics=topics)
+
+
+def test_a_camera_that_moves_on_the_robot_is_refused(tmp_path, sample):
+    def fill(log, t, seen):
+        write_frames(log, t, seen)
+        pan = 0.1 * math.sin(t * 1e-9)
+        turn = {("base_link", CAMERA): (0, 0, 0, 0, 0, math.sin(pan), math.cos(pan))}
+        log.write("/tf", t, transforms(log, t, turn))
+
+    write_sample(tmp_path / "pan.mcap", sample, fill)
+    with pytest.raises(InputError, match=f"/tf: {CAMERA} moves between"):
+        open_drive(tmp_path / "pan.mcap")
+
+
+def write_poses(log, t, seen, kind="PoseStamped", frame=CAMERA):
+    for landmark, bearing in seen.items():
+        x, y, z = optical(bearing)
+        placed = pose(log, x, y, z=z) if frame == CAMERA else pose(log, z, -x)
+        if kind != "PoseStamped":
+            placed = {"pose": placed}
+        message = log.make(f"geometry_msgs/msg/{kind}", header=log.header(t, frame), pose=placed)
+        log.write(f"/tag_{landmark}/pose", t, message)
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".bag"])
+@pytest.mark.parametrize("frame", [CAMERA, "base_link"])
+@pytest.mark.parametrize("kind", ["PoseStamped", "PoseWithCovarianceStamped"])
+def test_a_pose_topic_for_each_tag(tmp_path, sample, kind, frame, suffix):
+    def fill(log, t, seen):
+        write_poses(log, t, seen, kind, frame)
+
+    path, topics = tmp_path / f"poses{suffix}", tmp_path / "topics.yaml"
+    write_sample(path, sample, fill)
+    topics.write_text('bearings: {topic: "/tag_*/pose"}\n')
+    assert_same(open_drive(path, topics=topics), sample)
+    assert not open_drive(path).sightings.t.size  # may be poses of anything
+    assert (
+        'Topics /tag_*/pose can be used as bearings: {topic: "/tag_*/pose"}.'
+        in done(call("info", path)).stdout
+    )
+
+
+def test_pose_topics_without_an_id_or_in_a_fixed_frame_are_refused(made):
+    def fill(log, frame=CAMERA):
+        for t in stamps(3):
+            write_poses(log, t, {"1": 0.1}, frame=frame)
+
+    drive = made(fill, "bearings: {topic: /tag_1/pose, landmark: door}\n")
+    assert drive.sightings.landmark.tolist() == ["door"] * 3
+    for topic, words in (
+        ("{topic: /tag_1/pose}", "add landmark: ID to it"),
+        ('{topic: "/mark_*/pose"}', r"no topic /mark_\*/pose of geometry_msgs/msg/PointStamped"),
+    ):
+        with pytest.raises(InputError, match=words):
+            made(fill, f"bearings: {topic}\n")
+    with pytest.raises(InputError, match="in the fixed frame map"):
+        made(lambda log: fill(log, "map"), 'bearings: {topic: "/tag_*/pose"}\n')
+
+
+@pytest.mark.parametrize(
+    ("case", "log", "topics"),
+    [
+        ("09-tf-only", "tf", None),
+        ("09-tf-only", "tf", "tf.yaml"),
+        ("06-ros2-aruco", "ros2_aruco", "ros2_aruco.yaml"),
+        ("06-ros2-aruco", "aruco_opencv", None),
+    ],
+)
+def test_field_cases_with_the_bearings_of_the_sample(data_dir, sample, case, log, topics):
+    folder = data_dir / "field" / case
+    if not folder.is_dir():
+        pytest.skip(f"no field/{case} in the data folder")
+    drive = open_drive(folder / log, topics=topics and folder / topics)
+    assert rows_of(drive.sightings) == pytest.approx(rows_of(sample.sightings), abs=1e-6)
