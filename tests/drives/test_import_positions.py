@@ -172,6 +172,7 @@ def test_zeros_are_no_positions(tmp_path, plain):
         ("t,id,x,y,z", lambda f, le, up: (f, le, 9 * up), (), "positions in unknown axes"),
         ("t,id,x,y,z", lambda f, le, up: (-le, abs(f), up), (), "positions in unknown axes"),
         ("t,id,x,y", lambda f, le, up: (400 + 9 * le, 300 - up), (), "give the axes, as in --colu"),
+        ("t,id,x,y,z", lambda *_: ("", "", ""), (), "(x empty, y empty, z empty)"),
         ("t,id,frame_id,x,y,z", lambda f, le, up: ("map", f, le, up), (), "fixed frame 'map'"),
         ("t,id,x,y,z,theta", lambda f, le, up: (f, le, up, 1), (), "'theta' may be the bearing or"),
         ("t,id,a,b,c", lambda f, le, up: (f, le, up), ("left=b",), "requires the role forward"),
@@ -184,6 +185,19 @@ def test_positions_with_unknown_axes_are_refused(tmp_path, plain, head, row, col
     out = ["--out", tmp_path / "out", "--picture", tmp_path / "import.png"]
     assert complaint in refused(call("import", *files(tmp_path, tags), *given, *out))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["tags.csv"]
+
+
+@pytest.mark.parametrize("head", ["t,x,y,heading,source_id,robot_id", "t,x,y,yaw,cell_x"])
+def test_poses_with_other_columns_stay_poses(tmp_path, head):
+    rows = [(k, 0.1 * k, 0.0, 0.1, 1, 2)[: head.count(",") + 1] for k in range(9)]
+    found = understand([write(tmp_path, "poses.csv", head, rows)])
+    assert {one.kind for one in found} == {"odometry"}
+
+
+def test_angles_along_with_corners_stay_bearings(tmp_path):
+    head = "t,id,angle,corner_x,centre_x,corner_y"
+    found = understand([write(tmp_path, "seen.csv", head, [(0, "a", 0.1, 5, 6, 7)])])
+    assert {one.kind for one in found} == {"bearings"}
 
 
 @pytest.mark.parametrize(

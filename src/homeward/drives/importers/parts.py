@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import re
 from collections.abc import Sequence
@@ -207,17 +206,17 @@ def _kinds_of(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column]
         _refuse_headings(one, found["bearings"]["bearing"], mine)
     if any(found.values()):  # poses along with twists belong to the odometry
         return found
-    found, positions = kinds("truth", "home"), _positions(one, mine)
-    if found["home"] or (found["truth"] and not _has_landmarks(one, positions.get("bearings"))):
+    found = kinds("truth", "home")
+    if found["home"] or (found["truth"] and not _has_landmarks(one, mine)):
         return found
-    return positions or found
+    return _positions(one, mine) or found
 
 
 def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> None:
     """Refuse a bearing such as theta along with a position: it may be the landmark's heading."""
     if bearing.is_specified or not matches(bearing.name, "heading"):
         return
-    if any(_positions(one, mine).values()):
+    if _unambiguous_positions(one, mine):
         problem = (
             f"{bearing.name!r} may be the bearing or the heading of a landmark with a position"
         )
@@ -227,14 +226,29 @@ def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> Non
 
 def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column] | None]:
     """Return the columns of positions of landmarks, by kind of table."""
-    every = ((kind, position_columns(kind, one.names, mine)) for kind in ("bearings", "home"))
-    return dict(itertools.islice(((kind, found) for kind, found in every if found), 1))
+    for kind in ("bearings", "home"):
+        if found := position_columns(kind, one.names, mine):
+            return {kind: found}
+    return {}
 
 
-def _has_landmarks(one: Sheet, columns: dict[str, Column] | None) -> bool:
+def _unambiguous_positions(
+    one: Sheet, mine: Sequence[Column]
+) -> dict[str, dict[str, Column] | None]:
+    """Return `_positions`, but nothing where two columns match the same role."""
+    try:
+        return _positions(one, mine)
+    except InputError:
+        return {}
+
+
+def _has_landmarks(one: Sheet, mine: Sequence[Column]) -> bool:
     """Whether poses are those of landmarks: several ids, each with several poses."""
     name = one.path.name.lower()
-    if columns is None or TRUE_PATH.search(name) or "odom" in name:
+    if TRUE_PATH.search(name) or "odom" in name:
+        return False
+    columns = _unambiguous_positions(one, mine).get("bearings")
+    if columns is None:
         return False
     ids = read_csv(one.path, {columns["landmark"].name: names}, form=one.form)
     return 1 < len(set(ids[columns["landmark"].name])) < len(ids)

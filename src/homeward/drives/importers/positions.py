@@ -180,8 +180,10 @@ def _unknown(
     values: Mapping[str, np.ndarray], by_axis: Mapping[str, Column], one: Sheet, kind: str
 ) -> str:
     """Return the message for positions with unknown axes."""
+    seen = {axis: v[np.isfinite(v)] for axis, v in values.items()}
     ranges = ", ".join(
-        f"{axis} {np.nanmin(v):.3g} to {np.nanmax(v):.3g}" for axis, v in values.items()
+        f"{axis} {v.min():.3g} to {v.max():.3g}" if v.size else f"{axis} empty"
+        for axis, v in seen.items()
     )
     options = []
     for name, roles in AXES.items():
