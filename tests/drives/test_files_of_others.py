@@ -149,7 +149,7 @@ def test_the_first_line_of_a_table_is_never_told(tmp_path, name):
     (folder / name).symlink_to(secret)
     told = refusal(read_folder, folder)
     assert "no column" in told
-    assert told.endswith("in the header")
+    assert "in the header; use homeward import" in told
     assert not any(word in told for word in SECRET.replace(":", " ").split() if len(word) > 2)
 
 
