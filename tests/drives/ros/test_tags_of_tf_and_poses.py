@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from cli.commands import call, done, refused
 from drives.ros.build import odometry, pose, stamps, transforms
+from rosbags.typesys import get_types_from_msg
 
+from homeward.drives.cameras.camera import tilt_matrix
 from homeward.drives.folder import read_folder
 from homeward.drives.opening import open_drive, sample_drive
 from homeward.drives.ros.writing import writing
@@ -94,6 +96,32 @@ def test_frames_that_look_like_tags_are_bearings(tmp_path, sample, topic, suffix
     found = drive.settings.sensor.pose
     assert found == pytest.approx((0.2, -0.1, 0.0) if topic else (0.0, 0.0, 0.0))
     assert ("x" in drive.settings.sensor.model_fields_set) == (topic is not None)
+
+
+@pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
+def test_positions_of_a_tilted_camera(tmp_path, sample, topic):
+    """The camera is pitched by 0.5 rad, and tags are 1 m above or below it."""
+    half = 0.25
+
+    def setup(log, t):
+        frames = {
+            ("base_link", "mast"): (0.2, 0.0, 0.5, 0, math.sin(half), 0, math.cos(half)),
+            ("mast", CAMERA): (0.0, 0.0, 0.0, *LEVEL_OPTICAL),
+        }
+        log.write(topic, t, transforms(log, t, frames))
+
+    def fill(log, t, seen):
+        tags = {}
+        for landmark, bearing in seen.items():
+            level = 3 * math.cos(bearing), 3 * math.sin(bearing), 1.0 if int(landmark) % 2 else -1.0
+            x, y, z = tilt_matrix(0.0, 2 * half).T @ level
+            tags[CAMERA, f"tag_{landmark}"] = (-y, -z, x)
+        log.write("/tf", t, transforms(log, t, tags))
+
+    write_sample(tmp_path / "tilted.mcap", sample, fill, setup)
+    drive = open_drive(tmp_path / "tilted.mcap")
+    assert_same(drive, sample)
+    assert drive.settings.sensor.pose == pytest.approx((0.2, 0.0, 0.0))
 
 
 @pytest.mark.parametrize("prefix", ["tag_", "fiducial_", "ar_marker_", "front/tag36h11:"])
@@ -216,6 +244,62 @@ def test_pose_topics_without_an_id_or_in_a_fixed_frame_are_refused(made):
         made(lambda log: fill(log, "map"), 'bearings: {topic: "/tag_*/pose"}\n')
 
 
+ALVAR = """std_msgs/Header header
+ar_track_alvar_msgs/AlvarMarker[] markers
+================================================================================
+MSG: ar_track_alvar_msgs/AlvarMarker
+std_msgs/Header header
+uint32 id
+uint32 confidence
+geometry_msgs/PoseStamped pose
+"""
+OLD_APRILTAG = """apriltags_ros/AprilTagDetection[] detections
+================================================================================
+MSG: apriltags_ros/AprilTagDetection
+int32 id
+float64 size
+geometry_msgs/PoseStamped pose
+"""
+HEADERS = {"array": (0, 0, 1), "tag": (0, 1, 0), "pose": (1, 0, 0)}
+"""Which of the headers of pose, tag and array have a frame."""
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".bag"])
+@pytest.mark.parametrize(
+    ("kind", "tags", "where"),
+    [
+        *(("ar_track_alvar_msgs/msg/AlvarMarkers", "markers", where) for where in HEADERS),
+        ("apriltags_ros/msg/AprilTagDetectionArray", "detections", "pose"),
+    ],
+)
+def test_arrays_of_tags_with_a_header_each(tmp_path, sample, kind, tags, where, suffix):
+    of_pose, of_tag, of_array = HEADERS[where]
+
+    def fill(log, t, seen):
+        if kind not in log._store.fielddefs:
+            text = ALVAR if tags == "markers" else OLD_APRILTAG
+            log._store.register(get_types_from_msg(text, kind))
+
+        def header(is_given):
+            return log.header(t, CAMERA) if is_given else log.header(0, "")
+
+        found = []
+        for landmark, bearing in [*seen.items(), (255, 0.0)][: None if tags == "markers" else -1]:
+            x, y, z = optical(bearing)
+            stamped = {"header": header(of_pose), "pose": pose(log, x, y, z=z)}
+            more = {"header": header(of_tag)} if tags == "markers" else {}
+            found.append({"id": int(landmark), "pose": stamped, **more})
+        part = kind.replace("Markers", "Marker").replace("DetectionArray", "Detection")
+        more = {"header": header(of_array)} if tags == "markers" else {}
+        message = log.make(kind, **{tags: [log.make(part, **each) for each in found]}, **more)
+        log.write("/ar_pose_marker", t, message)
+
+    write_sample(tmp_path / f"tags{suffix}", sample, fill)
+    drive = open_drive(tmp_path / f"tags{suffix}")
+    assert_same(drive, sample)
+    assert ("sightings without an id, left out" in drive.remarks) == (tags == "markers")
+
+
 @pytest.mark.parametrize(
     ("case", "log", "topics"),
     [
@@ -223,6 +307,7 @@ def test_pose_topics_without_an_id_or_in_a_fixed_frame_are_refused(made):
         ("09-tf-only", "tf", "tf.yaml"),
         ("06-ros2-aruco", "ros2_aruco", "ros2_aruco.yaml"),
         ("06-ros2-aruco", "aruco_opencv", None),
+        ("07-alvar", "alvar", "alvar.yaml"),
     ],
 )
 def test_field_cases_with_the_bearings_of_the_sample(data_dir, sample, case, log, topics):

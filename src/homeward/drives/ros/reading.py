@@ -16,11 +16,11 @@ from homeward.drives.home.spin import with_home
 from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import (
-    TRANSFORMS,
     SightingRows,
     TagDetector,
     frame_of,
     landmark_of,
+    parts_of,
 )
 from homeward.drives.ros.measurements.extrinsics import (
     TF,
@@ -249,8 +249,7 @@ class _Reading:
             if topic in self._handlers:
                 decoded = self._decoder.decode(message.channel, message.data)
                 try:
-                    is_tree = message.channel.type in TRANSFORMS
-                    for part in decoded.transforms if is_tree else (decoded,):
+                    for part in parts_of(message.channel.type, decoded):
                         t = clock.time(message, part)
                         for handle in self._handlers[topic]:
                             handle(t, part)

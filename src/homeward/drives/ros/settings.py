@@ -60,7 +60,7 @@ class BearingsTopic(Strict):
     """For points in an image: the topic of the sensor_msgs/CameraInfo, a calibration file in the
     folder of the topics file (``FILE.yaml``, or ``FILE.yaml#cam1`` of several), or the model."""
     roll: Tilt | None = None
-    """Roll of that camera, as in `Camera` [rad]; None: as in its model."""
+    """Roll of the camera, as in `Camera` [rad]; None: as in its model, or 0 for positions."""
     pitch: Tilt | None = None
     tilt_sigma: Annotated[float, Field(gt=0, le=0.5)] | None = None
     pixel_sigma: Positive = 0.5

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
+from types import SimpleNamespace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.camera import tag_bearings
+from homeward.drives.cameras.camera import tag_bearings, tilt_matrix
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic, wildcard_part
@@ -26,6 +27,8 @@ FIDUCIAL_POSES = "fiducial_msgs/msg/FiducialTransformArray"
 TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
 ROS2_ARUCO = "ros2_aruco_interfaces/msg/ArucoMarkers"
 ARUCO_OPENCV = "aruco_opencv_msgs/msg/ArucoDetection"
+ALVAR = "ar_track_alvar_msgs/msg/AlvarMarkers"
+OLD_TAG_POSES = "apriltags_ros/msg/AprilTagDetectionArray"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
 POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -33,6 +36,11 @@ POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCov
 OF_ONE_LANDMARK = (POINT, *POSES_OF_TAGS)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types whose transforms may be sightings; a reader receives one transform."""
+_OWN_HEADERS = {ALVAR: "markers", OLD_TAG_POSES: "detections"}
+"""Types whose tags have headers, and their lists of tags; the message's header may be empty."""
+IN_PARTS = (*TRANSFORMS, *_OWN_HEADERS)
+NOT_DECODED = 255
+"""Id of a tag that ar_track_alvar found but did not decode."""
 CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
 """Types with the corners of tags."""
 IN_IMAGE = (*CORNERS, DETECTIONS)
@@ -57,6 +65,8 @@ class Sighting(NamedTuple):
     """Bearing [rad], or column [px], or distance ahead [m]."""
     b: float = 0.0
     """Row [px], or distance to the left [m]."""
+    up: float = 0.0
+    """Height above the camera [m], of a point in space."""
     sigma: float = math.nan
     """Standard deviation of the bearing [rad], or of a corner [px]."""
     corners: tuple[tuple[float, float], ...] = ((math.nan, math.nan),) * 4
@@ -109,7 +119,7 @@ def _points(
     def read(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
         convention = _axes(message, given) if axes is None else given.axes or axes
         for name, point in points(message, given):
-            yield Sighting(str(name), *_level(point, convention))
+            yield Sighting(str(name), *_ahead_left_up(point, convention))
 
     return read
 
@@ -153,6 +163,15 @@ READERS: dict[str, Reader] = {
     ARUCO_OPENCV: _points(
         lambda message, _: ((m.marker_id, m.pose.position) for m in message.markers)
     ),
+    ALVAR: _points(
+        lambda message, _: (
+            ("" if m.id == NOT_DECODED else m.id, m.pose.pose.position) for m in message.markers
+        )
+    ),
+    OLD_TAG_POSES: _points(
+        lambda message, _: ((tag.id, tag.pose.pose.position) for tag in message.detections),
+        "optical",
+    ),
     DETECTIONS: lambda message, _: map(_detection, message.detections),
     POSE_ARRAY: _points(
         lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
@@ -179,6 +198,21 @@ NAMED_READERS: dict[str, Reader] = {
 ALL_READERS = READERS | NAMED_READERS
 IN_SPACE = tuple(kind for kind in ALL_READERS if kind not in (BEARINGS, *IN_IMAGE))
 """Types with points in space [m]."""
+
+
+def parts_of(kind: str, message: Any) -> Iterable[Any]:
+    """Return the parts of a message that have a header each, or else the message."""
+    if kind in TRANSFORMS:
+        return tuple(message.transforms)
+    if kind not in _OWN_HEADERS:
+        return (message,)
+    name, outer = _OWN_HEADERS[kind], getattr(message, "header", None)
+    parts = []
+    for tag in getattr(message, name):
+        headers = [getattr(tag, "header", None), tag.pose.header, outer]
+        header = next((h for h in headers if h is not None and h.frame_id), tag.pose.header)
+        parts.append(SimpleNamespace(header=header, **{name: [tag]}))
+    return parts
 
 
 def landmark_of(transform: Any, given: BearingsTopic) -> str | None:
@@ -214,9 +248,9 @@ def axes_of(frame: str, given: BearingsTopic) -> str:
     return given.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
 
 
-def _level(point: Any, axes: str) -> tuple[float, float]:
-    """Return the distances of a point ahead and to the left [m]."""
-    return (point.x, point.y) if axes == "body" else (point.z, -point.x)
+def _ahead_left_up(point: Any, axes: str) -> tuple[float, float, float]:
+    """Return the position of a point in the body axes of its frame [m]."""
+    return (point.x, point.y, point.z) if axes == "body" else (point.z, -point.x, -point.y)
 
 
 class SightingRows:
@@ -282,11 +316,14 @@ class SightingRows:
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
         """Return bearings and their standard deviations [rad], NaN where unknown, (n,) each."""
-        rows = [(seen.a, seen.b, seen.sigma) for seen in self._kept]
-        a, b, sigma = np.array(rows, float).reshape(-1, 3).T
+        rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
+        a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
         if self.kind == BEARINGS:
             return a, sigma
         if self.kind in IN_SPACE:
+            if self.given.roll or self.given.pitch:
+                level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
+                a, b, _ = level @ np.array([a, b, up])
             x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
             return np.arctan2(y, x), sigma
         camera = self._camera()

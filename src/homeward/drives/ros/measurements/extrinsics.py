@@ -9,13 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from homeward.drives.ros.measurements.bearings import (
-    IN_IMAGE,
     IN_SPACE,
     TRANSFORMS,
     SightingRows,
     axes_of,
 )
-from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
+from homeward.drives.ros.settings import BEARINGS, BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import between
@@ -25,7 +24,7 @@ TF, TF_STATIC = "/tf", "/tf_static"
 MAX_CHANGE = 1e-3
 """Maximum change of a constant transform on /tf [m], or in each part of its quaternion [1]."""
 LEVEL = 0.05
-"""Maximum tilt of a camera for bearings of points in space, which assume a level camera [rad]. The
+"""Maximum tilt of a camera for bearings without positions, which assume a level camera [rad]. The
 bearing of a landmark 10 deg above or below then has an error of up to 0.5 deg."""
 BODY_IN_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Axes of a camera's body frame (x ahead, y left, z up) in its optical one (z ahead, x right)."""
@@ -126,14 +125,14 @@ def mount(
     roll = math.atan2(turn[2, 1], turn[2, 2])
     found = Mount(x=float(shift[0]), y=float(shift[1]), yaw=yaw)
     tilt = math.acos(np.clip(turn[2, 2], -1.0, 1.0))
-    if kind in IN_IMAGE:
+    if kind != BEARINGS:
         angles = {"roll": roll, "pitch": pitch}
         return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)
     if tilt > LEVEL:
         raise InputError(
             f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
             f"bearings from {kind} allow at most {math.degrees(LEVEL):.1f} deg: use a "
-            "topic with corners of tags in an image"
+            "topic with positions of tags or with their corners in an image"
         )
     return found, given
 

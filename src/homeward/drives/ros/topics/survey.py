@@ -13,7 +13,7 @@ import numpy as np
 
 from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.log import Log, Message
-from homeward.drives.ros.measurements.bearings import OF_ONE_LANDMARK, TRANSFORMS
+from homeward.drives.ros.measurements.bearings import IN_PARTS, OF_ONE_LANDMARK, TRANSFORMS
 from homeward.drives.ros.messages.stamps import (
     HEADER_BYTES,
     NANO,
@@ -184,7 +184,7 @@ class MessageTimes:
         if not hasattr(decoded, "header"):
             return seconds(message.receive - self._shift, epoch)
         stamp = decoded.header.stamp
-        if message.channel.type in TRANSFORMS and not (stamp.sec or stamp.nanosec):
+        if message.channel.type in IN_PARTS and not (stamp.sec or stamp.nanosec):
             return seconds(message.receive - self._shift, epoch)
         residue = getattr(decoded, "residue", 0.0)
         if not np.isfinite(residue):
@@ -210,13 +210,16 @@ class MessageTimes:
     def _stamps(self, topic: Topic) -> np.ndarray:
         if not self._by_header:
             return topic.receive
-        return topic.receive - self._shift if topic.header is None else topic.header
+        if topic.header is None or (topic.type in IN_PARTS and not topic.is_stamped):
+            return topic.receive - self._shift
+        return topic.header
 
 
 def _recorder_ahead(topics: dict[str, Topic]) -> int:
     """Return the median offset of the recorder's clock from the headers' [ns]; 0 without stamps."""
     for topic in topics.values():
-        if topic.header is not None and topic.count and not topic.is_stamped:
+        is_needed = topic.header is not None and topic.type not in IN_PARTS
+        if is_needed and topic.count and not topic.is_stamped:
             raise InputError(
                 f"{topic.name}: its headers have no stamps; set clock: receive in a topics file to "
                 "use the recorder's times"
