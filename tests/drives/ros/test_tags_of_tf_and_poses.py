@@ -98,6 +98,31 @@ def test_frames_that_look_like_tags_are_bearings(tmp_path, sample, topic, suffix
     assert ("x" in drive.settings.sensor.model_fields_set) == (topic is not None)
 
 
+def test_frames_of_two_cameras_need_their_transforms(tmp_path, sample):
+    def setup(log, t):
+        frames = {
+            ("base_link", "front_optical"): (0.2, 0.0, 0.5, *LEVEL_OPTICAL),
+            ("base_link", "rear"): (0.2, 0.0, 0.5, 0, 0, 1, 0),
+            ("rear", "rear_optical"): (0.0, 0.0, 0.0, *LEVEL_OPTICAL),
+        }
+        log.write("/tf_static", t, transforms(log, t, frames))
+
+    def fill(log, t, seen):
+        tags = {}
+        for landmark, bearing in seen.items():
+            is_ahead = abs(bearing) < math.pi / 2
+            turned = bearing if is_ahead else bearing + math.pi
+            parent = "front_optical" if is_ahead else "rear_optical"
+            tags[parent, f"tag_{landmark}"] = optical(turned)
+        log.write("/tf", t, transforms(log, t, dict(sorted(tags.items()))))
+
+    write_sample(tmp_path / "two.mcap", sample, fill, setup)
+    assert_same(open_drive(tmp_path / "two.mcap"), sample)
+    write_sample(tmp_path / "alone.mcap", sample, fill)
+    with pytest.raises(InputError, match="is one of several cameras and has no extrinsics"):
+        open_drive(tmp_path / "alone.mcap")
+
+
 @pytest.mark.parametrize("topic", ["/tf", "/tf_static"])
 def test_positions_of_a_tilted_camera(tmp_path, sample, topic):
     """The camera is pitched by 0.5 rad, and tags are 1 m above or below it."""

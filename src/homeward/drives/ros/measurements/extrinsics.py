@@ -26,6 +26,8 @@ MAX_CHANGE = 1e-3
 LEVEL = 0.05
 """Maximum tilt of a camera for bearings without positions, which assume a level camera [rad]. The
 bearing of a landmark 10 deg above or below then has an error of up to 0.5 deg."""
+MAX_TILT = math.pi / 3
+"""Maximum tilt that is corrected, as in `Camera` [rad]."""
 BODY_IN_OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Axes of a camera's body frame (x ahead, y left, z up) in its optical one (z ahead, x right)."""
 
@@ -125,16 +127,16 @@ def mount(
     roll = math.atan2(turn[2, 1], turn[2, 2])
     found = Mount(x=float(shift[0]), y=float(shift[1]), yaw=yaw)
     tilt = math.acos(np.clip(turn[2, 2], -1.0, 1.0))
-    if kind != BEARINGS:
-        angles = {"roll": roll, "pitch": pitch}
-        return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)
-    if tilt > LEVEL:
+    limit = LEVEL if kind == BEARINGS else MAX_TILT
+    if tilt > limit:
         raise InputError(
             f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
-            f"bearings from {kind} allow at most {math.degrees(LEVEL):.1f} deg: use a "
-            "topic with positions of tags or with their corners in an image"
+            f"{kind} allows at most {math.degrees(limit):.1f} deg"
         )
-    return found, given
+    if kind == BEARINGS:
+        return found, given
+    angles = {"roll": roll, "pitch": pitch}
+    return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)
 
 
 def not_connected(frames: MountFrames) -> str:

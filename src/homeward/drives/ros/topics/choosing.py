@@ -42,6 +42,7 @@ USES: tuple[tuple[tuple[str, ...], str], ...] = (
     (TWISTS, "odometry"),
     (POSES_OF_TAGS, "odometry, ground truth, or the bearings of one landmark"),
     (POSES, "odometry, or ground truth"),
+    (PICTURES, "images, by `homeward see LOG --tags 36h11`"),
     (IN_IMAGE, "bearings, with a camera model"),
     ((POINT,), "the bearings of one landmark"),
     (TRANSFORMS, "bearings, with the names of the landmarks' frames"),

@@ -41,9 +41,10 @@ def tag_frames(log: Log, topics: Collection[str]) -> tuple[TagFrames, ...]:
     decoder = Decoder()
     first: dict[tuple[str, str, str], dict[str, Any]] = {}
     moving: set[tuple[str, str]] = set()
+    unreadable: set[str] = set()
     for message in log.messages(topics=topics):
         topic, kind = message.channel.topic, message.channel.type
-        if kind not in TRANSFORMS:
+        if kind not in TRANSFORMS or topic in unreadable:
             continue
         try:
             for given in decoder.decode(message.channel, message.data).transforms:
@@ -54,9 +55,8 @@ def tag_frames(log: Log, topics: Collection[str]) -> tuple[TagFrames, ...]:
                     tags = first.setdefault((topic, prefix, frame_of(given)), {})
                     if tags.setdefault(name, place) != place:
                         moving.add((topic, prefix))
-        except AttributeError:
-            problem = f"{topic}: the fields of its {kind} differ from the known type"
-            raise InputError(problem, log.path) from None
+        except (AttributeError, InputError):  # refused where the topics file names it
+            unreadable.add(topic)
     sets: dict[tuple[str, str], dict[str, set[str]]] = {}
     for (topic, prefix, parent), tags in first.items():
         if len(tags) >= MIN_TAGS and (topic, prefix) in moving:
