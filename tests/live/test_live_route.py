@@ -218,8 +218,8 @@ def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
 @pytest.mark.parametrize(
     ("result", "words"),
     [
-        (["--trajectory", "repeat"], "takes --route NAME with"),
-        (["--route", "round"], "takes --route NAME with"),
+        (["--trajectory", "repeat"], "needs --route NAME with"),
+        (["--route", "round"], "needs --route NAME with"),
         (["--trajectory", "repeat", "--route", "r", "--place", "hall"], "takes no --place"),
     ],
 )

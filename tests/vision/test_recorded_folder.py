@@ -106,7 +106,7 @@ def test_before_home_is_found_its_direction_is_in_the_reason(drive, track):
     reasons = {
         k: WAYS.index(reason.split("(home lies ")[1].split(")")[0])
         for k, reason in enumerate(track.reason)
-        if "(home lies " in reason and "contradicts" not in reason  # then it goes with a pose
+        if "(home lies " in reason and "disagrees" not in reason  # then it goes with a pose
     }
     assert len(reasons) > 20
     assert not track.has_pose[list(reasons)].any()

@@ -43,7 +43,7 @@ def test_without_truth_of_that_time_there_is_none(turned):
 @pytest.mark.parametrize("when", [WHEN, HomeWhen(during=(0.0, 1.0))])
 def test_what_contradicts_it_is_refused(turned, when):
     camera = turned.settings.model_copy(update={"home_sensor": Mount(x=0.5, y=0.0, yaw=1.0)})
-    with pytest.raises(InputError, match="the drive's own camera"):
+    with pytest.raises(InputError, match="home comes from this drive"):
         with_home(dataclasses.replace(turned, settings=camera), when)
     places = {"L01": {"x": 1.0, "y": 2.0}, "L02": {"x": -1.0, "y": 2.0}, "L03": {"x": 1.0, "y": -2}}
     known = validated(KnownLandmarks, {"sigma": 0.01, "frame": "home", "landmarks": places})

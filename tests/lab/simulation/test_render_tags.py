@@ -115,5 +115,5 @@ def test_a_rendered_record_is_seen(tmp_path):
 
 
 def test_more_tags_than_a_family_has():
-    with pytest.raises(InputError, match="16h5 has 30 tags, too few"):
+    with pytest.raises(InputError, match="16h5 has only 30 tags"):
         Eye(load_room("bedroom", 0, {**AHEAD, "tags.family": "16h5"}))

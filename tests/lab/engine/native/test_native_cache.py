@@ -59,7 +59,7 @@ def test_a_cache_that_cannot_be_trusted_is_not_used(cache, harm, tmp_path, monke
         asked = os.access
         monkeypatch.setattr(os, "access", lambda p, *m: p != cache and asked(p, *m))
     native = NativeProgram(toy())
-    assert "not cached" in native.library.notes[0]
+    assert "cannot be cached" in native.library.notes[0]
     assert "\n" not in native.library.notes[0]
     native.variables["x"][:] = 0.5
     native.do("part")
