@@ -130,7 +130,7 @@ def test_a_moved_landmark_is_left_out(tmp_path, q, moved):
 def test_an_export(tmp_path):
     out = tmp_path / "out"
     words = "export", "ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null"
-    assert "at most" in done(call(*words)).stdout
+    assert "maximum per call" in done(call(*words)).stdout
     names = {p.name for p in out.iterdir()}
     assert names == {"library.json", "library.properties", "src", "examples"}
     assert "gate = INFINITY" in (out / "src" / "homeward_ekf.c").read_text()
