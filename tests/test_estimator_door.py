@@ -44,7 +44,7 @@ def test_what_is_no_real_number_is_told_and_changes_nothing(name):
                 call()
             assert len(str(caught.value).splitlines()) == 1
     for odd in (3.0, "a", [("a", 1.0)]):
-        with pytest.raises(InputError, match="are due"):
+        with pytest.raises(InputError, match="instead of bearings or sigmas"):
             touched.bearings(0.2, odd)
     assert touched.counts == untouched.counts
     for ours, theirs in itertools.pairwise(drive_on(e, [0.2]) for e in (touched, untouched)):
