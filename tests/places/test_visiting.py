@@ -11,7 +11,7 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DRIFT
-from homeward.places.visit_data import Frames
+from homeward.places.visit_data import VisitFrames
 from homeward.places.visiting import MAX_EVENTS, merged, merged_places
 
 
@@ -21,12 +21,12 @@ def events(place, what):
 
 
 def frames(places, field_of_view=None):
-    """Frames at the landmarks of a room, from all over it."""
+    """VisitFrames at the landmarks of a room, from all over it."""
     rng = np.random.default_rng(5)
     cameras = np.column_stack([rng.uniform(-4, 4, 40), rng.uniform(-2, 2, 40), np.zeros(40)])
     half = np.inf if field_of_view is None else 0.5 * field_of_view
     seen = [[n for n, p in places.items() if abs(bearing(Pose(*c), *p)) < half] for c in cameras]
-    return Frames(cameras, seen, field_of_view)
+    return VisitFrames(cameras, seen, field_of_view)
 
 
 @pytest.mark.parametrize("moved", [0, 1, 4, 7])

@@ -35,7 +35,7 @@ def fingerprint(drive: Drive) -> str:
 
 
 @dataclass(frozen=True)
-class Frames:
+class VisitFrames:
     """Poses of the camera and landmarks seen, in m frames."""
 
     cameras: np.ndarray
@@ -72,7 +72,7 @@ class VisitData:
     """[days since 1970]"""
     map: JointMap
     """Map from this drive alone, in any frame."""
-    frames: Frames | None = None
+    frames: VisitFrames | None = None
     """None: landmarks that were not seen are not tested."""
     home: str | None = None
     """The home whose frame the estimates are in; None: the first."""
@@ -155,7 +155,7 @@ def collect_visit_along(
     poses = poses[good]
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
-    frames = Frames(cameras, known, drive.settings.sensor.field_of_view)
+    frames = VisitFrames(cameras, known, drive.settings.sensor.field_of_view)
     return VisitData(drive.name, fingerprint(drive), when, own_map(localizer), frames, home)
 
 
