@@ -21,7 +21,7 @@ from homeward.places.files import load_place, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.visit_data import Frames, VisitData
+from homeward.places.visit_data import VisitFrames, VisitData
 from homeward.places.visiting import merged
 
 HALL = 60.0, 40.0  # [m]
@@ -140,7 +140,7 @@ def year(days: int = 365) -> None:
                 number += 1
             eyes = np.array([(x, y, 0.0) for x in (3.0, 10.0, 17.0) for y in (3.0, 9.0)] * 20)
             near = [[n for n, p in standing.items() if math.dist(p, eye[:2]) < 6.0] for eye in eyes]
-            frames = Frames(eyes, near, None)
+            frames = VisitFrames(eyes, near, None)
             digest, there = rng.bytes(8).hex(), mapped(standing, rng)
             place = merged(place, VisitData("a drive", digest, float(day), there, frames))
             if day in (30, days // 2, days):

@@ -21,7 +21,7 @@ def events(place, what):
 
 
 def frames(places, field_of_view=None):
-    """VisitFrames at the landmarks of a room, from all over it."""
+    """Frames at the landmarks of a room, from all over it."""
     rng = np.random.default_rng(5)
     cameras = np.column_stack([rng.uniform(-4, 4, 40), rng.uniform(-2, 2, 40), np.zeros(40)])
     half = np.inf if field_of_view is None else 0.5 * field_of_view
