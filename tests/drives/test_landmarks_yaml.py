@@ -93,5 +93,8 @@ def test_the_example_in_the_docs_is_read(tmp_path):
     example = page.split("```yaml\n")[1].split("```")[0]
     known = read_folder(put(tmp_path / "a", landmarks_yaml=example.encode())).known
     assert known.surveyed_from_home
-    assert [d.between for d in known.distances] == [("3", "7")]
-    exec(page.split("```python\n")[1].split("```")[0], {"Localizer": Localizer, "home": {"3": 0.1}})
+    assert [d.between for d in known.distances] == [("door", "lamp")]
+    exec(
+        page.split("```python\n")[1].split("```")[0],
+        {"Localizer": Localizer, "home": {"door": 0.1}},
+    )

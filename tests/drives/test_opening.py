@@ -124,7 +124,8 @@ def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
     assert refusal(open_drive, drive_folder) == (
         "not a complete drive folder: no home.csv; add a table with the columns landmark, "
-        "bearing (home.csv); or use --home-spin FROM,TO [s] if the robot turned on the spot at home"
+        "bearing (home.csv); or use --home-during FROM,TO [s] if the robot was at rest at home, or "
+        "--home-spin FROM,TO [s] if it turned on the spot there"
     )
 
 

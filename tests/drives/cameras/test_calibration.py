@@ -42,7 +42,7 @@ def test_kalibr(tmp_path):
     assert (lens.model, lens.cx, lens.width) == ("equidistant", 420.9, 848)
     both = {"cam0": CAM, "cam1": {**CAM, "distortion_model": "radtan", "intrinsics": [9, 9, 8, 7]}}
     assert read(tmp_path, both, "#cam1").model == "plumb_bob"
-    with pytest.raises(InputError, match="holds 'cam0', 'cam1': name one"):
+    with pytest.raises(InputError, match="several cameras, 'cam0', 'cam1'; name one"):
         read(tmp_path, both)
 
 
