@@ -12,7 +12,7 @@ from ros.stage import ROOT
         ("home:=/there/is/no/home.csv", "cannot be read: No such file"),
         (
             "bearings_type:=apriltag_msgs/msg/AprilTagDetectionArray",
-            "No module named 'apriltag_msgs'; its ROS package is not installed",
+            "No module named 'apriltag_msgs'; install its ROS package",
         ),
     ],
 )
