@@ -238,7 +238,7 @@ class Estimator(Protocol):
 
     @property
     def counts(self) -> Counts:
-        """Numbers of samples used and rejected so far; read it again instead of keeping it."""
+        """Current numbers of used and rejected samples; read it again instead of keeping it."""
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -190,6 +190,13 @@ def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, flo
     return begin, end
 
 
+def home_spans(
+    home_spin: str | None, home_during: str | None
+) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
+    """Parse the options `HomeSpin` and `HomeDuring`."""
+    return spin_span(home_spin), spin_span(home_during, "--home-during")
+
+
 def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:
     try:
         values = tuple(float(part) for part in text.split(","))
@@ -208,10 +215,11 @@ def read_drive(
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 
-    when = {"home_spin": spin_span(home_spin)}
-    when["home_during"] = spin_span(home_during, "--home-during")
+    spin, during = home_spans(home_spin, home_during)
     with progress(f"reading {source}") as on_progress:
-        return open_drive(source, topics=topics, **when, on_progress=on_progress)
+        return open_drive(
+            source, topics=topics, home_spin=spin, home_during=during, on_progress=on_progress
+        )
 
 
 def day(text: str) -> float:

@@ -132,7 +132,7 @@ def home_when(
 ) -> HomeWhen | None:
     """Return the time at home from two options, of which at most one is given."""
     if spin is not None and during is not None:
-        raise InputError("give --home-spin or --home-during, not both")
+        raise InputError("give either --home-spin or --home-during, not both")
     given = {"spin": spin, "during": during}
     return None if spin is during is None else validated(HomeWhen, given)
 

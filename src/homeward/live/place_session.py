@@ -181,7 +181,7 @@ class PlaceSession:
         return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
     def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
-        """Merge the visit so far into the place, and write it; return the result in words.
+        """Merge the current visit into the place, and write it; return the result in words.
 
         `localizer` received the visit; `drive` has its home and settings; answers are in the frame
         of `home`. `HomewardError` where there is too little to keep, or the place cannot be

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from homeward.drives.settings import DriveSettings, Sensor
+from homeward.io.settings import settings_yaml
 from homeward.localizer.localizer import Learnt
 
 
@@ -11,8 +13,8 @@ def learnt_yaml(learnt: Learnt, drive: str) -> str:
     The extrinsics are tested by the localiser and are keys. The noise and the lag are comments: the
     noise is an estimate without a test on other data, and either clock may be late.
     """
-    lines = [f"  {name}: {value:.2f}" for name, value in learnt.extrinsics.items()]
-    lines = ["sensor:", *lines] if lines else []
+    sensor = {"sensor": Sensor(**learnt.extrinsics)} if learnt.extrinsics else {}
+    lines = settings_yaml(DriveSettings(**sensor)).splitlines()
     if learnt.bearing_sigma is not None:
         sigma = f"{learnt.bearing_sigma:.2g}"
         lines.append(f"# sensor: {{bearing_sigma: {sigma}}}  # rad; homeward tune tests it")

@@ -84,11 +84,8 @@ def import_(
     ]
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
-    spin, during = (
-        shared.spin_span(home_spin),
-        shared.spin_span(home_during, "--home-during"),
-    )
-    drive = drive_of(found, "import" if out is None else out.name, home_when(spin, during))
+    when = home_when(*shared.home_spans(home_spin, home_during))
+    drive = drive_of(found, "import" if out is None else out.name, when)
     write_whole(picture, png(draw_drive(drive)))
     remarks = [*drive.remark_lines, *home_warnings(drive)]
     if json:

@@ -102,11 +102,12 @@ def run(
     from homeward.io.settings import nested
     from homeward.places.files import check_place, newest
 
+    spin, during = shared.home_spans(home_spin, home_during)
     options = {
         "estimator": estimator,
         "start": _start(start),
-        "home_spin": shared.spin_span(home_spin),
-        "home_during": shared.spin_span(home_during, "--home-during"),
+        "home_spin": spin,
+        "home_during": during,
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,

@@ -74,7 +74,7 @@ def see(
         raise InputError("no output folder: add --out FOLDER, the drive folder to write")
     from homeward.drives.folder import ODOMETRY, write_folder
     from homeward.drives.home.spin import with_home
-    from homeward.drives.settings import HomeWhen
+    from homeward.drives.settings import home_when
     from homeward.errors import naming_file
     from homeward.io.writing import check_output
     from homeward.runs.report.words import describe_sightings
@@ -82,12 +82,7 @@ def see(
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("--out is the folder of the images; choose another folder", out)
-    spin, during = shared.spin_span(home_spin), shared.spin_span(home_during, "--home-during")
-    when = None
-    if spin or during:
-        if spin and during:
-            raise InputError("give either --home-spin or --home-during, not both")
-        when = HomeWhen(spin=spin, during=during)
+    when = home_when(*shared.home_spans(home_spin, home_during))
     with shared.progress(f"detecting landmarks in {folder}") as on_progress:
         drive = see_recording(
             folder,

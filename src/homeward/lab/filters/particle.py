@@ -36,7 +36,7 @@ class Particles:
     active: np.ndarray
     """(q,), 1 once a landmark has been seen, else 0."""
     draws: int
-    """Number of random draws so far; the same belief always draws the same numbers."""
+    """Number of random draws; the same belief always draws the same numbers."""
 
 
 class ParticleFilter(CartesianFilter):

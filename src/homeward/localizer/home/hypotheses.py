@@ -1,6 +1,6 @@
 """Multiple-hypothesis outlier rejection: local search over sets of inlier home bearings.
 
-Seeds come from poses by triples of landmarks, later from the hypotheses so far. A set is improved
+Seeds come from poses by triples of landmarks, later from the current hypotheses. A set is improved
 by single flips, chosen by the odds of one bearing given the others, which are exact for the
 linearised problem; pairs of flips are tried too while q is small.
 """

@@ -80,7 +80,7 @@ class SelfOcclusionDetector:
 
     @property
     def found(self) -> SelfOcclusion | None:
-        """Self-occlusion found so far; None if nothing turns with the camera."""
+        """Detected self-occlusion; None if nothing turns with the camera."""
         elevation = np.concatenate([np.empty(0), *self._elevations])
         return _significant(elevation, self._static)
 

@@ -50,7 +50,7 @@ class AdaptiveRunner(FilterRunner):
     """The EKF with Q and R identified.
 
     Maximum likelihood: it searches the sigmas of bearings, speed, turn rate and bearing states for
-    which the innovations of the drive so far, replayed through the EKF, are most probable. The
+    which the innovations of the drive up to now, replayed through the EKF, are most probable. The
     belief is then the result of that replay. A sighting outside the gate counts as one at its edge,
     so that rejecting sightings does not raise the likelihood.
 
