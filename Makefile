@@ -96,6 +96,7 @@ paper:
 # QUICK=1: few runs of each, without the real drives and the hours.
 bench: install
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[bench]'
+	$(BIN)/python -m benchmarks.inputs
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2 --limits)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.engine $(if $(QUICK),--quick)
