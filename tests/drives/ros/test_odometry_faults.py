@@ -7,7 +7,7 @@ import pytest
 from drives.ros.build import odometry, stamps
 
 from homeward.drives.ros.measurements.contradiction import contradiction
-from homeward.drives.ros.measurements.odometry import WRAPPED
+from homeward.drives.wheels import WRAPPED
 from homeward.errors import InputError
 
 POSES, TWISTS = True, False

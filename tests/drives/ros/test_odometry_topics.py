@@ -1,10 +1,12 @@
 """What each kind of odometry message tells."""
 
 import math
+import re
 
 import numpy as np
 import pytest
 from drives.ros.build import EPOCH, SUFFIXES, odometry, pose, stamps, twist
+from rosbags.typesys import get_types_from_msg
 
 from homeward.errors import InputError
 
@@ -80,6 +82,110 @@ def test_wheels(made, by):
         made(fill, told + ", left: [paddle], right: [oar]}\n", odometry_too=False)
     with pytest.raises(InputError, match="wheel_radius"):
         made(fill, "odometry: {topic: /joints}\n", odometry_too=False)
+
+
+def test_wheel_positions_in_ticks(made):
+    def fill(log):
+        for i, t in enumerate(stamps(10)):
+            names, ticks = ["left", "right"], np.array([50.0 * i, 100.0 * i])
+            fields = {"position": ticks, "velocity": np.empty(0), "effort": np.empty(0)}
+            header = log.header(t, "")
+            message = log.make("sensor_msgs/msg/JointState", header=header, name=names, **fields)
+            log.write("/joints", t, message)
+
+    wheels = "wheel_radius: 0.1, track_width: 0.4, ticks_per_turn: 1000"
+    drive = made(fill, f"odometry: {{topic: /joints, {wheels}}}\n", odometry_too=False)
+    assert drive.odometry.v[:-1] == pytest.approx(0.075 * math.tau)
+    assert drive.odometry.omega[:-1] == pytest.approx(0.125 * math.tau)
+
+
+ACKERMANN_DRIVE = """float32 steering_angle
+float32 steering_angle_velocity
+float32 speed
+float32 acceleration
+float32 jerk
+"""
+
+
+@pytest.mark.parametrize("stamped", [True, False])
+def test_ackermann_speed_and_steering_angle(made, stamped):
+    def fill(log):
+        plain = "ackermann_msgs/msg/AckermannDrive"
+        kind = plain + "Stamped" * stamped
+        log._store.register(get_types_from_msg(ACKERMANN_DRIVE, plain))
+        if stamped:
+            text = "std_msgs/Header header\nackermann_msgs/AckermannDrive drive\n"
+            log._store.register(get_types_from_msg(text, kind))
+        for t in stamps(10):
+            drive = log.make(plain, steering_angle=0.25, speed=0.5)
+            fields = {"header": log.header(t, ""), "drive": drive}
+            log.write("/car", t, log.make(kind, **fields) if stamped else drive)
+
+    drive = made(fill, "odometry: {topic: /car, wheelbase: 0.5}\n", odometry_too=False)
+    assert drive.odometry.v == pytest.approx(0.5)
+    assert drive.odometry.omega == pytest.approx(math.tan(0.25))
+    with pytest.raises(InputError, match=r"/car: .* needs wheelbase under odometry in the topics"):
+        made(fill, "odometry: {topic: /car}\n", odometry_too=False)
+
+
+def imu_and_odometry(measured, turning=0.6):
+    """Odometry at 10 Hz that turns left and right, and an IMU at 50 Hz with a function of it."""
+
+    def fill(log):
+        for i, t in enumerate(stamps(1500, step=0.02)):
+            rate = turning * math.sin(0.01 * i)
+            rates = {"x": 9.0, "y": 9.0, "z": measured(rate)}
+            header = log.header(t, "imu")
+            log.write(
+                "/imu",
+                t,
+                log.make(
+                    "sensor_msgs/msg/Imu",
+                    header=header,
+                    angular_velocity=rates,
+                    **{
+                        f"{name}_covariance": np.zeros(9)
+                        for name in ("orientation", "angular_velocity", "linear_acceleration")
+                    },
+                ),
+            )
+            if i % 5 == 0:
+                log.write("/odom", t, odometry(log, t, 0.2, 1.1 * rate))
+
+    return fill
+
+
+@pytest.mark.parametrize(
+    ("measured", "note"),
+    [
+        (lambda rate: rate + 0.01, r"read as rad/s; 1\.1 x"),
+        (lambda rate: -rate, "sign inverted"),
+        (lambda rate: math.degrees(rate), "read as deg/s"),
+    ],
+)
+def test_yaw_rate_of_an_imu_replaces_that_of_the_odometry(made, measured, note):
+    topics = "odometry: {topic: /odom, yaw_rate: /imu}\n"
+    drive = made(imu_and_odometry(measured), topics, odometry_too=False)
+    expected = 0.6 * np.sin(0.5 * (drive.odometry.t + 0.05))  # the mean until the next stamp
+    assert drive.odometry.omega[:-1] == pytest.approx(expected[:-1], abs=0.012)
+    assert any(re.search(note, reason) for reason in drive.remarks)
+
+
+@pytest.mark.parametrize(
+    ("measured", "topic", "complaint"),
+    [
+        (lambda rate: 0.1 * math.cos(123.0 * rate), "/imu", "/imu: the yaw rate contradicts"),
+        (lambda rate: 5.0 * rate, "/imu", "/imu: the yaw rate contradicts"),
+        (lambda rate: 0.0, "/imu", "/imu: the yaw rate is constant"),
+        (lambda rate: math.nan, "/imu", "/imu: no message contains yaw rates with finite"),
+        (lambda rate: rate, "/odom", "/odom is a nav_msgs/msg/Odometry.*under yaw_rate"),
+        (lambda rate: rate, "/nothing", "/nothing"),
+    ],
+)
+def test_an_imu_that_contradicts_the_odometry_is_refused(made, measured, topic, complaint):
+    topics = f"odometry: {{topic: /odom, yaw_rate: {topic}}}\n"
+    with pytest.raises(InputError, match=complaint):
+        made(imu_and_odometry(measured), topics, odometry_too=False)
 
 
 def test_numbers_that_are_not_finite_and_sideways_speeds_are_counted(made):

@@ -116,6 +116,8 @@ class _Reading:
         odometry = plan.odometry
         self._odometry = OdometryRows(odometry, known.topic(odometry.topic).type)
         self._subscribe(odometry.topic, self._odometry.add)
+        if odometry.yaw_rate is not None:
+            self._subscribe(odometry.yaw_rate, self._odometry.add_imu)
         self._seen = [self._subscribe_sightings(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:

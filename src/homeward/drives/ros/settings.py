@@ -9,6 +9,7 @@ from pydantic import Field, field_validator, model_validator
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import DriveSettings, Finite, HomeWhen, Mount, Positive
+from homeward.drives.wheels import Wheels
 from homeward.io.keys import Strict
 
 ODOMETRY = "homeward_msgs/msg/Odometry"
@@ -29,8 +30,8 @@ def wildcard_part(pattern: str, name: str) -> str | None:
     return part
 
 
-class OdometryTopic(Strict):
-    """The topic of odometry."""
+class OdometryTopic(Wheels):
+    """The topic of odometry, with the geometry of the wheels for wheel angles and steering."""
 
     topic: str
     use: Literal["twist", "pose"] | None = None
@@ -40,10 +41,8 @@ class OdometryTopic(Strict):
     """Joints of the left wheels in a sensor_msgs/JointState; empty: every name with left in it."""
     right: tuple[str, ...] = ()
     """Joints of the right wheels, as `left`."""
-    wheel_radius: Positive | None = None
-    """[m]"""
-    track_width: Positive | None = None
-    """Distance between left and right wheels [m]."""
+    yaw_rate: str | None = None
+    """A topic of sensor_msgs/Imu, whose yaw rate replaces that of the odometry."""
 
 
 class BearingsTopic(Strict):

@@ -1,4 +1,4 @@
-"""Odometry from messages: twists, differentiated poses, or wheel angles."""
+"""Odometry from messages: twists, differentiated poses, wheel angles, or steering."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
-from homeward.drives.plausibility import MIN_JUMP, odometry_from_poses, without_implausible
+from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
     MIN_WINDOWS,
@@ -18,30 +18,22 @@ from homeward.drives.ros.measurements.contradiction import (
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
+from homeward.drives.wheels import ackermann, differential, speeds_from_positions
+from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import quoted
 
-BITS = 8, 15, 16, 24, 31, 32
-"""Sizes of wheel counters; a wrap-around is a step of 2^bits, for signed and unsigned ones."""
-WRAPPED = "wrap-arounds of wheel counters, corrected"
 
-
-class Wheels:
-    """Wheels of a robot in sensor_msgs/JointState."""
+class JointRows:
+    """The wheels of a robot in sensor_msgs/JointState."""
 
     def __init__(self, given: OdometryTopic) -> None:
-        if given.wheel_radius is None or given.track_width is None:
-            raise InputError(
-                f"{given.topic}: joint states need wheel_radius and track_width under odometry in "
-                "the topics file"
-            )
         self._given = given
-        self._radius, self._track = given.wheel_radius, given.track_width
         self._by_position: bool | None = None
         self._wheels: tuple[list[str], list[str]] | None = None
 
     def row(self, message: Any) -> list[float] | None:
-        """Return the angle (or rate) of each wheel, left ones first; None if one is missing."""
+        """Return the position (or rate) of each wheel, left ones first; None if one is missing."""
         names = list(message.name)
         if self._wheels is None:
             left = self._joints(names, self._given.left, "left")
@@ -62,70 +54,27 @@ class Wheels:
             return list(wanted) if set(wanted) <= set(names) else []
         return [name for name in names if side in name.lower()]
 
-    def odometry(self, t: np.ndarray, wheels: np.ndarray, remarks: dict[str, int]) -> Odometry:
-        """Return the odometry of wheels, shape (n, k) [rad or rad/s], at `t`, shape (n,) [s].
-
-        Wrap-arounds of counters are corrected; other implausible motion is unknown. `remarks`
-        counts both.
-        """
+    def odometry(self, t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:
+        """Return the odometry of `row` of all messages, (n, k), at `t` (n,) [s]."""
         assert self._wheels is not None
+        given = self._given
+        unit = "rad" if given.ticks_per_turn is None else "ticks"
         if self._by_position:
-            tolerance = MIN_JUMP / self._radius
-            parts = [_unwrapped(column, tolerance, remarks) for column in wheels.T]
-            steps = np.diff(t)[:, None]
-            last = np.zeros((1, wheels.shape[1]))
-            wheels = np.concatenate([np.diff(np.stack(parts, axis=1), axis=0) / steps, last])
+            speeds = speeds_from_positions(t, rows, given, unit, remarks)
+        else:
+            speeds = given.metres(unit) * rows
         count = len(self._wheels[0])
-        left = self._radius * wheels[:, :count].mean(axis=1)
-        right = self._radius * wheels[:, count:].mean(axis=1)
-        odometry = Odometry(t, (left + right) / 2, (right - left) / self._track)
-        return without_implausible(odometry, remarks)
-
-
-def _unwrapped(angle: np.ndarray, tolerance: float, remarks: dict[str, int]) -> np.ndarray:
-    """Return a wheel's angle [rad] without the wrap-arounds of its counter.
-
-    A step is a wrap-around where, without the span of a counter, it differs by at most `tolerance`
-    [rad] from the step before. Spans are a full turn, 2^bits times the smallest unit of the angle,
-    or 2^bits where the angle is counted in ticks.
-    """
-    if angle.size < 3:
-        return angle
-    step = np.diff(angle)
-    unit = _unit(step)
-    spans = [math.tau, *(2.0**bits * size for size in {1.0, unit} if size for bits in BITS)]
-    usual = np.median(np.abs(step))
-    wraps = 0
-    for i in np.flatnonzero(np.abs(step) > tolerance + 4.0 * usual).tolist():
-        before = step[i - 1] if i else 0.0
-        span = min(spans, key=lambda s: abs(abs(step[i] - before) - s))
-        if abs(abs(step[i] - before) - span) <= tolerance:
-            step[i] -= math.copysign(span, step[i])
-            wraps += 1
-    if wraps:
-        remarks[WRAPPED] = remarks.get(WRAPPED, 0) + wraps
-    return np.append(angle[0], angle[0] + np.cumsum(step))
-
-
-def _unit(step: np.ndarray) -> float:
-    """Return the angle of one tick, which divides all steps; 0 without one."""
-    size = np.unique(np.abs(step[step != 0.0]))
-    gaps = np.diff(np.append(0.0, size))
-    # Equal steps differ by rounding errors.
-    gaps = gaps[gaps > 1e-6 * np.median(size)] if size.size else gaps
-    if not gaps.size:
-        return 0.0
-    unit = float(gaps.min())
-    small = size[size < 1e5 * unit]
-    if not small.size:
-        return 0.0
-    number = np.round(small / unit)
-    unit = float(small @ number / (number @ number))
-    return unit if np.abs(small / unit - number).max() < 0.1 else 0.0
+        left, right = speeds[:, :count].mean(axis=1), speeds[:, count:].mean(axis=1)
+        return differential(t, left, right, given, remarks)
 
 
 NAV_ODOMETRY = "nav_msgs/msg/Odometry"
 JOINT_STATE = "sensor_msgs/msg/JointState"
+ACKERMANN = ("ackermann_msgs/msg/AckermannDriveStamped", "ackermann_msgs/msg/AckermannDrive")
+"""Types with a speed and a steering angle."""
+IMU = "sensor_msgs/msg/Imu"
+WHEELS = (JOINT_STATE, *ACKERMANN)
+"""Types that require the geometry of the wheels."""
 TWISTS = (
     ODOMETRY,
     NAV_ODOMETRY,
@@ -184,8 +133,15 @@ class OdometryRows:
 
     def __init__(self, given: OdometryTopic, kind: str) -> None:
         self._given, self._kind = given, kind
-        self._wheels = Wheels(given) if kind == JOINT_STATE else None
+        self._joints = JointRows(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
+        self._yaw_rates: list[tuple[float, ...]] = []
+        missing = given.missing(*(("m", True) if kind in ACKERMANN else ("rad",)))
+        if kind in WHEELS and missing:
+            raise InputError(
+                f"{given.topic}: {quoted(kind)} needs {' and '.join(missing)} under odometry in "
+                "the topics file"
+            )
         if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
             raise InputError(
                 f"{given.topic}: {quoted(kind)} has no {given.use}; change use in the topics file"
@@ -193,27 +149,47 @@ class OdometryRows:
 
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
-        if self._wheels is not None:
-            row = self._wheels.row(message)
+        if self._joints is not None:
+            row = self._joints.row(message)
             if row is not None:
                 self._rows.append((t, *row))
+            return
+        if self._kind in ACKERMANN:
+            drive = getattr(message, "drive", message)
+            self._rows.append((t, float(drive.speed), float(drive.steering_angle)))
             return
         nothing = (math.nan,) * 3
         twist = twist_of(message) if self._kind in TWISTS else nothing
         pose = pose_of(message) if self._kind in POSES else nothing
         self._rows.append((t, *map(float, (*twist, *pose))))
 
+    def add_imu(self, t: float, message: Any) -> None:
+        """Add the message of the topic `yaw_rate` of time `t` [s]."""
+        self._yaw_rates.append((t, float(message.angular_velocity.z)))
+
     def odometry(self, remarks: Remarks) -> Odometry:
         """Return the odometry of all messages; `remarks` counts anomalies.
 
-        `InputError` where no message has finite numbers, or orientations of the poses are zero.
+        `InputError` where no message has finite numbers, orientations of the poses are zero, or
+        the topic `yaw_rate` contradicts the odometry.
         """
+        odometry, source = self._without_imu(remarks), self._given.yaw_rate
+        if source is None:
+            return odometry
+        repeats = "yaw rates with the time of another, left out"
+        t, rate = clean_rows(self._yaw_rates, source, "yaw rates", repeats, remarks).T
+        return with_yaw_rate(odometry, t, rate, source, remarks)
+
+    def _without_imu(self, remarks: Remarks) -> Odometry:
         if not self._rows:
             raise InputError(f"{self._given.topic}: no message contains odometry")
         rows = np.array(self._rows, float)
-        if self._wheels is not None:
+        if self._kind in WHEELS:
             rows = self._clean(rows, remarks)
-            return self._wheels.odometry(rows[:, 0], rows[:, 1:], remarks)
+            if self._joints is not None:
+                return self._joints.odometry(rows[:, 0], rows[:, 1:], remarks)
+            t, v, steering = rows.T.copy()
+            return ackermann(t, v, steering, self._given, remarks)
         if self._by_twist(rows, remarks):
             with np.errstate(invalid="ignore"):
                 sideways = np.abs(rows[:, 3]) > SIDEWAYS_SHARE * np.abs(rows[:, 1]) + 1e-3

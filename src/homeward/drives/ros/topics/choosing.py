@@ -13,7 +13,15 @@ from homeward.drives.ros.measurements.bearings import (
     READERS,
     TRANSFORMS,
 )
-from homeward.drives.ros.measurements.odometry import JOINT_STATE, NAV_ODOMETRY, POSES, TWISTS
+from homeward.drives.ros.measurements.odometry import (
+    ACKERMANN,
+    IMU,
+    JOINT_STATE,
+    NAV_ODOMETRY,
+    POSES,
+    TWISTS,
+    WHEELS,
+)
 from homeward.drives.ros.settings import (
     BEARINGS,
     PICTURES,
@@ -39,6 +47,8 @@ NO_PICTURES = "the log contains no images; use homeward run for a log with detec
 USES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
     ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
+    (ACKERMANN, "odometry, with wheelbase in the topics file"),
+    ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC)"),
     (TWISTS, "odometry"),
     (POSES_OF_TAGS, "odometry, ground truth, or the bearings of one landmark"),
     (POSES, "odometry, or ground truth"),
@@ -167,7 +177,7 @@ def _has(survey: TopicSurvey, name: str, kind: str) -> bool:
 def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> None:
     """Refuse topics of unsuitable types."""
     wanted = [
-        ("odometry", plan.odometry, (*TWISTS, *POSES, JOINT_STATE)),
+        ("odometry", plan.odometry, (*TWISTS, *POSES, *WHEELS)),
         *(("bearings", topic, (*types, *ALL_READERS)) for topic in plan.bearings),
         ("home", plan.home, (BEARINGS,)),
         ("truth", plan.truth, POSES),
@@ -175,6 +185,8 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     named = [(what, topic.topic, types) for what, topic, types in wanted if topic is not None]
     cameras = (t.camera for t in plan.bearings if isinstance(t.camera, str))
     named += [("camera", camera, (CAMERA_INFO,)) for camera in cameras]
+    if plan.odometry is not None:
+        named.append(("yaw_rate", plan.odometry.yaw_rate, (IMU,)))
     for what, name, suitable in named:
         if name is not None and (kind := survey.topic(name).type) not in suitable:
             use = use_of(kind)

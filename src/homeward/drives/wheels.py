@@ -1,0 +1,130 @@
+"""Odometry from wheels: encoder counts, wheel angles, wheel speeds, and steering."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from homeward.drives.drive import Odometry
+from homeward.drives.plausibility import MIN_JUMP, without_implausible
+from homeward.drives.settings import Positive
+from homeward.io.keys import Strict
+
+BITS = 8, 15, 16, 24, 31, 32
+"""Sizes of wheel counters; a wrap-around is a step of 2^bits, for signed and unsigned ones."""
+WRAPPED = "wrap-arounds of wheel counters, corrected"
+
+
+class Wheels(Strict):
+    """Geometry of the wheels; the measurements determine which keys are required."""
+
+    wheel_radius: Positive | None = None
+    """[m]"""
+    track_width: Positive | None = None
+    """Distance between left and right wheels [m]."""
+    ticks_per_turn: Positive | None = None
+    """Encoder counts in one turn of a wheel, with the gear; None: wheel angles are in radians."""
+    wheelbase: Positive | None = None
+    """Distance between the axles of a car-like (Ackermann) robot [m]."""
+
+    def missing(self, unit: str, steers: bool = False) -> list[str]:
+        """Return the missing keys for wheels in a unit: ticks, rad or m, or these per second."""
+        base = unit.removesuffix("/s")
+        keys = ["wheel_radius"] * (base != "m") + ["ticks_per_turn"] * (base == "ticks")
+        keys.append("wheelbase" if steers else "track_width")
+        return [key for key in keys if getattr(self, key) is None]
+
+    def turn(self, unit: str) -> float | None:
+        """Return one turn of a wheel in a unit, as `missing`; None without a radius."""
+        turns = {"ticks": self.ticks_per_turn, "rad": math.tau}
+        if self.wheel_radius is None:
+            return None
+        return turns.get(unit.removesuffix("/s"), math.tau * self.wheel_radius)
+
+    def metres(self, unit: str) -> float:
+        """Return the distance of one unit [m], as `missing`."""
+        turn = self.turn(unit)
+        if unit.removesuffix("/s") == "m" or turn is None:
+            return 1.0
+        return math.tau * (self.wheel_radius or math.nan) / turn
+
+
+def speeds_from_positions(
+    t: np.ndarray, positions: np.ndarray, wheels: Wheels, unit: str, remarks: dict[str, int]
+) -> np.ndarray:
+    """Return wheel speeds [m/s], (n, k), from wheel positions (n, k) in a unit at `t` (n,) [s].
+
+    Each is valid until the next time; the last is 0. Wrap-arounds of counters are corrected, and
+    counted in `remarks`.
+    """
+    metres = wheels.metres(unit)
+    parts = [_unwrapped(p, MIN_JUMP / metres, wheels.turn(unit), remarks) for p in positions.T]
+    steps = np.diff(np.stack(parts, axis=1), axis=0)
+    return metres * np.concatenate([steps / np.diff(t)[:, None], np.zeros((1, positions.shape[1]))])
+
+
+def differential(
+    t: np.ndarray, left: np.ndarray, right: np.ndarray, wheels: Wheels, remarks: dict[str, int]
+) -> Odometry:
+    """Return the odometry of left and right wheel speeds (n,) [m/s]; implausible motion is unknown.
+
+    Requires `wheels.track_width`.
+    """
+    omega = (right - left) / (wheels.track_width or math.nan)
+    return without_implausible(Odometry(t, (left + right) / 2, omega), remarks)
+
+
+def ackermann(
+    t: np.ndarray, v: np.ndarray, steering: np.ndarray, wheels: Wheels, remarks: dict[str, int]
+) -> Odometry:
+    """Return the odometry of a car-like robot; implausible motion is unknown.
+
+    `v` (n,) is the speed of the rear axle's centre [m/s], `steering` (n,) the angle of the front
+    wheels, positive to the left [rad]. Requires `wheels.wheelbase`.
+    """
+    omega = v * np.tan(steering) / (wheels.wheelbase or math.nan)
+    return without_implausible(Odometry(t, v, omega), remarks)
+
+
+def _unwrapped(
+    position: np.ndarray, tolerance: float, turn: float | None, remarks: dict[str, int]
+) -> np.ndarray:
+    """Return the position of a wheel, (n,), without the wrap-arounds of its counter.
+
+    A step is a wrap-around where, without the span of a counter, it differs by at most `tolerance`
+    from the step before. Spans are a full turn, and 2^bits times 1 or the smallest step.
+    """
+    if position.size < 3:
+        return position
+    step = np.diff(position)
+    sizes = {1.0, _smallest(step)} - {0.0}
+    spans = [2.0**bits * size for size in sizes for bits in BITS] + ([turn] if turn else [])
+    usual = np.median(np.abs(step))
+    wraps = 0
+    for i in np.flatnonzero(np.abs(step) > tolerance + 4.0 * usual).tolist():
+        before = step[i - 1] if i else 0.0
+        span = min(spans, key=lambda s: abs(abs(step[i] - before) - s))
+        if abs(abs(step[i] - before) - span) <= tolerance:
+            step[i] -= math.copysign(span, step[i])
+            wraps += 1
+    if wraps:
+        remarks[WRAPPED] = remarks.get(WRAPPED, 0) + wraps
+    return np.append(position[0], position[0] + np.cumsum(step))
+
+
+def _smallest(step: np.ndarray) -> float:
+    """Return the position of one tick, which divides all steps; 0 without one."""
+    size = np.unique(np.abs(step[step != 0.0]))
+    gaps = np.diff(np.append(0.0, size))
+    # Equal steps differ by rounding errors.
+    gaps = gaps[gaps > 1e-6 * np.median(size)] if size.size else gaps
+    if not gaps.size:
+        return 0.0
+    unit = float(gaps.min())
+    small = size[size < 1e5 * unit]
+    if not small.size:
+        return 0.0
+    number = np.round(small / unit)
+    unit = float(small @ number / (number @ number))
+    return unit if np.abs(small / unit - number).max() < 0.1 else 0.0
