@@ -57,7 +57,7 @@ class BearingsTopic(Strict):
     """For a tf2_msgs/TFMessage: names of the landmarks' frames, with ``*`` for the landmark id."""
     camera: str | Lens | None = None
     """For points in an image: the topic of the sensor_msgs/CameraInfo, a calibration file in the
-    folder of the topics file (``FILE.yaml``, or ``FILE.yaml#cam1`` of several), or the model."""
+    folder of the topics file (``FILE``, or ``FILE#cam1`` of several cameras), or the model."""
     roll: Tilt | None = None
     """Roll of the camera, as in `Camera` [rad]; None: as in its model, or 0 for positions."""
     pitch: Tilt | None = None

@@ -30,7 +30,7 @@ class Calibrated(Camera):
 
     model: Literal["calibrated"] = "calibrated"
     file: str
-    """``FILE.yaml`` next to images.yaml, or ``FILE.yaml#cam1`` for one of several cameras."""
+    """``FILE`` next to images.yaml, or ``FILE#cam1`` for one of several cameras."""
 
 
 AnyCamera = Annotated[
@@ -91,7 +91,7 @@ def read_image_settings(path: Path | None) -> ImageSettings:
         return ImageSettings()
     settings = read_settings(path, ImageSettings)
     if isinstance(camera := settings.camera, Calibrated):
-        tilt = camera.model_dump(include=set(Camera.model_fields))
+        tilt = camera.model_dump(include=set(Camera.model_fields), exclude_unset=True)
         lens = read_calibration(path.parent, camera.file).model_copy(update=tilt)
         settings = settings.model_copy(update={"camera": lens})
     if settings.mask is not None:
