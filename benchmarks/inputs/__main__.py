@@ -11,6 +11,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import benchmarks.inputs.logs
+import benchmarks.inputs.odometry
 import benchmarks.inputs.refusals
 import benchmarks.inputs.tables  # noqa: F401
 from benchmarks.inputs.kinds import KINDS

@@ -348,9 +348,10 @@ def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.truth.heading == pytest.approx(turn)
-    (tmp_path / "my-odom.csv").rename(tmp_path / "wheels.csv")
-    with pytest.raises(InputError, match=r"second file with truth|no odometry found"):
-        drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+    (tmp_path / "my-odom.csv").rename(tmp_path / "robot_pose.csv")
+    drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+    assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
+    assert any("robot_pose.csv used as odometry" in reason for reason in drive.remarks)
 
 
 def test_odometry_and_bearings_may_share_a_file(tmp_path):
@@ -383,8 +384,8 @@ def test_units_in_names(name, quantity, unit):
         (
             "a,b\n1,2\n3,4\n",
             (),
-            r"not recognised as odometry \(time, speed, yaw rate\), detections \(time, landmark "
-            r"id, bearing or position\), .* as in --columns 't=a'",
+            r"not recognised as odometry \(time, speed, yaw rate; or wheels\), detections \(time, "
+            r"landmark id, bearing or position\), .* as in --columns 't=a'",
         ),
         (
             ",".join(f"c{k}" for k in range(89)) + ("\n" + "1," * 88 + "1") * 2,
@@ -401,11 +402,12 @@ def test_units_in_names(name, quantity, unit):
             "row 6: time runs backwards by 3 s: 0.0 after 3.0; at most 1 s is allowed",
         ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
-        ("a [deg],b [rad]\n1,2\n", (), "different units: deg, rad"),
+        ("bearing_a [deg],bearing_b [rad]\n1,2\n", (), "different units: deg, rad"),
+        ("a,b\n1,2\n", (), "not recognised as"),
         ("t,v,w\n0,1,0\n0.1,1,0\n0.2,1\n", (), "row 4: 2 fields, but the header has 3"),
         ("# made by hand\nt,v,w\n0,1,0\n0.1,inf,0\n", (), "row 4"),
         ("t,v,w\n0,300,0\n", (), "too fast for m/s; give its unit"),
-        ("t,left_vel,right_vel,w\n0,1,1,0\n", (), "may both be v"),
+        ("t,front_vel,rear_vel,w\n0,1,1,0\n", (), "may both be v"),
         ("t,v,w\n0,1,0\n", ("v=speed",), "no file has a column 'speed'"),
         ("t,v,w\n0,1,0\n", ("v=v[furlong]",), "units of v are m/s"),
         ("t,v,w\n0,1,0\n", ("mass=v",), "the role must be one of"),

@@ -18,11 +18,11 @@ MIN_WINDOWS = 10
 MIN_CORRELATION = 0.7
 MAX_RATIO = 2.0
 """Maximum ratio of the two yaw rates: wheels with slip, or a wrong track width."""
-UNITS = {1.0: "rad/s", math.radians(1.0): "deg/s"}
-"""Factors to rad/s that are tried."""
+UNITS = {1.0: "", math.radians(1.0): ", converted from deg/s"}
+"""Factors to rad/s that are tried, and how they are shown to the user."""
 REPLACED = "yaw rates of the odometry replaced by those of {} ({})"
 KEPT = "yaw rates of the odometry kept where {} has gaps"
-NOT_COMPARED = "read as rad/s and anti-clockwise; the odometry turns too little for a comparison"
+NOT_COMPARED = "in rad/s, anti-clockwise: the odometry turns too little for a comparison"
 
 
 def with_yaw_rate(
@@ -87,9 +87,6 @@ def _factor(odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str) ->
             f"{correlation:.2f}, ratio {ratio / unit:.3g}); check that its z axis is vertical and "
             "its stamps are those of the odometry's clock, or leave it out"
         )
-    inverted = (
-        "" if correlation > 0 else ", with the sign inverted as the odometry turns oppositely"
-    )
-    return math.copysign(unit, correlation), (
-        f"read as {UNITS[unit]}{inverted}; {ratio / unit:.3g} x it fits the odometry"
-    )
+    inverted = ", with the sign inverted" if correlation < 0 else ""
+    how = f"{ratio / unit:.3g} x they fit the odometry{UNITS[unit]}{inverted}"
+    return math.copysign(unit, correlation), how

@@ -158,9 +158,9 @@ def imu_and_odometry(measured, turning=0.6):
 @pytest.mark.parametrize(
     ("measured", "note"),
     [
-        (lambda rate: rate + 0.01, r"read as rad/s; 1\.1 x"),
+        (lambda rate: rate + 0.01, r"1\.1 x they fit"),
         (lambda rate: -rate, "sign inverted"),
-        (lambda rate: math.degrees(rate), "read as deg/s"),
+        (lambda rate: math.degrees(rate), "converted from deg/s"),
     ],
 )
 def test_yaw_rate_of_an_imu_replaces_that_of_the_odometry(made, measured, note):

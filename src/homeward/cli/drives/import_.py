@@ -33,7 +33,24 @@ def import_(
             help="Roles of columns, separated by commas; a minus before COLUMN changes the sign. "
             "Without a header, columns are 1, 2, 3. "
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, z, heading; "
-            "of positions: forward, left, right.",
+            "of positions: forward, left, right; of wheels: left_wheel, left_speed, left_step, "
+            "right_wheel, right_speed, right_step, steering; of steps: distance, turn.",
+        ),
+    ] = None,
+    kinds: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--as",
+            metavar="FILE=KIND",
+            help="Kind of a file: odometry, detections, home, truth or gyro; repeatable.",
+        ),
+    ] = None,
+    wheels: Annotated[
+        str | None,
+        typer.Option(
+            metavar="KEY=VALUE,...",
+            help="Geometry of wheels, for encoder counts, wheel speeds and steering: wheel_radius "
+            "[m], track_width [m], ticks_per_turn, wheelbase [m].",
         ),
     ] = None,
     home_spin: shared.HomeSpin = None,
@@ -60,7 +77,7 @@ def import_(
     from homeward.drives.opening import save_drive
 
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or home_spin or home_during:
+        if columns or kinds or wheels or home_spin or home_during:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
@@ -72,11 +89,15 @@ def import_(
         )
     from homeward.drives.importers.reading import drive_of, home_warnings, understand
     from homeward.drives.settings import home_when
+    from homeward.drives.wheels import Wheels
+    from homeward.io.settings import parse_settings
     from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png
     from homeward.runs.report.imported import draw_drive
 
-    found = understand(files, columns or ())
+    given = "{" + (wheels or "").replace("=", ": ") + "}"
+    geometry = parse_settings(given, Wheels, Path("--wheels"))
+    found = understand(files, columns or (), kinds or (), has_wheels=wheels is not None)
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
         (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.source, u.range)
@@ -85,7 +106,7 @@ def import_(
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
     when = home_when(*shared.home_spans(home_spin, home_during))
-    drive = drive_of(found, "import" if out is None else out.name, when)
+    drive = drive_of(found, "import" if out is None else out.name, when, geometry)
     write_whole(picture, png(draw_drive(drive)))
     remarks = [*drive.remark_lines, *home_warnings(drive)]
     if json:

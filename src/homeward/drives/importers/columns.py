@@ -10,6 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from homeward.drives.importers.wheel_columns import ROLES as WHEELS
+from homeward.drives.importers.wheel_columns import is_bare_side, wheel_role
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -19,20 +21,29 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "rate": {"rad/s": 1.0, "deg/s": math.radians(1.0)},
     "angle": {"rad": 1.0, "deg": math.radians(1.0), "mrad": 1e-3},
     "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    "wheel": {
+        **{"ticks": 1.0, "rad": 1.0, "deg": math.radians(1.0), "rev": math.tau},
+        **{"m": 1.0, "cm": 1e-2, "mm": 1e-3},
+    },
+    "wheel speed": {
+        **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "ticks/s": 1.0},
+        **{"rad/s": 1.0, "deg/s": math.radians(1.0), "rpm": math.tau / 60, "rev/s": math.tau},
+    },
     "name": {},
 }
-"""Units of each quantity, in SI; the SI unit first."""
+"""Units of each quantity, in SI; the SI unit first. Those of wheels are in ticks, rad or m."""
 _SPELT = {
     **{"sec": "s", "secs": "s", "seconds": "s", "msec": "ms", "millis": "ms", "milliseconds": "ms"},
     **{"usec": "us", "µs": "us", "microseconds": "us", "nsec": "ns", "nanoseconds": "ns"},
     **{"mps": "m/s", "kph": "km/h", "kmh": "km/h", "dps": "deg/s", "°/s": "deg/s"},
     **{"°": "deg", "degrees": "deg", "degree": "deg", "radians": "rad", "metres": "m"},
     **{"meters": "m", "degrees/s": "deg/s", "radians/s": "rad/s", "m_s": "m/s"},
+    **{"tick": "ticks", "count": "ticks", "counts": "ticks", "pulses": "ticks", "revs": "rev"},
 }
 ROLES: Mapping[str, tuple[str, str]] = {
     "t": (
         "time",
-        "t time timestamp stamp clock date datetime sec secs seconds ms zeit zeitstempel",
+        "t time timestamp stamp utime clock date datetime sec secs seconds ms zeit zeitstempel",
     ),
     "v": (
         "speed",
@@ -41,8 +52,9 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "omega": (
         "rate",
-        "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.speed wz "
-        "gyro.z gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
+        "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
+        "angular.speed wz gyro.z gyroz gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit "
+        "gierrate",
     ),
     "landmark": (
         "name",
@@ -61,6 +73,10 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "forward": ("length", "forward ahead"),
     "left": ("length", "left"),
     "right": ("length", "right"),
+    **{role: ("wheel speed" if "speed" in role else "wheel", "") for role in sorted(WHEELS)},
+    "steering": ("angle", "steering steer steering.angle steer.angle lenkwinkel"),
+    "distance": ("length", "delta.s ds delta.distance ddist delta.d distance.step delta.dist"),
+    "turn": ("angle", "delta.yaw dyaw delta.theta dtheta delta.heading dheading dphi dpsi dth"),
 }
 """The quantity of each role, and English and German names for it; a dot matches any separator."""
 _NAMES = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
@@ -72,11 +88,21 @@ SECONDS = ("sec", "secs", "seconds")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
 KINDS: Mapping[str, tuple[str, ...]] = {
     "odometry": ("t", "v", "omega"),
+    "gyro": ("t", "omega"),
     "bearings": ("t", "landmark", "bearing"),
     "home": ("landmark", "bearing"),
     "truth": ("t", "x", "y", "heading"),
 }
 """The required roles of each table of a drive."""
+ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
+    KINDS["odometry"]: (),
+    ("t", "left_wheel", "right_wheel"): ("omega",),
+    ("t", "left_speed", "right_speed"): ("omega",),
+    ("t", "left_step", "right_step"): ("omega",),
+    ("t", "v", "steering"): (),
+    ("t", "distance", "turn"): (),
+}
+"""The roles of each form of odometry except poses, in order of preference, and optional roles."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
@@ -101,7 +127,7 @@ class Column:
 
     @property
     def quantity(self) -> str:
-        """Time, speed, rate, angle, length, or name."""
+        """A key of `UNITS`."""
         return ROLES[self.role][0]
 
     @property
@@ -252,6 +278,9 @@ def _score(name: str, role: str) -> tuple[int, int]:
     words = words_in(name)
     if role == "landmark" and "frame" in words and "child" not in words:
         return NO_MATCH
+    wheel = wheel_role(words)
+    if wheel is not None or role in WHEELS:
+        return (1, -len(words)) if wheel == role or is_bare_side(words, role) else NO_MATCH
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
     matching = max((len(span) for span in spans if span in _NAMES[role]), default=0)
     return (matching, -len(words)) if matching else NO_MATCH

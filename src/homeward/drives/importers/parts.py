@@ -5,14 +5,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
 from homeward.drives.folder import sorted_by_time
 from homeward.drives.importers.columns import (
     KINDS,
+    ODOMETRY,
     UNITS,
     Column,
     assigned,
@@ -22,6 +24,7 @@ from homeward.drives.importers.columns import (
     matches,
     times_in,
     unit_of,
+    words_in,
 )
 from homeward.drives.importers.positions import (
     POSITION_ROLES,
@@ -32,15 +35,20 @@ from homeward.drives.importers.positions import (
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
+from homeward.drives.importers.wheel_columns import base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Parser, Table, read_csv
 from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
+Found: TypeAlias = "dict[str, Column] | None"
+"""The columns of a table by role; None where there is none."""
+POSITIONED = ("bearings", "home")
+"""Kinds of tables that may have positions of landmarks instead of bearings."""
 UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 RECOGNISED = {
-    "odometry": "time, speed, yaw rate",
+    "odometry": "time, speed, yaw rate; or wheels",
     "detections": "time, landmark id, bearing or position",
     "home bearings": "landmark id, bearing or position",
     "ground truth": "time, x, y, heading",
@@ -50,6 +58,13 @@ MAX_SHOWN = 12
 """Maximum number of columns in an error message."""
 TRUE_PATH = re.compile(r"truth|mocap|vicon|optitrack|(?<![a-z])gt(?![a-z])")
 """Matches the name of a file with ground-truth poses."""
+AS_TRUTH = (
+    "poses of {0} used as ground truth, because there is other odometry; if they are odometry, use "
+    "--as {0}=odometry"
+)
+AS_ODOMETRY = (
+    "poses of {0} used as odometry; if they are ground truth, use --as {0}=truth and add odometry"
+)
 INCOMPLETE = "incomplete rows of {}, left out"
 
 
@@ -65,6 +80,8 @@ class ImportedColumn:
     unit: str
     source: str
     """Source of the unit: specified, named, or guessed."""
+    is_unsure: bool = False
+    """Whether poses were taken as ground truth only because there is other odometry."""
     remarks: dict[str, int] = field(default_factory=dict)
     """Numbers of corrections of the table, by description."""
 
@@ -76,7 +93,10 @@ class ImportedColumn:
             return f"{len(set(values.tolist()))} names"
         seen, digits = values[np.isfinite(values)], 12 if self.column.role == "t" else 6
         ends = f"{seen.min():.{digits}g} to {seen.max():.{digits}g}" if seen.size else ""
-        return f"{ends} {self.column.si}" if ends else ""
+        is_wheel = self.column.quantity.startswith("wheel")
+        per_s = "/s" * self.column.quantity.endswith("speed")
+        unit = base_of(self.unit) + per_s if is_wheel else self.column.si
+        return f"{ends} {unit}" if ends else ""
 
 
 @dataclass
@@ -93,6 +113,15 @@ class Part:
     """Whether the file contains no other table."""
     axes: Axes | None = None
     """Axes of the positions from which bearings are computed; None: no positions."""
+
+    decision: str = ""
+    """Reason for the kind of poses, as shown to the user."""
+
+    @property
+    def begins_at_origin(self) -> bool:
+        """Whether the first pose is x = y = heading = 0, as in odometry."""
+        table, _ = self._plain()
+        return len(table) > 0 and all(abs(table[role][0]) < 1e-3 for role in ("x", "y", "heading"))
 
     def read(self, clock: str | None, angle: str | None = None) -> list[ImportedColumn]:
         """Read the table in SI units.
@@ -121,6 +150,8 @@ class Part:
         ordered = dataclasses.replace(table, columns=values)
         if "t" in values:
             ordered = sorted_by_time(ordered, self.kind, remarks)
+        if self.decision:
+            remarks[self.decision] = len(ordered)
         if missing:
             remarks[INCOMPLETE.format(self.kind)] = missing
         return [
@@ -130,6 +161,7 @@ class Part:
                 column,
                 unit,
                 "specified" if column.is_specified else source,
+                self.kind == "truth" and bool(self.decision),
                 remarks,
             )
             for (unit, source), column in zip(units.values(), columns.values(), strict=True)
@@ -137,7 +169,7 @@ class Part:
 
     def _plain(self) -> tuple[Table, int]:
         """Read a table with a row for each sample; return it with the number of incomplete rows."""
-        raw = self._raw()
+        raw = self.raw()
         values = {role: _value(raw, column) for role, column in self.columns.items()}
         needed = [role for role in self.columns if role != "sigma"]
         if self.axes:  # programs write zeros for landmarks out of view
@@ -153,10 +185,11 @@ class Part:
 
     def _spread(self) -> Table:
         """Read a table with a column for each landmark."""
-        raw, t = self._raw(), self.columns.get("t")
+        raw, t = self.raw(), self.columns.get("t")
         return long(raw, self.wide, None if t is None else _value(raw, t))
 
-    def _raw(self) -> Table:
+    def raw(self) -> Table:
+        """Read the columns in their own units."""
         comma = self.sheet.decimal_comma
         kinds = {"name": names, "time": time_parser(comma)}
         parsers: dict[str, Parser] = dict.fromkeys(self.wide.values(), number_parser(comma))
@@ -167,56 +200,113 @@ class Part:
         return read_csv(self.sheet.path, parsers, form=self.sheet.form)
 
 
-def parts_of(sheets: Sequence[Sheet], specified: Sequence[Column]) -> list[Part]:
-    """Return the tables of a drive in files, at least one in each."""
+def parts_of(
+    sheets: Sequence[Sheet],
+    specified: Sequence[Column],
+    kinds: Mapping[str, str] | None = None,
+    has_wheels: bool = False,
+) -> list[Part]:
+    """Return the tables of a drive in files, at least one in each.
+
+    `kinds` are specified kinds by file name; `has_wheels` prefers wheels to poses in one file.
+    """
     parts, others = list[Part](), list[Sheet]()
     for one in sheets:
-        mine = one.specified(specified)
-        kinds = _kinds_of(one, mine)
-        parts += [Part(one, kind, found) for kind, found in kinds.items() if found]
-        if not kinds.get("bearings") and not kinds.get("home"):
+        kind = (kinds or {}).get(one.path.name)
+        found = _kinds_of(one, one.specified(specified), kind, has_wheels)
+        parts += [Part(one, kind, columns) for kind, columns in found.items() if columns]
+        if not found.get("bearings") and not found.get("home"):
             others.append(one)
     ids = _landmark_ids(parts, others)
     for one in others:
+        kind, mine = (kinds or {}).get(one.path.name), one.specified(specified)
         # The number of a column is no landmark id, although ids may be numbers.
-        across = {} if one.headless else landmark_columns(one.names, ids)
-        t = times_in(one.names, one.specified(specified))
-        if across and (t is not None or one.one_row):
+        used = {c.name for part in parts if part.sheet is one for c in part.columns.values()}
+        free = [name for name in one.names if name not in used]
+        across = {} if one.headless else landmark_columns(free, ids)
+        t = times_in(one.names, mine)
+        if across and (t is not None or one.one_row) and kind in (None, _wide_kind(t)):
             parts.append(_wide_part(one, across, t))
         elif all(part.sheet is not one for part in parts):
-            raise InputError(_not_recognised(one), one.path)
-    _find_odometry(parts)
+            gyro = assigned(KINDS["gyro"], one.names, mine) if kind is None else None
+            if gyro is None:
+                raise InputError(_not_recognised(one, kind), one.path)
+            parts.append(Part(one, "gyro", gyro))
+    _find_odometry(parts, kinds or {})
     _find_axes(parts)
     return parts
 
 
-def _kinds_of(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column] | None]:
+def _kinds_of(
+    one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool
+) -> dict[str, Found]:
     """Return the columns of each kind of table in a file, but those of wide tables."""
 
-    def kinds(*kinds: str) -> dict[str, dict[str, Column] | None]:
-        return {
-            kind: assigned(KINDS[kind], one.names, mine, ("sigma",) * ("bearing" in KINDS[kind]))
-            for kind in kinds
-        }
+    def columns_of(kind: str) -> Found:
+        sigma = ("sigma",) * ("bearing" in KINDS[kind])
+        return assigned(KINDS[kind], one.names, mine, sigma)
 
+    poses = _unambiguous(lambda: columns_of("truth"))
+    odometry = _odometry_columns(one, mine, has_wheels or not poses)
+    if kind == "odometry":
+        return {kind: odometry or columns_of("truth")}
+    if kind is not None:
+        placed = kind in POSITIONED and position_columns(kind, one.names, mine)
+        return {kind: columns_of(kind) or placed or None}
     if any(c.role in POSITION_ROLES and c.name in one.names for c in mine):
-        return kinds("odometry") | _positions(one, mine)
-    found = kinds("odometry", "bearings")
-    if found["bearings"]:
-        _refuse_headings(one, found["bearings"]["bearing"], mine)
-    if any(found.values()):  # poses along with twists belong to the odometry
-        return found
-    found = kinds("truth", "home")
-    if found["home"] or (found["truth"] and not _has_landmarks(one, mine)):
-        return found
-    return _positions(one, mine) or found
+        return {"odometry": odometry} | _positions(one, mine)
+    if poses:  # the heading of the robot is no bearing
+        others = [name for name in one.names if name != poses["heading"].name]
+        seen = assigned(KINDS["bearings"], others, mine, ("sigma",))
+        if seen and _belong_to_robot(one, poses, seen["landmark"]):
+            return {"odometry": odometry, "bearings": seen, "truth": None if odometry else poses}
+    bearings = columns_of("bearings")
+    if bearings:
+        _refuse_headings(one, bearings["bearing"], mine)
+        return {"odometry": odometry, "bearings": bearings}
+    if odometry:  # poses along with twists belong to the odometry
+        seen = _unambiguous(lambda: position_columns("bearings", one.names, mine))
+        of_robot = seen and poses and seen.get("x") == poses["x"]
+        is_seen = seen and not of_robot and _has_landmarks(one, seen["landmark"])
+        return {"odometry": odometry, "bearings": seen if is_seen else None}
+    home, poses = columns_of("home"), columns_of("truth")
+    name = one.path.name.lower()
+    if home or (poses and (TRUE_PATH.search(name) or "odom" in name)):
+        return {"truth": poses, "home": home}
+    seen = _unambiguous(lambda: position_columns("bearings", one.names, mine))
+    if poses and not (seen and _has_landmarks(one, seen["landmark"])):
+        return {"truth": poses}
+    return _positions(one, mine)
+
+
+def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> Found:
+    """Return the columns of odometry in the preferred form that a file has, except poses."""
+    roles = {column.role for column in mine if column.name in one.names}
+    forms = sorted(ODOMETRY, key=lambda form: -len(roles.intersection(form)))
+    for form in forms:
+        is_wanted = has_wheels or "omega" in form or len(roles.intersection(form)) > 1
+        if is_wanted and (found := assigned(form, one.names, mine, ODOMETRY[form])):
+            return found
+    return None
+
+
+def _belong_to_robot(one: Sheet, poses: dict[str, Column], landmark: Column) -> bool:
+    """Whether poses along with sightings are those of the robot: the same for all at one time."""
+    raw = Part(one, "truth", {**poses, "landmark": landmark}).raw()
+    rows = np.isfinite(raw[poses["x"].name]) & (raw[landmark.name] != "")
+    by_time: dict[float, set[tuple[float, float]]] = {}
+    columns = (_value(raw, poses[role])[rows].tolist() for role in "txy")
+    for stamp, x, y in zip(*columns, strict=True):
+        by_time.setdefault(stamp, set()).add((x, y))
+    is_repeated = not rows.any() or len(by_time) < rows.sum()
+    return is_repeated and all(len(places) == 1 for places in by_time.values())
 
 
 def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> None:
     """Refuse a bearing such as theta along with a position: it may be the landmark's heading."""
     if bearing.is_specified or not matches(bearing.name, "heading"):
         return
-    if _unambiguous_positions(one, mine):
+    if _unambiguous(lambda: _positions(one, mine).get("bearings")):
         problem = (
             f"{bearing.name!r} may be the bearing or the heading of a landmark with a position"
         )
@@ -224,34 +314,27 @@ def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> Non
         raise InputError(f"{problem}; use --columns {roles}", one.path)
 
 
-def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, dict[str, Column] | None]:
+def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, Found]:
     """Return the columns of positions of landmarks, by kind of table."""
-    for kind in ("bearings", "home"):
+    for kind in POSITIONED:
         if found := position_columns(kind, one.names, mine):
             return {kind: found}
     return {}
 
 
-def _unambiguous_positions(
-    one: Sheet, mine: Sequence[Column]
-) -> dict[str, dict[str, Column] | None]:
-    """Return `_positions`, but nothing where two columns match the same role."""
+def _unambiguous(columns: Callable[[], Found]) -> Found:
+    """Return the columns of a table; None where two columns match the same role."""
     try:
-        return _positions(one, mine)
+        return columns()
     except InputError:
-        return {}
+        return None
 
 
-def _has_landmarks(one: Sheet, mine: Sequence[Column]) -> bool:
-    """Whether poses are those of landmarks: several ids, each with several poses."""
-    name = one.path.name.lower()
-    if TRUE_PATH.search(name) or "odom" in name:
-        return False
-    columns = _unambiguous_positions(one, mine).get("bearings")
-    if columns is None:
-        return False
-    ids = read_csv(one.path, {columns["landmark"].name: names}, form=one.form)
-    return 1 < len(set(ids[columns["landmark"].name])) < len(ids)
+def _has_landmarks(one: Sheet, landmark: Column) -> bool:
+    """Whether a column has several ids in several rows each, so that positions are landmarks'."""
+    ids = read_csv(one.path, {landmark.name: names}, form=one.form)[landmark.name]
+    seen = [name for name in ids.tolist() if name]
+    return 1 < len(set(seen)) < len(seen)
 
 
 def _find_axes(parts: Sequence[Part]) -> None:
@@ -263,8 +346,11 @@ def _find_axes(parts: Sequence[Part]) -> None:
             axes = part.axes
 
 
-def _not_recognised(one: Sheet) -> str:
-    """Return the message for a table that is no part of a drive."""
+def _not_recognised(one: Sheet, kind: str | None) -> str:
+    """Return the message for a table that is no part of a drive, or not of the specified kind."""
+    if kind is not None:
+        words = ", ".join(map(repr, one.names[:MAX_SHOWN]))
+        return f"--as {one.path.name}={kind}: its columns {words} have no {', '.join(KINDS[kind])}"
     names, file = one.names, f"{one.path.name}: " if one.headless else ""
     *most, last = (f"{words} ({needs})" for words, needs in RECOGNISED.items())
     shown = ", ".join(map(repr, names[:MAX_SHOWN]))
@@ -275,27 +361,54 @@ def _not_recognised(one: Sheet) -> str:
     )
 
 
-def _find_odometry(parts: Sequence[Part]) -> None:
-    """Use poses as odometry where no table has twists: from a file named odom, or the only one."""
+def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:
+    """Decide whether poses are odometry or ground truth, except in files of a specified kind."""
+    poses = [p for p in parts if p.kind == "truth" and p.sheet.path.name not in kinds]
+    named = [part for part in poses if "odom" in part.sheet.path.name.lower()]
+    unknown = [p for p in poses if not TRUE_PATH.search(p.sheet.path.name.lower())]
     if any(part.kind == "odometry" for part in parts):
+        for part in unknown:
+            part.kind = "odometry" if part in named else "truth"
+            part.decision = AS_TRUTH.format(part.sheet.path.name) * (part not in named)
         return
-    poses = [part for part in parts if part.kind == "truth"]
-    for part in poses:
-        name = part.sheet.path.name.lower()
-        if "odom" in name or (len(poses) == 1 and not TRUE_PATH.search(name)):
-            part.kind = "odometry"
+    candidates = named or unknown
+    if len(candidates) > 1 and not named:
+        candidates = [part for part in candidates if part.begins_at_origin]
+    if len(unknown) > 1 and len(candidates) != 1:
+        files = " and ".join(part.sheet.path.name for part in unknown)
+        raise InputError(
+            f"{files} have poses, and either may be the odometry: use --as FILE=odometry for one, "
+            "and --as FILE=truth for ground truth"
+        )
+    for part in unknown:
+        part.kind = "odometry" if part in candidates else "truth"
+        if part not in named:
+            name = part.sheet.path.name
+            part.decision = (AS_ODOMETRY if part in candidates else AS_TRUTH).format(name)
 
 
 def _landmark_ids(parts: Sequence[Part], others: Sequence[Sheet]) -> set[str]:
     """Return the known landmark ids, where a table may have a column for each."""
-    known: set[str] = set()
-    for part in parts if others else ():
-        if part.kind == "home":
-            known |= set(part.read(None)[0].table["landmark"].tolist())
-    for one in others:
-        if one.one_row and not one.headless and times_in(one.names, ()) is None:
-            known |= {landmark_in(name)[0] for name in one.names}
+    if not others:
+        return set()
+    known, seen = set[str](), set[str]()
+    for part in parts:
+        if part.kind in ("home", "bearings"):
+            name, one = part.columns["landmark"].name, part.sheet
+            ids = set(read_csv(one.path, {name: names}, form=one.form)[name].tolist()) - {""}
+            seen |= ids
+            known |= ids if part.kind == "home" else set()
+    rows = {one: times_in(one.names, ()) is None and one.one_row for one in others}
+    across = {one: {landmark_in(name)[0] for name in one.names} for one in others}
+    seen |= set().union(*(across[one] for one in others if not rows[one]))
+    for one in others:  # a row of home bearings has landmarks that the drive saw
+        if rows[one] and not one.headless and len(across[one] & seen) > 1:
+            known |= across[one]
     return known
+
+
+def _wide_kind(t: Column | None) -> str:
+    return "home" if t is None else "bearings"
 
 
 def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
@@ -303,8 +416,7 @@ def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
     span = f"{first} ... {last}"
     columns = {"landmark": Column("landmark", span)}
     columns["bearing"] = Column("bearing", span, unit_of(list(across.values())))
-    kind = "home" if t is None else "bearings"
-    return Part(one, kind, columns if t is None else {"t": t, **columns}, across)
+    return Part(one, _wide_kind(t), columns if t is None else {"t": t, **columns}, across)
 
 
 def _value(raw: Table, column: Column) -> np.ndarray:
@@ -331,11 +443,23 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         )
     if column.role == "sigma" and angle:
         return angle, "as bearing"
+    if column.quantity in ("wheel", "wheel speed"):
+        unit = guessed_unit(words_in(column.name), column.quantity, values)
+        if unit is not None:
+            return unit, "guessed: whole numbers" if unit == "ticks" else "guessed"
+        if column.quantity == "wheel":
+            raise InputError(
+                f"{column.name!r} may be in ticks, rad or m; give its unit, as in --columns "
+                f"'{column.role}={column.name}[rad]'",
+                table.file,
+            )
+    if column.role == "steering" and largest > math.pi / 2:
+        return "deg", "guessed: more than a quarter turn"
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
         return angle, "as bearings"
-    if column.quantity == "speed" and largest > MAX_SPEED:
+    if column.si == "m/s" and largest > MAX_SPEED:
         raise InputError(
             f"{column.name!r} reaches {largest:.6g}, too fast for m/s; give its unit, as in "
             f"--columns '{column.role}={column.name}[mm/s]'",

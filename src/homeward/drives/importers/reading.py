@@ -4,33 +4,36 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, Odometry
+from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     HOME_ADVICE,
     REPEATED_ODOMETRY,
     home_of,
     is_drive_folder,
-    odometry_of,
     sightings_of,
     truth_of,
     without_repeats,
 )
 from homeward.drives.home.spin import with_home
 from homeward.drives.importers.columns import KINDS, specified_columns
+from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, parts_of
 from homeward.drives.importers.sheet import sheet
-from homeward.drives.one_clock import remark_other_units, with_clock_remarks
-from homeward.drives.plausibility import odometry_from_poses
+from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.log import is_log
 from homeward.drives.settings import DriveSettings, HomeWhen
+from homeward.drives.wheels import Wheels
+from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
+from homeward.geometry.frames import Pose, between
 from homeward.io.naming import listing, natural
-from homeward.io.table import Table, quoted
+from homeward.io.table import quoted
+from homeward.odometry.dead_reckoning import dead_reckoning
 
 OTHER_SOURCES = {
     "odometry": ", and none with odom in its name has poses",
@@ -40,21 +43,35 @@ OTHER_SOURCES = {
 """Other sources of the tables of a drive."""
 MIN_COMMON = 3
 """Minimum number of landmarks that home and the drive have in common for a pose."""
-FROM_POSES = "odometry rows are poses; twists are computed from their differences"
+MAX_DRIFT = 0.003
+"""Maximum deviation of poses from dead reckoning that are no ground truth, over its length [1]."""
+EQUAL_POSES = (
+    "poses of {0} not used: they are within {1:.3g} m of the dead reckoning of the odometry; if "
+    "they are ground truth, use --as {0}=truth"
+)
+AS = {"detections": "bearings"} | {kind: kind for kind in KINDS}
+"""The kinds of tables by their names in the option --as."""
 
 
-def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[ImportedColumn]:
+def understand(
+    files: Sequence[Path],
+    columns: Sequence[str] = (),
+    kinds: Sequence[str] = (),
+    has_wheels: bool = False,
+) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
     The tables may have any separator, decimal mark, header and units. `columns` are texts
-    ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles. `InputError` where a file cannot be
-    read, contains no table of a drive, or a role is ambiguous.
+    ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
+    key of `AS`. `has_wheels` prefers wheels to poses in one file. `InputError` where a file cannot
+    be read, contains no table of a drive, or a role is ambiguous.
     """
     for path in files:
         _refuse_drives(path)
     sheets = [sheet(path) for path in files]
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
-    parts = parts_of(sheets, specified_columns(columns, there))
+    specified = specified_columns(columns, there)
+    parts = parts_of(sheets, specified, _kinds(kinds, there), has_wheels)
     found: list[ImportedColumn] = []
     clock: str | None = None
     angle: str | None = None
@@ -64,7 +81,10 @@ def understand(files: Sequence[Path], columns: Sequence[str] = ()) -> list[Impor
         mine = [part for part in parts if part.kind == kind]
         for extra in mine[1:]:
             advice = f"; give its roles, as in --columns '{extra.sheet.path.name}: t=1, ...'"
-            advice = advice if extra.sheet.headless else "; leave one of them out"
+            if not extra.sheet.headless:
+                advice = (
+                    f"; leave one out, or use --as {extra.sheet.path.name}=KIND for another kind"
+                )
             raise InputError(f"a second file with {kind}{advice}", extra.sheet.path)
         for part in mine:
             part.is_alone = sum(other.sheet is part.sheet for other in parts) == 1
@@ -87,10 +107,16 @@ def _refuse_drives(path: Path) -> None:
         raise InputError(f"a {'drive ' * is_drive}folder, not a text file; {advice}", path)
 
 
-def drive_of(found: Sequence[ImportedColumn], name: str, home: HomeWhen | None = None) -> Drive:
+def drive_of(
+    found: Sequence[ImportedColumn],
+    name: str,
+    home: HomeWhen | None = None,
+    wheels: Wheels | None = None,
+) -> Drive:
     """Return the drive of imported tables, with its home as in `open_drive`.
 
-    `InputError` names the missing table, or the file and row of the problem.
+    `wheels` is their geometry, where the odometry comes from wheels. `InputError` names the missing
+    table, or the file and row of the problem.
     """
     tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home is None else 2]:
@@ -108,15 +134,23 @@ def drive_of(found: Sequence[ImportedColumn], name: str, home: HomeWhen | None =
             columns = {**table.columns, "t": table["t"] - epoch}
             tables[kind] = dataclasses.replace(table, columns=columns)
     remarks = {reason: n for one in found for reason, n in one.remarks.items()}
+    of_odometry = [one for one in found if one.kind == "odometry"]
+    odometry = imported_odometry(of_odometry, tables["odometry"], wheels or Wheels(), remarks)
+    if "gyro" in tables:
+        gyro = without_repeats(tables["gyro"], remarks, REPEATED_ODOMETRY)
+        odometry = with_yaw_rate(odometry, gyro["t"], gyro["omega"], gyro.file.name, remarks)
     drive = Drive(
         name=name,
-        odometry=_odometry(tables["odometry"], remarks),
+        odometry=odometry,
         sightings=sightings_of(tables["bearings"], remarks),
         home=home_of(tables["home"], remarks) if "home" in tables else {},
         settings=DriveSettings(epoch=epoch) if epoch else DriveSettings(),
         truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
         remarks=remarks,
     )
+    truth = next((one for one in found if one.kind == "truth"), None)
+    if truth is not None and truth.is_unsure:
+        drive = _without_dead_reckoning(drive, truth.table.file.name)
     drive = with_clock_remarks(drive, tables["bearings"].file)
     return drive if home is None else with_home(drive, home)
 
@@ -139,12 +173,36 @@ def home_warnings(drive: Drive) -> list[str]:
     return [words] if without_home else []
 
 
-def _odometry(table: Table, remarks: dict[str, int]) -> Odometry:
-    """Return the odometry of a table of twists or poses."""
-    if "v" in table.columns:
-        return odometry_of(table, remarks)
-    kept = without_repeats(table, remarks, REPEATED_ODOMETRY)
-    poses = np.stack([kept["x"], kept["y"], kept["heading"]], axis=1)
-    remarks[FROM_POSES] = len(kept)
-    remark_other_units(kept["t"], remarks)
-    return odometry_from_poses(kept["t"], poses, remarks)
+def _kinds(texts: Sequence[str], there: Collection[str]) -> dict[str, str]:
+    """Return the kinds by file name of ``FILE=KIND`` texts."""
+    found = {}
+    for text in texts:
+        file, _, kind = text.rpartition("=")
+        name = Path(file.strip()).name
+        if kind.strip() not in AS or name not in there:
+            problem = (
+                f"no file {name!r}" if kind.strip() in AS else f"KIND is one of {', '.join(AS)}"
+            )
+            raise InputError(f"--as {text}: must be FILE=KIND; {problem}")
+        found[name] = AS[kind.strip()]
+    return found
+
+
+def _without_dead_reckoning(drive: Drive, file: str) -> Drive:
+    """Return a drive without ground truth if its poses equal the dead reckoning of the odometry."""
+    assert drive.truth is not None
+    t, odometry = drive.truth.t, drive.odometry
+    during = (t >= odometry.t[0]) & (t <= odometry.t[-1])
+    poses = np.stack([drive.truth.x, drive.truth.y, drive.truth.heading])[:, during]
+    if poses.shape[1] < 2:
+        return drive
+    reckoned = np.stack(dead_reckoning(odometry, t[during]))
+    there, here = (between(Pose(*p[:, :1]), Pose(*p)) for p in (poses, reckoned))
+    length = np.hypot(np.diff(here.x), np.diff(here.y)).sum()
+    drift = float(np.hypot(there.x - here.x, there.y - here.y).max())
+    if drift > MAX_DRIFT * length:
+        return drive
+    remarks = {EQUAL_POSES.format(file, drift): t.size} | {
+        reason: number for reason, number in drive.remarks.items() if f"--as {file}=" not in reason
+    }
+    return dataclasses.replace(drive, truth=None, remarks=remarks)

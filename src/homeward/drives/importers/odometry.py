@@ -1,0 +1,122 @@
+"""Odometry of an imported table: twists, wheels, steering, steps, or poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NoReturn
+
+import numpy as np
+
+from homeward.drives.drive import Odometry
+from homeward.drives.folder import REPEATED_ODOMETRY, odometry_of, sorted_by_time, without_repeats
+from homeward.drives.importers.parts import ImportedColumn
+from homeward.drives.importers.wheel_columns import accumulates, base_of
+from homeward.drives.one_clock import remark_other_units
+from homeward.drives.plausibility import odometry_from_poses, without_implausible
+from homeward.drives.wheels import Wheels, ackermann, differential, speeds_from_positions
+from homeward.drives.yaw_rate import with_yaw_rate
+from homeward.errors import InputError
+from homeward.io.table import Table
+from homeward.odometry.limits import MAX_SPEED
+
+FROM_POSES = "odometry rows are poses; twists are computed from their differences"
+EXAMPLE = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
+"""Values shown in error messages."""
+
+
+def imported_odometry(
+    columns: Sequence[ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
+) -> Odometry:
+    """Return the odometry of a table in SI units with these columns.
+
+    `InputError` where the geometry of the wheels is missing or given without a need, or the unit of
+    the wheels is ambiguous or too large.
+    """
+    by_role = {one.column.role: one for one in columns}
+    if wheels != Wheels() and not by_role.keys() & {"left_wheel", "left_speed", "left_step"} | (
+        by_role.keys() & {"steering"}
+    ):
+        raise InputError(
+            "--wheels is not needed: the odometry does not come from wheels; give their columns, "
+            "as in --columns 'left_wheel=A, right_wheel=B', or leave it out",
+            table.file,
+        )
+    if {"v", "omega"} <= by_role.keys():
+        return odometry_of(table, remarks)
+    table = sorted_by_time(table, "odometry", remarks)
+    for role in [role for role in table.columns if role.endswith("_step")] + ["distance", "turn"]:
+        if role in table.columns:  # repeated times must lose no step
+            summed = {**table.columns, role: np.cumsum(table[role])}
+            table = Table(table.file, table.row, summed)
+    table = without_repeats(table, remarks, REPEATED_ODOMETRY)
+    t = table["t"]
+    remark_other_units(t, remarks)
+    if "heading" in by_role:
+        remarks[FROM_POSES] = len(table)
+        poses = np.stack([table["x"], table["y"], table["heading"]], axis=1)
+        return odometry_from_poses(t, poses, remarks)
+    if "steering" in by_role:
+        _require(wheels.missing("m", steers=True), by_role.values(), table)
+        return ackermann(t, table["v"], table["steering"], wheels, remarks)
+    if "distance" in by_role:
+        steps = (np.append(np.diff(table[role]) / np.diff(t), 0.0) for role in ("distance", "turn"))
+        return without_implausible(Odometry(t, *steps), remarks)
+    odometry = _of_wheels(by_role, table, wheels, remarks)
+    if "omega" not in by_role:
+        return odometry
+    gyro = repr(by_role["omega"].column.name)
+    return with_yaw_rate(odometry, t, table["omega"], gyro, remarks)
+
+
+def _of_wheels(
+    by_role: dict[str, ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
+) -> Odometry:
+    """Return the odometry of left and right wheels."""
+    left, right = (
+        next(one for role, one in by_role.items() if role.startswith(side))
+        for side in ("left_", "right_")
+    )
+    role, name, unit = left.column.role.removeprefix("left_"), left.column.name, base_of(left.unit)
+    if base_of(right.unit) != unit:
+        _refuse_unit(left, f"{name!r} is in {left.unit}, {right.column.name!r} in {right.unit}")
+    if role == "speed" and left.column.unit is None and unit == "m" and wheels.wheel_radius:
+        _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
+    missing = wheels.missing(unit)
+    _require(missing, (left, right), table)
+    t, values = table["t"], np.stack([table[left.column.role], table[right.column.role]], axis=1)
+    if role == "speed":
+        speeds = wheels.metres(unit) * values
+    else:
+        speeds = speeds_from_positions(t, values, wheels, unit, remarks)
+    moved = speeds[:-1] * np.diff(t)[:, None]
+    if role == "wheel" and not left.column.is_specified and not any(map(accumulates, moved.T)):
+        raise InputError(
+            f"{name!r} and {right.column.name!r} do not accumulate: if they are steps from row to "
+            f"row, use --columns 'left_step={name}, right_step={right.column.name}', otherwise "
+            f"'left_wheel={name}, right_wheel={right.column.name}'",
+            table.file,
+        )
+    odometry = differential(t, speeds[:, 0], speeds[:, 1], wheels, remarks)
+    if (usual := float(np.nanquantile(np.abs(odometry.v), 0.95))) > MAX_SPEED:
+        _refuse_unit(left, f"the wheels reach {usual:.3g} m/s; check --wheels")
+    return odometry
+
+
+def _require(missing: Sequence[str], columns: Iterable[ImportedColumn], table: Table) -> None:
+    """Refuse wheels without their geometry."""
+    if missing:
+        names = " and ".join(f"{c.column.name!r} [{c.unit}]" for c in columns)
+        example = ",".join(f"{key}={EXAMPLE[key]}" for key in missing)
+        raise InputError(
+            f"odometry from {names} requires {', '.join(missing)} (SI units), as in --wheels "
+            f"{example}",
+            table.file,
+        )
+
+
+def _refuse_unit(one: ImportedColumn, problem: str) -> NoReturn:
+    column, unit = one.column, "rad/s" if one.column.role.endswith("speed") else "rad"
+    raise InputError(
+        f"{problem}; give its unit, as in --columns '{column.role}={column.name}[{unit}]'",
+        one.table.file,
+    )

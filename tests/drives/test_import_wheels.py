@@ -1,0 +1,169 @@
+"""Imported odometry from wheels, steering, steps and gyroscopes."""
+
+import numpy as np
+import pytest
+
+from homeward.drives.importers.columns import words_in
+from homeward.drives.importers.reading import drive_of, understand
+from homeward.drives.importers.wheel_columns import wheel_role
+from homeward.drives.wheels import WRAPPED, Wheels
+from homeward.errors import InputError
+
+T = np.arange(0.0, 30.0, 0.1)
+V = 0.2 + 0.1 * np.sin(0.3 * T)
+OMEGA = 0.5 * np.sin(0.2 * T)
+WHEELS = Wheels(wheel_radius=0.05, track_width=0.4, ticks_per_turn=1000, wheelbase=0.5)
+SPEEDS = V + np.array([[-0.2], [0.2]]) * OMEGA
+TRAVEL = np.cumsum(np.pad(SPEEDS[:, :-1] * 0.1, ((0, 0), (1, 0))), axis=1)
+TICKS = np.round(TRAVEL / (0.05 * 2 * np.pi / 1000))
+
+
+def imported(folder, names, *columns, wheels=WHEELS, roles=(), more=(), kinds=()):
+    """The drive of a table with stamps and these columns."""
+    rows = zip(*(np.asarray(c).tolist() for c in (T, *columns)), strict=True)
+    text = "\n".join([f"t,{names}", *(",".join(map(repr, row)) for row in rows)])
+    (folder / "wheels.csv").write_text(text.replace("nan", "") + "\n")
+    (folder / "b.csv").write_text("t,landmark,bearing\n0.1,A,0.5\n0.2,A,0.5\n")
+    (folder / "h.csv").write_text("landmark,bearing\nA,0.4\n")
+    files = [folder / name for name in ("wheels.csv", "b.csv", "h.csv", *more)]
+    found = understand(files, roles, kinds, has_wheels=wheels is not None)
+    return drive_of(found, "wheels", wheels=wheels)
+
+
+def assert_same(odometry, tolerance=1e-6):
+    assert odometry.v[:-1] == pytest.approx(V[:-1], abs=tolerance)
+    assert odometry.omega[:-1] == pytest.approx(OMEGA[:-1], abs=tolerance / 0.2)
+
+
+@pytest.mark.parametrize(
+    ("names", "values"),
+    [
+        ("left_wheel_angle,right_wheel_angle", TRAVEL / 0.05),
+        ("wheel_left_joint/position,wheel_right_joint/position", TRAVEL / 0.05),
+        ("left_deg,right_deg", np.degrees(TRAVEL / 0.05)),
+        ("left wheel [rev],right wheel [rev]", TRAVEL / 0.05 / (2 * np.pi)),
+        ("left_distance_mm,right_distance_mm", 1e3 * TRAVEL),
+        ("vl [m/s],vr [m/s]", SPEEDS),
+        ("omega_l,omega_r", SPEEDS / 0.05),
+        ("leftRpm,rightRpm", SPEEDS / 0.05 * 60 / (2 * np.pi)),
+        ("left_vel_mm_s,right_vel_mm_s", 1e3 * SPEEDS),
+        ("w_left_rad_s,w_right_rad_s", SPEEDS / 0.05),
+        ("d_left [m],d_right [m]", np.diff(TRAVEL, axis=1, prepend=0.0)),
+    ],
+)
+def test_wheels_in_each_unit_are_the_same_odometry(tmp_path, names, values):
+    assert_same(imported(tmp_path, names, *values).odometry)
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        *("left_ticks,right_ticks", "leftticks,rightticks", "encoder_l,encoder_r", "encL,encR"),
+        *("left,right", "Left Encoder,Right Encoder", "ticks_left,ticks_right", "L,R"),
+    ],
+)
+def test_counts_of_encoders(tmp_path, names):
+    drive = imported(tmp_path, names, *TICKS.astype(int))
+    assert_same(drive.odometry, 4e-3)
+    steps = np.diff(TICKS.astype(int), axis=1, prepend=0)
+    assert_same(imported(tmp_path, "dl,dr", *steps).odometry, 4e-3)
+
+
+def test_counters_that_wrap_round_or_restart(tmp_path):
+    for shift, span in ((2**15, 2**15), (2**16 - 1000, 2**16)):
+        wrapped = imported(tmp_path, "left_ticks,right_ticks", *((TICKS + shift - 500) % span))
+        assert_same(wrapped.odometry, 4e-3)
+        assert wrapped.remarks[WRAPPED] == 2
+    again = TICKS.astype(int)
+    again[:, 150:] -= again[:, 150:151]
+    reset = imported(tmp_path, "left_ticks,right_ticks", *again)
+    assert np.flatnonzero(np.isnan(reset.odometry.v)).tolist() == [149]
+
+
+def test_steering_and_steps(tmp_path):
+    steering = np.arctan(OMEGA * 0.5 / V)
+    assert_same(imported(tmp_path, "speed,steering_angle", V, steering).odometry)
+    assert_same(imported(tmp_path, "speed,steering_deg", V, np.degrees(steering)).odometry)
+    moved = [np.append(0.0, 0.1 * column[:-1]) for column in (V, OMEGA)]
+    drive = imported(tmp_path, "delta_distance,delta_yaw", *moved, wheels=None)
+    assert_same(drive.odometry)
+
+
+@pytest.mark.parametrize(
+    ("names", "values", "wheels", "complaint"),
+    [
+        ("left_ticks,right_ticks", TICKS, {}, "requires wheel_radius, ticks_per_turn, track_width"),
+        ("v_left,v_right", SPEEDS, {}, r"requires track_width .* --wheels track_width=0\.16"),
+        ("speed,steering", SPEEDS, {"track_width": 1}, "requires wheelbase"),
+        ("v,omega", SPEEDS, {"track_width": 1}, "--wheels is not needed"),
+        ("v_left,v_right", SPEEDS, {"wheel_radius": 1, "track_width": 1}, "in m/s, or in rad/s"),
+        ("v_left,v_right", 99 * SPEEDS, {"track_width": 1}, r"too fast for m/s.*left_speed=v_left"),
+        ("left_enc,right_enc", TRAVEL, {}, r"may be in ticks, rad or m.*left_wheel=left_enc\[rad"),
+        ("left [m],right_ticks", [TRAVEL[0], TICKS[1]], {}, "'left .m.' is in m, 'right_ticks' in"),
+        (
+            "wl,wr",
+            SPEEDS,
+            {"track_width": 1},
+            r"'wl' \[rad/s\] .* requires wheel_radius .* --wheels",
+        ),
+        ("left_ticks,right_ticks", 1e3 * TICKS, WHEELS.model_dump(), "wheels reach .* --wheels"),
+        ("front_left_ticks,left_ticks2,right_ticks", [*TICKS, TICKS[0]], {}, "may both be left_wh"),
+        ("left_ticks,right_ticks", np.full((2, 300), np.nan), {}, "no row has values for all"),
+    ],
+)
+def test_wheels_with_unclear_units_or_geometry_are_refused(
+    tmp_path, names, values, wheels, complaint
+):
+    with pytest.raises(InputError, match=complaint) as error:
+        imported(tmp_path, names, *np.asarray(values), wheels=Wheels(**wheels))
+    assert "\n" not in str(error.value)
+
+
+def test_commands_are_no_measurements(tmp_path):
+    drive = imported(tmp_path, "cmd_left,cmd_right,v,omega", *SPEEDS, V, OMEGA, wheels=None)
+    assert_same(drive.odometry)
+    assert wheel_role(words_in("left_speed_target")) is None
+
+
+@pytest.mark.parametrize(
+    "name", ["bearing_L1", "bearing_left_rad", "left", "tag_right", "x", "angle_left_door_right"]
+)
+def test_other_columns_are_no_wheels(name):
+    assert wheel_role(words_in(name)) is None
+
+
+def test_a_gyroscope_replaces_the_yaw_rate_of_the_wheels(tmp_path):
+    slipping = SPEEDS + np.array([[0.05], [-0.05]]) * OMEGA
+    columns = [*slipping, -np.degrees(OMEGA)]
+    with_gyro = imported(tmp_path, "left_vel [m/s],right_vel [m/s],gyro_z", *columns)
+    assert with_gyro.odometry.omega[1:-1] == pytest.approx(OMEGA[1:-1], abs=0.006)
+    assert any("with the sign inverted" in reason for reason in with_gyro.remarks)
+    rows = (f"{t!r},0,0,{rate!r}\n" for t, rate in zip(T.tolist(), OMEGA.tolist(), strict=True))
+    (tmp_path / "imu.csv").write_text("time,gyro_x,gyro_y,gyro_z\n" + "".join(rows))
+    twists = imported(tmp_path, "v,omega", V, 0 * V, wheels=None, more=["imu.csv"])
+    assert twists.odometry.omega[1:-1] == pytest.approx(OMEGA[1:-1], abs=0.006)
+    assert any("turns too little for a comparison" in reason for reason in twists.remarks)
+
+
+def test_wheels_and_poses_in_one_table(tmp_path):
+    """Without the geometry of the wheels, the poses are used."""
+    x = np.append(0.0, np.cumsum(0.1 * V[:-1]))
+    columns = [*TICKS, x, 0 * V, 0 * V]
+    names = "left_ticks,right_ticks,x,y,theta"
+    assert imported(tmp_path, names, *columns, wheels=None).odometry.omega == pytest.approx(0.0)
+    assert_same(imported(tmp_path, names, *columns).odometry, 4e-3)
+
+
+@pytest.mark.parametrize(
+    ("given", "complaint"),
+    [
+        ("wheels.csv=wheel", "KIND is one of detections, odometry, gyro"),
+        ("nothing.csv=home", "no file 'nothing.csv'"),
+        ("b.csv", "must be FILE=KIND"),
+        ("b.csv=truth", "--as b.csv=truth: its columns .* have no t, x, y, heading"),
+        ("b.csv=odometry", "--as b.csv=odometry: its columns .* have no t, v, omega"),
+    ],
+)
+def test_a_kind_that_a_file_cannot_have_is_refused(tmp_path, given, complaint):
+    with pytest.raises(InputError, match=complaint):
+        imported(tmp_path, "v,omega", V, OMEGA, wheels=None, kinds=[given])
