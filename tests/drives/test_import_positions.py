@@ -22,8 +22,8 @@ def plain():
     return read_folder(sample_drive())
 
 
-def positions(plain, is_in_front=False, scale=1.0):
-    """Times, ids, bearings and positions (forward, left, up) of the sample's sightings in 30 s."""
+def positions(plain, is_in_front=False, scale=1.0, until=30.0):
+    """Times, ids, bearings and positions (forward, left, up) of the sample's first sightings."""
     world = read_csv(
         sample_drive() / "world.csv", {"landmark": identifiers, "x": numbers, "y": numbers}
     )
@@ -31,7 +31,7 @@ def positions(plain, is_in_front=False, scale=1.0):
     truth, seen = plain.truth, plain.sightings
     rows = []
     for t, name, bearing in zip(seen.t, seen.landmark, seen.bearing, strict=True):
-        if t > 30.0 or (is_in_front and abs(bearing) > 1.2):
+        if t > until or (is_in_front and abs(bearing) > 1.2):
             continue
         k = int(np.argmin(np.abs(truth.t - t)))
         c, s = math.cos(truth.heading[k]), math.sin(truth.heading[k])
@@ -55,7 +55,7 @@ def files(folder, tags):
 def bearings(paths, *columns):
     found = understand(paths, columns)
     how = next(c for c in found if c.kind == "bearings" and c.column.role == "bearing")
-    return drive_of(found, "tags").sightings, f"{how.column.name}; {how.source}"
+    return drive_of(found, "tags").sightings, f"{how.column.signed_name}; {how.source}"
 
 
 QUATERNION = ("0.0", "0.0", "0.38268", "0.92388")
@@ -213,3 +213,37 @@ def test_poses_of_a_robot_are_no_landmarks(tmp_path, name, kind):
     rows = [(k, 0, "map", "robot1", 0.1 * k, 0.0, 0.0, *QUATERNION) for k in range(9)]
     found = understand([write(tmp_path, name, head, rows)])
     assert {one.kind for one in found} == {kind}
+
+
+def test_positions_to_the_right_are_mirrored_and_shown(tmp_path, plain):
+    """Coordinates do not show the direction of y; the yaw rates of the odometry do."""
+    rows, head = positions(plain, until=50.0), "t,id,x,y,z"
+    paths = files(
+        tmp_path,
+        write(tmp_path, "tags.csv", head, [(t, n, f, -le, up) for t, n, _, f, le, up in rows]),
+    )
+    found, shown = bearings(paths)
+    assert found.bearing == pytest.approx([row[2] for row in rows], abs=1e-9)
+    assert shown == "-atan2(y, x); z varies least; sign changed to fit yaw rates"
+    assert any("omega=-COLUMN" in line for line in drive_of(understand(paths), "").remark_lines)
+    # Home bearings of another kind keep their sign, and so do specified columns.
+    assert drive_of(understand(paths), "").home["L01"].bearing == plain.home["L01"].bearing
+    mirrored, shown = bearings(paths, "tags.csv: forward=x, left=y")
+    assert mirrored.bearing == pytest.approx(-found.bearing)
+    assert "sign" not in shown
+
+
+@pytest.mark.parametrize("is_wide", [False, True])
+def test_clockwise_bearings_change_their_sign_also_at_home(tmp_path, plain, is_wide):
+    rows = [(t, n, -math.degrees(b)) for t, n, b, *_ in positions(plain, until=50.0)]
+    ids = sorted({n for _, n, _ in rows})
+    if is_wide:
+        wide = ((t, *(b if n == i else "" for i in ids)) for t, n, b in rows)
+        tags = write(tmp_path, "tags.csv", ",".join(["t", *ids]), wide)
+    else:
+        tags = write(tmp_path, "tags.csv", "t,id,bearing_deg", rows)
+    at_home = [(n, -math.degrees(h.bearing)) for n, h in plain.home.items()]
+    home = write(tmp_path, "home.csv", "id,bearing", at_home)
+    drive = drive_of(understand([sample_drive() / "odometry.csv", tags, home]), "")
+    assert np.degrees(drive.sightings.bearing) == pytest.approx([-b for _, _, b in rows])
+    assert drive.home["L01"].bearing == pytest.approx(plain.home["L01"].bearing)

@@ -26,7 +26,7 @@ def imported(folder, names, *columns, wheels=WHEELS, roles=(), more=(), kinds=()
     (folder / "b.csv").write_text("t,landmark,bearing\n0.1,A,0.5\n0.2,A,0.5\n")
     (folder / "h.csv").write_text("landmark,bearing\nA,0.4\n")
     files = [folder / name for name in ("wheels.csv", "b.csv", "h.csv", *more)]
-    found = understand(files, roles, kinds, has_wheels=wheels is not None)
+    found = understand(files, roles, kinds, wheels)
     return drive_of(found, "wheels", wheels=wheels)
 
 

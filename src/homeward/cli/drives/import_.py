@@ -97,10 +97,10 @@ def import_(
 
     given = "{" + (wheels or "").replace("=", ": ") + "}"
     geometry = parse_settings(given, Wheels, Path("--wheels"))
-    found = understand(files, columns or (), kinds or (), has_wheels=wheels is not None)
+    found = understand(files, columns or (), kinds or (), geometry if wheels else None)
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
-        (u.table.file.name, u.kind, u.column.name, u.column.role, u.unit, u.source, u.range)
+        (u.table.file.name, u.kind, u.column.signed_name, u.column.role, u.unit, u.source, u.range)
         for u in found
     ]
     if not json:

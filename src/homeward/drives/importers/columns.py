@@ -86,6 +86,7 @@ AND = re.compile(r",(?=\s*\w+\s*=)")
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
+ROTATION_WORDS = {*ROTATIONS, "rvec", "rot"}
 KINDS: Mapping[str, tuple[str, ...]] = {
     "odometry": ("t", "v", "omega"),
     "gyro": ("t", "omega"),
@@ -129,6 +130,11 @@ class Column:
     def quantity(self) -> str:
         """A key of `UNITS`."""
         return ROLES[self.role][0]
+
+    @property
+    def signed_name(self) -> str:
+        """Name in the file, after a minus if the sign of its values is changed."""
+        return "-" * (self.sign < 0) + self.name
 
     @property
     def si(self) -> str:
@@ -281,6 +287,8 @@ def _score(name: str, role: str) -> tuple[int, int]:
     wheel = wheel_role(words)
     if wheel is not None or role in WHEELS:
         return (1, -len(words)) if wheel == role or is_bare_side(words, role) else NO_MATCH
+    if role in ("x", "y", "z") and ROTATION_WORDS.intersection(words):
+        return NO_MATCH
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
     matching = max((len(span) for span in spans if span in _NAMES[role]), default=0)
     return (matching, -len(words)) if matching else NO_MATCH

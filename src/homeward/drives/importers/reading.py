@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, Odometry
 from homeward.drives.folder import (
     HOME_ADVICE,
     REPEATED_ODOMETRY,
@@ -23,6 +24,7 @@ from homeward.drives.home.spin import with_home
 from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, parts_of
+from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.log import is_log
@@ -32,7 +34,7 @@ from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.naming import listing, natural
-from homeward.io.table import quoted
+from homeward.io.table import Table, quoted
 from homeward.odometry.dead_reckoning import dead_reckoning
 
 OTHER_SOURCES = {
@@ -57,21 +59,22 @@ def understand(
     files: Sequence[Path],
     columns: Sequence[str] = (),
     kinds: Sequence[str] = (),
-    has_wheels: bool = False,
+    wheels: Wheels | None = None,
 ) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
     The tables may have any separator, decimal mark, header and units. `columns` are texts
     ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
-    key of `AS`. `has_wheels` prefers wheels to poses in one file. `InputError` where a file cannot
-    be read, contains no table of a drive, or a role is ambiguous.
+    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file. Bearings get the
+    sense of rotation of the odometry. `InputError` where a file cannot be read, contains no table
+    of a drive, or a role is ambiguous.
     """
     for path in files:
         _refuse_drives(path)
     sheets = [sheet(path) for path in files]
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
-    parts = parts_of(sheets, specified, _kinds(kinds, there), has_wheels)
+    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None)
     found: list[ImportedColumn] = []
     clock: str | None = None
     angle: str | None = None
@@ -93,6 +96,9 @@ def understand(
             if kind == "bearings":
                 seen = next(u for u in found if u.column.role == "bearing")
                 angle = None if seen.column.unit else seen.unit
+    with suppress(InputError):  # `drive_of` raises it after the columns are shown
+        tables = {one.kind: one.table for one in found}
+        return with_sense_of(_odometry(found, tables, wheels, {}), found)
     return found
 
 
@@ -134,11 +140,7 @@ def drive_of(
             columns = {**table.columns, "t": table["t"] - epoch}
             tables[kind] = dataclasses.replace(table, columns=columns)
     remarks = {reason: n for one in found for reason, n in one.remarks.items()}
-    of_odometry = [one for one in found if one.kind == "odometry"]
-    odometry = imported_odometry(of_odometry, tables["odometry"], wheels or Wheels(), remarks)
-    if "gyro" in tables:
-        gyro = without_repeats(tables["gyro"], remarks, REPEATED_ODOMETRY)
-        odometry = with_yaw_rate(odometry, gyro["t"], gyro["omega"], gyro.file.name, remarks)
+    odometry = _odometry(found, tables, wheels, remarks)
     drive = Drive(
         name=name,
         odometry=odometry,
@@ -171,6 +173,23 @@ def home_warnings(drive: Drive) -> list[str]:
     plural = " has" if without_home == 1 else "s have"
     words = f"{without_home} landmark{plural} no home bearing, and can only extend the map."
     return [words] if without_home else []
+
+
+def _odometry(
+    found: Sequence[ImportedColumn],
+    tables: Mapping[str, Table],
+    wheels: Wheels | None,
+    remarks: dict[str, int],
+) -> Odometry:
+    """Return the odometry of imported tables by kind, with the yaw rate of a gyroscope if any."""
+    if "odometry" not in tables:
+        raise InputError("no odometry")
+    columns = [one for one in found if one.kind == "odometry"]
+    odometry = imported_odometry(columns, tables["odometry"], wheels or Wheels(), remarks)
+    if "gyro" in tables:
+        gyro = without_repeats(tables["gyro"], remarks, REPEATED_ODOMETRY)
+        odometry = with_yaw_rate(odometry, gyro["t"], gyro["omega"], gyro.file.name, remarks)
+    return odometry
 
 
 def _kinds(texts: Sequence[str], there: Collection[str]) -> dict[str, str]:
