@@ -4,10 +4,15 @@ import math
 
 import numpy as np
 import pytest
+from cli.commands import call, done
 from drives.ros.build import EPOCH, SUFFIXES, point, pose, stamps
 from drives.ros.rig import NANO, bearings_message
+from rosbags.typesys import get_types_from_msg
+from rosbags.typesys.store import Typestore
 
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.ros.measurements.bearings import TAGS
+from homeward.drives.ros.messages.decoding import typestore
 from homeward.errors import InputError
 
 
@@ -201,3 +206,90 @@ def test_a_lens_is_undone(model, k):
     camera = Lens(fx=500, fy=510, cx=320, cy=240, model=model, distortion=k)
     there = camera.directions(500 * xd + 320, 510 * yd + 240)[0]
     assert there == pytest.approx(bearing, abs=1e-6)
+
+
+def test_corners_as_eight_numbers(made):
+    """apriltag_msgs had corners without a type of their own."""
+    (t,) = stamps(1)
+
+    def fill(log):
+        text = """std_msgs/Header header
+apriltag_msgs/AprilTagDetection[] detections
+================================================================================
+MSG: apriltag_msgs/AprilTagDetection
+int32 id
+int32 hamming
+float64[2] centre
+float64[8] corners
+"""
+        kind, part = TAGS, TAGS.removesuffix("Array")
+        log._store = Typestore()
+        fields = dict(typestore(False).fielddefs)
+        del fields[kind], fields[part]
+        log._store.register(fields)
+        log._store.register(get_types_from_msg(text, kind))
+        corners = np.array([810.5, 90.5, 830.5, 90.5, 830.5, 110.5, 810.5, 110.5])
+        tag = log.make(part, id=7, hamming=0, corners=corners)
+        log.write("/tags", t, log.make(kind, header=log.header(t, "optical"), detections=[tag]))
+        log.write("/camera_info", t, camera_info(log, t))
+
+    seen = made(fill).sightings
+    assert seen.landmark.tolist() == ["7"]
+    assert seen.bearing.tolist() == pytest.approx([-math.pi / 4])
+
+
+@pytest.mark.parametrize("suffix", [".mcap", ".db3"])
+def test_detections_in_space_by_pose_or_box(made, suffix):
+    def fill(log):
+        (t,) = stamps(1)
+
+        def detection(name, classes, box):
+            results = [
+                log.make(
+                    "vision_msgs/msg/ObjectHypothesisWithPose",
+                    hypothesis={"class_id": c, "score": s},
+                    pose={"pose": pose(log, *place)},
+                )
+                for c, s, place in classes
+            ]
+            kind = "vision_msgs/msg/Detection3D"
+            return log.make(kind, id=name, results=results, bbox={"center": pose(log, *box)})
+
+        found = [
+            detection("chair 1", [("chair", 0.9, (2.0, 2.0))], (0, 0)),
+            detection("", [("lamp", 0.2, (9.0, 0.0)), ("door", 0.7, (0.0, 1.0))], (0, 0)),
+            detection("box", [("box", 0.7, (0.0, 0.0))], (1.0, -1.0)),
+        ]
+        kind = "vision_msgs/msg/Detection3DArray"
+        log.write("/found", t, log.make(kind, header=log.header(t, "base"), detections=found))
+
+    seen = made(fill, suffix=suffix).sightings
+    assert dict(zip(seen.landmark, seen.bearing, strict=True)) == pytest.approx(
+        {"chair 1": math.pi / 4, "door": math.pi / 2, "box": -math.pi / 4}
+    )
+
+
+def test_tags_of_isaac_ros(made):
+    def fill(log):
+        (t,) = stamps(1)
+        kind = "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray"
+        place = {"pose": {"pose": pose(log, -1.0, 0.0, z=1.0)}}
+        tag = log.make(kind.removesuffix("Array"), id=7, pose=place)
+        log.write(
+            "/tag_detections", t, log.make(kind, header=log.header(t, "camera"), detections=[tag])
+        )
+
+    seen = made(fill).sightings
+    assert dict(zip(seen.landmark, seen.bearing, strict=True)) == pytest.approx({"7": math.pi / 4})
+
+
+def test_a_scan_has_no_ids(made, tmp_path):
+    def fill(log):
+        (t,) = stamps(1)
+        log.write("/scan", t, log.make("sensor_msgs/msg/LaserScan", header=log.header(t, "laser")))
+
+    with pytest.raises(InputError, match="/scan is a sensor_msgs/msg/LaserScan: its points"):
+        made(fill, "bearings: {topic: /scan}\n")
+    assert (
+        "/scan is a sensor_msgs/msg/LaserScan" in done(call("info", tmp_path / "log.mcap")).output
+    )

@@ -133,7 +133,7 @@ def _axes_of(
             "to the camera or the robot",
             one.path,
         )
-    by_data = _by_spread(values)
+    by_data = axes_by_spread(values)
     known = f"frame {quoted(min(frames))}" if frames else ""
     could_be = {"camera": _is_in_front(values.get("z")), "robot": "y" in values}
     if frames and could_be["camera"] and all("optical" in frame for frame in frames):
@@ -150,7 +150,7 @@ def _axes_of(
     raise InputError(_unknown(values, by_axis, one, kind), one.path)
 
 
-def _by_spread(values: Mapping[str, np.ndarray]) -> Axes | None:
+def axes_by_spread(values: Mapping[str, np.ndarray]) -> Axes | None:
     """Return the axes of which the vertical one varies least; None where unclear."""
     seen = {axis: v[np.isfinite(v)] for axis, v in values.items()}
     if not all(v.size for v in seen.values()):

@@ -18,14 +18,29 @@ from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
 from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS
+from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS, axes_of
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.settings import NAME_HOME, LogSettings, wildcard_part
-from homeward.drives.ros.topics.choosing import OUR_SETTINGS, USES, choose, use_of
+from homeward.drives.ros.settings import (
+    NAME_HOME,
+    BearingsTopic,
+    LogSettings,
+    OdometryTopic,
+    wildcard_part,
+)
+from homeward.drives.ros.topics.by_fields import candidates, first_frame, shown, unread
+from homeward.drives.ros.topics.choosing import (
+    LASER_SCAN,
+    NO_IDS_IN_SCAN,
+    OUR_SETTINGS,
+    USES,
+    choose,
+    use_of,
+)
 from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, survey
 from homeward.drives.ros.topics.tag_frames import MIN_TAGS
 from homeward.errors import InputError
 from homeward.io.settings import read_settings, settings_yaml
+from homeward.io.table import quoted
 
 REFUSED = "homeward run cannot use it: {}."
 
@@ -186,25 +201,54 @@ def _numbered(names: list[str]) -> list[str]:
     return [pattern for pattern, count in patterns.items() if count >= MIN_TAGS]
 
 
+def _uses_by_fields(known: TopicSurvey, name: str) -> Iterator[str]:
+    """Yield the possible uses of a topic of an unknown type."""
+    for option in candidates(known, OdometryTopic(topic=name)):
+        yield f"odometry: v = {option.v}, omega = {option.omega}, as in {shown([option])}"
+    for given in candidates(known, BearingsTopic(topic=name)):
+        axes = ""
+        if given.position:
+            frame = first_frame(known, given)
+            by = f"frame_id {quoted(frame)}" if frame else "the missing frame_id"
+            axes = f", axes from {by}: {axes_of(frame, given)}"
+        yield f"bearings: {given.layout}{axes}, as in {shown([given])}"
+
+
 def _candidates(known: TopicSurvey) -> Iterator[str]:
     """Yield the possible use of each topic, if its messages can be decoded."""
-    from homeward.drives.ros.messages.decoding import Decoder, is_well_known  # the extra bags
+    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
 
     patterns = _numbered([t.name for t in known.topics if t.type in POSES_OF_TAGS])
     for pattern in patterns:
         yield f'Topics {pattern} can be used as bearings: {{topic: "{pattern}"}}.'
-    unknown = []
+    custom, unknown, undefined = unread(known), [], []
     for topic in known.topics:
         if any(wildcard_part(pattern, topic.name) for pattern in patterns):
             continue
-        if words := use_of(topic.type):
+        if topic.type == LASER_SCAN:
+            yield f"{topic.name} {NO_IDS_IN_SCAN}."
+        elif words := use_of(topic.type):
             first = known.kept[topic.name]
             try:
                 Decoder().decode(first.channel, first.data)
                 yield f"{topic.name} can be used as {words}."
             except InputError as error:
                 yield f"{error.what}."
-        elif not is_well_known(topic.type):
-            unknown.append(f"{topic.name} ({topic.type})")
+        elif topic in custom:
+            name = f"{topic.name} ({topic.type})"
+            try:
+                uses = list(_uses_by_fields(known, topic.name))
+            except InputError as error:
+                lacks = not known.channels[topic.name].definition
+                undefined += [name] if lacks else []
+                yield from () if lacks else (f"{error.what}.",)
+                continue
+            yield from (f"{name}: can be used as {use}." for use in uses)
+            unknown += [] if uses else [name]
+    if undefined:
+        yield (
+            f"The log has no definition of {', '.join(undefined)}, as usual in .db3 files before "
+            "ROS 2 Iron; `ros2 bag convert` to MCAP, where that package is installed, adds it."
+        )
     if unknown:
         yield f"Types that are not read yet: {', '.join(unknown)}."

@@ -34,7 +34,7 @@ from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.settings import NAME_BEARINGS, PICTURES, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
-from homeward.drives.ros.topics.survey import MessageTimes, OnProgress, TopicSurvey, survey
+from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
@@ -139,6 +139,9 @@ class _Reading:
         self._read(on_progress)
         self._set_extrinsics()
         odometry = self._odometry.odometry(self._remarks)
+        if (source := self._plan.odometry) is not None:
+            fields = f"v = {source.v}, omega = {source.omega}"
+            self._remark_fields(source.topic, fields, "odometry samples", odometry.t.size)
         sightings = self._sightings()
         found = Drive(
             name=self._path.resolve().stem,
@@ -179,6 +182,9 @@ class _Reading:
             for frame, rows in by_frame.items()
             if len(rows)
         ]
+        for frame, rows in self._cameras:
+            rows.use_axes_of_data(frame)
+            self._remark_fields(rows.given.topic, str(rows.given.layout), "sightings", len(rows))
         sensor = extrinsics(self._cameras, self._transforms, self._plan)
         if sensor is None:
             return
@@ -187,6 +193,11 @@ class _Reading:
             update["field_of_view"] = None  # several cameras have no common one
         sensor_now = self._settings.sensor.model_copy(update=update)
         self._settings = self._settings.model_copy(update={"sensor": sensor_now})
+
+    def _remark_fields(self, topic: str, fields: str, what: str, number: int) -> None:
+        if (kind := self._known.topic(topic).type) not in IS_READ:
+            found = f"{what} in {topic}, of the unknown type {quoted(kind)}, read by fields"
+            self._remarks.count(f"{found}: {fields}", number)
 
     def _subscribe(self, topic: str, handler: Handler) -> None:
         self._handlers.setdefault(topic, []).append(handler)
@@ -246,12 +257,13 @@ class _Reading:
 
     def _read(self, on_progress: OnProgress | None) -> None:
         log, clock = self._known.log, self._clock
+        layouts = {given.topic: given.layout for given in self._plan.bearings}
         for number, message in enumerate(log.messages(topics=self._handlers)):
             topic = message.channel.topic
             if topic in self._handlers:
                 decoded = self._decoder.decode(message.channel, message.data)
                 try:
-                    for part in parts_of(message.channel.type, decoded):
+                    for part in parts_of(message.channel.type, decoded, layouts.get(topic)):
                         t = clock.time(message, part)
                         for handle in self._handlers[topic]:
                             handle(t, part)

@@ -8,6 +8,7 @@ from pydantic import Field, field_validator, model_validator
 
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.ros.measurements.structure import Layout
 from homeward.drives.settings import DriveSettings, Finite, HomeWhen, Mount, Positive
 from homeward.drives.wheels import Wheels
 from homeward.io.keys import Strict
@@ -30,10 +31,18 @@ def wildcard_part(pattern: str, name: str) -> str | None:
     return part
 
 
+FieldPath = Annotated[str, Field(pattern=r"^(\.|[A-Za-z]\w*(\[\])?(\.[A-Za-z]\w*(\[\])?)*)$")]
+"""Names of fields from the message down, with ``[]`` after a list."""
+
+
 class OdometryTopic(Wheels):
     """The topic of odometry, with the geometry of the wheels for wheel angles and steering."""
 
     topic: str
+    v: FieldPath | None = None
+    """Path of the forward speed [m/s] in a message of another type, as in ``twist.linear.x``."""
+    omega: FieldPath | None = None
+    """Path of the yaw rate [rad/s]."""
     use: Literal["twist", "pose"] | None = None
     """Part of a nav_msgs/Odometry: the twist, or differentiated poses; None: the twist, unless the
     poses contradict it and are usable."""
@@ -53,6 +62,13 @@ class BearingsTopic(Strict):
     landmark: str | None = None
     """Id of the landmark in a topic of one landmark; None: the last part of the topic of a
     geometry_msgs/PointStamped."""
+    id: FieldPath | None = None
+    """Path of the landmark id in a message, as in ``tags[].id``; None: as known for its type, or
+    found by the names of its fields."""
+    position: FieldPath | None = None
+    """Path of the landmark's position (x, y, z) [m]; ``.`` is the message itself."""
+    bearing: FieldPath | None = None
+    """Path of the bearing [rad], or [deg] where its name ends in deg."""
     frames: Annotated[str, Field(min_length=1)] | None = None
     """For a tf2_msgs/TFMessage: names of the landmarks' frames, with ``*`` for the landmark id."""
     camera: str | Lens | None = None
@@ -77,12 +93,21 @@ class BearingsTopic(Strict):
 
     @model_validator(mode="after")
     def _one_source_of_ids(self) -> BearingsTopic:
+        if self.position and self.bearing:
+            raise ValueError("give either position or bearing")
         for pattern in (self.topic, self.frames or ""):
             if pattern.count("*") > 1:
                 raise ValueError(f"{pattern} has more than one *")
             if "*" in pattern and self.landmark is not None:
                 raise ValueError(f"the landmark id is the * in {pattern}; remove landmark")
         return self
+
+    @property
+    def layout(self) -> Layout | None:
+        """The given fields; None while the id, or position and bearing, are missing."""
+        if self.id is None or not (self.position or self.bearing):
+            return None
+        return Layout(self.id, self.position or "", self.bearing or "")
 
     @property
     def tilt(self) -> dict[str, float]:

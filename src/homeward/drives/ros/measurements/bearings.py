@@ -12,23 +12,19 @@ import numpy as np
 
 from homeward.drives.cameras.camera import tag_bearings, tilt_matrix
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.importers.positions import axes_by_spread
 from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.measurements.structure import Layout, id_text, values
 from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic, wildcard_part
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted
 
 DETECTIONS = "vision_msgs/msg/Detection2DArray"
+DETECTIONS_3D = "vision_msgs/msg/Detection3DArray"
 TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"
 TAG_ARRAY = "apriltag_msgs/msg/ApriltagArrayStamped"
 FIDUCIALS = "fiducial_msgs/msg/FiducialArray"
-MARKERS = "aruco_msgs/msg/MarkerArray"
-FIDUCIAL_POSES = "fiducial_msgs/msg/FiducialTransformArray"
-TAG_POSES = "apriltag_ros/msg/AprilTagDetectionArray"
-ROS2_ARUCO = "ros2_aruco_interfaces/msg/ArucoMarkers"
-ARUCO_OPENCV = "aruco_opencv_msgs/msg/ArucoDetection"
-ALVAR = "ar_track_alvar_msgs/msg/AlvarMarkers"
-OLD_TAG_POSES = "apriltags_ros/msg/AprilTagDetectionArray"
 POSE_ARRAY = "geometry_msgs/msg/PoseArray"
 POINT = "geometry_msgs/msg/PointStamped"
 POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
@@ -36,9 +32,33 @@ POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCov
 OF_ONE_LANDMARK = (POINT, *POSES_OF_TAGS)
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 """Types whose transforms may be sightings; a reader receives one transform."""
-_OWN_HEADERS = {ALVAR: "markers", OLD_TAG_POSES: "detections"}
-"""Types whose tags have headers, and their lists of tags; the message's header may be empty."""
-IN_PARTS = (*TRANSFORMS, *_OWN_HEADERS)
+ALVAR = "ar_track_alvar_msgs/msg/AlvarMarkers"
+OLD_TAG_POSES = "apriltags_ros/msg/AprilTagDetectionArray"
+LAYOUTS = {
+    "aruco_msgs/msg/MarkerArray": Layout("markers[].id", "markers[].pose.pose.position"),
+    "fiducial_msgs/msg/FiducialTransformArray": Layout(
+        "transforms[].fiducial_id", "transforms[].transform.translation"
+    ),
+    "apriltag_ros/msg/AprilTagDetectionArray": Layout(
+        "detections[].id", "detections[].pose.pose.pose.position"
+    ),
+    "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray": Layout(
+        "detections[].id", "detections[].pose.pose.pose.position"
+    ),
+    "ros2_aruco_interfaces/msg/ArucoMarkers": Layout("marker_ids[]", "poses[].position"),
+    "aruco_opencv_msgs/msg/ArucoDetection": Layout(
+        "markers[].marker_id", "markers[].pose.position"
+    ),
+    ALVAR: Layout("markers[].id", "markers[].pose.pose.position"),
+    OLD_TAG_POSES: Layout("detections[].id", "detections[].pose.pose.position"),
+}
+"""Types of lists of positions, in order of preference."""
+OPTICAL = [
+    kind for kind in LAYOUTS if kind.startswith(("apriltag", "isaac", "fiducial", "ros2_aruco"))
+]
+"""Types with optical axes in any frame."""
+IN_PARTS = (*TRANSFORMS, ALVAR, OLD_TAG_POSES)
+"""Types whose parts have headers; the message's header may be empty."""
 NOT_DECODED = 255
 """Id of a tag that ar_track_alvar found but did not decode."""
 CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
@@ -53,6 +73,10 @@ NO_ID = "sightings without an id, left out"
 BIT_ERRORS = "tags decoded with bit errors, left out"
 DUPLICATE = "sightings of a tag that appears twice in one image, left out"
 NOT_FINITE = "sightings that are not finite, or at the camera's position, left out"
+OPTICAL_BY_DATA = (
+    "positions in {} in optical axes (x right, z ahead) according to their values, although the "
+    "name of their frame {!r} does not end in optical; add axes: body to the topic if that is wrong"
+)
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Frames that do not move with the robot (REP 105)."""
 
@@ -95,19 +119,39 @@ def _bearings(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
         yield Sighting(landmark, value, sigma=sigma)
 
 
-def _detection(found: Any) -> Sighting:
-    """Return a detection with the id of a tracker, or else of its most probable class."""
-    centre = found.bbox.center
-    point = getattr(centre, "position", centre)
+def _score(result: Any) -> float:
+    return float(getattr(result, "hypothesis", result).score)
+
+
+def _identified(found: Any) -> tuple[str, Any]:
+    """Return a detection's id of a tracker, or else its likeliest class; and that hypothesis."""
+    best = max(found.results, key=_score, default=None)
     name = getattr(found, "id", "") or getattr(found, "tracking_id", "")
     if not name:
-        hypotheses = [getattr(result, "hypothesis", result) for result in found.results]
-        best = max(hypotheses, key=lambda hypothesis: float(hypothesis.score), default=None)
-        name = getattr(best, "class_id", getattr(best, "id", ""))
-    return Sighting(str(name), point.x, point.y)
+        hypothesis = getattr(best, "hypothesis", best)
+        name = getattr(hypothesis, "class_id", getattr(hypothesis, "id", ""))
+    return str(name), best
+
+
+def _detection(found: Any) -> Sighting:
+    """Return a detection in an image."""
+    centre = found.bbox.center
+    point = getattr(centre, "position", centre)
+    return Sighting(_identified(found)[0], point.x, point.y)
+
+
+def _detection_3d(found: Any) -> tuple[str, Any]:
+    """Return the id of a detection and its position, or the centre of its box without one."""
+    name, best = _identified(found)
+    position = found.bbox.center.position if best is None else best.pose.pose.position
+    is_missing = position.x == position.y == position.z == 0
+    return name, found.bbox.center.position if is_missing else position
 
 
 def _corners(points: Any, origin: float = 0.0) -> tuple[tuple[float, float], ...]:
+    """Return corners from four points, or from eight numbers."""
+    if isinstance(points, np.ndarray):
+        return tuple((x - origin, y - origin) for x, y in points.reshape(-1, 2).tolist())
     return tuple((p.x - origin, p.y - origin) for p in points)
 
 
@@ -122,6 +166,25 @@ def _points(
             yield Sighting(str(name), *_ahead_left_up(point, convention))
 
     return read
+
+
+def _structured(layout: Layout, axes: str | None = None) -> Reader:
+    """Return a reader of landmarks by the paths of their fields; axes as for `_points`."""
+
+    def pairs(message: Any, given: BearingsTopic) -> list[tuple[str, Any]]:
+        ids, places = values(message, layout.id), values(message, layout.place)
+        if len(ids) != len(places):
+            raise InputError(
+                f"{given.topic}: a message has {len(ids)} values of {layout.id} and {len(places)} "
+                f"of {layout.place}"
+            )
+        return [(id_text(name), place) for name, place in zip(ids, places, strict=True)]
+
+    def bearings(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
+        for name, bearing in pairs(message, given):
+            yield Sighting(name, layout.scale * float(bearing))
+
+    return bearings if layout.bearing else _points(pairs, axes)
 
 
 READERS: dict[str, Reader] = {
@@ -142,36 +205,11 @@ READERS: dict[str, Reader] = {
         )
         for tag in message.fiducials
     ),
-    MARKERS: _points(lambda message, _: ((m.id, m.pose.pose.position) for m in message.markers)),
-    FIDUCIAL_POSES: _points(
-        lambda message, _: ((t.fiducial_id, t.transform.translation) for t in message.transforms),
-        "optical",
-    ),
-    TAG_POSES: _points(
-        lambda message, _: (
-            ("+".join(map(str, tag.id)), tag.pose.pose.pose.position) for tag in message.detections
-        ),
-        "optical",
-    ),
-    ROS2_ARUCO: _points(
-        lambda message, _: (
-            (name, pose.position)
-            for name, pose in zip(message.marker_ids, message.poses, strict=True)
-        ),
-        "optical",
-    ),
-    ARUCO_OPENCV: _points(
-        lambda message, _: ((m.marker_id, m.pose.position) for m in message.markers)
-    ),
-    ALVAR: _points(
-        lambda message, _: (
-            ("" if m.id == NOT_DECODED else m.id, m.pose.pose.position) for m in message.markers
-        )
-    ),
-    OLD_TAG_POSES: _points(
-        lambda message, _: ((tag.id, tag.pose.pose.position) for tag in message.detections),
-        "optical",
-    ),
+    **{
+        kind: _structured(layout, "optical" if kind in OPTICAL else None)
+        for kind, layout in LAYOUTS.items()
+    },
+    DETECTIONS_3D: _points(lambda message, _: map(_detection_3d, message.detections)),
     DETECTIONS: lambda message, _: map(_detection, message.detections),
     POSE_ARRAY: _points(
         lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
@@ -200,19 +238,50 @@ IN_SPACE = tuple(kind for kind in ALL_READERS if kind not in (BEARINGS, *IN_IMAG
 """Types with points in space [m]."""
 
 
-def parts_of(kind: str, message: Any) -> Iterable[Any]:
-    """Return the parts of a message that have a header each, or else the message."""
+def reader_of(kind: str, given: BearingsTopic) -> Reader:
+    """Return the reader of a topic: of the given fields, or else of its type."""
+    axes = "optical" if kind in OPTICAL else None
+    return ALL_READERS[kind] if given.layout is None else _structured(given.layout, axes)
+
+
+def has_bearings(kind: str, given: BearingsTopic) -> bool:
+    """Whether the messages of a topic contain bearings."""
+    return bool(given.bearing) or (kind == BEARINGS and not given.position)
+
+
+def has_positions(kind: str, given: BearingsTopic) -> bool:
+    """Whether the messages of a topic contain points in space."""
+    return bool(given.position) or (kind in IN_SPACE and not given.bearing)
+
+
+def parts_of(kind: str, message: Any, layout: Layout | None = None) -> Iterable[Any]:
+    """Return the parts of a message that have a header each, or else the message.
+
+    The items of a list count where the message itself has no frame or no stamp.
+    """
     if kind in TRANSFORMS:
         return tuple(message.transforms)
-    if kind not in _OWN_HEADERS:
+    name = getattr(layout or LAYOUTS.get(kind), "list_name", "")
+    outer = getattr(message, "header", None)
+    is_complete = outer is not None and bool(outer.frame_id) and _is_set(outer.stamp)
+    if not name or (kind not in IN_PARTS and is_complete):
         return (message,)
-    name, outer = _OWN_HEADERS[kind], getattr(message, "header", None)
     parts = []
-    for tag in getattr(message, name):
-        headers = [getattr(tag, "header", None), tag.pose.header, outer]
-        header = next((h for h in headers if h is not None and h.frame_id), tag.pose.header)
-        parts.append(SimpleNamespace(header=header, **{name: [tag]}))
+    for item in getattr(message, name):
+        inner = getattr(getattr(item, "pose", None), "header", None)
+        headers = [h for h in (getattr(item, "header", None), inner, outer) if h is not None]
+        if not headers or headers == [outer]:
+            return (message,)
+        header = SimpleNamespace(
+            frame_id=next((h.frame_id for h in headers if h.frame_id), ""),
+            stamp=next((h.stamp for h in headers if _is_set(h.stamp)), headers[0].stamp),
+        )
+        parts.append(SimpleNamespace(header=header, **{name: [item]}))
     return parts
+
+
+def _is_set(stamp: Any) -> bool:
+    return bool(stamp.sec or stamp.nanosec)
 
 
 def landmark_of(transform: Any, given: BearingsTopic) -> str | None:
@@ -274,18 +343,23 @@ class SightingRows:
     def __len__(self) -> int:
         return len(self._t)
 
+    @property
+    def has_positions(self) -> bool:
+        """Whether the sightings are points in space."""
+        return has_positions(self.kind, self.given)
+
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
         if self._detector is None:
-            found = list(ALL_READERS[self.kind](message, self.given))
+            found = list(reader_of(self.kind, self.given)(message, self.given))
         else:
             found = list(self._detector(message, self._camera()))
         counts = Counter(seen.landmark for seen in found)
         for seen in found:
             name = seen.landmark.strip()
             values = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
-            at_camera = self.kind not in (BEARINGS, *IN_IMAGE) and seen.a == seen.b == 0
-            if not name:
+            at_camera = self.has_positions and seen.a == seen.b == 0
+            if not name or (self.kind == ALVAR and name == str(NOT_DECODED)):
                 self._remarks.count(NO_ID)
             elif at_camera or not np.isfinite(values).all():
                 self._remarks.count(NOT_FINITE)
@@ -299,10 +373,23 @@ class SightingRows:
                 self._t.append(t)
                 self._kept.append(seen._replace(landmark=name))
 
+    def use_axes_of_data(self, frame: str) -> None:
+        """Assume optical axes where the positions have them, unless axes are given."""
+        is_open = self.given.axes is None and self.kind not in OPTICAL
+        if not (self.has_positions and is_open) or axes_of(frame, self.given) == "optical":
+            return
+        points = np.array([(seen.a, seen.b, seen.up) for seen in self._kept])
+        found = axes_by_spread(dict(zip("xyz", points.T, strict=True)))
+        if found is None or found.kind != "camera":
+            return
+        self.given = self.given.model_copy(update={"axes": "optical"})
+        self._kept = [seen._replace(a=seen.up, b=-seen.a, up=-seen.b) for seen in self._kept]
+        self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
+
     def columns(self) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
         bearing, sigma = self._measured()
-        if self.kind not in IN_SPACE and self.in_reference.heading:  # otherwise unchanged
+        if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
         if self.given.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
@@ -318,9 +405,9 @@ class SightingRows:
         """Return bearings and their standard deviations [rad], NaN where unknown, (n,) each."""
         rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
         a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
-        if self.kind == BEARINGS:
+        if has_bearings(self.kind, self.given):
             return a, sigma
-        if self.kind in IN_SPACE:
+        if self.has_positions:
             if self.given.roll or self.given.pitch:
                 level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
                 a, b, _ = level @ np.array([a, b, up])

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from homeward.drives.ros.measurements.bearings import (
-    IN_SPACE,
     TRANSFORMS,
     SightingRows,
     axes_of,
+    has_bearings,
 )
-from homeward.drives.ros.settings import BEARINGS, BearingsTopic, LogSettings, MountFrames
+from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import between
@@ -127,13 +127,13 @@ def mount(
     roll = math.atan2(turn[2, 1], turn[2, 2])
     found = Mount(x=float(shift[0]), y=float(shift[1]), yaw=yaw)
     tilt = math.acos(np.clip(turn[2, 2], -1.0, 1.0))
-    limit = LEVEL if kind == BEARINGS else MAX_TILT
+    limit = LEVEL if has_bearings(kind, given) else MAX_TILT
     if tilt > limit:
         raise InputError(
             f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
             f"{kind} allows at most {math.degrees(limit):.1f} deg"
         )
-    if kind == BEARINGS:
+    if has_bearings(kind, given):
         return found, given
     angles = {"roll": roll, "pitch": pitch}
     return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)
@@ -205,7 +205,8 @@ def extrinsics(
     (first, *_), mounts = cameras, [mount for mount in found if mount is not None]
     for camera, own in zip(cameras, mounts, strict=True):
         distance = math.hypot(own.x - mounts[0].x, own.y - mounts[0].y)
-        if distance > MAX_DISTANCE and not {camera.rows.kind, first.rows.kind} <= set(IN_SPACE):
+        is_exact = camera.rows.has_positions and first.rows.has_positions
+        if distance > MAX_DISTANCE and not is_exact:
             raise InputError(
                 f"{camera.name} is {distance:.2f} m from {first.name}: the bearings of several "
                 f"cameras can be combined only within {MAX_DISTANCE:g} m; name the topic of one of "

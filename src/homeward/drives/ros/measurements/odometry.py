@@ -17,6 +17,7 @@ from homeward.drives.ros.measurements.contradiction import (
     contradiction,
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
+from homeward.drives.ros.measurements.structure import values
 from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
 from homeward.drives.wheels import ackermann, differential, speeds_from_positions
 from homeward.drives.yaw_rate import with_yaw_rate
@@ -159,7 +160,11 @@ class OdometryRows:
             self._rows.append((t, float(drive.speed), float(drive.steering_angle)))
             return
         nothing = (math.nan,) * 3
-        twist = twist_of(message) if self._kind in TWISTS else nothing
+        if self._given.v and self._given.omega:
+            paths = self._given.v, self._given.omega
+            twist = (*(values(message, path)[0] for path in paths), 0.0)
+        else:
+            twist = twist_of(message) if self._kind in TWISTS else nothing
         pose = pose_of(message) if self._kind in POSES else nothing
         self._rows.append((t, *map(float, (*twist, *pose))))
 
@@ -228,6 +233,8 @@ class OdometryRows:
     def _by_twist(self, rows: np.ndarray, remarks: Remarks) -> bool:
         """Return whether twists are used, not poses, of rows (n, 7); remark a contradiction."""
         use = self._given.use
+        if self._given.v:
+            return True
         if self._kind != NAV_ODOMETRY:
             return self._kind in TWISTS
         ordered = rows[np.isfinite(rows).all(axis=1)]

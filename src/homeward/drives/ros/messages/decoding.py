@@ -21,6 +21,7 @@ from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.log import Channel, one_line
+from homeward.drives.ros.measurements.structure import Fields
 from homeward.drives.ros.settings import PICTURES
 from homeward.errors import InputError
 from homeward.io.table import quoted
@@ -38,9 +39,17 @@ DEFINITIONS = _definitions("homeward_msgs")
 `residue` is the part of a time [s] that a stamp in whole nanoseconds cannot represent.
 """
 _WELL_KNOWN = {
-    **_definitions("vision_msgs"),
-    **_definitions("apriltag_msgs"),
-    **_definitions("apriltag_ros"),
+    kind: text
+    for package in (
+        "vision_msgs",
+        "apriltag_msgs",
+        "apriltag_ros",
+        "aruco_msgs",
+        "aruco_opencv_msgs",
+        "isaac_ros_apriltag_interfaces",
+        "ros2_aruco_interfaces",
+    )
+    for kind, text in _definitions(package).items()
 }
 """Types for logs without definitions, such as sqlite3 files of ROS 2 before Iron."""
 
@@ -110,6 +119,21 @@ class Decoder:
 def is_well_known(kind: str) -> bool:
     """Whether a type belongs to ROS itself, or is read without a definition in the log."""
     return kind in typestore(False).fielddefs or kind in typestore(True).fielddefs
+
+
+def field_types(channel: Channel) -> Fields:
+    """Return the fields of the types in a channel's messages; `InputError` without a definition."""
+    known = _store(channel).fielddefs
+
+    def fields(kind: str) -> list[tuple[str, str, bool]]:
+        found = []
+        for name, (node, what) in known[kind][1] if kind in known else ():
+            is_list = node in (Nodetype.ARRAY, Nodetype.SEQUENCE)
+            node, what = what[0] if is_list else (node, what)
+            found.append((name, what if node == Nodetype.NAME else what[0], is_list))
+        return found
+
+    return fields
 
 
 def begins_with_header(channel: Channel) -> bool:

@@ -33,6 +33,7 @@ from homeward.drives.ros.settings import (
     TruthTopic,
     wildcard_part,
 )
+from homeward.drives.ros.topics.by_fields import only_candidate, with_fields
 from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.errors import InputError
 
@@ -43,6 +44,12 @@ OUR_ODOMETRY = "/homeward/odometry"
 OUR_BEARINGS = "/homeward/bearings"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 NO_PICTURES = "the log contains no images; use homeward run for a log with detected tags"
+
+LASER_SCAN = "sensor_msgs/msg/LaserScan"
+NO_IDS_IN_SCAN = (
+    f"is a {LASER_SCAN}: its points have no ids, even if their intensities show reflectors, so it "
+    "contains no bearings of landmarks; record the output of a node that recognises each reflector"
+)
 
 USES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
@@ -76,6 +83,8 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     odometry = given.odometry or next(
         (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None
     )
+    odometry = odometry or only_candidate(survey, OdometryTopic)
+    odometry = None if odometry is None else with_fields(survey, odometry)
     home = given.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
     types = PICTURES if pictures else tuple(READERS)
     taken = (OUR_HOME, None if home is None else home.topic)
@@ -86,16 +95,23 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
         raise InputError(NO_PICTURES, survey.log.path)
     if not bearings and survey.tag_frames:
         bearings = (_with_frames(survey, BearingsTopic(topic=survey.tag_frames[0].topic)),)
+    if not (bearings or pictures) and (found := only_candidate(survey, BearingsTopic)):
+        bearings = (found,)
     truth = given.truth or (TruthTopic(topic=OUR_TRUTH) if _has(survey, OUR_TRUTH, POSE) else None)
     bearings = tuple(
-        _with_frames(survey, _with_camera(survey, topic))
-        for given in bearings
-        for topic in _matching(survey, given)
+        _usable(survey, topic) for given in bearings for topic in _matching(survey, given)
     )
     chosen = {"odometry": odometry, "bearings": bearings, "home": home, "truth": truth}
     plan = given.model_copy(update={k: v for k, v in chosen.items() if v})
     _check(survey, plan, types)
     return plan
+
+
+def _usable(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
+    """Return a topic with its camera, the frames of its landmarks, or the fields of its type."""
+    if survey.topic(given.topic).type == LASER_SCAN:
+        raise InputError(f"{given.topic} {NO_IDS_IN_SCAN}", survey.log.path)
+    return with_fields(survey, _with_frames(survey, _with_camera(survey, given)))
 
 
 def _of_best_type(
@@ -176,9 +192,10 @@ def _has(survey: TopicSurvey, name: str, kind: str) -> bool:
 
 def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> None:
     """Refuse topics of unsuitable types."""
+    by_fields = plan.odometry is not None and plan.odometry.v is not None
     wanted = [
-        ("odometry", plan.odometry, (*TWISTS, *POSES, *WHEELS)),
-        *(("bearings", topic, (*types, *ALL_READERS)) for topic in plan.bearings),
+        ("odometry", None if by_fields else plan.odometry, (*TWISTS, *POSES, *WHEELS)),
+        *(("bearings", t, (*types, *ALL_READERS)) for t in plan.bearings if t.layout is None),
         ("home", plan.home, (BEARINGS,)),
         ("truth", plan.truth, POSES),
     ]

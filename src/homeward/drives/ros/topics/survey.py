@@ -12,8 +12,15 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.one_clock import require_overlap
-from homeward.drives.ros.log import Log, Message
-from homeward.drives.ros.measurements.bearings import IN_PARTS, OF_ONE_LANDMARK, TRANSFORMS
+from homeward.drives.ros.log import Channel, Log, Message
+from homeward.drives.ros.measurements.bearings import (
+    ALL_READERS,
+    IN_PARTS,
+    OF_ONE_LANDMARK,
+    TRANSFORMS,
+)
+from homeward.drives.ros.measurements.odometry import POSES, TWISTS, WHEELS
+from homeward.drives.ros.measurements.structure import Fields
 from homeward.drives.ros.messages.stamps import (
     HEADER_BYTES,
     NANO,
@@ -23,12 +30,14 @@ from homeward.drives.ros.messages.stamps import (
     header_stamp,
     seconds,
 )
-from homeward.drives.ros.settings import LogSettings
+from homeward.drives.ros.settings import PICTURES, LogSettings
 from homeward.drives.ros.topics.tag_frames import TagFrames, tag_frames
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
 
+IS_READ = frozenset((*ALL_READERS, *PICTURES, *TWISTS, *POSES, *WHEELS))
+"""Types that are read; the fields of others are found by their names."""
 PROGRESS_EVERY = 2000
 """Number of messages between progress reports."""
 OnProgress = Callable[[float], None]
@@ -94,12 +103,20 @@ class TopicSurvey:
     """Topics in order of their names."""
     kept: dict[str, Message]
     """First messages of the topics to keep, by name."""
+    channels: dict[str, Channel]
+    """First channels of the topics, by name."""
 
     @cached_property
     def tag_frames(self) -> tuple[TagFrames, ...]:
         """Sets of frames whose names look like tags, found in one more pass through /tf."""
         names = [t.name for t in self.topics if t.type in TRANSFORMS and t.name != "/tf_static"]
         return tag_frames(self.log, names) if names else ()
+
+    def fields(self, name: str) -> Fields:
+        """Return the fields of a topic's type; `InputError` where its definition is missing."""
+        from homeward.drives.ros.messages.decoding import field_types  # the extra bags
+
+        return field_types(self.channels[name])
 
     def topic(self, name: str) -> Topic:
         """Return the topic of that name; `InputError` lists all topics if it is missing."""
@@ -122,12 +139,14 @@ def survey(
 
     records: dict[tuple[str, str], tuple[array[int], array[int] | None]] = {}
     kept: dict[str, Message] = {}
+    channels: dict[str, Channel] = {}
     for number, message in enumerate(log.messages(prefix=HEADER_BYTES)):
         channel = message.channel
         record = records.get((channel.topic, channel.type))
         if record is None:
             record = array("q"), array("q") if begins_with_header(channel) else None
             records[channel.topic, channel.type] = record
+            channels.setdefault(channel.topic, channel)
             if channel.topic in keep or channel.type in keep:
                 kept[channel.topic] = message
         receive, header = record
@@ -146,7 +165,7 @@ def survey(
         Topic(name, kind, np.array(receive), None if header is None else np.array(header))
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
     )
-    return TopicSurvey(log, tuple(topics), kept)
+    return TopicSurvey(log, tuple(topics), kept, channels)
 
 
 OTHER_CLOCKS = (
@@ -186,7 +205,7 @@ class MessageTimes:
         if not hasattr(decoded, "header"):
             return seconds(message.receive - self._shift, epoch)
         stamp = decoded.header.stamp
-        if message.channel.type in IN_PARTS and not (stamp.sec or stamp.nanosec):
+        if _may_lack_stamps(message.channel.type) and not (stamp.sec or stamp.nanosec):
             return seconds(message.receive - self._shift, epoch)
         residue = getattr(decoded, "residue", 0.0)
         if not np.isfinite(residue):
@@ -212,15 +231,20 @@ class MessageTimes:
     def _stamps(self, topic: Topic) -> np.ndarray:
         if not self._by_header:
             return topic.receive
-        if topic.header is None or (topic.type in IN_PARTS and not topic.is_stamped):
+        if topic.header is None or (_may_lack_stamps(topic.type) and not topic.is_stamped):
             return topic.receive - self._shift
         return topic.header
+
+
+def _may_lack_stamps(kind: str) -> bool:
+    """Whether receive times replace missing stamps in the headers of a type."""
+    return kind in IN_PARTS or kind not in IS_READ
 
 
 def _recorder_ahead(topics: dict[str, Topic]) -> int:
     """Return the median offset of the recorder's clock from the headers' [ns]; 0 without stamps."""
     for topic in topics.values():
-        is_needed = topic.header is not None and topic.type not in IN_PARTS
+        is_needed = topic.header is not None and not _may_lack_stamps(topic.type)
         if is_needed and topic.count and not topic.is_stamped:
             raise InputError(
                 f"{topic.name}: its headers have no stamps; set clock: receive in a topics file to "
