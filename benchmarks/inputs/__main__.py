@@ -10,6 +10,7 @@ import tempfile
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+import benchmarks.inputs.data_logs
 import benchmarks.inputs.logs
 import benchmarks.inputs.odometry
 import benchmarks.inputs.refusals

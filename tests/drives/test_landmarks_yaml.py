@@ -1,5 +1,6 @@
 """landmarks.yaml of a drive folder: read, written back, and refused in one line."""
 
+import json
 from pathlib import Path
 
 import pytest
@@ -7,6 +8,7 @@ from valid_drive import put
 
 from homeward import Localizer
 from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.known import known_landmarks
 from homeward.drives.opening import save_drive
 from homeward.drives.settings import KnownDistance, KnownLandmarks, SurveyedLandmark
 from homeward.errors import InputError
@@ -98,3 +100,43 @@ def test_the_example_in_the_docs_is_read(tmp_path):
         page.split("```python\n")[1].split("```")[0],
         {"Localizer": Localizer, "home": {"door": 0.1}},
     )
+
+
+def tag(name, x="1.5", **more):
+    place = {"x": x, "y": -2.0, "z": 1.3}
+    turn = {"quaternion": {"W": 1.0, "X": 0.0, "Y": 0.0, "Z": 0.0}}
+    return {"ID": name, "pose": {"translation": place, "rotation": turn}} | more
+
+
+def layout(*tags, **more):
+    return {"tags": list(tags), "field": {"length": 17.5, "width": 8.05}} | more
+
+
+def test_a_field_layout_of_wpilib_is_a_survey(tmp_path):
+    text = json.dumps(layout(tag(1), tag(22, 16.7)), indent=2).encode()
+    known = read_folder(put(tmp_path / "a", landmarks_yaml=text)).known
+    places = {"1": SurveyedLandmark(x=1.5, y=-2), "22": SurveyedLandmark(x=16.7, y=-2)}
+    assert known == KnownLandmarks(landmarks=places)
+    there = layout(tag(1), frame="home", sigma=0.03)
+    assert known_landmarks(there) == KnownLandmarks(
+        frame="home", sigma=0.03, landmarks={"1": SurveyedLandmark(x=1.5, y=-2)}
+    )
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (layout(tag(1), tag(1)), "tags.1 is no tag {ID, pose"),
+        (layout(tag(1), {"ID": 2}), "tags.1 is no tag"),
+        (layout() | {"tags": 7}, "tags.0 is no tag"),
+        (layout(tag(1, "nan")), "tags.0 is no tag"),
+        (layout(tag(1), tag(2, "far")), "tags.1 is no tag"),
+        (layout(tag(1), landmarks={}), "give either landmarks or the tags"),
+        (layout(tag(1), units="m"), "units"),
+    ],
+)
+def test_an_invalid_field_layout_is_refused_in_one_line(given, said):
+    with pytest.raises(InputError) as caught:
+        known_landmarks(given)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)

@@ -112,7 +112,7 @@ def test_refuses_what_no_reader_knows(tmp_path):
     assert refusal(open_drive, tmp_path / "empty") == (
         "neither a folder of images (images.csv) "
         "nor a drive folder (odometry.csv, bearings.csv, home.csv) "
-        "nor a log (a ROS bag or an MCAP file)"
+        "nor a log (a ROS bag, an MCAP file or a .wpilog file)"
     )
     (tmp_path / "file.txt").write_text("hello")
     assert refusal(open_drive, tmp_path / "file.txt").startswith(

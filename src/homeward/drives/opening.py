@@ -31,7 +31,7 @@ SAMPLE = "sample"
 """Name of the sample drive in the package."""
 IMAGE_FOLDER = "folder of images (images.csv)"
 DRIVE_FOLDER = "drive folder (odometry.csv, bearings.csv, home.csv)"
-LOG = "log (a ROS bag or an MCAP file)"
+LOG = "log (a ROS bag, an MCAP file or a .wpilog file)"
 TABLES = (".csv", ".tsv")
 """Suffixes of files that `homeward import` converts."""
 

@@ -205,7 +205,10 @@ class KnownDistance(Strict):
 
 
 class KnownLandmarks(Strict):
-    """The keys of landmarks.yaml: surveyed landmarks, and distances of pairs."""
+    """The keys of landmarks.yaml: surveyed landmarks, and distances of pairs.
+
+    `tags` and `field` of a WPILib field layout (AprilTagFieldLayout) may replace `landmarks`.
+    """
 
     frame: Literal["own", "home"] = "own"
     """Frame of the survey: the home frame, or its own, whose pose in the map is estimated."""
@@ -238,6 +241,29 @@ class KnownLandmarks(Strict):
             return self._joint
         sigmas = [s.sigma or self.sigma for s in self.landmarks.values()]
         return np.diag(np.repeat(np.square(sigmas), 2))
+
+    @model_validator(mode="before")
+    @classmethod
+    def _from_field_layout(cls, values: Any) -> Any:
+        if not isinstance(values, dict) or "tags" not in values:
+            return values
+        if "landmarks" in values:
+            raise ValueError("give either landmarks or the tags of a field layout")
+        rest = {key: value for key, value in values.items() if key not in ("tags", "field")}
+        landmarks: dict[str, dict[str, float]] = {}
+        for k, tag in enumerate(values["tags"] if isinstance(values["tags"], list) else [None]):
+            try:
+                name, place = str(tag["ID"]), tag["pose"]["translation"]
+                x, y = float(place["x"]), float(place["y"])
+                if not math.hypot(x, y) < math.inf or name in landmarks:
+                    raise ValueError
+            except (TypeError, KeyError, ValueError):
+                raise ValueError(
+                    f"tags.{k} is no tag {{ID, pose: {{translation: {{x, y}}}}}} with finite "
+                    "numbers and an ID of its own, as in a field layout of WPILib"
+                ) from None
+            landmarks[name] = {"x": x, "y": y}
+        return rest | {"landmarks": landmarks}
 
     @model_validator(mode="after")
     def _check(self) -> Self:

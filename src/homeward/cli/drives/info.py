@@ -22,8 +22,8 @@ def info(
     log: Annotated[
         Path,
         typer.Argument(
-            help="A ROS bag, an MCAP file, a drive folder, a folder of images, an MRCLAM "
-            "folder, or: sample."
+            help="A ROS bag, an MCAP or .wpilog file, a drive folder, a folder of images, "
+            "an MRCLAM folder, or: sample."
         ),
     ],
     topics: Annotated[

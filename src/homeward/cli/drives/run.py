@@ -28,7 +28,7 @@ def run(
     drive: Annotated[
         str,
         typer.Argument(
-            help="A drive folder, a folder of images, a ROS bag or MCAP file, "
+            help="A drive folder, a folder of images, a log (ROS bag, MCAP, .wpilog), "
             "the run.yaml of an earlier run, or: sample."
         ),
     ],

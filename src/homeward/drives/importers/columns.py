@@ -47,8 +47,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "v": (
         "speed",
-        "v vel velocity speed linear.x linear vx v.x velocity.x vel.x forward linear.velocity "
-        "linear.speed geschwindigkeit",
+        "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x forward "
+        "linear.velocity linear.speed geschwindigkeit",
     ),
     "omega": (
         "rate",

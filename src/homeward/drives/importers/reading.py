@@ -27,7 +27,7 @@ from homeward.drives.importers.parts import UNIX_S, ImportedColumn, parts_of
 from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
-from homeward.drives.ros.log import is_log
+from homeward.drives.ros.log import Log, is_log
 from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.drives.wheels import Wheels
 from homeward.drives.yaw_rate import with_yaw_rate
@@ -106,7 +106,7 @@ def _refuse_drives(path: Path) -> None:
     """Refuse a folder, or a log, which needs no import."""
     if is_log(path):
         ways = "use it directly with `homeward run` or `homeward info`"
-        raise InputError(f"a ROS bag or an MCAP file needs no import: {ways}", path)
+        raise InputError(f"a log ({Log(path).kind}) needs no import: {ways}", path)
     if path.is_dir():
         is_drive = is_drive_folder(path)
         advice = "use it directly with `homeward run`" if is_drive else "give the files in it"

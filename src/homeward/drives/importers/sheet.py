@@ -223,10 +223,12 @@ def _encoding(path: Path) -> str:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
+    if b"\0" in begin:
+        raise InputError("a binary file, not a table; export its data as a CSV file", path)
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
-        return "cp1252" if b"\0" not in begin else "utf-8-sig"  # reading it reports the error
+        return "cp1252"
     return "utf-8-sig"
 
 

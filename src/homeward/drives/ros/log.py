@@ -1,7 +1,7 @@
-"""Logs: ROS 1 bags, MCAP and sqlite3 files, and the folders of ROS 2 bags.
+"""Logs: ROS 1 bags, MCAP and sqlite3 files, the folders of ROS 2 bags, and WPILib data logs.
 
-A separate process with limits reads the files with rosbags (`log_process`). This module does not
-need the extra bags.
+A separate process with limits reads the files with rosbags (`log_process`), except for data logs
+(`wpilog`). This module does not need the extra bags.
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
+from homeward.drives.ros import wpilog
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming, opened
 from homeward.io.table import quoted
@@ -32,6 +33,8 @@ METADATA = "metadata.yaml"
 _ROOT = "rosbag2_bagfile_information"
 _ZSTD = b"\x28\xb5\x2f\xfd"
 _OLDER_ROSBAG = b"#ROSBAG"
+_LCM = b"\xed\xa1\xda\x01"
+"""Beginning of each event in a log of LCM (lcm-proj.github.io, log file format)."""
 MAX_UNPACKED = 2**34
 """Maximum size of a temporary file unpacked from a compressed one [byte]."""
 MIN_UNPACKED, MAX_GROWTH = 256 * 2**20, 100
@@ -60,6 +63,7 @@ _KINDS = {
         "ROS 2 bag (sqlite3)",
         'recover it with `sqlite3 FILE ".recover" | sqlite3 NEW.db3`',
     ),
+    wpilog.MAGIC: _Kind("wpilog", "WPILib data log", "copy it from the robot again"),
 }
 """Kinds by the first bytes of a file."""
 
@@ -72,7 +76,7 @@ class Channel:
     type: str
     """As in ``nav_msgs/msg/Odometry``."""
     encoding: str
-    """``ros1`` or ``cdr``; others are listed, but not decoded."""
+    """``ros1``, ``cdr`` or ``wpilog``; others are listed, but not decoded."""
     definition: str = ""
     """Text of the message definition; empty when the log has none."""
     syntax: str = "msg"
@@ -92,7 +96,7 @@ def is_log(path: Path) -> bool:
     """Whether a path is a log file or the folder of a ROS 2 bag."""
     if path.is_dir():
         return is_there(path / METADATA) or bool(_bare_files(path))
-    return is_there(path) and _first_bytes(path).startswith((*_KINDS, _OLDER_ROSBAG))
+    return is_there(path) and _first_bytes(path).startswith((*_KINDS, _OLDER_ROSBAG, _LCM))
 
 
 class Log:
@@ -130,6 +134,9 @@ class Log:
         self, file: Path, topics: Collection[str] | None, prefix: int | None
     ) -> Iterator[Message]:
         kind, size = _kind(file), file.stat().st_size
+        if kind.reader == "wpilog":
+            yield from self._of_data_log(file, kind, size, topics)
+            return
         wanted = None if topics is None else sorted(topics)
         words = (os.path.abspath(file), kind.reader, wanted, prefix, self._has_packed_messages)
         channels: dict[int, Channel] = {}
@@ -141,20 +148,32 @@ class Log:
                 case "messages":
                     batch, self._done_of_file = values
                     count += len(batch)
-                    if count > MIN_MESSAGES + size:
-                        raise InputError("more messages than possible for its size", file)
+                    _require_few(count, size, file)
                     for number, receive, data in batch:
                         yield Message(channels[number], receive, data)
                 case "cut":
                     self._remark_cut(file, kind, count, *values)
+
+    def _of_data_log(
+        self, file: Path, kind: _Kind, size: int, topics: Collection[str] | None
+    ) -> Iterator[Message]:
+        with opened(file) as stream:
+            log, count = wpilog.DataLog(stream, size), 0
+            for (name, kind_of_value), t, data in log.records(topics):
+                count += 1
+                self._done_of_file = log.at / size
+                _require_few(count, size, file)
+                yield Message(Channel(name, kind_of_value, "wpilog"), 1000 * t, data)
+        if log.at < size:
+            self._remark_cut(file, kind, count, log.at, size)
 
     def _remark_cut(self, file: Path, kind: _Kind, count: int, at: int, size: int) -> None:
         """Add a remark about an incomplete file; `InputError` if it has no readable message."""
         if not count and not self.cut_short:
             raise InputError(f"damaged: no readable message; {kind.repair}", file)
         self.cut_short.setdefault(
-            f"messages read from {quoted(file.name)}, which is incomplete (not closed or cut off): "
-            f"up to byte {at:,} of {size:,}; {kind.repair}",
+            f"messages read from {quoted(file.name)}, which is incomplete (not closed or cut off) "
+            f"or damaged: up to byte {at:,} of {size:,}; {kind.repair}",
             count,
         )
 
@@ -277,6 +296,12 @@ def _about(file: Path) -> Iterator[None]:
         raise InputError(error.what, file) from error
 
 
+def _require_few(count: int, size: int, file: Path) -> None:
+    """Refuse a number of messages that is not possible for a file of `size` bytes."""
+    if count > MIN_MESSAGES + size:
+        raise InputError("more messages than possible for its size", file)
+
+
 def _channel(topic: str, kind: str, *rest: str) -> Channel:
     """Return a channel, with ``/msg/`` in its type, which ROS 1 omits."""
     package, slash, name = kind.partition("/")
@@ -291,7 +316,14 @@ def _kind(path: Path) -> _Kind:
             return kind
     if first.startswith(_OLDER_ROSBAG):
         raise InputError("a ROS bag of a format before 2.0; convert it with rosbag fix", path)
-    raise InputError("neither a ROS bag nor an MCAP file", path)
+    if first.startswith(_LCM):
+        raise InputError(
+            "an LCM event log, which does not contain the definitions of its messages: export its "
+            "channels to CSV files (lcm.EventLog in Python; docs/do/csv.md), then use homeward "
+            "import",
+            path,
+        )
+    raise InputError("neither a ROS bag, an MCAP file nor a .wpilog file", path)
 
 
 def _first_bytes(path: Path) -> bytes:

@@ -15,6 +15,7 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.importers.positions import axes_by_spread
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.measurements.structure import Layout, id_text, values
+from homeward.drives.ros.messages.wpilib import PHOTON_RESULT, RAW_FIDUCIALS
 from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic, wildcard_part
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
@@ -210,6 +211,9 @@ READERS: dict[str, Reader] = {
         for kind, layout in LAYOUTS.items()
     },
     DETECTIONS_3D: _points(lambda message, _: map(_detection_3d, message.detections)),
+    **dict.fromkeys(
+        (PHOTON_RESULT, RAW_FIDUCIALS), _points(lambda message, _: message.tags, "body")
+    ),
     DETECTIONS: lambda message, _: map(_detection, message.detections),
     POSE_ARRAY: _points(
         lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))

@@ -18,6 +18,7 @@ from homeward.drives.ros.measurements.contradiction import (
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.measurements.structure import values
+from homeward.drives.ros.messages.wpilib import CHASSIS_SPEEDS, POSE2D, ROBOT_ON_FIELD
 from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
 from homeward.drives.wheels import ackermann, differential, speeds_from_positions
 from homeward.drives.yaw_rate import with_yaw_rate
@@ -82,6 +83,7 @@ TWISTS = (
     "geometry_msgs/msg/TwistWithCovarianceStamped",
     "geometry_msgs/msg/TwistStamped",
     "geometry_msgs/msg/Twist",
+    CHASSIS_SPEEDS,
 )
 """Types with a twist, in order of preference."""
 POSES = (
@@ -89,6 +91,8 @@ POSES = (
     NAV_ODOMETRY,
     "geometry_msgs/msg/PoseWithCovarianceStamped",
     "geometry_msgs/msg/PoseStamped",
+    POSE2D,
+    ROBOT_ON_FIELD,
 )
 """Types with a pose."""
 SIDEWAYS = "odometry messages with a sideways speed, which is ignored"

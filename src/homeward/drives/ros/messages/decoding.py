@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
+import struct
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
@@ -22,6 +23,7 @@ from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.log import Channel, one_line
 from homeward.drives.ros.measurements.structure import Fields
+from homeward.drives.ros.messages import wpilib
 from homeward.drives.ros.settings import PICTURES
 from homeward.errors import InputError
 from homeward.io.table import quoted
@@ -96,7 +98,7 @@ class Decoder:
         `InputError` names the topic where the message does not match its type, or the type is
         unknown.
         """
-        if channel not in self._stores:
+        if channel.encoding != "wpilog" and channel not in self._stores:
             self._characters += len(channel.definition)
             if self._characters > MAX_DEFINITIONS:
                 raise InputError(
@@ -106,10 +108,19 @@ class Decoder:
         try:
             if len(data) > MAX_MESSAGE:
                 raise ValueError(f"{len(data)} bytes; the limit is {MAX_MESSAGE}")
+            if channel.encoding == "wpilog":
+                return wpilib.decode(channel.type, bytes(data))
             if channel.encoding == "ros1":
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
             return self._stores[channel].deserialize_cdr(bytes(data), channel.type)
-        except (SerdeError, ValueError, IndexError, RecursionError, OverflowError) as error:
+        except (
+            SerdeError,
+            ValueError,
+            IndexError,
+            RecursionError,
+            OverflowError,
+            struct.error,
+        ) as error:
             raise InputError(
                 f"{channel.topic}: a message does not match its type {channel.type}: "
                 f"{one_line(error)}"
@@ -117,13 +128,17 @@ class Decoder:
 
 
 def is_well_known(kind: str) -> bool:
-    """Whether a type belongs to ROS itself, or is read without a definition in the log."""
-    return kind in typestore(False).fielddefs or kind in typestore(True).fielddefs
+    """Whether a type belongs to ROS or WPILib, or is read without a definition in the log."""
+    return (
+        wpilib.is_plain(kind)
+        or kind in typestore(False).fielddefs
+        or kind in typestore(True).fielddefs
+    )
 
 
 def field_types(channel: Channel) -> Fields:
     """Return the fields of the types in a channel's messages; `InputError` without a definition."""
-    known = _store(channel).fielddefs
+    known = {} if channel.encoding == "wpilog" else _store(channel).fielddefs
 
     def fields(kind: str) -> list[tuple[str, str, bool]]:
         found = []
