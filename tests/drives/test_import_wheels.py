@@ -167,3 +167,53 @@ def test_wheels_and_poses_in_one_table(tmp_path):
 def test_a_kind_that_a_file_cannot_have_is_refused(tmp_path, given, complaint):
     with pytest.raises(InputError, match=complaint):
         imported(tmp_path, "v,omega", V, OMEGA, wheels=None, kinds=[given])
+
+
+ROS1_IMU = [
+    *("%time", "field.header.seq", *(f"field.orientation.{a}" for a in "xyzw")),
+    *(f"field.angular_velocity.{a}" for a in "xyz"),
+    *(f"field.linear_acceleration.{a}" for a in "xyz"),
+]
+
+
+@pytest.mark.parametrize("tool", ["rostopic echo -p", "ros2 topic echo --csv"])
+def test_imu_messages_as_ros_prints_them_are_gyroscopes(tmp_path, tool):
+    lines = [",".join(ROS1_IMU)] * (tool == "rostopic echo -p")
+    for t, rate in zip(T.tolist(), OMEGA.tolist(), strict=True):
+        if lines and tool == "rostopic echo -p":
+            lines.append(f"{t + 1.7e9:.9f},1,0,0,0,1,0.1,0.2,{rate!r},0.3,0.4,9.8")
+        else:
+            zeros = ",".join(["0.0"] * 9)
+            stamp = f"{int(t)},{round(t % 1 * 1e9) % 10**9}"
+            rates = f"0.1,0.2,{rate!r},{zeros},0.3,0.4,9.8,{zeros}"
+            lines.append(f"{stamp},imu,0,0,0,1,{zeros},{rates}")
+    (tmp_path / "imu.csv").write_text("\n".join(lines) + "\n")
+    found = understand([tmp_path / "imu.csv"])
+    assert {one.kind for one in found} == {"gyro"}
+    assert found[0].table["omega"] == pytest.approx(OMEGA)
+
+
+def test_joint_states_and_ackermann_as_ros2_topic_echo_prints_them(tmp_path):
+    columns = np.concatenate([TRAVEL / 0.05, SPEEDS / 0.05]).T.tolist()
+    stamps = [f"{int(t)},{round(t % 1 * 1e9) % 10**9}" for t in T.tolist()]
+    rows = zip(stamps, columns, strict=True)
+    lines = [f"{t},,left_joint,right_joint,{','.join(map(repr, r))},0.0,0.0\n" for t, r in rows]
+    (tmp_path / "joints.csv").write_text("".join(lines))
+    (found, *_) = understand([tmp_path / "joints.csv"])
+    assert found.table["left_wheel"] == pytest.approx(TRAVEL[0] / 0.05)
+    lines = [
+        f"{t},base_link,0.1,0.0,{v!r},0.0,0.0\n" for t, v in zip(stamps, V.tolist(), strict=True)
+    ]
+    (tmp_path / "car.csv").write_text("".join(lines))
+    (found, *_) = understand([tmp_path / "car.csv"])
+    assert found.table["v"] == pytest.approx(V)
+    assert found.table["steering"] == pytest.approx(0.1)
+
+
+def test_names_above_a_table_that_are_separated_by_gaps(tmp_path):
+    """As in the MRCLAM data set."""
+    text = "# data\n# Time [s]    forward velocity [m/s]    angular velocity[rad/s]\n"
+    (tmp_path / "o.dat").write_text(text + "0.0 \t 0.1 \t 0.2 \n0.1 \t 0.1 \t 0.3 \n")
+    found = understand([tmp_path / "o.dat"])
+    assert found[0].table["omega"].tolist() == [0.2, 0.3]
+    assert {one.source for one in found} == {"named"}

@@ -81,11 +81,16 @@ def _factor(odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str) ->
     correlation = float(np.corrcoef(own, gyro)[0, 1])
     ratio = own.std() / gyro.std()
     unit = min(UNITS, key=lambda u: abs(math.log(ratio / u)))
-    if abs(correlation) < MIN_CORRELATION or not 1 / MAX_RATIO < ratio / unit < MAX_RATIO:
+    if abs(correlation) < MIN_CORRELATION:
         raise InputError(
             f"{source}: the yaw rate contradicts that of the odometry (correlation "
-            f"{correlation:.2f}, ratio {ratio / unit:.3g}); check that its z axis is vertical and "
-            "its stamps are those of the odometry's clock, or leave it out"
+            f"{correlation:.2f}); check that its z axis is vertical and its stamps are those of "
+            "the odometry's clock, or leave it out"
+        )
+    if not 1 / MAX_RATIO < ratio / unit < MAX_RATIO:
+        raise InputError(
+            f"{source}: the yaw rate of the odometry is {ratio:.3g} x this one; convert it to "
+            "rad/s, correct the track width of the odometry, or leave it out"
         )
     inverted = ", with the sign inverted" if correlation < 0 else ""
     how = f"{ratio / unit:.3g} x they fit the odometry{UNITS[unit]}{inverted}"

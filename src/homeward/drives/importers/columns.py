@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
-from homeward.drives.importers.wheel_columns import is_bare_side, wheel_role
+from homeward.drives.importers.wheel_columns import wheel_role
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -48,7 +48,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "v": (
         "speed",
         "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x forward "
-        "linear.velocity linear.speed geschwindigkeit",
+        "forward.velocity forward.speed linear.velocity linear.speed geschwindigkeit",
     ),
     "omega": (
         "rate",
@@ -74,19 +74,22 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "left": ("length", "left"),
     "right": ("length", "right"),
     **{role: ("wheel speed" if "speed" in role else "wheel", "") for role in sorted(WHEELS)},
+    **{"left_wheel": ("wheel", "left l"), "right_wheel": ("wheel", "right r")},
     "steering": ("angle", "steering steer steering.angle steer.angle lenkwinkel"),
     "distance": ("length", "delta.s ds delta.distance ddist delta.d distance.step delta.dist"),
     "turn": ("angle", "delta.yaw dyaw delta.theta dtheta delta.heading dheading dphi dpsi dth"),
 }
 """The quantity of each role, and English and German names for it; a dot matches any separator."""
-_NAMES = {role: {tuple(w.split(".")) for w in words.split()} for role, (_, words) in ROLES.items()}
-_SIZES = sorted({len(words) for names in _NAMES.values() for words in names})
+_ROLES: dict[tuple[str, ...], list[str]] = {}
+for _role, (_, _words) in ROLES.items():
+    for _word in _words.split():
+        _ROLES.setdefault(tuple(_word.split(".")), []).append(_role)
+_SIZES = sorted({len(words) for words in _ROLES})
 AND = re.compile(r",(?=\s*\w+\s*=)")
 """Separates the specifications of two columns; other commas belong to names."""
 NANOSECONDS = ("nsec", "nsecs", "nanosec", "nanosecs", "nanoseconds")
 SECONDS = ("sec", "secs", "seconds")
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
-ROTATION_WORDS = {*ROTATIONS, "rvec", "rot"}
 KINDS: Mapping[str, tuple[str, ...]] = {
     "odometry": ("t", "v", "omega"),
     "gyro": ("t", "omega"),
@@ -104,6 +107,12 @@ ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
     ("t", "distance", "turn"): (),
 }
 """The roles of each form of odometry except poses, in order of preference, and optional roles."""
+UNUSED = {"acceleration", "accel", "acc", "covariance", "magnetic", "mag"}
+"""Words in names of columns without a role."""
+ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
+NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
+EXCLUDED = {"v": UNUSED | ROTATIONAL, "x": NO_PLACE, "y": NO_PLACE, "z": NO_PLACE}
+"""Words in names of columns that have no such role; `UNUSED` for others."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
@@ -281,17 +290,27 @@ def matches(name: str, role: str) -> bool:
 
 def _score(name: str, role: str) -> tuple[int, int]:
     """Return the match of a name with a role: number of matching words, minus all its words."""
+    return _scores(name).get(role, NO_MATCH)
+
+
+@lru_cache(maxsize=2**15)
+def _scores(name: str) -> dict[str, tuple[int, int]]:
+    """Return `_score` of all roles that match a name."""
     words = words_in(name)
-    if role == "landmark" and "frame" in words and "child" not in words:
-        return NO_MATCH
     wheel = wheel_role(words)
-    if wheel is not None or role in WHEELS:
-        return (1, -len(words)) if wheel == role or is_bare_side(words, role) else NO_MATCH
-    if role in ("x", "y", "z") and ROTATION_WORDS.intersection(words):
-        return NO_MATCH
-    spans = (words[k : k + size] for size in _SIZES for k in range(len(words)))
-    matching = max((len(span) for span in spans if span in _NAMES[role]), default=0)
-    return (matching, -len(words)) if matching else NO_MATCH
+    if wheel is not None:
+        return {wheel: (1, -len(words))}
+    spans = (words[k : k + size] for size in _SIZES for k in range(len(words) - size + 1))
+    found = {role: len(span) for span in spans for role in _ROLES.get(span, ())}
+    if "frame" in words and "child" not in words:
+        found.pop("landmark", None)
+    if len(words) > 1:  # left and right alone are wheels only where nothing else is in the name
+        found = {role: matching for role, matching in found.items() if role not in WHEELS}
+    return {
+        role: (matching, -len(words))
+        for role, matching in found.items()
+        if not EXCLUDED.get(role, UNUSED).intersection(words)
+    }
 
 
 BEARING_WORDS = frozenset(ROLES["bearing"][1].split())

@@ -368,8 +368,7 @@ def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:
     unknown = [p for p in poses if not TRUE_PATH.search(p.sheet.path.name.lower())]
     if any(part.kind == "odometry" for part in parts):
         for part in unknown:
-            part.kind = "odometry" if part in named else "truth"
-            part.decision = AS_TRUTH.format(part.sheet.path.name) * (part not in named)
+            part.decision = AS_TRUTH.format(part.sheet.path.name)
         return
     candidates = named or unknown
     if len(candidates) > 1 and not named:

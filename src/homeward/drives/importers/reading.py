@@ -152,7 +152,7 @@ def drive_of(
     )
     truth = next((one for one in found if one.kind == "truth"), None)
     if truth is not None and truth.is_unsure:
-        drive = _without_dead_reckoning(drive, truth.table.file.name)
+        drive = _without_dead_reckoning(drive, truth.table.file)
     drive = with_clock_remarks(drive, tables["bearings"].file)
     return drive if home is None else with_home(drive, home)
 
@@ -207,10 +207,13 @@ def _kinds(texts: Sequence[str], there: Collection[str]) -> dict[str, str]:
     return found
 
 
-def _without_dead_reckoning(drive: Drive, file: str) -> Drive:
-    """Return a drive without ground truth if its poses equal the dead reckoning of the odometry."""
+def _without_dead_reckoning(drive: Drive, path: Path) -> Drive:
+    """Return a drive without ground truth if its poses equal the dead reckoning of the odometry.
+
+    `InputError` where `path`, the file of the poses, is named odometry, but they differ.
+    """
     assert drive.truth is not None
-    t, odometry = drive.truth.t, drive.odometry
+    t, odometry, file = drive.truth.t, drive.odometry, path.name
     during = (t >= odometry.t[0]) & (t <= odometry.t[-1])
     poses = np.stack([drive.truth.x, drive.truth.y, drive.truth.heading])[:, during]
     if poses.shape[1] < 2:
@@ -220,6 +223,12 @@ def _without_dead_reckoning(drive: Drive, file: str) -> Drive:
     length = np.hypot(np.diff(here.x), np.diff(here.y)).sum()
     drift = float(np.hypot(there.x - here.x, there.y - here.y).max())
     if drift > MAX_DRIFT * length:
+        if "odom" in file.lower():
+            raise InputError(
+                f"poses that deviate by up to {drift:.3g} m from the other odometry; leave one of "
+                f"the files out, or use --as {file}=truth if the poses are ground truth",
+                path,
+            )
         return drive
     remarks = {EQUAL_POSES.format(file, drift): t.size} | {
         reason: number for reason, number in drive.remarks.items() if f"--as {file}=" not in reason

@@ -26,6 +26,11 @@ XYZ, XYZW = "xyz", "xyzw"
 POSE = (*(f"position.{a}" for a in XYZ), *(f"orientation.{a}" for a in XYZW))
 TWIST = (*(f"linear.{a}" for a in XYZ), *(f"angular.{a}" for a in XYZ))
 COVARIANCE = tuple(f"covariance.{k}" for k in range(36))
+IMU = (
+    *(*POSE[3:], *COVARIANCE[:9], *(f"angular_velocity.{a}" for a in XYZ), *COVARIANCE[:9]),
+    *(*(f"linear_acceleration.{a}" for a in XYZ), *COVARIANCE[:9]),
+)
+STEERING = ("steering_angle", "steering_angle_velocity", "speed", "acceleration", "jerk")
 TUM = ("t", "x", "y", "z", *(f"q{a}" for a in XYZW))
 """The columns of a TUM trajectory, as written by evo."""
 ECHOED = {
@@ -36,9 +41,11 @@ ECHOED = {
         (*STAMP, *POSE, *COVARIANCE),
         (*STAMP, *TWIST),
         (*STAMP, *TWIST, *COVARIANCE),
+        (*STAMP, *IMU),
+        (*STAMP, *STEERING),  # ackermann_msgs/AckermannDriveStamped
     )
 }
-"""The columns of stamped poses and twists in ``ros2 topic echo --csv``, by their number."""
+"""The columns of stamped messages in ``ros2 topic echo --csv``, by their number."""
 UNIT_NORM = 0.01
 """Maximum deviation of a quaternion's norm from 1; two digits in a file cause half of it."""
 
@@ -48,7 +55,9 @@ def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
     width = len(rows[0])
     if width == len(TUM) and all(map(_is_tum, rows)):
         return TUM
-    return ECHOED[width] if width in ECHOED and all(map(_is_stamped, rows)) else None
+    if not all(map(_is_stamped, rows)):
+        return None
+    return ECHOED.get(width) or _joint_states(rows)
 
 
 def _is_tum(cells: Sequence[str]) -> bool:
@@ -62,11 +71,21 @@ def _is_tum(cells: Sequence[str]) -> bool:
 
 def _is_stamped(cells: Sequence[str]) -> bool:
     """Whether a row begins with seconds, nanoseconds and the name of a frame."""
-    if len(cells) not in ECHOED:
+    if len(cells) < min(ECHOED):
         return False
     seconds, nanoseconds, frame = (cell.strip() for cell in cells[:3])
     whole = seconds.isdecimal() and nanoseconds.isdecimal()
     return whole and int(nanoseconds) < 10**9 and not frame.replace(".", "").isdecimal()
+
+
+def _joint_states(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
+    """Return the columns of sensor_msgs/JointState: names, positions, velocities and efforts."""
+    joints = list(itertools.takewhile(lambda cell: not is_number(cell, False), rows[0][3:]))
+    values, rest = divmod(len(rows[0]) - 3, max(len(joints), 1))
+    if rest or values not in (2, 3, 4) or any(row[3 : 3 + len(joints)] != joints for row in rows):
+        return None
+    kinds = ("position", "velocity", "effort")[: values - 1]
+    return *STAMP, *[""] * len(joints), *(f"{joint}.{kind}" for kind in kinds for joint in joints)
 
 
 EMPTY = ("", "-", "--", "nan", "na", "n/a", "#n/a", "null", "none", "?")
@@ -199,7 +218,10 @@ def sheet(path: Path) -> Sheet:
         head, body, delimiter != ","
     )
     # ROS and MATLAB write the header as a comment.
-    above = _fields(before[-1].lstrip().lstrip("".join(COMMENTS)), delimiter) if before else []
+    comment = before[-1].strip().lstrip("".join(COMMENTS)).strip() if before else ""
+    # Names may have single spaces where several spaces or tabs separate them.
+    by_gaps = re.split(r"\s{2,}|\t", comment)
+    above = by_gaps if len(by_gaps) == len(head) else _fields(comment, delimiter)
     if not numbered:
         names, skip = head, skip + 1
         if body and _is_unit_row(body[0]):

@@ -23,7 +23,9 @@ NOUNS = SPEEDS | POSITIONS | STEPS
 OF_WHEELS = COUNTS | {"wheel", "wheels", "motor", "joint", "rpm"}
 """Words that no other columns have; names without one must have no further words."""
 FURTHER = {"raw", "total", "cumulative", "cum", "front", "rear", "side", "robot", "s"}
-NOT_MEASURED = {"cmd", "command", "target", "setpoint", "desired", "ref", "pwm", "duty", "goal"}
+OTHERS = {"cmd", "command", "target", "setpoint", "desired", "goal", "ref", "pwm", "duty", "effort"}
+OTHERS |= {"torque", "current", "acceleration", "temperature"}
+"""Words of commands and of other measurements."""
 _LONG = "|".join(sorted((noun for noun in NOUNS if len(noun) > 2), key=len, reverse=True))
 _COMPOUND = re.compile(
     rf"(?P<side>left|right|l|r)(?P<noun>{_LONG})|(?P<noun_>{_LONG}|v|w|d)(?P<side_>left|right|l|r)"
@@ -45,7 +47,7 @@ def wheel_role(words: tuple[str, ...]) -> str | None:
     found = _split(words)
     sides = {SIDES[word] for word in found if word in SIDES}
     is_known = found <= SIDES.keys() | NOUNS | FURTHER or found & OF_WHEELS
-    if len(sides) != 1 or not is_known or found & NOT_MEASURED:
+    if len(sides) != 1 or not is_known or found & OTHERS:
         return None
     speeds = SPEEDS | {"s"}  # of a unit, as in rad_s
     kinds = {"step": STEPS, "speed": speeds, "wheel": POSITIONS}
@@ -60,11 +62,6 @@ def _split(words: tuple[str, ...]) -> set[str]:
         compound = None if word in NOUNS else _COMPOUND.fullmatch(word)
         found.update([word] if compound is None else filter(None, compound.groups()))
     return found
-
-
-def is_bare_side(words: tuple[str, ...], role: str) -> bool:
-    """Whether a name is only the side of a wheel's position."""
-    return len(words) == 1 and f"{SIDES.get(words[0])}_wheel" == role
 
 
 def base_of(unit: str) -> str:
