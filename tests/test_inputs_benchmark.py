@@ -9,7 +9,7 @@ from benchmarks.inputs.trial import attempt
 KEPT = (
     "ms, mm/s, deg; semicolon, decimal comma",
     "tag positions, robot axes, in mm",
-    "aruco_opencv in an MCAP file",
+    "aruco_opencv_msgs/ArucoDetection, .mcap",
 )
 
 

@@ -82,23 +82,216 @@ def optical(seen: Seen) -> list[tuple[str, dict[str, Any]]]:
     ]
 
 
-ARUCO_OPENCV = {
-    "aruco_opencv_msgs/msg/MarkerPose": "int32 marker_id\ngeometry_msgs/Pose pose\n",
-    "aruco_opencv_msgs/msg/BoardPose": "string board_name\ngeometry_msgs/Pose pose\n",
+PART = "\n" + 80 * "=" + "\nMSG: "
+"""Precedes the definition of a type that another one uses."""
+DEFINITIONS = {
     "aruco_opencv_msgs/msg/ArucoDetection": "std_msgs/Header header\n"
-    "aruco_opencv_msgs/MarkerPose[] markers\naruco_opencv_msgs/BoardPose[] boards\n",
+    "aruco_opencv_msgs/MarkerPose[] markers\naruco_opencv_msgs/BoardPose[] boards"
+    f"{PART}aruco_opencv_msgs/MarkerPose\nint32 marker_id\ngeometry_msgs/Pose pose"
+    f"{PART}aruco_opencv_msgs/BoardPose\nstring board_name\ngeometry_msgs/Pose pose\n",
+    "ros2_aruco_interfaces/msg/ArucoMarkers": "std_msgs/Header header\nint64[] marker_ids\n"
+    "geometry_msgs/Pose[] poses\n",
+    "aruco_msgs/msg/MarkerArray": "std_msgs/Header header\naruco_msgs/Marker[] markers"
+    f"{PART}aruco_msgs/Marker\nstd_msgs/Header header\nuint32 id\n"
+    "geometry_msgs/PoseWithCovariance pose\nfloat64 confidence\n",
+    "ar_track_alvar_msgs/msg/AlvarMarkers": "std_msgs/Header header\n"
+    "ar_track_alvar_msgs/AlvarMarker[] markers"
+    f"{PART}ar_track_alvar_msgs/AlvarMarker\nstd_msgs/Header header\nuint32 id\n"
+    "uint32 confidence\ngeometry_msgs/PoseStamped pose\n",
+    "apriltags_ros/msg/AprilTagDetectionArray": "apriltags_ros/AprilTagDetection[] detections"
+    f"{PART}apriltags_ros/AprilTagDetection\nint32 id\nfloat64 size\n"
+    "geometry_msgs/PoseStamped pose\n",
+    "fiducial_msgs/msg/FiducialTransformArray": "std_msgs/Header header\nint32 image_seq\n"
+    "fiducial_msgs/FiducialTransform[] transforms"
+    f"{PART}fiducial_msgs/FiducialTransform\nint32 fiducial_id\n"
+    "geometry_msgs/Transform transform\nfloat64 image_error\nfloat64 object_error\n"
+    "float64 fiducial_area\n",
 }
+"""Definitions of types that rosbags does not know."""
+FX, CX, CY = 57.0, 228.0, 120.0
+"""A fisheye camera, of which half a pixel is the noise of the bearings [px]."""
 
 
-@kind("aruco_opencv in an MCAP file", "run log.mcap --topics topics.yaml")
+def tag_messages(
+    name: str,
+    file: str,
+    topic: str,
+    fields: Callable[[Seen, Any], dict[str, Any]],
+    topics: str = HOME,
+    camera: bool = False,
+) -> None:
+    """Register a log with messages of a type; `fields` makes one from landmarks and a header."""
+    package, kind_ = name.split("/")
+    name = f"{package}/msg/{kind_}"
+    types = {name: DEFINITIONS[name]} if name in DEFINITIONS else {}
+
+    def files(s: Sample) -> Files:
+        def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+            header = log.header(stamp, OPTICAL)
+            own = {"header": header} if "header" in dict(log._store.fielddefs[name][1]) else {}
+            return {topic: log.make(name, **own, **fields(seen, header))}
+
+        first = camera_info if camera else lambda log, stamp: {}
+        return {file: log_of(s, s.seen.ahead, tags, types, first=first), "topics.yaml": topics}
+
+    kind(f"{package}/{kind_}, {Path(file).suffix}", f"run {file} --topics topics.yaml")(files)
+
+
+def camera_info(log: LogFile, stamp: int) -> Messages:
+    """Return the calibration of the camera."""
+    k = np.array([FX, 0, CX, 0, FX, CY, 0, 0, 1])
+    values = {"d": np.zeros(4), "k": k, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+    if "K" in dict(log._store.fielddefs["sensor_msgs/msg/CameraInfo"][1]):
+        values = {name.upper(): value for name, value in values.items()}
+    size = {"height": 240, "width": 456, "distortion_model": "equidistant"}
+    header = log.header(stamp, OPTICAL)
+    info = log.make("sensor_msgs/msg/CameraInfo", header=header, **size, **values)
+    return {"/camera/camera_info": info}
+
+
+def pixels(seen: Seen) -> list[tuple[int, float, float]]:
+    """Return ids, columns and rows of tags in the image [px]."""
+    return [(i, CX - FX * b, CY) for i, b in zip(seen.id.tolist(), seen.bearing, strict=True)]
+
+
+def square(u: float, v: float) -> list[dict[str, float]]:
+    """Return corners round a pixel, as AprilTag 3 counts them."""
+    return [{"x": u + x + 0.5, "y": v + y + 0.5} for x, y in ((-2, 2), (2, 2), (2, -2), (-2, -2))]
+
+
+tag_messages(
+    "aruco_opencv_msgs/ArucoDetection",
+    "log.mcap",
+    "/aruco_detections",
+    lambda seen, h: {"markers": [{"marker_id": i, "pose": p} for i, p in optical(seen)]},
+)
+tag_messages(
+    "ros2_aruco_interfaces/ArucoMarkers",
+    "log.db3",
+    "/aruco_markers",
+    lambda seen, h: {"marker_ids": seen.id, "poses": [p for _, p in optical(seen)]},
+)
+tag_messages(
+    "aruco_msgs/MarkerArray",
+    "log.bag",
+    "/aruco_marker_publisher/markers",
+    lambda seen, h: {
+        "markers": [
+            {"id": i, "pose": {"pose": p, "covariance": np.zeros(36)}} for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "ar_track_alvar_msgs/AlvarMarkers",
+    "log.bag",
+    "/ar_pose_marker",
+    lambda seen, h: {
+        "markers": [{"header": h, "id": i, "pose": {"pose": p}} for i, p in optical(seen)]
+    },
+)
+tag_messages(
+    "apriltags_ros/AprilTagDetectionArray",
+    "log.bag",
+    "/tag_detections",
+    lambda seen, h: {
+        "detections": [
+            {"id": i, "size": 0.16, "pose": {"header": h, "pose": p}} for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "apriltag_ros/AprilTagDetectionArray",
+    "log.bag",
+    "/tag_detections",
+    lambda seen, h: {
+        "detections": [
+            {
+                "id": np.array([i], np.int32),
+                "size": np.array([0.16]),
+                "pose": {"header": h, "pose": {"pose": p, "covariance": np.zeros(36)}},
+            }
+            for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "fiducial_msgs/FiducialTransformArray",
+    "log.bag",
+    "/fiducial_transforms",
+    lambda seen, h: {
+        "transforms": [
+            {
+                "fiducial_id": i,
+                "transform": {"translation": p["position"], "rotation": p["orientation"]},
+            }
+            for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "apriltag_msgs/AprilTagDetectionArray",
+    "log.db3",
+    "/detections",
+    lambda seen, h: {
+        "detections": [
+            {
+                "family": "36h11",
+                "id": i,
+                "centre": {"x": u, "y": v},
+                "corners": square(u, v),
+                "homography": np.zeros(9),
+            }
+            for i, u, v in pixels(seen)
+        ]
+    },
+    HOME + "bearings: {topic: /detections, pixel_sigma: 1.0}\n",
+    camera=True,
+)
+tag_messages(
+    "vision_msgs/Detection2DArray",
+    "log.mcap",
+    "/detections",
+    lambda seen, h: {
+        "detections": [
+            {
+                "header": h,
+                "id": str(i),
+                "bbox": {"center": {"position": {"x": u, "y": v}}, "size_x": 4.0, "size_y": 4.0},
+            }
+            for i, u, v in pixels(seen)
+        ]
+    },
+    camera=True,
+)
+
+
+@kind("PoseStamped, a topic for each tag, .mcap", "run log.mcap --topics topics.yaml")
 def _(s: Sample) -> Files:
     def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
         make, header = log.make, log.header(stamp, OPTICAL)
-        found = [
-            make("aruco_opencv_msgs/msg/MarkerPose", marker_id=i, pose=pose)
-            for i, pose in optical(seen)
-        ]
-        kind = "aruco_opencv_msgs/msg/ArucoDetection"
-        return {"/aruco_detections": make(kind, header=header, markers=found, boards=[])}
+        return {
+            f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
+            for i, p in optical(seen)
+        }
 
-    return {"log.mcap": log_of(s, s.seen.ahead, tags, ARUCO_OPENCV), "topics.yaml": HOME}
+    topics = HOME + 'bearings: {topic: "/tag_*/pose"}\n'
+    return {"log.mcap": log_of(s, s.seen.ahead, tags), "topics.yaml": topics}
+
+
+@kind("tags as frames in /tf, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def transform(header: Any, child: str, place: Any, turn: Any) -> dict[str, Any]:
+        motion = {"translation": place, "rotation": turn}
+        return {"header": header, "child_frame_id": child, "transform": motion}
+
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        header = log.header(stamp, OPTICAL)
+        found = [transform(header, f"tag36h11:{i}", *p.values()) for i, p in optical(seen)]
+        return {"/tf": log.make("tf2_msgs/msg/TFMessage", transforms=found)}
+
+    def first(log: LogFile, stamp: int) -> Messages:
+        looks_ahead = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+        camera = transform(log.header(stamp, "base_link"), OPTICAL, {"x": s.camera}, looks_ahead)
+        return {"/tf_static": log.make("tf2_msgs/msg/TFMessage", transforms=[camera])}
+
+    return {"log.mcap": log_of(s, s.seen.ahead, tags, first=first), "topics.yaml": HOME}

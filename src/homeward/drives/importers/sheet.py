@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.importers.columns import Column, is_unit
+from homeward.drives.importers.other_formats import refuse_other_formats
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
 from homeward.io.table import Form, Parser, identifiers, numbers_or_nan, quoted, text_lines
@@ -232,8 +233,10 @@ def sheet(path: Path) -> Sheet:
         body = [head, *body]
         numbers = [str(k + 1) for k in range(len(head))]
         names = above if len(above) == len(head) else list(layout(body) or numbers)
+    if not body:
+        raise InputError("a header without rows", path)
     names = [*names, *[""] * (width - len(names))]
-    cells = [cell for row in body or [head] for cell in row]
+    cells = [cell for row in body for cell in row]
     comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
     form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding)
     return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head))
@@ -245,8 +248,7 @@ def _encoding(path: Path) -> str:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    if b"\0" in begin:
-        raise InputError("a binary file, not a table; export its data as a CSV file", path)
+    refuse_other_formats(begin, path)
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
