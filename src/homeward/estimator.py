@@ -140,6 +140,8 @@ class Counts:
     """Sightings used."""
     rejected: dict[Rejection, int] = field(default_factory=dict)
     """Samples and sightings not used, by reason."""
+    ranges: int = 0
+    """Ranges used."""
 
     def reject(self, reason: Rejection, number: int = 1) -> None:
         """Count samples that were not used."""
@@ -260,6 +262,23 @@ class Estimator(Protocol):
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return the estimates of all landmarks, in a fixed order."""
+
+
+@runtime_checkable
+class UsesRanges(Protocol):
+    """An estimator whose method `bearings` takes ranges, too."""
+
+    uses_ranges: bool
+
+    def bearings(
+        self,
+        t: float,
+        sightings: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        ranges: Mapping[str, float] | None = None,
+        range_sigmas: Mapping[str, float] | None = None,
+    ) -> Estimate:
+        """Add all sightings of a stamp, with ranges and their standard deviations [m] by id."""
 
 
 @runtime_checkable

@@ -36,6 +36,8 @@ class Rejection(_Words):
     BAD_ODOMETRY = "odometry is not finite, or exceeds the limits of speed or acceleration"
     LATE_ODOMETRY = "odometry came late"
     BAD_BEARING = "bearing or its time is not finite"
+    BAD_RANGE = "range is not greater than 0, or infinite"
+    RANGE_OUTSIDE_GATE = "range contradicts the map"
     LATE_BEARINGS = "bearings came late"
     BEYOND_MAX = "more landmarks in view than the maximum used"
     REPEATED_BEARINGS = "duplicate of a bearing with the same stamp"

@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
-from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status, UsesRanges
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
 
@@ -160,6 +160,7 @@ def run(
         strict=True,
     )
     sightings = drive.sightings.stamps()
+    ranges = drive.sightings.ranges() if np.isfinite(drive.sightings.range).any() else None
     grid_points = iter(grid.tolist())
     reported = began
     for done, kind in enumerate(order):
@@ -168,7 +169,10 @@ def run(
         elif kind == BEARINGS:
             t, seen, sigmas = next(sightings)
             start = time.perf_counter()
-            estimate = estimator.bearings(t, seen, sigmas or None)
+            if ranges is not None and isinstance(estimator, UsesRanges):
+                estimate = estimator.bearings(t, seen, sigmas or None, *next(ranges))
+            else:
+                estimate = estimator.bearings(t, seen, sigmas or None)
             update_seconds.append(time.perf_counter() - start)
             rows.keep(t, estimate)
         else:

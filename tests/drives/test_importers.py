@@ -514,3 +514,18 @@ def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
     told = home_warnings(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
     assert len(told) == bool(says)
     assert all(words in told[0] for words in says)
+
+
+@pytest.mark.parametrize(
+    ("head", "factor"), [("range", 1.0), ("distance", 1.0), ("dist_cm", 100.0), ("depth", 1000.0)]
+)
+def test_a_column_of_distances_becomes_ranges(tmp_path, head, factor):
+    rows = [(0.1 * i, "ab"[i % 2], 0.2, 1.5 + 0.1 * i) for i in range(20)]
+    lines = [f"{t:.1f},{name},{bearing},{factor * r:.6g}" for t, name, bearing, r in rows]
+    (tmp_path / "tags.csv").write_text("\n".join([f"t,id,bearing,{head}", *lines]))
+    odometry = "\n".join(["t,v,omega", *(f"{0.1 * i:.1f},0.2,0.1" for i in range(20))])
+    (tmp_path / "odometry.csv").write_text(odometry)
+    (tmp_path / "home.csv").write_text("landmark,bearing\na,0.1\nb,0.2")
+    paths = [tmp_path / name for name in ("tags.csv", "odometry.csv", "home.csv")]
+    drive = drive_of(understand(paths, ()), "tags")
+    assert drive.sightings.range == pytest.approx([r for *_, r in rows], rel=1e-5)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from test_parts import problem
 
-from homeward.drives.settings import OdometryNoise
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.home.gauss_newton import fit
@@ -114,7 +113,7 @@ def test_agreement_of_a_bearing_that_nothing_predicts_checks_nothing():
 def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_something_of_it():
     _, known = problem({}, q=6)
     inliers = np.array([1, 0, 1, 0, 1, 0], bool)  # all round home
-    integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+    integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
     integrity.update(Hypotheses((fit(known, np.zeros(3), inliers),), np.ones(1)), solved=True)
     assert integrity.fixed
     away = np.r_[np.zeros(4), np.tile([6.0, 0.0], 6)]

@@ -10,7 +10,6 @@ from scipy.integrate import trapezoid
 from test_far_homes import FAR, divided
 from test_parts import problem
 
-from homeward.drives.settings import OdometryNoise
 from homeward.estimator import Status
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import Pose, between
@@ -65,7 +64,7 @@ def test_a_home_that_wanders_leaves_the_pose_unfixed_if_it_is_as_probable():
     found = fit(known, np.zeros(3), np.ones(8, bool))
     small = fit(known, np.zeros(3), np.arange(8) < 4)
     for unconverged, fixed in (((), True), ((small,), True), ((found,), False)):
-        integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+        integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
         now = Hypotheses((found,), np.ones(1), unconverged)
         integrity.update(now, solved=True)
         assert integrity.fixed == fixed
@@ -79,7 +78,7 @@ def test_a_home_known_by_former_places_alone_is_not_verified():
     home, known = problem({})
     now = Hypotheses((fit(known, np.array(home), np.ones(8, bool)),), np.ones(1))
     for stayed, status in ((8, Status.LOCALISED), (2, Status.UNVERIFIED)):
-        integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+        integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
         integrity.update(now, solved=True, stayed=np.arange(8) < stayed)
         answer = integrity.estimate(0.0, None, coasting=False)
         assert answer.status is status

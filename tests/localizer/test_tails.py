@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from test_parts import problem
 
-from homeward.drives.settings import OdometryNoise
 from homeward.estimator import Status
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -80,7 +79,7 @@ def test_the_answer_holds_an_improbable_home_and_is_as_sure_as_before():
     few = fit(known, np.array(home), np.array([i in (1, 3, 4, 6) for i in range(8)]))
     answers = []
     for share in (0.0005, 0.03):
-        integrity = IntegrityMonitor(LocalizerSettings(), OdometryNoise())
+        integrity = IntegrityMonitor(LocalizerSettings(), 0.03)
         integrity.update(Hypotheses((right, few), np.array([1.0 - share, share])), solved=True)
         answers.append(integrity.estimate(0.0, None, coasting=False))
     assert {a.status for a in answers} == {Status.LOCALISED}

@@ -68,6 +68,15 @@ class Sightings(Columns):
     """From the camera's axis [rad], in (-pi, pi]."""
     sigma: np.ndarray
     """[rad]; NaN where not given."""
+    range: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """[m]; NaN where not given."""
+    range_sigma: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """[m]; NaN where not given."""
+
+    def __post_init__(self) -> None:
+        for name in ("range", "range_sigma"):
+            if self.t.size and not getattr(self, name).size:
+                object.__setattr__(self, name, np.full(self.t.size, np.nan))
 
     @classmethod
     def of_rows(cls, rows: Sequence[tuple[float, str, float, float]]) -> Self:
@@ -78,12 +87,24 @@ class Sightings(Columns):
 
     def stamps(self) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
         """Yield (t, {id: bearing}, {id: sigma}) for each stamp; the last of equal ids counts."""
+        for t, seen, sigma in self._by_stamp(self.bearing, self.sigma):
+            yield t, seen, {i: s for i, s in sigma.items() if math.isfinite(s)}
+
+    def ranges(self) -> Iterator[tuple[dict[str, float], dict[str, float]]]:
+        """Yield ({id: range}, {id: sigma}) for each stamp, of those that have a range."""
+        for _, seen, sigma in self._by_stamp(self.range, self.range_sigma):
+            known = {i: r for i, r in seen.items() if not math.isnan(r)}
+            yield known, {i: sigma[i] for i in known if math.isfinite(sigma[i])}
+
+    def _by_stamp(
+        self, values: np.ndarray, sigmas: np.ndarray
+    ) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
+        """Yield (t, {id: value}, {id: sigma}) for each stamp; the last of equal ids counts."""
         edges = np.flatnonzero(self.t[1:] != self.t[:-1]) + 1
         for a, b in pairwise(np.unique([0, *edges, self.t.size])):
             ids = [str(i) for i in self.landmark[a:b]]
-            seen = dict(zip(ids, self.bearing[a:b].tolist(), strict=True))
-            sigma = dict(zip(ids, self.sigma[a:b].tolist(), strict=True))
-            yield float(self.t[a]), seen, {i: s for i, s in sigma.items() if math.isfinite(s)}
+            value = dict(zip(ids, values[a:b].tolist(), strict=True))
+            yield float(self.t[a]), value, dict(zip(ids, sigmas[a:b].tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +192,7 @@ class Drive:
 
 
 class Samples:
-    """Compact storage of odometry (24 bytes per twist) and sightings (32 bytes each)."""
+    """Compact storage of odometry (24 bytes per twist) and sightings (48 bytes each)."""
 
     def __init__(self) -> None:
         self._twists, self._seen = array("d"), array("d")
@@ -182,14 +203,19 @@ class Samples:
         self._twists.extend((t, v, omega))
 
     def add_bearings(
-        self, t: float, bearings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+        self,
+        t: float,
+        bearings: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        ranges: Mapping[str, float] | None = None,
+        range_sigmas: Mapping[str, float] | None = None,
     ) -> None:
         """Add the sightings of one stamp."""
-        sigmas = sigmas or {}
+        optional = sigmas or {}, ranges or {}, range_sigmas or {}
         for name, bearing in bearings.items():
             number = self._numbers.setdefault(name, len(self._numbers))
             wrapped = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
-            self._seen.extend((t, number, wrapped, sigmas.get(name, math.nan)))
+            self._seen.extend((t, number, wrapped, *(o.get(name, math.nan) for o in optional)))
 
     def odometry(self) -> Odometry:
         """Return the twists; the last of equal stamps counts."""
@@ -197,11 +223,11 @@ class Samples:
 
     def sightings(self) -> Sightings:
         """Return the sightings in order of time; those of one stamp stay in order of arrival."""
-        rows = table(self._seen, 4)
-        t, number, bearing, sigma = rows[np.argsort(rows[:, 0], kind="stable")].T.copy()
+        rows = table(self._seen, 6)
+        t, number, *columns = rows[np.argsort(rows[:, 0], kind="stable")].T.copy()
         names = np.empty(len(self._numbers), object)
         names[:] = list(self._numbers)
-        return Sightings(t, names[number.astype(int)], bearing, sigma)
+        return Sightings(t, names[number.astype(int)], *columns)
 
 
 def table(numbers: array[float], columns: int) -> np.ndarray:

@@ -39,6 +39,7 @@ HOME_ADVICE = (
 )
 IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
+OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma"})
 SORTED = "rows of {} were out of order; sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
@@ -47,6 +48,7 @@ NO_ODOMETRY = (
     f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
     "surveyed landmarks only"
 )
+BAD_RANGES = "ranges that are not greater than 0, or infinite; only their bearings are used"
 BEYOND_A_TURN = (
     "bearings beyond a full turn were wrapped; convert them to rad if they are in degrees"
 )
@@ -90,11 +92,11 @@ def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
     """Read a drive folder; `InputError` names the file, the row and the problem.
 
-    The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]),
-    home.csv (landmark, bearing[, sigma]) and optionally drive.yaml, landmarks.yaml and truth.csv
-    (t, x, y, heading in the home frame), in s, m and rad. Other files and columns are ignored. A
-    survey in the home frame replaces home.csv and odometry.csv. A time at home in drive.yaml
-    replaces home.csv. With `home_needed`, one of these must define home.
+    The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]
+    [, range, range_sigma]), home.csv (landmark, bearing[, sigma]) and optionally drive.yaml,
+    landmarks.yaml and truth.csv (t, x, y, heading in the home frame), in s, m and rad. Other files
+    and columns are ignored. A survey in the home frame replaces home.csv and odometry.csv. A time
+    at home in drive.yaml replaces home.csv. With `home_needed`, one of these must define home.
 
     Rows up to `MAX_DELAY_S` out of order are sorted by time. Bearings are wrapped, and landmark ids
     stripped of white space. The last of equal stamps counts. Remarks count these corrections, and
@@ -239,18 +241,21 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
-    """Read a bearings.csv (t, landmark, bearing[, sigma]); errors and remarks as `read_folder`."""
+    """Read a bearings.csv (t, landmark, bearing[, sigma][, range, range_sigma]).
+
+    Errors and remarks as `read_folder`.
+    """
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
-    return sightings_of(
-        read_csv(path, columns, {"sigma": numbers_or_nan}, advice=IMPORT_ADVICE), remarks
-    )
+    optional = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
+    return sightings_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
 
 
 def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     """Return the sightings of a table; as `read_sightings`."""
     table = sorted_by_time(table, "bearings", remarks)
     bearings = wrapped(table, "bearing", remarks)
-    sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table))
+    ranges = _ranges(table, remarks), _sigma(table, "range_sigma")
+    sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table), *ranges)
     count_repeats(sightings, remarks)
     return sightings
 
@@ -271,14 +276,25 @@ def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     return dict(zip(table["landmark"].tolist(), (HomeBearing(*row) for row in rows), strict=True))
 
 
-def _sigma(table: Table) -> np.ndarray:
-    """Return the optional column sigma [rad], NaN where not given."""
-    if "sigma" not in table.columns:
+def _sigma(table: Table, name: str = "sigma") -> np.ndarray:
+    """Return an optional column of standard deviations, NaN where not given."""
+    if name not in table.columns:
         return np.full(len(table), np.nan)
-    sigma = table["sigma"]
+    sigma = table[name]
     is_valid = (sigma > 0) & np.isfinite(sigma)
-    table.require("sigma", np.isnan(sigma) | is_valid, "but must be greater than 0")
+    table.require(name, np.isnan(sigma) | is_valid, "but must be greater than 0")
     return sigma
+
+
+def _ranges(table: Table, remarks: dict[str, int]) -> np.ndarray:
+    """Return the optional column range [m], NaN where not given; `remarks` counts bad ones."""
+    if "range" not in table.columns:
+        return np.full(len(table), np.nan)
+    ranges = table["range"]
+    bad = ~((ranges > 0) & np.isfinite(ranges)) & ~np.isnan(ranges)
+    if bad.any():
+        remarks[BAD_RANGES] = int(bad.sum())
+    return np.where(bad, np.nan, ranges)
 
 
 def read_drive_settings(path: Path) -> DriveSettings:
@@ -306,7 +322,7 @@ def _write_files(drive: Drive, scratch: Path, folder: Path) -> None:
     """Write all files of a drive into `scratch`; errors name files of `folder`."""
     if not drive.odometry.t.size:
         raise InputError("no rows", folder / ODOMETRY)
-    may_lack = {"sigma"}
+    may_lack = set(OPTIONAL_COLUMNS)
     if (np.isnan(drive.odometry.v) == np.isnan(drive.odometry.omega)).all():
         may_lack |= {"v", "omega"}  # unknown motion
     for name, columns in _columns(drive).items():
@@ -332,9 +348,10 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
             "sigma": np.array([seen.sigma for seen in home.values()], float),
         },
     }
-    for name in (BEARINGS, HOME):
-        if np.isnan(files[name]["sigma"]).all():
-            del files[name]["sigma"]
+    for columns in (files[BEARINGS], files[HOME]):
+        for name in OPTIONAL_COLUMNS & columns.keys():
+            if np.isnan(columns[name]).all():
+                del columns[name]
     if drive.truth is not None:
         files[TRUTH] = dict(vars(drive.truth))
     return files

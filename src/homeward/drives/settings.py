@@ -45,6 +45,11 @@ class Sensor(Mount):
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
     """Full opening angle around its axis [rad]; None when unknown."""
+    range_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
+    """Relative standard deviation of a range without its own [1]; None: ranges are not used."""
+    range_scale_sigma: Positive | None = None
+    """Relative standard deviation of the scale that all ranges have in common, as of a tag's size
+    [1]; None: unknown, so that ranges have no effect on the scale of the map."""
 
 
 class OdometryNoise(Strict):

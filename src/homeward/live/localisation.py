@@ -15,7 +15,7 @@ from homeward.control.goals import Goal, RouteGoal
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import HomewardError, InputError, InternalError
-from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, UsesRanges
 from homeward.geometry.frames import Pose, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
@@ -201,7 +201,11 @@ class Localisation:
         self._capture.bearings(message)
         if self.estimator is None:
             return _as_message(Estimate(message.t, Status.WAITING, NO_HOME))
-        estimate = self.estimator.bearings(message.t, message.bearings, message.sigmas or None)
+        sample = message.t, message.bearings, message.sigmas or None
+        if message.ranges and isinstance(self.estimator, UsesRanges):
+            estimate = self.estimator.bearings(*sample, message.ranges, message.range_sigmas)
+        else:
+            estimate = self.estimator.bearings(*sample)
         frame = None
         if estimate.pose is not None and odom is not None:
             frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))

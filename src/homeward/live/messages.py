@@ -46,6 +46,8 @@ Speed = Annotated[float, Field(ge=-MAX_SPEED, le=MAX_SPEED, allow_inf_nan=False)
 """[m/s] or [rad/s]"""
 Sigma = Annotated[float, Field(ge=MIN_SIGMA, le=MAX_SIGMA, allow_inf_nan=False)]
 """[m] or [rad]"""
+Range = Annotated[float, Field(gt=0, le=MAX_LENGTH, allow_inf_nan=False)]
+"""[m]"""
 Id = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 Name = Annotated[str, Field(max_length=200), AfterValidator(_identifier)]
 """Name of a home or a route."""
@@ -84,6 +86,10 @@ class BearingsIn(Strict):
     """Bearing from the camera's axis, anti-clockwise, by landmark id [rad]."""
     sigmas: Sigmas = {}
     """Standard deviations of some bearings [rad]."""
+    ranges: Annotated[dict[Id, Range], Field(max_length=MAX_LANDMARKS)] = {}
+    """Measured distances of some landmarks from the camera, a hint [m]."""
+    range_sigmas: Sigmas = {}
+    """Standard deviations of some ranges [m]."""
 
 
 class SetHome(Strict):

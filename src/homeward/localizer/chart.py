@@ -19,6 +19,7 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
+from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import HEAD, View
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -71,7 +72,8 @@ class Chart:
         self.home = HomeTracker(home, drive, settings, self.noise)
         self._drive, self._settings, self._known = drive, settings, known
         self._is_surveyed_from_home = known.surveyed_from_home
-        self._integrity = IntegrityMonitor(settings, drive.odometry, known.is_given)
+        self.scale = ScaleErrors.of(drive, settings, known)
+        self._integrity = IntegrityMonitor(settings, self.scale.rest)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
         self._driven_at_fit = Driven()
@@ -357,7 +359,9 @@ class Chart:
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""
         learnt = self.noise, self.process_noise, self.extrinsics
-        self.map = Map(self._drive, self._settings, *learnt, self.counts, t, self._known)
+        self.map = Map(
+            self._drive, self._settings, *learnt, self.counts, t, self._known, self.scale
+        )
         self._contradiction = Contradiction()
         self.monitor = Monitor(self._drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)

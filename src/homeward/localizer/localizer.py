@@ -25,6 +25,7 @@ from homeward.localizer.inputs.bearing_noise import valid_sigma
 from homeward.localizer.inputs.dead_odometry import DeadOdometry
 from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
+from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.motion.odometry import lag_notes, notable_lag
@@ -82,6 +83,8 @@ class Localizer:
     """
 
     name = "robust"
+    uses_ranges = True
+    """Whether `bearings` takes ranges."""
 
     def __init__(
         self,
@@ -110,6 +113,7 @@ class Localizer:
         self._at_newest: set[tuple[str, float]] = set()
         """Sightings of the newest stamp of bearings."""
         self._t = -math.inf
+        self._ranges = RangeInput(self._robot.sensor.range_sigma, self._known.is_given)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -127,8 +131,15 @@ class Localizer:
             survey.notes(self.chart.map.smoother.state) if survey.known.is_given else self._notes
         )
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
+        scale = (*scale, *self._range_notes())
         wheels = *self._plausibility.notes, *self._dead.notes
         return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
+
+    def _range_notes(self) -> tuple[str, ...]:
+        """Return a note for the user on ranges, if any came."""
+        smoother, counts = self.chart.map.smoother, self.chart.counts
+        rejected = counts.rejected.get(Rejection.RANGE_OUTSIDE_GATE, 0)
+        return self._ranges.notes(counts.ranges, rejected, *smoother.range_over_odometry)
 
     @property
     def learnt(self) -> Learnt:
@@ -173,9 +184,17 @@ class Localizer:
 
     @guarded
     def bearings(
-        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+        self,
+        t: float,
+        sightings: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        ranges: Mapping[str, float] | None = None,
+        range_sigmas: Mapping[str, float] | None = None,
     ) -> Estimate:
         """Add all sightings of stamp `t` [s]: bearing [rad] from the camera's axis by id.
+
+        Some may have a range [m] with a standard deviation [m], else `sensor.range_sigma` of it.
+        Ranges are used only where `sensor.range_sigma` is given.
 
         If odometry is late, they wait for it, and the estimate is without them for now. A frame
         without sightings has no effect: the estimate is that of `estimate`.
@@ -197,7 +216,9 @@ class Localizer:
         self._advance(t)
         given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
-        self._reorder.bearings(BearingFrame(t, usable, valid))
+        with_range, bad = self._ranges.usable(usable, ranges, range_sigmas)
+        self._reject(Rejection.BAD_RANGE, bad)
+        self._reorder.bearings(BearingFrame(t, usable, valid, with_range))
         self._dead.bearings(t, usable, valid, self.chart.noise)
         innovations = self._process_due()
         return self._estimate(t, innovations, stamp)
@@ -267,10 +288,8 @@ class Localizer:
         index = chart.map.landmarks.index(mapped.values())
         at = state.columns(index).ravel()
         mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]
-        if not self._known.is_given:  # then the scale of the map is that of the speed
-            given = self._robot.odometry.speed_scale_sigma
-            sigma = self.settings.odometry.speed_scale if given is None else given
-            covariance = covariance + sigma**2 * np.outer(mean, mean)
+        if chart.scale.rest is not None:
+            covariance = covariance + chart.scale.rest**2 * np.outer(mean, mean)
         found, observed = chart.home.hypotheses, chart.home.observation
         known = found is not None and chart.has_pose and not chart.map.registration.has_home
         return MapSnapshot(

@@ -199,9 +199,7 @@ def _rows(
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
-        integrity = IntegrityMonitor(
-            localizer.settings, drive.settings.odometry, drive.known.is_given
-        )
+        integrity = IntegrityMonitor(localizer.settings, localizer.chart.scale.rest)
         localizer.chart.share_extrinsics(integrity)
         integrity.update(hypotheses[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()

@@ -94,6 +94,8 @@ def bearings_in(
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
     bearings = dict(zip(ids, columns["bearing"].tolist(), strict=True))
     known = {"t": t, "bearings": bearings, "sigmas": {i: s for i, s in sigmas if s > 0}}
+    ranges = zip(ids, columns["range"].tolist(), strict=True)
+    known["ranges"] = {i: r for i, r in ranges if 0.0 < r <= msg.MAX_LENGTH}
     return validated(msg.BearingsIn, known)
 
 

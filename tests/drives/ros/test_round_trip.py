@@ -106,6 +106,8 @@ def test_real_drive_comes_back_and_runs_alike(data_dir, tmp_path):
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
     drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), math.radians(0.5))
     drive = first(300.0, drive)
+    seen = drive.sightings  # logs of homeward contain no ranges
+    drive = replace(drive, sightings=Sightings(seen.t, *list(vars(seen).values())[1:4]))
     save_drive(drive, tmp_path / "robot3.mcap")
     back = open_drive(tmp_path / "robot3.mcap")
     assert_same(drive, back)

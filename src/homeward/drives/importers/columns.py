@@ -66,6 +66,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
         "bearing azimuth angle direction beta phi theta alpha peilung winkel richtung",
     ),
     "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
+    "range": ("length", "range distance dist depth r"),
     "x": ("length", "x px tx pos.x position.x translation.x"),
     "y": ("length", "y py ty pos.y position.y translation.y"),
     "z": ("length", "z pz tz pos.z position.z translation.z"),
@@ -98,6 +99,8 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "truth": ("t", "x", "y", "heading"),
 }
 """The required roles of each table of a drive."""
+OPTIONAL: Mapping[str, tuple[str, ...]] = {"bearings": ("sigma", "range"), "home": ("sigma",)}
+"""The optional roles of these tables."""
 ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
     KINDS["odometry"]: (),
     ("t", "left_wheel", "right_wheel"): ("omega",),
@@ -204,7 +207,7 @@ def assigned(
     ambiguous = []
     for role in (role for role in roles if role not in found):
         likeliest = _likeliest(role, [name for name in names if name not in taken])
-        if not likeliest:
+        if not likeliest or (role == "range" and len(likeliest) > 1):  # a hint, not worth an error
             continue
         if len(likeliest) > 1:
             ambiguous.append((role, *likeliest[:2]))

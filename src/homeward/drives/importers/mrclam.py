@@ -1,4 +1,4 @@
-"""Reader of UTIAS MRCLAM folders; ranges and other robots are ignored.
+"""Reader of UTIAS MRCLAM folders; other robots are ignored.
 
 Format and source: Leung, Halpern, Barfoot and Liu, "The UTIAS multi-robot cooperative localization
 and mapping dataset", IJRR 2011. The dataset has no home bearings, so the user chooses a home, and
@@ -123,7 +123,9 @@ def _read_sightings(
     remarks |= {r: n for r, n in ((OTHER_ROBOTS, robots), (UNKNOWN_BARCODES, unknown)) if n}
     ids = np.array([str(subject) for subject in seen], object)[of_landmark]
     bearings = wrapped(table, "bearing", remarks)[of_landmark]
-    sightings = Sightings(table["t"][of_landmark], ids, bearings, np.full(ids.size, np.nan))
+    unknown_sigma = np.full(ids.size, np.nan)
+    ranges = table["range"][of_landmark]
+    sightings = Sightings(table["t"][of_landmark], ids, bearings, unknown_sigma, ranges)
     count_repeats(sightings, remarks)
     return sightings
 

@@ -15,6 +15,7 @@ from homeward.drives.folder import sorted_by_time
 from homeward.drives.importers.columns import (
     KINDS,
     ODOMETRY,
+    OPTIONAL,
     UNITS,
     Column,
     assigned,
@@ -27,11 +28,13 @@ from homeward.drives.importers.columns import (
     words_in,
 )
 from homeward.drives.importers.positions import (
+    MAX_LENGTH,
     POSITION_ROLES,
     Axes,
     bearings_of,
     formula,
     position_columns,
+    ranges_of,
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
@@ -147,6 +150,10 @@ class Part:
             values["bearing"] = bearings_of(values)
             columns["bearing"] = Column("bearing", formula(columns), "rad")
             units["bearing"] = "rad", self.axes.reason
+            if self.kind == "bearings":
+                values["range"] = ranges_of(values)
+                columns["range"] = Column("range", formula(columns).replace("atan2", "hypot"), "m")
+                units["range"] = "m", self.axes.reason
         ordered = dataclasses.replace(table, columns=values)
         if "t" in values:
             ordered = sorted_by_time(ordered, self.kind, remarks)
@@ -171,7 +178,7 @@ class Part:
         """Read a table with a row for each sample; return it with the number of incomplete rows."""
         raw = self.raw()
         values = {role: _value(raw, column) for role, column in self.columns.items()}
-        needed = [role for role in self.columns if role != "sigma"]
+        needed = [role for role in self.columns if role not in OPTIONAL["bearings"]]
         if self.axes:  # programs write zeros for landmarks out of view
             values["forward"] = np.where(np.isnan(bearings_of(values)), np.nan, values["forward"])
         given = np.stack([_has_value(values[role]) for role in needed])
@@ -243,8 +250,7 @@ def _kinds_of(
     """Return the columns of each kind of table in a file, but those of wide tables."""
 
     def columns_of(kind: str) -> Found:
-        sigma = ("sigma",) * ("bearing" in KINDS[kind])
-        return assigned(KINDS[kind], one.names, mine, sigma)
+        return assigned(KINDS[kind], one.names, mine, OPTIONAL.get(kind, ()))
 
     poses = _unambiguous(lambda: columns_of("truth"))
     odometry = _odometry_columns(one, mine, has_wheels or not poses)
@@ -257,7 +263,7 @@ def _kinds_of(
         return {"odometry": odometry} | _positions(one, mine)
     if poses:  # the heading of the robot is no bearing
         others = [name for name in one.names if name != poses["heading"].name]
-        seen = assigned(KINDS["bearings"], others, mine, ("sigma",))
+        seen = assigned(KINDS["bearings"], others, mine, OPTIONAL["bearings"])
         if seen and _belong_to_robot(one, poses, seen["landmark"]):
             return {"odometry": odometry, "bearings": seen, "truth": None if odometry else poses}
     bearings = columns_of("bearings")
@@ -452,6 +458,8 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
                 f"'{column.role}={column.name}[rad]'",
                 table.file,
             )
+    if column.role == "range" and largest > MAX_LENGTH:
+        return "mm", f"guessed: more than {MAX_LENGTH:g}"
     if column.role == "steering" and largest > math.pi / 2:
         return "deg", "guessed: more than a quarter turn"
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:

@@ -105,6 +105,12 @@ def bearings_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
     return np.where((left == 0) & (forward == 0), np.nan, np.arctan2(left, forward))
 
 
+def ranges_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Return the horizontal distances [m], (n,), of positions by role; NaN at the origin."""
+    ranges = np.hypot(values["forward"], values["left" if "left" in values else "right"])
+    return np.where(ranges > 0.0, ranges, np.nan)
+
+
 def _is_frame(name: str) -> bool:
     words = words_in(name)
     return words == ("frame",) or (words[-2:] == ("frame", "id") and "child" not in words)

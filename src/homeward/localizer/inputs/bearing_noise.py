@@ -53,6 +53,9 @@ class WeighedFrame(NamedTuple):
     """(m,): their standard deviations [rad]."""
     driven: Driven = Driven()
     """Wheel motion up to then."""
+    ranges: np.ndarray | None = None
+    """(m, 2): logarithms of ranges [m], and standard deviations; NaN where there is none. None: no
+    ranges at all."""
 
 
 class BearingNoise:
@@ -111,15 +114,19 @@ class BearingNoise:
 
     def weigh(self, frame: BearingFrame, reckoned: Reckoned) -> WeighedFrame:
         """Assign noise to the bearings of a frame, and learn from them; see `add_bearings`."""
-        t, sightings, given = frame
+        t, sightings, given, ranges = frame
         self.add_bearings(frame, reckoned.pose.heading)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        return WeighedFrame(t, names, bearings, self.sigmas(names, given), reckoned.driven)
+        seen = WeighedFrame(t, names, bearings, self.sigmas(names, given), reckoned.driven)
+        if not ranges:
+            return seen
+        none = math.nan, math.nan
+        return seen._replace(ranges=np.array([ranges.get(n, none) for n in names]))
 
     def add_bearings(self, frame: BearingFrame, heading: float) -> None:
         """Update the second differences by a frame; `heading` is that of odometry alone [rad]."""
-        t, sightings, given = frame
+        t, sightings, given, _ = frame
         self._is_given = self._given is not None or bool(given)
         if self._given is not None:
             return

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter, deque
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import NamedTuple
 
 from homeward.localizer.tunables import MIN_SAMPLES, REORDER_WAIT_S
@@ -20,6 +21,8 @@ class BearingFrame(NamedTuple):
     """Bearing [rad] by landmark."""
     sigmas: Mapping[str, float]
     """Standard deviation [rad] of some of them."""
+    ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    """Logarithm of the range [m] of some of them, and its standard deviation [1]."""
 
 
 class ReorderBuffer:

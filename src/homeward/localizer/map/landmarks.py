@@ -14,7 +14,16 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
-from homeward.localizer.map.sightings import BEARING, KEYFRAME, LANDMARK, SIGMA, scale_noise
+from homeward.localizer.map.ranges import place_by_ranges
+from homeward.localizer.map.sightings import (
+    BEARING,
+    KEYFRAME,
+    LANDMARK,
+    LOG_RANGE,
+    RANGE_SIGMA,
+    SIGMA,
+    scale_noise,
+)
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.tunables import (
@@ -204,6 +213,7 @@ class Landmarks:
         waiting = self._candidates.pop(name)
         rows = np.array(waiting.rows)
         found = self._at_expected(name, rows) or self._triangulate(rows)
+        found = found or self._at_range(name, rows)
         known = name in self.mapped
         if found is None or (known and not self._has_moved(name, rows[found[1]], found[0])):
             waiting.next_trial = RETRY_GROWTH * len(rows)
@@ -261,6 +271,15 @@ class Landmarks:
         tolerance = INLIER * self._line_sigmas(rows) + NEGLIGIBLE
         agree = self._residuals(rows, place[None])[0] < tolerance
         return (place, agree) if agree.sum() >= MAJORITY * len(rows) else None
+
+    def _at_range(self, name: str, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the position of a new landmark by ranges, and which sightings agree with it."""
+        if name in self.mapped or not (rows[:, RANGE_SIGMA] > 0.0).any():
+            return None
+        ranges = rows[:, LOG_RANGE:].copy()
+        ranges[:, 0] -= self.smoother.range_scale
+        eyes, sigmas = self.smoother.cameras(rows)[0], self._line_sigmas(rows)
+        return place_by_ranges(eyes, rows[:, BEARING], sigmas, ranges)
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position and inlier sightings of a landmark, if the baseline is long enough."""

@@ -21,6 +21,7 @@ from homeward.localizer.map.gating import (
 )
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.learner import Learner
+from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.state import Marginal, View
@@ -35,6 +36,7 @@ from homeward.localizer.tunables import (
     CALIBRATION_DRIFT,
     CANDIDATE_MEMORY_S,
     FALSE_ALARM,
+    INLIER,
     MAX_IDS,
     MAX_PER_KEYFRAME,
     NEGLIGIBLE,
@@ -65,6 +67,8 @@ class Map:
         Time of the start [s].
     known : KnownLandmarks
         Surveyed landmarks and distances.
+    scale : ScaleErrors
+        Scale of speeds and ranges.
     """
 
     def __init__(
@@ -77,13 +81,15 @@ class Map:
         counts: Counts,
         t: float,
         known: KnownLandmarks,
+        scale: ScaleErrors,
     ) -> None:
         self._settings, self._counts = settings, counts
         self._process_noise = process_noise
         self._mount = np.array(drive.sensor.pose)
-        sigmas = calibration_sigmas(drive, settings, known.is_given)
+        sigmas = calibration_sigmas(drive, settings, scale.state)
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
+        self.smoother.range_ratio = scale.ratio
         learnt = noise, process_noise, extrinsics
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
@@ -106,6 +112,8 @@ class Map:
         """When each landmark was last seen [s]."""
         self._pending_rows: list[np.ndarray] = []
         """Sightings that have not been applied to the state yet."""
+        self._ranges_counted = 0
+        """First keyframe whose ranges have not been counted."""
         self._scale_information = 0.0
         """Information on the scale by the motions, at the initial process noise [1]."""
 
@@ -158,8 +166,17 @@ class Map:
         if self._unlearnt_solution:
             self._unlearnt_solution = False
             self._learner.learn(self.smoother, self.landmarks)
+            self._count_ranges()
             if self._learner.enable_extrinsics_calibration(self.smoother):
                 self._solve()
+
+    def _count_ranges(self) -> None:
+        """Count the ranges that came since the last solution, and that it accepts or not."""
+        deviations = np.abs(self.smoother.range_deviations(self._ranges_counted))
+        self._ranges_counted = self.smoother.newest + 1
+        accepted = int(np.count_nonzero(deviations < INLIER))
+        self._counts.ranges += accepted
+        self._counts.reject(Rejection.RANGE_OUTSIDE_GATE, deviations.size - accepted)
 
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or has stopped."""

@@ -13,11 +13,12 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motion.preintegration import NC, Motion
 
-KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME = range(8)
-COLUMNS = 8
+KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
+COLUMNS = 10
 """Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
 bearing [rad], its standard deviation [rad] with and without the odometry noise since the keyframe,
-the time since the landmark's last sighting [s] (infinite for the first), and the stamp [s]."""
+the time since the landmark's last sighting [s] (infinite for the first), the stamp [s], and the
+logarithm of the range [m] and its standard deviation (NaN where there is none)."""
 
 
 class Frames:
@@ -50,6 +51,7 @@ class Frames:
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
         rows[:, FRAME], rows[:, TIME] = self.first + len(self.keyframes), frame.t
         rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
+        rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         uncalibrated = camera.delta - camera.jacobian @ camera.calibration
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
         self.free = np.concatenate([self.free, uncalibrated[None]])

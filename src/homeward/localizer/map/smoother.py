@@ -12,6 +12,7 @@ undone is marginalised.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +33,14 @@ from homeward.localizer.map.factors import (
     weigh_sightings,
 )
 from homeward.localizer.map.gating import Prediction, bearing_residuals, predict_bearings
+from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
 from homeward.localizer.map.sightings import (
     BEARING,
     COLUMNS,
     FRAME,
     KEYFRAME,
     LANDMARK,
+    RANGE_SIGMA,
     SIGMA,
     Frames,
     effective_sigmas,
@@ -50,6 +53,7 @@ from homeward.localizer.motion.preintegration import (
     MOUNT,
     NC,
     ODOMETRY_CALIBRATION,
+    SPEED_SCALE,
     TURN_SLIP,
     Motion,
 )
@@ -124,6 +128,8 @@ class Smoother:
         """... of slip in bends [m] ..."""
         self.survey = SurveyFactors.none()
         """... and the survey of landmarks."""
+        self.range_ratio = 0.0
+        """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
         self._older = np.zeros((0, 3))
         """(w - 1, 3): poses of the keyframes in the window but the newest."""
         self._steps = np.zeros((0, STEP))
@@ -149,7 +155,7 @@ class Smoother:
         unused = np.ones(len(ODOMETRY_CALIBRATION))
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
-        whole.slip_sigma = self.slip_sigma
+        whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
@@ -173,6 +179,18 @@ class Smoother:
     def newest(self) -> int:
         """Number of the newest keyframe."""
         return self.first + len(self._older)
+
+    @property
+    def range_scale(self) -> float:
+        """Logarithm of the scale of ranges [1]."""
+        return self.range_ratio * float(self.state.calibration[SPEED_SCALE])
+
+    @property
+    def range_over_odometry(self) -> tuple[float, float]:
+        """Ranges over distances from odometry, and the standard deviation of that [1]."""
+        both, state = 1.0 + self.range_ratio, self.state
+        scale = math.exp(both * state.calibration[SPEED_SCALE])
+        return scale, scale * both * math.sqrt(state.calibration_variances[SPEED_SCALE])
 
     def index(self, ids: np.ndarray) -> np.ndarray:
         """Return the indices in the state of landmarks with these ids, shape (m,)."""
@@ -300,7 +318,7 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        eliminated = eliminate(self._normal_equations(count + 1, self._weighed(rows)))
+        eliminated = eliminate(self._normal_equations(count + 1, rows, self._weighed(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         frames = self.frames.take_before(first)
         if self._closed is not None:
@@ -319,6 +337,13 @@ class Smoother:
         rows = self.sightings
         seen = sight(self.cameras(rows)[0], self.state.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
+
+    def range_deviations(self, since: int) -> np.ndarray:
+        """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
+        rows = self.sightings
+        rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
+        residual, _ = self._range_residuals(rows, self.index(rows[:, LANDMARK]))
+        return np.asarray(residual / range_sigmas(rows))
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
         """Return the effective standard deviations of rows (m,) [rad].
@@ -344,6 +369,19 @@ class Smoother:
         sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
         return weigh_sightings(*seen, *sigmas, pose, landmark)
 
+    def _weighed_ranges(self, rows: np.ndarray) -> WeighedSightings:
+        """Return the ranges in rows of the table as factors, linearised and weighted."""
+        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
+        seen = self._range_residuals(rows, landmark)
+        return weigh_ranges(rows, seen, self.p_static[landmark], pose, landmark)
+
+    def _range_residuals(
+        self, rows: np.ndarray, landmark: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return residuals of ranges and their Jacobian; see `range_residuals`."""
+        scale = self.range_scale, self.range_ratio
+        return range_residuals(rows, self.cameras(rows), self.state.positions[landmark], *scale)
+
     def _linearisation_point(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks as one vector."""
         return np.concatenate([self.poses[0], self.state.mean[3:]])
@@ -361,7 +399,9 @@ class Smoother:
         self.state = Marginal(self.state.mean + scale * step, covariance)
         return float(size)
 
-    def _normal_equations(self, w: int, seen: WeighedSightings) -> NormalEquations:
+    def _normal_equations(
+        self, w: int, rows: np.ndarray, seen: WeighedSightings
+    ) -> NormalEquations:
         """Return the normal equations of the oldest w poses, sightings from them, and the prior.
 
         The priors on extrinsics and slip are not among them, since they may change.
@@ -370,6 +410,7 @@ class Smoother:
         self._prior.add_to(equations, self._linearisation_point())
         add_odometry(equations, self.poses[:w], self.state.calibration, self._steps[: w - 1])
         add_sightings(equations, seen)
+        add_sightings(equations, self._weighed_ranges(rows[rows[:, RANGE_SIGMA] > 0.0]))
         return equations
 
     @property
@@ -379,7 +420,7 @@ class Smoother:
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
-        equations = self._normal_equations(len(self.poses), seen)
+        equations = self._normal_equations(len(self.poses), self.sightings, seen)
         at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
         information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information

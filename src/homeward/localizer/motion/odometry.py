@@ -36,15 +36,14 @@ from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
 def calibration_sigmas(
-    drive: DriveSettings, settings: LocalizerSettings, scale_observable: bool
+    drive: DriveSettings, settings: LocalizerSettings, speed_scale: float
 ) -> np.ndarray:
     """Return the prior standard deviations of the odometry's calibration, shape (5,).
 
-    The scale of the speed is unknown only if something makes it observable (`scale_observable`),
-    such as a survey: bearings do not.
+    That of the speed's scale is `speed_scale`; it is zero unless something observes the scale, such
+    as a survey: bearings do not.
     """
     given, default = drive.odometry, settings.odometry
-    speed = default.speed_scale if given.speed_scale_sigma is None else given.speed_scale_sigma
     scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
     return np.array(
         [
@@ -52,7 +51,7 @@ def calibration_sigmas(
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
             settings.lag_sigma,
-            speed if scale_observable else 0.0,
+            speed_scale,
         ]
     )
 

@@ -7,7 +7,6 @@ from collections.abc import Collection
 
 import numpy as np
 
-from homeward.drives.settings import OdometryNoise
 from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
 from homeward.geometry.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
@@ -61,19 +60,12 @@ class IntegrityMonitor:
     ----------
     settings : LocalizerSettings
         Settings of the localiser.
-    odometry : OdometryNoise
-        Odometry noise of the drive, as far as given.
-    scale_mapped : bool
-        Whether the state contains the uncertainty of the map's scale.
+    scale_sigma : float or None
+        Standard deviation of the map's scale that is not in the state; None: the state contains it.
     """
 
-    def __init__(
-        self, settings: LocalizerSettings, odometry: OdometryNoise, scale_mapped: bool = False
-    ) -> None:
-        given = odometry.speed_scale_sigma
-        self._settings = settings
-        self._speed_scale = settings.odometry.speed_scale if given is None else given
-        self._scale_mapped = scale_mapped
+    def __init__(self, settings: LocalizerSettings, scale_sigma: float | None) -> None:
+        self._settings, self._scale_sigma = settings, scale_sigma
         self._best: HomeFit | None = None
         """The most probable hypothesis; None where home is not found."""
         self._estimate = PoseEstimate(Pose(0.0, 0.0, 0.0), np.zeros((3, 3)))
@@ -97,8 +89,8 @@ class IntegrityMonitor:
 
     def set_scale_variance(self, variance: float) -> None:
         """Set the variance of the map's scale, next to that of the speed's [1]."""
-        unmapped = 0.0 if self._scale_mapped else math.sqrt(self._speed_scale**2 + variance)
-        self.errors.scale_sigma = unmapped
+        given = self._scale_sigma
+        self.errors.scale_sigma = 0.0 if given is None else math.sqrt(given**2 + variance)
 
     def update(
         self, now: Hypotheses | None, solved: bool, stayed: np.ndarray | None = None

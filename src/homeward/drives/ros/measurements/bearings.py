@@ -391,7 +391,10 @@ class SightingRows:
         self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return t [s], landmark, bearing and sigma [rad] of all sightings, shape (n,) each."""
+        """Return t [s], landmark, bearing, sigma [rad] and range [m] of all sightings, (n,) each.
+
+        Sigma and range are NaN where unknown.
+        """
         bearing, sigma = self._measured()
         if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
@@ -399,11 +402,28 @@ class SightingRows:
             sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
         ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
-        columns |= {"bearing": bearing, "sigma": sigma}
+        columns |= {"bearing": bearing, "sigma": sigma, "range": self._ranges()}
         # A lens model has no ray for pixels beyond its valid range.
         is_valid = np.isfinite(bearing)
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
         return {name: values[is_valid] for name, values in columns.items()}
+
+    def _ranges(self) -> np.ndarray:
+        """Return the horizontal distances [m] from the reference camera, (n,); NaN: unknown."""
+        if not self.has_positions:
+            return np.full(len(self), np.nan)
+        rows = np.array([(seen.a, seen.b, seen.up) for seen in self._kept], float).reshape(-1, 3)
+        return np.asarray(np.hypot(*self._places(*rows.T)))
+
+    def _places(
+        self, a: np.ndarray, b: np.ndarray, up: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return x and y [m] in the frame of the reference camera, of points in that of theirs."""
+        if self.given.roll or self.given.pitch:
+            level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
+            a, b, _ = level @ np.array([a, b, up])
+        x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
+        return x, y
 
     def _measured(self) -> tuple[np.ndarray, np.ndarray]:
         """Return bearings and their standard deviations [rad], NaN where unknown, (n,) each."""
@@ -412,10 +432,7 @@ class SightingRows:
         if has_bearings(self.kind, self.given):
             return a, sigma
         if self.has_positions:
-            if self.given.roll or self.given.pitch:
-                level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
-                a, b, _ = level @ np.array([a, b, up])
-            x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
+            x, y = self._places(a, b, up)
             return np.arctan2(y, x), sigma
         camera = self._camera()
         if camera is None:

@@ -1,0 +1,184 @@
+"""Range factors: the logarithm of a range, with an unknown scale that all ranges have in common.
+
+The printed size of a tag may be wrong, or a detector biased, so ranges have a common scale b. The
+scale s of odometry's speed is unknown, too. Bearings and ranges observe only the sum of both,
+d = s + b; how it is shared follows from their priors, of standard deviations S and B: the mean of s
+is d S^2 / (S^2 + B^2), and b = s B^2 / S^2. So the state needs no further unknown: it contains that
+mean of s. What remains of s, of standard deviation S B / hypot(S, B), is not observable: the map
+may have any size within it, as it may without ranges within S.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.geometry.angles import wrap
+from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
+from homeward.localizer.map.factors import WeighedSightings, weigh_sightings
+from homeward.localizer.map.sightings import GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
+from homeward.localizer.map.state import HEAD
+from homeward.localizer.motion.preintegration import NC, SPEED_SCALE
+from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import (
+    INLIER,
+    LINEAR,
+    MAJORITY,
+    MAX_LINES,
+    MIN_GAP_S,
+    MIN_LINES,
+    MIN_SPEED_SCALE,
+    RANGE_CORRELATION_S,
+    UNKNOWN_RANGE_SCALE,
+)
+
+
+class ScaleErrors(NamedTuple):
+    """Standard deviations of the scale of speeds and of ranges, and how they share a deviation."""
+
+    state: float
+    """Prior standard deviation of the speed scale in the state, its observable part [1]."""
+    rest: float | None
+    """Standard deviation of the map's scale that is not observable, and in no state [1]; None: a
+    survey observes all of it."""
+    ratio: float = 0.0
+    """Logarithm of the scale of ranges, over the speed scale [1]; 0: ranges are not used."""
+
+    @staticmethod
+    def of(drive: DriveSettings, settings: LocalizerSettings, known: KnownLandmarks) -> ScaleErrors:
+        """Return those of a drive; a survey observes the scale by itself, and ranges are unused."""
+        given = drive.odometry.speed_scale_sigma
+        speed = settings.odometry.speed_scale if given is None else given
+        if known.is_given:
+            return ScaleErrors(speed, None)
+        if drive.sensor.range_sigma is None:
+            return ScaleErrors(0.0, speed)
+        speed = max(speed, MIN_SPEED_SCALE)
+        ranges = drive.sensor.range_scale_sigma or UNKNOWN_RANGE_SCALE
+        both = math.hypot(speed, ranges)
+        return ScaleErrors(speed**2 / both, speed * ranges / both, (ranges / speed) ** 2)
+
+
+def range_residuals(
+    rows: np.ndarray,
+    cameras: tuple[np.ndarray, np.ndarray],
+    positions: np.ndarray,
+    scale: float,
+    ratio: float,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return residuals of ranges, and the Jacobian of the expected ones.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (m, COLUMNS)
+        Of the table of sightings, with ranges.
+    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11)
+        The camera's poses and Jacobians; see `Frames.eyes`.
+    positions : ndarray, shape (m, 2)
+        Of the landmarks [m].
+    scale, ratio : float
+        Logarithm of the scale of ranges, and its derivative by the speed scale; see `ScaleErrors`.
+
+    Returns
+    -------
+    residual : ndarray, shape (m,)
+        Logarithm of the measured over the expected range [1].
+    jacobian : ndarray, shape (m, 13)
+        Jacobian by keyframe's pose, calibration and landmark.
+    """
+    eyes, by_head = cameras
+    seen = sight(eyes, positions)
+    by_place = np.stack([seen.by_place[:, 1], -seen.by_place[:, 0]], axis=1)
+    jacobian = np.empty((len(rows), 5 + NC))
+    jacobian[:, :HEAD] = -(by_place[:, None, :] @ by_head[:, :2])[:, 0]
+    jacobian[:, 3 + SPEED_SCALE] += ratio
+    jacobian[:, HEAD:] = by_place
+    return rows[:, LOG_RANGE] - _log_distances(seen) - scale, jacobian
+
+
+def _log_distances(seen: Sight) -> np.ndarray:
+    """Return the logarithms of distances [m]."""
+    squares = (seen.offset**2).sum(axis=-1)
+    return np.asarray(0.5 * np.log(np.maximum(squares, MIN_SQUARED_DISTANCE)))
+
+
+def weigh_ranges(
+    rows: np.ndarray,
+    seen: tuple[np.ndarray, np.ndarray],
+    p_static: np.ndarray,
+    pose: np.ndarray,
+    landmark: np.ndarray,
+) -> WeighedSightings:
+    """Normalise range factors, with the M-estimator of bearings against large residuals.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (m, COLUMNS)
+        Of the table of sightings.
+    seen : tuple of ndarray
+        See `range_residuals`.
+    p_static : ndarray, shape (m,)
+        Probability that the landmark is static [1].
+    pose, landmark : ndarray, shape (m,), int
+        As for `weigh_sightings`.
+    """
+    odometry, sigma = _odometry_variance(rows), range_sigmas(rows)
+    gaps = np.maximum(rows[:, GAP], MIN_GAP_S)
+    correlated = rows[:, RANGE_SIGMA] ** 2 / np.tanh(gaps / (2.0 * RANGE_CORRELATION_S))
+    effective = np.sqrt((correlated + odometry) / p_static)
+    return weigh_sightings(*seen, sigma, effective, pose, landmark)
+
+
+def range_sigmas(rows: np.ndarray) -> np.ndarray:
+    """Return the standard deviations of single ranges (m,), with the odometry noise [1]."""
+    return np.asarray(np.sqrt(rows[:, RANGE_SIGMA] ** 2 + _odometry_variance(rows)))
+
+
+def _odometry_variance(rows: np.ndarray) -> np.ndarray:
+    """Return the variance (m,) by a shift since the keyframe, over the distance [1]."""
+    return np.asarray(rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2)
+
+
+def place_by_ranges(
+    cameras: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray, ranges: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the position on which most sightings of a landmark agree, and which of them do.
+
+    Parameters
+    ----------
+    cameras : ndarray, shape (m, 3)
+        Poses of the camera: x [m], y [m], heading of its axis [rad].
+    bearings, sigmas : ndarray, shape (m,)
+        Measured from the axis, and standard deviations of the sight lines [rad].
+    ranges : ndarray, shape (m, 2)
+        Logarithms of ranges [m], their standard deviations; NaN where there is none.
+
+    Returns
+    -------
+    position : ndarray, shape (2,)
+        [m]
+    agree : ndarray, shape (m,), bool
+        None instead of both if too few have a range, or too few agree.
+    """
+    (known,) = (ranges[:, 1] < LINEAR).nonzero()
+    if known.size < MIN_LINES:
+        return None
+    chosen = known[np.unique(np.linspace(0, known.size - 1, MAX_LINES).astype(int))]
+    lines = cameras[chosen, 2] + bearings[chosen]
+    along = np.stack([np.cos(lines), np.sin(lines)], axis=1)
+    places = cameras[chosen, :2] + np.exp(ranges[chosen, :1]) * along
+    seen = sight(cameras, places[:, None])
+    off = np.abs(wrap(bearings - seen.bearing)) / sigmas
+    far = np.abs(ranges[:, 0] - _log_distances(seen)) / ranges[:, 1]
+    agree = (off < INLIER) & ~(far > INLIER)
+    with_range = (agree[:, known]).sum(axis=1)
+    best = int((with_range + agree.sum(axis=1)).argmax())
+    if with_range[best] < max(MIN_LINES, MAJORITY * known.size):
+        return None
+    if agree[best].sum() < MAJORITY * len(bearings):
+        return None
+    members = agree[best, chosen]
+    return np.median(places[members], axis=0), agree[best]

@@ -1,0 +1,195 @@
+"""Ranges as a hint: what they bring, and what wrong ones cannot do."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from rig import Rig, Wheels, ring
+
+import homeward
+from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.estimator import Status
+from homeward.geometry.frames import compose
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.inputs.range_input import RangeInput
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.ranges import ScaleErrors, place_by_ranges, range_residuals
+from homeward.localizer.map.sightings import Frames
+from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, camera_on_robot
+from homeward.localizer.settings import LocalizerSettings
+from homeward.track import run
+
+
+@dataclasses.dataclass
+class RangedRig(Rig):
+    """A rig whose camera measures ranges, with an error of 5 % that each landmark keeps."""
+
+    scale: float = 1.0
+    spoil: Callable[[np.random.Generator, dict[str, float]], dict[str, float]] | None = None
+    range_scale_sigma: float | None = None
+
+    def __post_init__(self):
+        super().__post_init__()
+        robot = self.settings.robot
+        given = {"range_sigma": 0.1, "range_scale_sigma": self.range_scale_sigma}
+        robot["sensor"] = robot["sensor"].model_copy(update=given)
+        robot["odometry"] = robot["odometry"].model_copy(update={"speed_scale_sigma": 0.03})
+        self.localizer = Localizer(self.home, **robot)
+        self.errors = np.random.default_rng(self.seed + 7)
+        lasting = 0.05 * self.errors.normal(size=len(self.landmarks))
+        self.lasting = dict(zip(self.landmarks, lasting.tolist(), strict=True))
+        inner = self.localizer.bearings
+        self.localizer.bearings = lambda t, seen, sigmas: inner(t, seen, sigmas, self.ranges(seen))
+
+    def ranges(self, seen):
+        camera, found = compose(self.pose, self.mount), {}
+        for name in seen:
+            x, y = self.landmarks[name]
+            off = self.lasting[name] + 0.03 * self.errors.normal()
+            found[name] = self.scale * math.hypot(x - camera.x, y - camera.y) * math.exp(off)
+        return found if self.spoil is None else self.spoil(self.errors, found)
+
+    def first_pose(self):
+        return next(a.t for a, _ in self.answers if a.pose is not None) - self.answers[0][0].t
+
+
+def missing(rng, found):
+    values = [math.nan, 0.0, -2.0, math.inf]
+    return {n: values[i % 5] if i % 5 < 4 else r for i, (n, r) in enumerate(found.items())}
+
+
+def ten_times_too_long(rng, found):
+    return {n: 10.0 * r if rng.random() < 0.2 else r for n, r in found.items()}
+
+
+def two_landmarks_ten_times_too_far(rng, found):
+    return {n: 10.0 * r if n in ("L0", "L1") else r for n, r in found.items()}
+
+
+def always_the_same(rng, found):
+    return dict.fromkeys(found, 2.0)
+
+
+def test_a_range_has_the_derivatives_it_says():
+    rng = np.random.default_rng(0)
+    odometry, ratio = Wheels(), 3.0
+    for i in range(20):
+        odometry.add(0.1 * i, 0.4, 0.3)
+    calibration = np.zeros(NC)
+    calibration[SPEED_SCALE] = 0.04
+    motion = odometry.motion(1.7, calibration)
+    frames, mount = Frames(), np.array([0.2, -0.1, 0.3])
+    frame = WeighedFrame(0.0, ["a"], np.array([0.4]), np.array([0.01]))
+    frame = frame._replace(ranges=np.array([[math.log(2.5), 0.1]]))
+    row = frames.add(0, motion.compose(camera_on_robot(mount, calibration)), frame)
+    x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
+
+    def residual(x):
+        cameras = frames.eyes(x[None, :3], x[3 : 3 + NC])
+        return range_residuals(row, cameras, x[None, 3 + NC :], ratio * x[3 + SPEED_SCALE], ratio)
+
+    jacobian = residual(x)[1][0]
+    for i in range(x.size):
+        step = np.zeros(x.size)
+        step[i] = 1e-6
+        numeric = -(residual(x + step)[0] - residual(x - step)[0]) / 2e-6
+        assert jacobian[i] == pytest.approx(numeric[0], abs=1e-6)
+    assert np.count_nonzero(jacobian) > 7
+
+
+@pytest.mark.parametrize("ranges", [0.02, 0.1, 1.0])
+def test_a_deviation_of_the_scale_is_shared_by_speed_and_ranges_as_their_priors_say(ranges):
+    robot = {"sensor": {"range_sigma": 0.1, "range_scale_sigma": ranges}}
+    drive = DriveSettings.model_validate(robot | {"odometry": {"speed_scale_sigma": 0.03}})
+    scale = ScaleErrors.of(drive, LocalizerSettings(), KnownLandmarks())
+    # Covariance of (speed scale, scale of ranges): what is in the state, and the rest.
+    together = np.outer([1.0, scale.ratio], [1.0, scale.ratio]) * scale.state**2
+    alone = np.outer([1.0, -1.0], [1.0, -1.0]) * scale.rest**2
+    assert together + alone == pytest.approx(np.diag([0.03**2, ranges**2]), abs=1e-12)
+
+
+def test_a_landmark_starts_from_one_place_among_wrong_ranges():
+    rng = np.random.default_rng(1)
+    cameras, bearings = np.zeros((10, 3)), 0.5 + 0.01 * rng.normal(size=10)
+    ranges = np.stack([math.log(3.0) + 0.05 * rng.normal(size=10), np.full(10, 0.1)], axis=1)
+    ranges[[1, 4, 6], 0] += math.log(10.0)
+    ranges[8] = np.nan
+    place, agree = place_by_ranges(cameras, bearings, np.full(10, 0.01), ranges)
+    assert place == pytest.approx([3.0 * math.cos(0.5), 3.0 * math.sin(0.5)], abs=0.2)
+    assert not agree[[1, 4, 6]].any()
+    assert place_by_ranges(cameras[:2], bearings[:2], np.full(2, 0.01), ranges[:2]) is None
+    vague = ranges * [1.0, 5.0]
+    assert place_by_ranges(cameras, bearings, np.full(10, 0.01), vague) is None
+
+
+def test_without_the_setting_nothing_depends_on_ranges():
+    drive = homeward.open_drive("sample")
+    start = drive.span[0]
+    odometry, seen = (
+        part.rows(part.t < start + 15.0) for part in (drive.odometry, drive.sightings)
+    )
+    ranged = dataclasses.replace(seen, range=np.linspace(0.1, 9.0, seen.t.size))
+    tracks = []
+    for sightings in (seen, ranged):
+        short = dataclasses.replace(drive, odometry=odometry, sightings=sightings)
+        tracks.append(run(short, Localizer(short.home, **short.settings.robot)))
+    bare, same = tracks
+    for column in ("x", "y", "heading", "covariance"):
+        assert np.array_equal(getattr(bare, column), getattr(same, column), equal_nan=True)
+    assert bare.counts == same.counts
+    assert [n for n in same.notes if "range_sigma: 0.1" in n]
+    assert not [n for n in bare.notes if "anges" in n]
+
+
+def test_ranges_bring_the_first_pose_and_the_notes_report_them():
+    rig = RangedRig(ring(8), scale=1.1)
+    rig.drive(12.0)
+    assert rig.first_pose() < 1.0
+    assert rig.wrong_share() == 0.0
+    (note,) = [n for n in rig.localizer.notes if "anges" in n]
+    assert note.startswith("Ranges: ")
+    assert rig.localizer.counts.ranges > 100
+    assert float(note.split("They are ")[1].split()[0]) == pytest.approx(1.1, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        {"spoil": missing},
+        {"spoil": ten_times_too_long},
+        {"spoil": two_landmarks_ten_times_too_far},
+        {"spoil": always_the_same},
+        {"scale": 0.8},
+        {"scale": 3.28},
+        {"scale": 10.0},
+        {"scale": 0.8, "range_scale_sigma": 0.1},
+    ],
+    ids=str,
+)
+def test_a_wrong_range_makes_no_pose_wrong_beyond_its_covariance(fault):
+    rig = RangedRig(ring(8), promise=Status.LOCALISED, told=False, **fault)
+    rig.drive(15.0)
+    assert rig.wrong_share() == 0.0
+    assert rig.error() < 0.1
+    assert rig.localizer.counts.ranges > 20
+
+
+def test_a_tight_scale_of_ranges_corrects_the_scale_of_odometry():
+    rig = RangedRig(ring(8), range_scale_sigma=0.01, told=False)
+    inner = rig.localizer.odometry
+    rig.localizer.odometry = lambda t, v, omega: inner(t, v / 1.05, omega)
+    rig.drive(20.0)
+    scale = rig.localizer.chart.map.smoother.state.calibration[SPEED_SCALE]
+    assert scale == pytest.approx(0.045, abs=0.025)
+
+
+def test_ranges_that_cannot_be_are_counted_and_own_standard_deviations_count():
+    seen = dict.fromkeys("abcde", 0.1)
+    ranges = {"a": 2.0, "b": 0.0, "c": -1.0, "d": math.inf, "e": math.nan, "not seen": 3.0}
+    usable, bad = RangeInput(0.1, False).usable(seen, ranges, {"a": 0.1})
+    assert usable == {"a": (math.log(2.0), 0.05)}
+    assert bad == 3
+    assert RangeInput(0.1, True).usable(seen, ranges, None) == ({}, 0)
+    assert RangeInput(None, False).usable(seen, None, None) == ({}, 0)
