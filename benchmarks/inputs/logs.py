@@ -295,3 +295,101 @@ def _(s: Sample) -> Files:
         return {"/tf_static": log.make("tf2_msgs/msg/TFMessage", transforms=[camera])}
 
     return {"log.mcap": log_of(s, s.seen.ahead, tags, first=first), "topics.yaml": HOME}
+
+
+def tag_list(log: LogFile, stamp: int, seen: Seen, frame: str = OPTICAL) -> Any:
+    """Return a message of a type of one's own."""
+    tags = [log.make("my_msgs/msg/Tag", tag_id=i, pose=pose) for i, pose in optical(seen)]
+    return log.make("my_msgs/msg/TagList", header=log.header(stamp, frame), tags=tags)
+
+
+TAG_LIST = {
+    "my_msgs/msg/Tag": "int32 tag_id\nfloat32 margin\ngeometry_msgs/Pose pose\n",
+    "my_msgs/msg/TagList": "std_msgs/Header header\nmy_msgs/Tag[] tags\n",
+}
+
+
+@kind("positions in a type of one's own", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        return {"/tags": tag_list(log, stamp, seen)}
+
+    return {"log.mcap": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": HOME}
+
+
+@kind("positions in a type of one's own, optical by values", "run log.bag --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        return {"/tags": tag_list(log, stamp, seen, "camera")}
+
+    topics = f"bearings: {{topic: /tags, id: tags.tag_id, position: tags.pose.position}}\n{HOME}"
+    return {"log.bag": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": topics}
+
+
+SCAN = {
+    "my_msgs/msg/Scan": "std_msgs/Header header\nstring[] names\nfloat64[] ranges\n"
+    "float64[] bearings_deg\n"
+}
+
+
+@kind("lists of names, ranges and bearings in degrees", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        lists = {"names": [str(i) for i in seen.id], "ranges": seen.range}
+        degrees = np.degrees(seen.bearing)
+        header = log.header(stamp, "camera")
+        return {"/scan": log.make(*SCAN, header=header, bearings_deg=degrees, **lists)}
+
+    return {"log.mcap": log_of(s, s.seen, tags, SCAN), "topics.yaml": HOME}
+
+
+@kind("odometry in a type of one's own", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        return {"/tags": tag_list(log, stamp, seen)}
+
+    def odometry(log: LogFile, stamp: int, k: int) -> Messages:
+        twist = {"linear_velocity": float(s.v[k]), "yaw_rate": float(s.omega[k])}
+        return {"/base": log.make(BASE, header=log.header(stamp, "base_link"), **twist)}
+
+    types = {BASE: "std_msgs/Header header\nfloat64 linear_velocity\nfloat64 yaw_rate\n"}
+    files = log_of(s, s.seen.ahead, tags, TAG_LIST | types, odometry)
+    return {"log.mcap": files, "topics.yaml": HOME}
+
+
+BASE = "my_msgs/msg/BaseState"
+
+
+tag_messages(
+    "isaac_ros_apriltag_interfaces/AprilTagDetectionArray",
+    "log.db3",
+    "/tag_detections",
+    lambda seen, h: {
+        "detections": [
+            {"id": i, "pose": {"header": h, "pose": {"pose": p}}} for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "vision_msgs/Detection3DArray",
+    "log.mcap",
+    "/objects",
+    lambda seen, h: {
+        "detections": [{"header": h, "id": str(i), "bbox": {"center": p}} for i, p in optical(seen)]
+    },
+)
+
+
+@kind("two cameras with an overlap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        behind = abs(seen.bearing) > np.radians(60.0)
+        turned = Seen(seen.t, seen.id, seen.bearing + np.pi, seen.range)[behind]
+        ahead = tag_list(log, stamp, seen.ahead, "front_optical")
+        return {"/front": ahead, "/rear": tag_list(log, stamp, turned, "rear_optical")}
+
+    topics = (
+        "bearings: [{topic: /front, sigma: 0.01, sensor: {x: 0.2}}, {topic: /rear, sigma: 0.015, "
+        f"sensor: {{x: 0.2, yaw: 3.14159265}}}}]\n{HOME}"
+    )
+    return {"log.mcap": log_of(s, s.seen, tags, TAG_LIST), "topics.yaml": topics}

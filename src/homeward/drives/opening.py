@@ -129,7 +129,9 @@ def kind_of(place: Path) -> str:
         ways = "use homeward place PLACE to inspect it, or homeward run DRIVE --place PLACE"
         raise InputError(f"a place, not a drive: {ways}", place)
     if any(file.suffix.lower() in TABLES for file in (place, *place.glob("*"))):
-        raise InputError("not a drive yet: use homeward import to convert its tables", place)
+        tables = f"{place}/*" if place.is_dir() else str(place)
+        ways = f"convert its tables with `homeward import {tables} --out my_drive`"
+        raise InputError(f"not a drive yet: {ways}, and run that folder", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
         raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
     if is_mrclam(place):

@@ -206,3 +206,19 @@ def test_points_in_space_of_cameras_in_different_places(made):
     there = between(Pose(*FRONT), place)
     expected = {"a0": math.atan2(1.0, 3.0), "a1": math.atan2(there.y, there.x)}
     assert seen_by(drive) == pytest.approx(expected)
+
+
+def test_one_landmark_seen_by_two_cameras_at_one_stamp_has_two_sightings(made):
+    """Each with the noise of its camera, also after a round trip."""
+    topics = TWO.format(
+        f"landmark: a, sigma: 0.01, {sensor(FRONT)}",
+        f"landmark: a, sigma: 0.03, {sensor((-0.5, 0, 1))}",
+    )
+    drive = made(lambda log: of_two_cameras(log, (3.0, 1.0)), topics)
+    seen = drive.sightings
+    assert seen.landmark.tolist() == ["a"] * 6
+    assert seen.sigma.tolist() == [0.01, 0.03] * 3
+    assert [len(ids) for _, ids, _ in seen.stamps()] == [1] * 6
+    assert np.diff(seen.t)[::2] == pytest.approx([1e-9] * 3, rel=0.01)
+    assert any("another camera saw" in remark for remark in drive.remarks)
+    assert not any("repeated" in remark for remark in drive.remarks)

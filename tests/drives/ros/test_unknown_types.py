@@ -26,10 +26,7 @@ POSITION = "geometry_msgs/Pose pose\n"
 
 def write_log(path, kind, text, contents, topic="/tags", others=(), with_odometry=True):
     """Write odometry, and messages of a type with such a definition from dicts of their fields."""
-    ros1 = path.suffix == ".bag"
     with writing(path) as log:
-        log._store = Typestore()
-        log._store.register(typestore(ros1).fielddefs)
         log._store.register(get_types_from_msg(text, kind))
         for t in stamps(10) if with_odometry else ():
             log.write("/odom", t, odometry(log, t, 0.2, 0.1))

@@ -105,11 +105,15 @@ def understand(
 def _refuse_drives(path: Path) -> None:
     """Refuse a folder, or a log, which needs no import."""
     if is_log(path):
-        ways = "use it directly with `homeward run` or `homeward info`"
-        raise InputError(f"a log ({Log(path).kind}) needs no import: {ways}", path)
+        ways = f"`homeward run {path}`, or `homeward convert {path} my_drive` for a drive folder"
+        raise InputError(f"a log ({Log(path).kind}) needs no import: use {ways}", path)
     if path.is_dir():
         is_drive = is_drive_folder(path)
-        advice = "use it directly with `homeward run`" if is_drive else "give the files in it"
+        advice = (
+            "use it directly with `homeward run`"
+            if is_drive
+            else f"give the files in it: `homeward import {path}/*`"
+        )
         raise InputError(f"a {'drive ' * is_drive}folder, not a text file; {advice}", path)
 
 

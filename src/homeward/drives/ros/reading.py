@@ -32,6 +32,7 @@ from homeward.drives.ros.measurements.extrinsics import (
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import NAME_BEARINGS, PICTURES, BearingsTopic, LogSettings
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
@@ -41,6 +42,9 @@ from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
 from homeward.io.table import Table, quoted
 
+BOTH_CAMERAS = (
+    "sightings of landmarks that another camera saw at the same stamp, stamped 1 ns later"
+)
 Handler: TypeAlias = Callable[[float, Any], None]
 """Receives the time [s] of a message, and the message."""
 
@@ -279,12 +283,27 @@ class _Reading:
         parts = [camera.rows.columns() for camera in self._cameras]
         if not parts:
             return Sightings.of_rows(())
-        columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
         for part in parts:
             in_order(part["t"], "sightings", self._remarks)  # counted for each camera
+        self._separate(parts)
+        columns = {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
         order = np.argsort(columns["t"], kind="stable")
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
         return sightings_of(rows, self._remarks)
+
+    def _separate(self, parts: list[dict[str, np.ndarray]]) -> None:
+        """Make the frames of cameras with the same landmark at the same stamp differ by 1 ns.
+
+        So both are sightings; at equal stamps the last would replace the others.
+        """
+        known: set[tuple[float, str]] = set()
+        for part in parts:
+            pairs = list(zip(part["t"].tolist(), part["landmark"].tolist(), strict=True))
+            while shared := {t for t, landmark in pairs if (t, landmark) in known}:
+                self._remarks.count(BOTH_CAMERAS, sum(pair in known for pair in pairs))
+                part["t"] = part["t"] + 1 / NANO * np.isin(part["t"], list(shared))
+                pairs = list(zip(part["t"].tolist(), part["landmark"].tolist(), strict=True))
+            known.update(pairs)
 
     def _home(self) -> dict[str, HomeBearing]:
         given = self._plan.home

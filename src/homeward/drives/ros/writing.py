@@ -6,6 +6,7 @@ import math
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import copy
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +41,9 @@ class LogFile:
 
     def __init__(self, writer: Any, ros1: bool) -> None:
         self._writer, self._ros1 = writer, ros1
-        self._store = typestore(ros1)
+        self._store = copy(typestore(ros1))
+        for name in ("types", "fielddefs", "cache"):  # types of this log are not known to others
+            setattr(self._store, name, getattr(self._store, name).copy())
         self._connections: dict[str, Any] = {}
 
     def make(self, kind: str, **fields: Any) -> Any:
