@@ -159,11 +159,14 @@ class Log:
     ) -> Iterator[Message]:
         with opened(file) as stream:
             log, count = wpilog.DataLog(stream, size), 0
-            for (name, kind_of_value), t, data in log.records(topics):
+            channels: dict[wpilog.Entry, Channel] = {}
+            for entry, t, data in log.records(topics):
                 count += 1
                 self._done_of_file = log.at / size
                 _require_few(count, size, file)
-                yield Message(Channel(name, kind_of_value, "wpilog"), 1000 * t, data)
+                if entry not in channels:
+                    channels[entry] = Channel(*entry, "wpilog")
+                yield Message(channels[entry], 1000 * t, data)
         if log.at < size:
             self._remark_cut(file, kind, count, log.at, size)
 

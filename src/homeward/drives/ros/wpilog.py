@@ -66,7 +66,7 @@ class DataLog:
         try:
             self._header()
             while self.at < self._size:
-                number, t, data = self._next()
+                number, t, data, end = self._next()
                 if last and t > repeat_from:
                     yield from self._repeats(last, t)
                     repeat_from = t + REPEAT_US // 10
@@ -74,11 +74,13 @@ class DataLog:
                     _control(data, entries)
                 elif number in entries and (names is None or entries[number].name in names):
                     entry = entries[number]
-                    record = Record(entry, wpilib.exposure_time(entry.type, t, data), data)
+                    if entry.type == wpilib.PHOTON_RESULT:
+                        t = wpilib.exposure_time(t, data)
+                    record = Record(entry, t, data)
                     if names is not None and entry.type in wpilib.ON_CHANGE:
                         last[entry] = record
                     yield record
-                self.at = self._stream.tell()
+                self.at = end
         except _Damaged:
             return
 
@@ -91,33 +93,35 @@ class DataLog:
                 yield last[entry]
 
     def _header(self) -> None:
-        _, version, extra = struct.unpack("<6sHI", self._read(12))
+        _, version, extra = struct.unpack("<6sHI", self._read(12, 0))
         if version >> 8 != 1:
             what = f"a WPILib data log of version {version >> 8}.{version & 255}; 1.0 is supported"
             raise InputError(what)
-        self._read(extra)
-        self.at = self._stream.tell()
+        self._read(extra, 12)
+        self.at = 12 + extra
 
-    def _next(self) -> tuple[int, int, bytes]:
-        """Return entry number, time [us] and payload of the next record."""
-        (widths,) = self._read(1)
-        id_size, length_size, time_size = (widths & 3) + 1, (widths >> 2 & 3) + 1, (widths >> 4) + 1
-        if time_size > 8:
+    def _next(self) -> tuple[int, int, bytes, int]:
+        """Return entry number, time [us] and payload of the next record, and its end [byte]."""
+        widths = self._read(1, self.at)[0]
+        if widths > 0x7F:
             raise _Damaged
-        head = self._read(id_size + length_size + time_size)
-        length = int.from_bytes(head[id_size : id_size + length_size], "little")
-        t = int.from_bytes(head[id_size + length_size :], "little")
-        return int.from_bytes(head[:id_size], "little"), t, self._read(length)
+        to_length = (widths & 3) + 1
+        to_time = to_length + (widths >> 2 & 3) + 1
+        to_data = to_time + (widths >> 4) + 1
+        at = self.at + 1 + to_data
+        head = self._read(to_data, self.at + 1)
+        length = int.from_bytes(head[to_length:to_time], "little")
+        number = int.from_bytes(head[:to_length], "little")
+        t = int.from_bytes(head[to_time:], "little")
+        return number, t, self._read(length, at), at + length
 
-    def _read(self, count: int) -> bytes:
-        if count > self._size - self._stream.tell():
+    def _read(self, count: int, at: int) -> bytes:
+        """Return the next bytes, which are at a position [byte]."""
+        if count > self._size - at:
             raise _Damaged
         if count > MAX_PAYLOAD:
             raise InputError(f"a record of {count:,} bytes; at most {MAX_PAYLOAD:,} are allowed")
-        data = self._stream.read(count)
-        if len(data) < count:
-            raise _Damaged
-        return data
+        return self._stream.read(count)
 
 
 def _control(data: bytes, entries: dict[int, Entry]) -> None:

@@ -55,12 +55,12 @@ def is_plain(kind: str) -> bool:
     return kind.removesuffix("[]") in PLAIN or kind.endswith("schema") or kind in _DECODERS
 
 
-def exposure_time(kind: str, t: int, data: bytes) -> int:
-    """Return the time of a value that was logged at `t`, both [us]: of PhotonVision, the exposure.
+def exposure_time(t: int, data: bytes) -> int:
+    """Return the time of exposure of a `PHOTON_RESULT` that was logged at `t`, both [us].
 
     Both stamps in a result are of one clock, in microseconds, or in nanoseconds from 2027.
     """
-    if kind != PHOTON_RESULT or len(data) < 24:
+    if len(data) < 24:
         return t
     exposed, published = struct.unpack_from("<2q", data, 8)
     latency = published - exposed
