@@ -332,6 +332,24 @@ def test_dates_are_unix_time_and_numbers_are_names(tmp_path):
     assert drive.sightings.landmark.tolist() == [*drive.home] == ["3"]
 
 
+@pytest.mark.parametrize(("unit", "is_counted"), [("rad", True), ("deg", True), ("deg", False)])
+@pytest.mark.parametrize("direction", [1, -1])
+def test_headings_beyond_a_turn_have_the_unit_that_fits_the_path(
+    tmp_path, unit, is_counted, direction
+):
+    angle = np.arange(0.0, 20.0, 0.02)
+    noise = np.random.default_rng(1).normal(0, 1e-3, (2, angle.size))
+    x, y = 0.5 * np.sin(angle) + noise[0], -0.5 * np.cos(angle) + noise[1]
+    heading = (angle if is_counted else np.angle(np.exp(1j * angle))) * (
+        np.degrees(1.0) if unit == "deg" else 1.0
+    )
+    rows = zip(0.1 * np.arange(angle.size), direction * x, direction * y, heading, strict=True)
+    path = tmp_path / "odom.csv"
+    path.write_text("t,x,y,theta\n" + "".join(f"{t},{a},{b},{c}\n" for t, a, b, c in rows))
+    found = {one.column.role: (one.unit, one.source) for one in understand([path])}
+    assert found["heading"] == (unit, "guessed: along the path")
+
+
 def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
     """Half a turn to the left on a circle of 1 m, as quaternions; and the truth as TUM has it."""
     turn = np.linspace(0, np.pi, 5)

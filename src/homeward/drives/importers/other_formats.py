@@ -19,6 +19,11 @@ FORMATS = (
     ((b"%PDF",), "a PDF", "give the table that it shows as CSV"),
     ((b"versionhttps://git-lfs",), "a pointer of Git LFS", "fetch the file with `git lfs pull`"),
     ((b"<!DOCTYPE", b"<html", b"<?xml"), "a web page or XML", "download the file itself as CSV"),
+    (
+        (b'{"tags":[{"ID"', b'{"field":{'),
+        "a field layout of WPILib",
+        "copy it to landmarks.yaml in the drive folder",
+    ),
     ((b'{"', b"[{", b"[["), "JSON", EXPORT),
 )
 """First bytes, also without white space; description and advice."""

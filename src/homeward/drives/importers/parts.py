@@ -27,6 +27,7 @@ from homeward.drives.importers.columns import (
     unit_of,
     words_in,
 )
+from homeward.drives.importers.heading_unit import heading_unit
 from homeward.drives.importers.positions import (
     MAX_LENGTH,
     POSITION_ROLES,
@@ -462,6 +463,12 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         return "mm", f"guessed: more than {MAX_LENGTH:g}"
     if column.role == "steering" and largest > math.pi / 2:
         return "deg", "guessed: more than a quarter turn"
+    is_pose = column.role == "heading" and {"x", "y"} <= set(table.columns)
+    if is_pose and largest > 1.01 * math.tau:
+        # Headings that count the turns exceed a turn in radians, too.
+        unit = heading_unit(table["x"], table["y"], column.sign * table["heading"])
+        if unit is not None:
+            return unit, "guessed: along the path"
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
         return column.si.replace("rad", "deg"), "guessed: more than a turn"
     if column.role == "bearing" and angle:
