@@ -1,8 +1,12 @@
 """Odometry from wheels, steps, poses and gyroscopes, and files whose role is not obvious."""
 
+from collections.abc import Callable
+
 import numpy as np
 
-from benchmarks.inputs.kinds import EPOCH, Files, Sample, kind, table
+from benchmarks.inputs.kinds import EPOCH, Files, Sample, Seen, kind, table
+from benchmarks.inputs.logs import HOME, OPTICAL, Messages, log_of, nav, optical
+from homeward.drives.ros.writing import LogFile
 from homeward.drives.wheels import Wheels
 
 ROBOT = Wheels(wheel_radius=0.033, track_width=0.16, ticks_per_turn=4096, wheelbase=0.3)
@@ -214,3 +218,79 @@ def _(s: Sample) -> Files:
 @kind("one row of numbers", "import odometry.csv bearings.csv ab.csv", refused="not recognised")
 def _(s: Sample) -> Files:
     return {"ab.csv": "a,b\n1,2\n"}
+
+
+def log(s: Sample, messages: Callable[[LogFile, int, int], Messages], topics: str) -> Files:
+    """Return a log with a pose topic for each tag and other odometry."""
+
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        make, header = log.make, log.header(stamp, OPTICAL)
+        return {
+            f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
+            for i, p in optical(seen)
+        }
+
+    more = f'{HOME}bearings: {{topic: "/tag_*/pose"}}\nodometry: {topics}\n'
+    write = log_of(s, s.seen.ahead, tags, ACKERMANN, messages)
+    return {"log.mcap": write, "topics.yaml": more}
+
+
+@kind("JointState with encoder counts, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def joints(log: LogFile, stamp: int, k: int) -> Messages:
+        names, none = ["wheel_left_joint", "wheel_right_joint"], np.empty(0)
+        values = {"position": counts[:, k].astype(float), "velocity": none, "effort": none}
+        message = log.make("sensor_msgs/msg/JointState", name=names, **values)
+        message.header = log.header(stamp, "")
+        return {"/joint_states": message}
+
+    counts = ticks(s)
+    wheels = "wheel_radius: 0.033, track_width: 0.16, ticks_per_turn: 4096"
+    return log(s, joints, f"{{topic: /joint_states, {wheels}}}")
+
+
+ACKERMANN = {
+    "ackermann_msgs/msg/AckermannDrive": "float32 steering_angle\n"
+    "float32 steering_angle_velocity\nfloat32 speed\nfloat32 acceleration\nfloat32 jerk\n",
+    "ackermann_msgs/msg/AckermannDriveStamped": "std_msgs/Header header\n"
+    "ackermann_msgs/AckermannDrive drive\n",
+}
+
+
+@kind("AckermannDriveStamped, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def car(log: LogFile, stamp: int, k: int) -> Messages:
+        v = max(float(s.v[k]), 0.01)
+        drive = {"speed": v, "steering_angle": float(np.arctan2(0.3 * s.omega[k], v))}
+        header, kind = log.header(stamp, "base_link"), "ackermann_msgs/msg/AckermannDriveStamped"
+        return {"/car": log.make(kind, header=header, drive=drive)}
+
+    return log(s, car, "{topic: /car, wheelbase: 0.3}")
+
+
+@kind("odometry as odom -> base_link in /tf, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def transform(log: LogFile, stamp: int, k: int) -> Messages:
+        pose = nav(log, stamp, s, k).pose.pose
+        place = {"x": pose.position.x, "y": pose.position.y}
+        moved = {"translation": place, "rotation": pose.orientation}
+        frames = {"header": log.header(stamp, "odom"), "child_frame_id": "base_link"}
+        there = log.make("geometry_msgs/msg/TransformStamped", **frames, transform=moved)
+        return {"/tf": log.make("tf2_msgs/msg/TFMessage", transforms=[there])}
+
+    return log(s, transform, "{topic: /tf}")
+
+
+@kind("Odometry with the yaw rate of an Imu, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def both(log: LogFile, stamp: int, k: int) -> Messages:
+        odometry, zeros = nav(log, stamp, s, k), np.zeros(9)
+        odometry.twist.twist.angular.z *= 1.2
+        rates = {"z": -float(s.omega[k])}
+        names = ("orientation", "angular_velocity", "linear_acceleration")
+        fields = {f"{name}_covariance": zeros for name in names}
+        header = log.header(stamp, "imu_link")
+        imu = log.make("sensor_msgs/msg/Imu", header=header, angular_velocity=rates, **fields)
+        return {"/odom": odometry, "/imu": imu}
+
+    return log(s, both, "{topic: /odom, use: twist, yaw_rate: /imu}")

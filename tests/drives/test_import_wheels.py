@@ -132,6 +132,12 @@ def test_other_columns_are_no_wheels(name):
     assert wheel_role(words_in(name)) is None
 
 
+def test_boxes_in_an_image_are_no_wheels(tmp_path):
+    text = "t,id,bearing,left,top,right,bottom\n0.1,A,0.5,100,120,140,160\n"
+    (tmp_path / "boxes.csv").write_text(text)
+    assert {one.kind for one in understand([tmp_path / "boxes.csv"])} == {"bearings"}
+
+
 def test_a_gyroscope_replaces_the_yaw_rate_of_the_wheels(tmp_path):
     slipping = SPEEDS + np.array([[0.05], [-0.05]]) * OMEGA
     columns = [*slipping, -np.degrees(OMEGA)]

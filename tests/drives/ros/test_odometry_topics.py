@@ -128,6 +128,28 @@ def test_ackermann_speed_and_steering_angle(made, stamped):
         made(fill, "odometry: {topic: /car}\n", odometry_too=False)
 
 
+@pytest.mark.parametrize("child", ["base_link", "base_footprint"])
+def test_transforms_from_odom_to_the_robot(made, child):
+    def fill(log):
+        for i, t in enumerate(stamps(10)):
+            turned = {"z": math.sin(0.02 * i), "w": math.cos(0.02 * i)}
+            moved = {"translation": {"x": 0.05 * i, "y": 0.0}, "rotation": turned}
+            frames = {"header": log.header(t, "/odom"), "child_frame_id": child}
+            here = log.make("geometry_msgs/msg/TransformStamped", **frames, transform=moved)
+            frames = {"header": log.header(t, child), "child_frame_id": "camera"}
+            mount = log.make("geometry_msgs/msg/TransformStamped", **frames, transform=moved)
+            log.write("/tf", t, log.make("tf2_msgs/msg/TFMessage", transforms=[mount, here]))
+
+    drive = made(fill, "odometry: {topic: /tf}\n", odometry_too=False)
+    assert drive.odometry.t.size == 10
+    assert drive.odometry.v[:-1] == pytest.approx(0.5, abs=0.04)
+    assert drive.odometry.omega[:-1] == pytest.approx(0.4)
+    with pytest.raises(InputError, match=r"/tf: no transform from world to robot; name the frames"):
+        made(fill, "odometry: {topic: /tf, frames: [world, robot]}\n", odometry_too=False)
+    with pytest.raises(InputError, match=r"odom -> base_link, use odometry: \{topic: /tf\}"):
+        made(fill, odometry_too=False)
+
+
 def imu_and_odometry(measured, turning=0.6):
     """Odometry at 10 Hz that turns left and right, and an IMU at 50 Hz with a function of it."""
 

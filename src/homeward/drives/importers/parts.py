@@ -39,7 +39,7 @@ from homeward.drives.importers.positions import (
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
-from homeward.drives.importers.wheel_columns import base_of, guessed_unit
+from homeward.drives.importers.wheel_columns import SIDES, base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Parser, Table, read_csv
 from homeward.odometry.limits import MAX_SPEED
@@ -49,6 +49,7 @@ Found: TypeAlias = "dict[str, Column] | None"
 """The columns of a table by role; None where there is none."""
 POSITIONED = ("bearings", "home")
 """Kinds of tables that may have positions of landmarks instead of bearings."""
+SIDE_NAMES = [(name,) for name in SIDES]
 UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 RECOGNISED = {
@@ -290,9 +291,12 @@ def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> F
     """Return the columns of odometry in the preferred form that a file has, except poses."""
     roles = {column.role for column in mine if column.name in one.names}
     forms = sorted(ODOMETRY, key=lambda form: -len(roles.intersection(form)))
+    # Along with landmarks, left and right are those of a box in an image.
+    is_seen = any(matches(name, "landmark") for name in one.names)
+    usable = [n for n in one.names if not (is_seen and words_in(n) in SIDE_NAMES)]
     for form in forms:
         is_wanted = has_wheels or "omega" in form or len(roles.intersection(form)) > 1
-        if is_wanted and (found := assigned(form, one.names, mine, ODOMETRY[form])):
+        if is_wanted and (found := assigned(form, usable, mine, ODOMETRY[form])):
             return found
     return None
 

@@ -112,7 +112,10 @@ class _Reading:
         self._known, self._plan, self._topics = known, plan, topics
         self._path, self._decoder = known.log.path, Decoder()
         if plan.odometry is None:
-            raise InputError("no topic with odometry; homeward info lists the topics")
+            names = {topic.name for topic in known.topics}
+            of_tf = "; for the transforms odom -> base_link, use odometry: {topic: /tf}"
+            advice = "homeward info lists the topics" + of_tf * (TF in names)
+            raise InputError(f"no topic with odometry; {advice}")
         self._settings, epoch = self._drive_settings()
         self._clock = MessageTimes(known, plan, epoch)
         self._remarks = Remarks()

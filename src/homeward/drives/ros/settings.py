@@ -50,6 +50,9 @@ class OdometryTopic(Wheels):
     """Joints of the left wheels in a sensor_msgs/JointState; empty: every name with left in it."""
     right: tuple[str, ...] = ()
     """Joints of the right wheels, as `left`."""
+    frames: tuple[str, str] = ("odom", "base_link")
+    """Frames of odometry and robot in a tf2_msgs/TFMessage; base_footprint is the same as
+    base_link."""
     yaw_rate: str | None = None
     """A topic of sensor_msgs/Imu, whose yaw rate replaces that of the odometry."""
 

@@ -10,6 +10,7 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
+from homeward.drives.ros.measurements.bearings import TRANSFORMS, frame_of
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
     MIN_WINDOWS,
@@ -164,6 +165,14 @@ class OdometryRows:
             self._rows.append((t, float(drive.speed), float(drive.steering_angle)))
             return
         nothing = (math.nan,) * 3
+        if self._kind in TRANSFORMS:
+            parent, child = self._given.frames
+            names = {child, "base_footprint"} if child == "base_link" else {child}
+            if frame_of(message) != parent or message.child_frame_id.strip("/") not in names:
+                return
+            place, rotation = message.transform.translation, message.transform.rotation
+            self._rows.append((t, *nothing, float(place.x), float(place.y), yaw(rotation)))
+            return
         if self._given.v and self._given.omega:
             paths = self._given.v, self._given.omega
             twist = (*(values(message, path)[0] for path in paths), 0.0)
@@ -191,7 +200,10 @@ class OdometryRows:
 
     def _without_imu(self, remarks: Remarks) -> Odometry:
         if not self._rows:
-            raise InputError(f"{self._given.topic}: no message contains odometry")
+            what = "message contains odometry"
+            if self._kind in TRANSFORMS:
+                what = "transform from {} to {}; name the frames, as in frames: [odom, base_link]"
+            raise InputError(f"{self._given.topic}: no {what.format(*self._given.frames)}")
         rows = np.array(self._rows, float)
         if self._kind in WHEELS:
             rows = self._clean(rows, remarks)

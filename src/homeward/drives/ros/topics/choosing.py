@@ -62,7 +62,7 @@ USES: tuple[tuple[tuple[str, ...], str], ...] = (
     (PICTURES, "images, by `homeward see LOG --tags 36h11`"),
     (IN_IMAGE, "bearings, with a camera model"),
     ((POINT,), "the bearings of one landmark"),
-    (TRANSFORMS, "bearings, with the names of the landmarks' frames"),
+    (TRANSFORMS, "bearings, with the names of the landmarks' frames, or odometry"),
     (tuple(READERS), "bearings"),
 )
 """Message types and their possible uses; the first match counts."""
@@ -194,7 +194,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     """Refuse topics of unsuitable types."""
     by_fields = plan.odometry is not None and plan.odometry.v is not None
     wanted = [
-        ("odometry", None if by_fields else plan.odometry, (*TWISTS, *POSES, *WHEELS)),
+        ("odometry", None if by_fields else plan.odometry, (*TWISTS, *POSES, *WHEELS, *TRANSFORMS)),
         *(("bearings", t, (*types, *ALL_READERS)) for t in plan.bearings if t.layout is None),
         ("home", plan.home, (BEARINGS,)),
         ("truth", plan.truth, POSES),
