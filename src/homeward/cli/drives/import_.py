@@ -34,7 +34,8 @@ def import_(
             "Without a header, columns are 1, 2, 3. "
             "Roles: t, v, omega, landmark, bearing, sigma, x, y, z, heading; "
             "of positions: forward, left, right; of wheels: left_wheel, left_speed, left_step, "
-            "right_wheel, right_speed, right_step, steering; of steps: distance, turn.",
+            "right_wheel, right_speed, right_step, steering; of steps: distance, turn; "
+            "of pixels: column, row, column0 to row3, fx, fy, cx, cy.",
         ),
     ] = None,
     kinds: Annotated[
@@ -52,6 +53,9 @@ def import_(
             help="Geometry of wheels, for encoder counts, wheel speeds and steering: wheel_radius "
             "[m], track_width [m], ticks_per_turn, wheelbase [m].",
         ),
+    ] = None,
+    camera: Annotated[
+        str | None, typer.Option(metavar="FILE", help="Calibration of the camera, for pixels.")
     ] = None,
     home_spin: shared.HomeSpin = None,
     home_during: shared.HomeDuring = None,
@@ -77,7 +81,7 @@ def import_(
     from homeward.drives.opening import save_drive
 
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or kinds or wheels or home_spin or home_during:
+        if columns or kinds or wheels or camera or home_spin or home_during:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
@@ -87,6 +91,7 @@ def import_(
         raise InputError(
             "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
+    from homeward.drives.cameras.calibration import read_calibration
     from homeward.drives.importers.reading import drive_of, home_warnings, understand
     from homeward.drives.settings import home_when
     from homeward.drives.wheels import Wheels
@@ -97,7 +102,8 @@ def import_(
 
     given = "{" + (wheels or "").replace("=", ": ") + "}"
     geometry = parse_settings(given, Wheels, Path("--wheels"))
-    found = understand(files, columns or (), kinds or (), geometry if wheels else None)
+    lens = None if camera is None else read_calibration(Path(), camera)
+    found = understand(files, columns or (), kinds or (), geometry if wheels else None, lens)
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
         (u.table.file.name, u.kind, u.column.signed_name, u.column.role, u.unit, u.source, u.range)

@@ -29,6 +29,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
         **{"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "km/h": 1 / 3.6, "ticks/s": 1.0},
         **{"rad/s": 1.0, "deg/s": math.radians(1.0), "rpm": math.tau / 60, "rev/s": math.tau},
     },
+    "pixel": {"px": 1.0},
     "name": {},
 }
 """Units of each quantity, in SI; the SI unit first. Those of wheels are in ticks, rad or m."""
@@ -79,8 +80,14 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "steering": ("angle", "steering steer steering.angle steer.angle lenkwinkel"),
     "distance": ("length", "delta.s ds delta.distance ddist delta.d distance.step delta.dist"),
     "turn": ("angle", "delta.yaw dyaw delta.theta dtheta delta.heading dheading dphi dpsi dth"),
+    "column": ("pixel", "u column col pixel.x px.x x.px x.pixel u.px image.x img.x"),
+    "row": ("pixel", "v row pixel.y px.y y.px y.pixel v.px image.y img.y"),
+    **{f"{role}{k}": ("pixel", "") for k in range(4) for role in ("column", "row")},
+    **{role: ("pixel", role) for role in ("fx", "fy", "cx", "cy")},
 }
-"""The quantity of each role, and English and German names for it; a dot matches any separator."""
+"""The quantity of each role, and English and German names for it; a dot matches any separator.
+
+Pixels are a column and a row; those with a number are corners of a tag."""
 _ROLES: dict[tuple[str, ...], list[str]] = {}
 for _role, (_, _words) in ROLES.items():
     for _word in _words.split():
@@ -208,13 +215,13 @@ def assigned(
     for role in (role for role in roles if role not in found):
         likeliest = _likeliest(role, [name for name in names if name not in taken])
         if not likeliest or (role == "range" and len(likeliest) > 1):  # a hint, not worth an error
+            if role in required:
+                return None
             continue
         if len(likeliest) > 1:
             ambiguous.append((role, *likeliest[:2]))
         found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
         taken.add(likeliest[0])
-    if not set(required) <= set(found):
-        return None
     for role, one, other in ambiguous:
         raise InputError(f"{one!r} and {other!r} may both be {role}; use --columns '{role}={one}'")
     return found

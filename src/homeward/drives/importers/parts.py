@@ -11,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.folder import sorted_by_time
 from homeward.drives.importers.columns import (
     KINDS,
@@ -28,14 +29,18 @@ from homeward.drives.importers.columns import (
     words_in,
 )
 from homeward.drives.importers.heading_unit import heading_unit
+from homeward.drives.importers.pixels import (
+    PIXEL_ROLES,
+    Pixels,
+    has_intrinsics,
+    pixel_columns,
+    with_pixels,
+)
 from homeward.drives.importers.positions import (
     MAX_LENGTH,
     POSITION_ROLES,
     Axes,
-    bearings_of,
-    formula,
     position_columns,
-    ranges_of,
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
@@ -54,8 +59,8 @@ UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 RECOGNISED = {
     "odometry": "time, speed, yaw rate; or wheels",
-    "detections": "time, landmark id, bearing or position",
-    "home bearings": "landmark id, bearing or position",
+    "detections": "time, landmark id, bearing, position or pixels",
+    "home bearings": "landmark id, bearing, position or pixels",
     "ground truth": "time, x, y, heading",
 }
 """Descriptions of the tables of a drive and their columns; `KINDS` has the roles."""
@@ -71,6 +76,7 @@ AS_ODOMETRY = (
     "poses of {0} used as odometry; if they are ground truth, use --as {0}=truth and add odometry"
 )
 INCOMPLETE = "incomplete rows of {}, left out"
+UNSEEN = "landmarks out of view (0 or -1), or without a ray in the camera model"
 
 
 @dataclass(frozen=True)
@@ -116,9 +122,8 @@ class Part:
     """Columns by landmark id, where each landmark has one."""
     is_alone: bool = True
     """Whether the file contains no other table."""
-    axes: Axes | None = None
-    """Axes of the positions from which bearings are computed; None: no positions."""
-
+    source: Axes | Pixels | None = None
+    """Positions or pixels from which bearings are computed; None: bearings are given."""
     decision: str = ""
     """Reason for the kind of poses, as shown to the user."""
 
@@ -144,25 +149,27 @@ class Part:
             if column.quantity != "name":
                 unit, _ = units[role] = _unit(table, column, clock, angle)
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
-        remarks: dict[str, int] = {}
+        remarks = {INCOMPLETE.format(self.kind): missing} if missing else {}
         columns = dict(self.columns)
-        if self.axes:
-            for role in set(POSITION_ROLES).intersection(units):
-                units[role] = units[role][0], self.axes.name
-            values["bearing"] = bearings_of(values)
-            columns["bearing"] = Column("bearing", formula(columns), "rad")
-            units["bearing"] = "rad", self.axes.reason
-            if self.kind == "bearings":
-                values["range"] = ranges_of(values)
-                columns["range"] = Column("range", formula(columns).replace("atan2", "hypot"), "m")
-                units["range"] = "m", self.axes.reason
         ordered = dataclasses.replace(table, columns=values)
+        if self.source:
+            for role in {*POSITION_ROLES, *PIXEL_ROLES}.intersection(units):
+                units[role] = units[role][0], self.source.name
+            for role, found in self.source.measured(values).items():
+                if role in (*KINDS[self.kind], *OPTIONAL[self.kind]):
+                    unit = "m" if role == "range" else "rad"
+                    columns[role] = Column(role, self.source.formula(columns, role), unit)
+                    values[role], units[role] = found, (unit, self.source.reason)
+            is_seen = np.isfinite(values["bearing"])
+            if not is_seen.any():
+                raise InputError(f"all rows are of {UNSEEN}", table.file)
+            if unseen := int((~is_seen).sum()):
+                remarks[f"{UNSEEN}, left out"] = unseen
+            ordered = ordered.rows(is_seen)
         if "t" in values:
             ordered = sorted_by_time(ordered, self.kind, remarks)
         if self.decision:
             remarks[self.decision] = len(ordered)
-        if missing:
-            remarks[INCOMPLETE.format(self.kind)] = missing
         return [
             ImportedColumn(
                 self.kind,
@@ -181,8 +188,6 @@ class Part:
         raw = self.raw()
         values = {role: _value(raw, column) for role, column in self.columns.items()}
         needed = [role for role in self.columns if role not in OPTIONAL["bearings"]]
-        if self.axes:  # programs write zeros for landmarks out of view
-            values["forward"] = np.where(np.isnan(bearings_of(values)), np.nan, values["forward"])
         given = np.stack([_has_value(values[role]) for role in needed])
         complete, partial = given.all(axis=0), given.any(axis=0)
         if partial.any() and not complete.any():
@@ -214,15 +219,17 @@ def parts_of(
     specified: Sequence[Column],
     kinds: Mapping[str, str] | None = None,
     has_wheels: bool = False,
+    camera: Lens | None = None,
 ) -> list[Part]:
     """Return the tables of a drive in files, at least one in each.
 
-    `kinds` are specified kinds by file name; `has_wheels` prefers wheels to poses in one file.
+    `kinds` are specified kinds by file name; `has_wheels` prefers wheels to poses in one file;
+    `camera` is that of pixels.
     """
     parts, others = list[Part](), list[Sheet]()
     for one in sheets:
         kind = (kinds or {}).get(one.path.name)
-        found = _kinds_of(one, one.specified(specified), kind, has_wheels)
+        found = _kinds_of(one, one.specified(specified), kind, has_wheels, camera)
         parts += [Part(one, kind, columns) for kind, columns in found.items() if columns]
         if not found.get("bearings") and not found.get("home"):
             others.append(one)
@@ -242,12 +249,12 @@ def parts_of(
                 raise InputError(_not_recognised(one, kind), one.path)
             parts.append(Part(one, "gyro", gyro))
     _find_odometry(parts, kinds or {})
-    _find_axes(parts)
+    _find_sources(parts, camera)
     return parts
 
 
 def _kinds_of(
-    one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool
+    one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool, camera: Lens | None
 ) -> dict[str, Found]:
     """Return the columns of each kind of table in a file, but those of wide tables."""
 
@@ -259,10 +266,21 @@ def _kinds_of(
     if kind == "odometry":
         return {kind: odometry or columns_of("truth")}
     if kind is not None:
-        placed = kind in POSITIONED and position_columns(kind, one.names, mine)
+        placed = kind in POSITIONED and (
+            pixel_columns(one, kind, mine, camera) or position_columns(kind, one.names, mine)
+        )
         return {kind: columns_of(kind) or placed or None}
-    if any(c.role in POSITION_ROLES and c.name in one.names for c in mine):
+    roles = {column.role for column in mine if column.name in one.names}
+    if roles.intersection(POSITION_ROLES):
         return {"odometry": odometry} | _positions(one, mine)
+    name = one.path.name.lower()
+    is_of_robot = TRUE_PATH.search(name) or "odom" in name
+    pixels = {} if is_of_robot else _pixels(one, mine, camera)
+    if has_intrinsics(pixels, camera):
+        given = _unambiguous(lambda: columns_of("bearings") or columns_of("home"))
+        if given is None or roles.intersection(PIXEL_ROLES):
+            return {"odometry": odometry} | pixels
+        _refuse_headings(one, given["bearing"], "column and row of the pixel")
     if poses:  # the heading of the robot is no bearing
         others = [name for name in one.names if name != poses["heading"].name]
         seen = assigned(KINDS["bearings"], others, mine, OPTIONAL["bearings"])
@@ -270,7 +288,10 @@ def _kinds_of(
             return {"odometry": odometry, "bearings": seen, "truth": None if odometry else poses}
     bearings = columns_of("bearings")
     if bearings:
-        _refuse_headings(one, bearings["bearing"], mine)
+        if _unambiguous(lambda: _positions(one, mine).get("bearings")):
+            _refuse_headings(
+                one, bearings["bearing"], "forward and left (or right) of the position"
+            )
         return {"odometry": odometry, "bearings": bearings}
     if odometry:  # poses along with twists belong to the odometry
         seen = _unambiguous(lambda: position_columns("bearings", one.names, mine))
@@ -278,13 +299,12 @@ def _kinds_of(
         is_seen = seen and not of_robot and _has_landmarks(one, seen["landmark"])
         return {"odometry": odometry, "bearings": seen if is_seen else None}
     home, poses = columns_of("home"), columns_of("truth")
-    name = one.path.name.lower()
-    if home or (poses and (TRUE_PATH.search(name) or "odom" in name)):
+    if home or (poses and is_of_robot):
         return {"truth": poses, "home": home}
     seen = _unambiguous(lambda: position_columns("bearings", one.names, mine))
     if poses and not (seen and _has_landmarks(one, seen["landmark"])):
         return {"truth": poses}
-    return _positions(one, mine)
+    return pixels if pixels and not seen else _positions(one, mine)
 
 
 def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> Found:
@@ -313,16 +333,24 @@ def _belong_to_robot(one: Sheet, poses: dict[str, Column], landmark: Column) -> 
     return is_repeated and all(len(places) == 1 for places in by_time.values())
 
 
-def _refuse_headings(one: Sheet, bearing: Column, mine: Sequence[Column]) -> None:
-    """Refuse a bearing such as theta along with a position: it may be the landmark's heading."""
-    if bearing.is_specified or not matches(bearing.name, "heading"):
-        return
-    if _unambiguous(lambda: _positions(one, mine).get("bearings")):
-        problem = (
-            f"{bearing.name!r} may be the bearing or the heading of a landmark with a position"
-        )
-        roles = f"'bearing={bearing.name}', or forward and left (or right) of the position"
+def _refuse_headings(one: Sheet, bearing: Column, others: str) -> None:
+    """Refuse a bearing such as theta along with `others`: it may be the landmark's heading."""
+    if not bearing.is_specified and matches(bearing.name, "heading"):
+        problem = f"{bearing.name!r} may be the bearing or the heading of a landmark"
+        roles = f"'bearing={bearing.name}', or the roles {others}"
         raise InputError(f"{problem}; use --columns {roles}", one.path)
+
+
+def _pixels(one: Sheet, mine: Sequence[Column], camera: Lens | None) -> dict[str, Found]:
+    """Return the columns of landmarks in pixels, by kind of table."""
+    for kind in POSITIONED:
+        try:
+            if found := pixel_columns(one, kind, mine, camera):
+                return {kind: found}
+        except InputError:  # without a camera, two columns u need not be pixels
+            if camera is not None:
+                raise
+    return {}
 
 
 def _positions(one: Sheet, mine: Sequence[Column]) -> dict[str, Found]:
@@ -348,13 +376,22 @@ def _has_landmarks(one: Sheet, landmark: Column) -> bool:
     return 1 < len(set(seen)) < len(seen)
 
 
-def _find_axes(parts: Sequence[Part]) -> None:
-    """Find the axes of positions, those of the drive before those of home."""
+def _find_sources(parts: Sequence[Part], camera: Lens | None) -> None:
+    """Find the camera of pixels, and the axes of positions, of the drive before those of home."""
     axes = None
     for part in sorted(parts, key=lambda part: part.kind):
-        if part.kind in ("bearings", "home") and not part.wide and "bearing" not in part.columns:
-            part.columns, part.axes = with_axes(part.sheet, part.kind, part.columns, axes)
-            axes = part.axes
+        if part.kind not in POSITIONED or part.wide or "bearing" in part.columns:
+            continue
+        if not part.columns.keys().isdisjoint(PIXEL_ROLES):
+            part.columns, part.source = with_pixels(part.sheet, part.columns, camera)
+        else:
+            part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes)
+            part.source = axes
+    if camera is not None and not any(isinstance(part.source, Pixels) for part in parts):
+        raise InputError(
+            "--camera is not used: no table has pixels instead of bearings; give their columns, as "
+            "in --columns 'column=u, row=v'"
+        )
 
 
 def _not_recognised(one: Sheet, kind: str | None) -> str:

@@ -49,6 +49,24 @@ class Axes:
         """Name of the axes, as shown to the user."""
         return f"{self.kind} axes" if self.kind else "named"
 
+    def formula(self, columns: Mapping[str, Column], role: str) -> str:
+        """Return the formula of the bearing or the range, with the names of the columns."""
+        lateral = columns["left" if "left" in columns else "right"]
+        is_negative = (lateral.sign < 0) != (lateral.role == "right")
+        signs = ["-" * is_negative, "-" * (columns["forward"].sign < 0)]
+        name = "hypot" if role == "range" else "atan2"
+        return f"{name}({signs[0]}{lateral.name}, {signs[1]}{columns['forward'].name})"
+
+    def measured(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return bearings [rad] and horizontal distances [m] of positions by role, (n,) each.
+
+        NaN at the origin.
+        """
+        forward = values["forward"]
+        left = values["left"] if "left" in values else -values["right"]
+        ranges = np.where((left == 0) & (forward == 0), np.nan, np.hypot(left, forward))
+        return {"bearing": np.arctan2(left, forward) + 0 * ranges, "range": ranges}
+
 
 def position_columns(
     kind: str, names: Sequence[str], specified: Sequence[Column]
@@ -88,27 +106,6 @@ def with_axes(
     axes = _axes_of(values, by_axis, frames, kind, like, one)
     roles = {role: replace(by_axis[axis], role=role) for role, axis in AXES[axes.kind].items()}
     return others | roles, axes
-
-
-def formula(columns: Mapping[str, Column]) -> str:
-    """Return the formula of the bearing, with the names of the columns."""
-    lateral = columns["left" if "left" in columns else "right"]
-    is_negative = (lateral.sign < 0) != (lateral.role == "right")
-    signs = ["-" * is_negative, "-" * (columns["forward"].sign < 0)]
-    return "atan2({}{}, {}{})".format(signs[0], lateral.name, signs[1], columns["forward"].name)
-
-
-def bearings_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the bearings [rad], (n,), of positions by role, (n,) each; NaN at the origin."""
-    forward = values["forward"]
-    left = values["left"] if "left" in values else -values["right"]
-    return np.where((left == 0) & (forward == 0), np.nan, np.arctan2(left, forward))
-
-
-def ranges_of(values: Mapping[str, np.ndarray]) -> np.ndarray:
-    """Return the horizontal distances [m], (n,), of positions by role; NaN at the origin."""
-    ranges = np.hypot(values["forward"], values["left" if "left" in values else "right"])
-    return np.where(ranges > 0.0, ranges, np.nan)
 
 
 def _is_frame(name: str) -> bool:
@@ -199,4 +196,5 @@ def _unknown(
     what = "a survey, or home positions" if kind == "home" else "positions"
     return (
         f"{what} in unknown axes ({ranges}); give the axes, as in --columns {' or '.join(options)}"
+        "; or, if they are pixels, the camera: --camera FILE"
     )

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.folder import (
     HOME_ADVICE,
@@ -39,7 +40,7 @@ from homeward.odometry.dead_reckoning import dead_reckoning
 
 OTHER_SOURCES = {
     "odometry": ", and none with odom in its name has poses",
-    "bearings": ", or a position instead of the bearing",
+    "bearings": ", or a position or pixels instead of the bearing",
     "home": f" without a time; {HOME_ADVICE}",
 }
 """Other sources of the tables of a drive."""
@@ -60,21 +61,22 @@ def understand(
     columns: Sequence[str] = (),
     kinds: Sequence[str] = (),
     wheels: Wheels | None = None,
+    camera: Lens | None = None,
 ) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
     The tables may have any separator, decimal mark, header and units. `columns` are texts
     ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
-    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file. Bearings get the
-    sense of rotation of the odometry. `InputError` where a file cannot be read, contains no table
-    of a drive, or a role is ambiguous.
+    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file; `camera` is that of
+    pixels. Bearings get the sense of rotation of the odometry. `InputError` where a file cannot be
+    read, contains no table of a drive, or a role is ambiguous.
     """
     for path in files:
         _refuse_drives(path)
     sheets = [sheet(path) for path in files]
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
-    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None)
+    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, camera)
     found: list[ImportedColumn] = []
     clock: str | None = None
     angle: str | None = None

@@ -37,14 +37,14 @@ REMARK = (
 def with_sense_of(odometry: Odometry, found: list[ImportedColumn]) -> list[ImportedColumn]:
     """Return the columns of a drive with bearings that have the sense of rotation of its odometry.
 
-    Specified columns keep their sign, and so do home bearings of another kind: bearings and
-    positions may come from two programs.
+    Specified columns keep their sign, and so do home bearings of another kind: bearings, positions
+    and pixels may come from several programs.
     """
     parts = {k: [one for one in found if one.kind == k] for k in ("bearings", "home")}
     seen = parts["bearings"]
     if not seen or _is_fixed(seen) or not is_opposite(odometry, seen[0].table):
         return found
-    if _is_fixed(parts["home"]) or _has_positions(parts["home"]) != _has_positions(seen):
+    if _is_fixed(parts["home"]) or _sources(parts["home"]) != _sources(seen):
         del parts["home"]
     return [_reversed(one) if one.kind in parts else one for one in found]
 
@@ -53,8 +53,9 @@ def _is_fixed(columns: Sequence[ImportedColumn]) -> bool:
     return any(one.column.role in LATERAL and one.column.is_specified for one in columns)
 
 
-def _has_positions(columns: Sequence[ImportedColumn]) -> bool:
-    return any(one.column.role == "forward" for one in columns)
+def _sources(columns: Sequence[ImportedColumn]) -> set[str]:
+    """Return whether bearings are computed from positions, pixels or corners."""
+    return {one.column.role for one in columns}.intersection(("forward", "column", "column0"))
 
 
 def _reversed(one: ImportedColumn) -> ImportedColumn:
