@@ -28,6 +28,7 @@ import numpy as np
 from PIL import Image
 
 from benchmarks import monte_carlo
+from benchmarks.inputs.data_logs import small_log
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
@@ -261,6 +262,7 @@ PARTS = {
     "bag": Part(lambda: _saved(".bag"), _log, ("binary", "definition")),
     "mcap": Part(lambda: _saved(".mcap"), _log, ("binary",)),
     "db3": Part(lambda: _saved(".db3"), _log, ("binary", "definition")),
+    "wpilog": Part(lambda: [small_log()], _log, ("binary",)),
     "metadata": Part(
         lambda: [b"rosbag2_bagfile_information:\n  version: 5\n  relative_file_paths: [x.db3]\n"
                  b"  compression_mode: ''\n  compression_format: ''\n"],

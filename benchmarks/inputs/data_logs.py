@@ -71,6 +71,24 @@ def limelight(tags: Tags) -> bytes:
     return doubles(*rows)
 
 
+TAGS: Tags = {1: (2.0, 1.0, 0.3), 2: (3.0, 0.0, 0.3), 3: (1.0, -1.0, 0.3)}
+SPEEDS = start(1, "/Drive/Speeds", "struct:ChassisSpeeds")
+CAMERA = start(2, "NT:/photonvision/cam/rawBytes", PHOTON)
+
+
+def small_log(camera: bytes = CAMERA, made: Callable[[Tags], bytes] = photon) -> bytes:
+    """Return a log of 4 s at 10 Hz: the robot is at rest for 2 s, and then drives.
+
+    `camera` is the start of the entry of a camera, `made` returns its value.
+    """
+    rows = [header(), SPEEDS, camera]
+    for k in range(40):
+        t = k * MICRO // 10
+        rows.append(record(1, t, doubles(*((0.0, 0.0, 0.0) if k < 20 else (0.5, 0.0, 0.1)))))
+        rows.append(record(2, t + 1, made(TAGS)))
+    return b"".join(rows)
+
+
 def data_log(
     s: Sample, seen: Seen, camera: str, type_: str, made: Callable[[Tags, int], bytes]
 ) -> bytes:
