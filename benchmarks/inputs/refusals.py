@@ -77,6 +77,7 @@ refused_file("pointer of Git LFS", "bearings.csv", LFS, "Git LFS")
 refused_file(
     "web page", "tags.csv", "<!DOCTYPE html>\n<html><body>404</body></html>\n" * 4, "web page|HTML"
 )
+refused_file("ros2 topic echo", "odom.txt", "header:\n  stamp:\n    sec: 1\n" * 30, "echo --csv")
 refused_file("zeros", "tags.csv", bytes(4096), "tags.csv")
 refused_file("prose", "tags.csv", "We saw tag 3, then tag 4.\n\nIt rained.\n" * 9, "tags.csv")
 refused_file(

@@ -161,6 +161,15 @@ def _(s: Sample) -> Files:
     return {"tags.csv": table(tags | {"tvec_x": x, "tvec_y": y, "tvec_z": z})}
 
 
+@kind("pupil_apriltags: pixels of the centre and pose_t", TAGS)
+def _(s: Sample) -> Files:
+    a = s.seen.ahead
+    x, y, z = (v for k, v in optical_axes(a).items() if k in "xyz")
+    tags = {"timestamp": a.t, "tag_family": ["tag36h11"] * a.t.size, "tag_id": a.id}
+    tags |= {"center_x": 640 + 600 * x / z, "center_y": 360 + 600 * y / z}
+    return {"tags.csv": table(tags | {"pose_t_x": x, "pose_t_y": y, "pose_t_z": z})}
+
+
 @kind("tag positions, robot axes, in mm", TAGS)
 def _(s: Sample) -> Files:
     home = robot_axes(s, s.home, 1e3) | {"frame_id": ["base_link"] * s.home.t.size}

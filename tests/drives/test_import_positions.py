@@ -194,6 +194,21 @@ def test_poses_with_other_columns_stay_poses(tmp_path, head):
     assert {one.kind for one in found} == {"odometry"}
 
 
+def test_pixels_of_the_centre_are_no_position(tmp_path, plain):
+    """Detectors of tags write the pixels of the centre before the position."""
+    rows = [
+        (t, n, 640 - le, 360 - up, -le, -up, f) for t, n, _, f, le, up in positions(plain, True)
+    ]
+    head = "t,tag_id,center_x,center_y,pose_t_x,pose_t_y,pose_t_z"
+    _, shown = bearings(files(tmp_path, write(tmp_path, "tags.csv", head, rows)))
+    assert shown == "atan2(-pose_t_x, pose_t_z); z > 0, y varies least"
+    tags = write(
+        tmp_path, "tags.csv", "t,tag_id,center_x,center_y,z", [r[:4] + r[6:] for r in rows]
+    )
+    with pytest.raises(InputError, match="'center_y' and 'z' may belong to different points"):
+        understand(files(tmp_path, tags))
+
+
 def test_angles_along_with_corners_stay_bearings(tmp_path):
     head = "t,id,angle,corner_x,centre_x,corner_y"
     found = understand([write(tmp_path, "seen.csv", head, [(0, "a", 0.1, 5, 6, 7)])])

@@ -24,6 +24,11 @@ FORMATS = (
         "a field layout of WPILib",
         "copy it to landmarks.yaml in the drive folder",
     ),
+    (
+        (b"header:stamp:", b"---header:stamp:"),
+        "the output of `ros2 topic echo`",
+        "use `ros2 topic echo --csv`, or record a bag",
+    ),
     ((b'{"', b"[{", b"[["), "JSON", EXPORT),
 )
 """First bytes, also without white space; description and advice."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.drives.importers.columns import KINDS, UNITS, Column, assigned, words_in
+from homeward.drives.importers.columns import KINDS, UNITS, Column, assigned, matches, words_in
 from homeward.drives.importers.sheet import Sheet, names, number_parser
 from homeward.errors import InputError
 from homeward.io.table import quoted, read_csv
@@ -22,6 +22,7 @@ AXES: Mapping[str, Mapping[str, str]] = {
     "robot": {"forward": "x", "left": "y"},
 }
 """The axis of each role in an optical frame and in a robot's frame."""
+AXIS_ROLES = ("x", "y", "z")
 POSITION_ROLES = ("forward", "left", "right")
 PLACES = (("forward", "left"), ("forward", "right"), ("x", "y"), ("x", "z"))
 """The required roles of positions."""
@@ -77,8 +78,36 @@ def position_columns(
         raise InputError("--columns: a position requires the role forward and either left or right")
     required = [role for role in KINDS[kind] if role != "bearing"]
     places = [place for place in PLACES if given <= set(place)]
-    found = (assigned((*required, *place), names, specified, ("z",)) for place in places)
-    return next((columns for columns in found if columns), None)
+    found = (assigned((*required, *place), _of_point(names), specified, ("z",)) for place in places)
+    columns = next((columns for columns in found if columns), None)
+    chosen = [c for r, c in (columns or {}).items() if r in AXIS_ROLES and not c.is_specified]
+    if len({_point(c.name, c.role) for c in chosen}) > 1:
+        shown = " and ".join(repr(c.name) for c in chosen)
+        raise InputError(
+            f"{shown} may belong to different points; give the position, as in --columns "
+            "'forward=COLUMN, left=COLUMN'"
+        )
+    return columns
+
+
+def _point(name: str, axis: str) -> str:
+    """Return the name of a coordinate without its axis."""
+    before, _, after = "".join(words_in(name)).rpartition(axis)
+    return before + after
+
+
+def _of_point(names: Sequence[str]) -> Sequence[str]:
+    """Return names without coordinates of other points, if a single point has all three.
+
+    Detectors of tags write the pixels of a tag's centre along with its position in space.
+    """
+    points: dict[str, list[str]] = {}
+    for name in names:
+        for axis in (axis for axis in AXIS_ROLES if matches(name, axis)):
+            points.setdefault(_point(name, axis), []).append(name)
+    whole = [point for point in points.values() if len(point) == len(AXIS_ROLES)]
+    others = {name for point in points.values() if len(point) < len(AXIS_ROLES) for name in point}
+    return [name for name in names if name not in others] if len(whole) == 1 else names
 
 
 def with_axes(
