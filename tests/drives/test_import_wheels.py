@@ -132,6 +132,18 @@ def test_other_columns_are_no_wheels(name):
     assert wheel_role(words_in(name)) is None
 
 
+def test_an_encoder_that_counts_backwards_is_reported(tmp_path):
+    left, right = TICKS.astype(int)
+    drive = imported(tmp_path, "left_ticks,right_ticks", left, -right)
+    (reason,) = (reason for reason in drive.remarks if "opposite directions" in reason)
+    assert "'right_wheel=-right_ticks'" in reason
+    corrected = imported(
+        tmp_path, "left_ticks,right_ticks", left, -right, roles=["right_wheel=-right_ticks"]
+    )
+    assert_same(corrected.odometry, 4e-3)
+    assert not any("opposite directions" in reason for reason in corrected.remarks)
+
+
 def test_boxes_in_an_image_are_no_wheels(tmp_path):
     text = "t,id,bearing,left,top,right,bottom\n0.1,A,0.5,100,120,140,160\n"
     (tmp_path / "boxes.csv").write_text(text)
@@ -149,6 +161,12 @@ def test_a_gyroscope_replaces_the_yaw_rate_of_the_wheels(tmp_path):
     twists = imported(tmp_path, "v,omega", V, 0 * V, wheels=None, more=["imu.csv"])
     assert twists.odometry.omega[1:-1] == pytest.approx(OMEGA[1:-1], abs=0.006)
     assert any("turns too little for a comparison" in reason for reason in twists.remarks)
+
+
+def test_a_gyroscope_in_raw_units_is_refused(tmp_path):
+    raw = np.round(np.degrees(OMEGA) * 16.4)
+    with pytest.raises(InputError, match=r"'gyro_z': the yaw rate of the odometry is 0\.06"):
+        imported(tmp_path, "left_vel [m/s],right_vel [m/s],gyro_z", *SPEEDS, raw)
 
 
 def test_wheels_and_poses_in_one_table(tmp_path):

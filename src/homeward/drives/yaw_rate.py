@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -15,9 +16,9 @@ WINDOW_S = 1.0
 MIN_TURN_RATE = 0.02
 """Minimum standard deviation of the odometry's yaw rate for a comparison [rad/s]."""
 MIN_WINDOWS = 10
-MIN_CORRELATION = 0.7
-MAX_RATIO = 2.0
-"""Maximum ratio of the two yaw rates: wheels with slip, or a wrong track width."""
+MIN_CORRELATION = 0.5
+MAX_RATIO = 4.0
+"""Maximum ratio of the two yaw rates: robots that skid have 3."""
 UNITS = {1.0: "", math.radians(1.0): ", converted from deg/s"}
 """Factors to rad/s that are tried, and how they are shown to the user."""
 REPLACED = "yaw rates of the odometry replaced by those of {} ({})"
@@ -26,19 +27,25 @@ NOT_COMPARED = "in rad/s, anti-clockwise: the odometry turns too little for a co
 
 
 def with_yaw_rate(
-    odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str, remarks: dict[str, int]
+    odometry: Odometry,
+    t: np.ndarray,
+    rate: np.ndarray,
+    source: str,
+    remarks: dict[str, int],
+    may_be_deg: bool = True,
 ) -> Odometry:
     """Return odometry with the yaw rate of a gyroscope, whose unit and sign are found.
 
-    `t` (n,) [s] increases strictly; `rate` (n,) is in rad/s or deg/s with either sign. Both come
-    from a comparison with the odometry's own yaw rate, and remarks report them. The odometry keeps
-    its own yaw rate in gaps of the gyroscope. `InputError` where the two contradict each other.
+    `t` (n,) [s] increases strictly; `rate` (n,) is in rad/s, or deg/s if `may_be_deg`, with either
+    sign. Both come from a comparison with the odometry's own yaw rate, and remarks report them. The
+    odometry keeps its own yaw rate in gaps of the gyroscope. `InputError` where the two contradict
+    each other.
     """
     gyro = _mean_rates(odometry.t, t, rate)
     used = np.isfinite(gyro)
     if not used.any():
         raise InputError(f"{source} has no yaw rate during the odometry; use stamps of one clock")
-    factor, how = _factor(odometry, t, rate, source)
+    factor, how = _factor(odometry, t, rate, source, list(UNITS)[: 1 + may_be_deg])
     remarks[REPLACED.format(source, how)] = int(used.sum())
     if not used.all():
         remarks[KEPT.format(source)] = int((~used).sum())
@@ -61,7 +68,9 @@ def _mean_rates(edges: np.ndarray, t: np.ndarray, rate: np.ndarray) -> np.ndarra
     return np.where(is_covered, mean, np.nan)
 
 
-def _factor(odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str) -> tuple[float, str]:
+def _factor(
+    odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str, units: Sequence[float]
+) -> tuple[float, str]:
     """Return the factor to rad/s, anti-clockwise, and its reason as shown to the user."""
     begin, end = max(odometry.t[0], t[0]), min(odometry.t[-1], t[-1])
     edges = np.arange(begin, end, WINDOW_S)
@@ -80,7 +89,7 @@ def _factor(odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str) ->
         )
     correlation = float(np.corrcoef(own, gyro)[0, 1])
     ratio = own.std() / gyro.std()
-    unit = min(UNITS, key=lambda u: abs(math.log(ratio / u)))
+    unit = min(units, key=lambda u: abs(math.log(ratio / u)))
     if abs(correlation) < MIN_CORRELATION:
         raise InputError(
             f"{source}: the yaw rate contradicts that of the odometry (correlation "
@@ -93,5 +102,6 @@ def _factor(odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str) ->
             "rad/s, correct the track width of the odometry, or leave it out"
         )
     inverted = ", with the sign inverted" if correlation < 0 else ""
-    how = f"{ratio / unit:.3g} x they fit the odometry{UNITS[unit]}{inverted}"
+    fit = f"correlation {abs(correlation):.2f}, {ratio / unit:.3g} x they fit the odometry"
+    how = f"{fit}{UNITS[unit]}{inverted}"
     return math.copysign(unit, correlation), how

@@ -20,6 +20,10 @@ from homeward.io.table import Table
 from homeward.odometry.limits import MAX_SPEED
 
 FROM_POSES = "odometry rows are poses; twists are computed from their differences"
+OPPOSITE = (
+    "odometry rows with wheels that turn in opposite directions; if one encoder counts backwards, "
+    "use --columns '{}=-{}', or the same for the left one"
+)
 EXAMPLE = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
 """Values shown in error messages."""
 
@@ -64,8 +68,8 @@ def imported_odometry(
     odometry = _of_wheels(by_role, table, wheels, remarks)
     if "omega" not in by_role:
         return odometry
-    gyro = repr(by_role["omega"].column.name)
-    return with_yaw_rate(odometry, t, table["omega"], gyro, remarks)
+    gyro, name = by_role["omega"], repr(by_role["omega"].column.name)
+    return with_yaw_rate(odometry, t, table["omega"], name, remarks, gyro.may_be_deg)
 
 
 def _of_wheels(
@@ -96,6 +100,10 @@ def _of_wheels(
             f"'left_wheel={name}, right_wheel={right.column.name}'",
             table.file,
         )
+    moving = np.hypot(*speeds.T) > 0.0
+    opposite = int((speeds.prod(axis=1) < 0).sum())
+    if 2 * opposite > moving.sum():
+        remarks[OPPOSITE.format(right.column.role, right.column.name)] = opposite
     odometry = differential(t, speeds[:, 0], speeds[:, 1], wheels, remarks)
     if (usual := float(np.nanquantile(np.abs(odometry.v), 0.95))) > MAX_SPEED:
         _refuse_unit(left, f"the wheels reach {usual:.3g} m/s; check --wheels")

@@ -97,6 +97,11 @@ class ImportedColumn:
     """Numbers of corrections of the table, by description."""
 
     @property
+    def may_be_deg(self) -> bool:
+        """Whether an angle or a rate was taken as rad although its unit is unknown."""
+        return self.column.unit is None and self.unit.startswith("rad")
+
+    @property
     def range(self) -> str:
         """Range of the values in SI units; for names, their number."""
         values = self.table[self.column.role]

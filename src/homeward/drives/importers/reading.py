@@ -194,7 +194,11 @@ def _odometry(
     odometry = imported_odometry(columns, tables["odometry"], wheels or Wheels(), remarks)
     if "gyro" in tables:
         gyro = without_repeats(tables["gyro"], remarks, REPEATED_ODOMETRY)
-        odometry = with_yaw_rate(odometry, gyro["t"], gyro["omega"], gyro.file.name, remarks)
+        file, values = gyro.file.name, (gyro["t"], gyro["omega"])
+        may_be_deg = any(
+            o.kind == "gyro" and o.may_be_deg for o in found if o.column.role == "omega"
+        )
+        odometry = with_yaw_rate(odometry, *values, file, remarks, may_be_deg)
     return odometry
 
 
