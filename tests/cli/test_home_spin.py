@@ -104,8 +104,10 @@ def test_home_is_taken_from_a_rest_by_an_option_alike_on_run_import_and_convert(
     done(call("import", *files, *picture, *rest, "--out", tmp_path / "mine"))
     assert read_folder(tmp_path / "mine").home.keys() == home.keys()
     both = refused(call("run", folder, *rest, "--home-spin", "0,14"))
-    assert "not both" in both
-    assert "--home-during FROM,TO" in refused(call("import", *files, *picture))
+    assert "give one of --home-during, --home-spin, --home-at" in both
+    advice = refused(call("import", *files, *picture))
+    for option in ("--home-during FROM,TO", "--home-spin FROM,TO", "--home-at T", "home.csv"):
+        assert option in advice
 
 
 def test_import_takes_home_from_a_turn(narrow, tmp_path):
@@ -133,7 +135,7 @@ def test_a_log_has_its_turn_too(narrow, tmp_path):
         ("3", "two numbers"),
         ("nan,5", "finite"),
         ("soon,later", "two numbers"),
-        ("4000,4010", "no sightings"),
+        ("4000,4010", "the length of the drive"),
         ("0,40", "turn on the spot"),
     ],
 )

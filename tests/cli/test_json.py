@@ -53,6 +53,9 @@ def test_an_import_and_a_simulation(drive, tmp_path):
     assert set(result) == documented("import")
     assert [c["as"] for c in result["columns"] if c["is"] == "odometry"] == ["t", "v", "omega"]
     assert Path(result["folder"]).is_dir()
+    assert result["next"] == f"homeward run {tmp_path / 'i'}"
+    result = said("import", *files, "--picture", tmp_path / "i.png")
+    assert result["next"].endswith("home.csv --out out/drive")
     result = said("simulate", "circle", "--out", tmp_path / "s")
     assert set(result) == documented("simulate")
     assert result["moved"].keys() <= set(result["landmarks"])

@@ -30,9 +30,12 @@ def test_info_lists_topics_and_prints_the_topics_file_that_is_used(log, tmp_path
     assert "3604" in odometry
     assert "20.0 Hz" in odometry
     topics = tmp_path / "topics.yaml"
-    topics.write_text(result.stdout.partition("to change them):\n")[2])
+    before, following = result.stdout.split("Next: ")
+    assert following == f"homeward run {log}\n"
+    topics.write_text(before.partition("to change them):\n")[2])
     assert read_settings(topics, LogSettings).odometry.topic == "/homeward/odometry"
-    assert call("info", log, "--topics", topics).stdout == result.stdout
+    again = call("info", log, "--topics", topics).stdout
+    assert again == f"{before}Next: homeward run {log} --topics {topics}\n"
 
 
 def test_info_of_a_drive_folder(tmp_path):
@@ -50,9 +53,19 @@ def test_info_of_an_unfinished_drive_folder_lists_present_and_missing_files(tmp_
     assert "cannot use it: there is no bearings.csv, no home.csv." in result.stdout
 
 
+def test_info_of_a_drive_without_home_names_all_ways_to_give_it_and_the_next_command(tmp_path):
+    folder = tmp_path / "my drive"
+    shutil.copytree(sample_drive(), folder)
+    (folder / "home.csv").unlink()
+    words = done(call("info", folder)).stdout
+    for way in ("home.csv", "--home-during FROM,TO", "--home-spin FROM,TO", "--home-at T"):
+        assert way in words
+    assert words.endswith(f"Next: homeward run '{folder}' --home-at 0\n")
+
+
 def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
     shutil.copy(sample_drive() / "odometry.csv", tmp_path / "wheels.csv")
-    assert "use homeward import to convert" in refused(call("info", tmp_path))
+    assert "convert its tables with `homeward import" in refused(call("info", tmp_path))
 
 
 def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
@@ -68,7 +81,8 @@ def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
     (mrclam / "Barcodes.dat").touch()
     (mrclam / "Robot2_Odometry.dat").touch()
     said = call("info", mrclam).output
-    assert "import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE` (robots: 2)" in said
+    assert "Robots: 2." in said
+    assert said.endswith(f"{mrclam} --robot 2 --home 0,0,0 --out out/robot2\n")
     assert "columns" not in said  # no table of nothing
 
 

@@ -1,6 +1,8 @@
 """The drive folder: what is written reads back, and whatever happens to it does no harm."""
 
+import dataclasses
 import math
+import re
 
 import numpy as np
 import pytest
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 from valid_drive import VALID, put, spoilt
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
-from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.folder import read_drive_settings, read_folder, write_folder
 from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
 from homeward.io.table import is_identifier
@@ -181,3 +183,33 @@ def outcome(folder):
         return read_folder(folder), ""
     except InputError as error:
         return None, str(error)
+
+
+def test_any_line_of_a_commented_drive_yaml_is_valid_without_its_comment_sign(tmp_path):
+    given = DriveSettings(sensor=Sensor(x=0.2, bearing_sigma=0.01), epoch=1_700_000_000)
+    drive = read_folder(put(tmp_path / "plain"))
+    write_folder(dataclasses.replace(drive, settings=given), tmp_path / "run", commented=True)
+    file = tmp_path / "run" / "drive.yaml"
+    assert read_drive_settings(file) == given
+    lines = file.read_text().splitlines()
+    closed = [i for i, line in enumerate(lines) if re.match("#(  )?[a-z]", line)]
+    keys = {lines[i].strip("# ").partition(":")[0] for i in closed}
+    assert {"y", "yaw", "field_of_view", "speed_scale_sigma", "bearings_late", "home"} <= keys
+    for i in closed:
+        file.write_text("\n".join([*lines[:i], lines[i][1:], *lines[i + 1 :]]))
+        assert read_drive_settings(file).sensor.x == 0.2
+    assert all("[" in lines[i] for i in closed if "_sigma: " in lines[i])
+
+
+def test_all_lines_of_a_commented_drive_yaml_are_valid_together_but_one_home_only(tmp_path):
+    drive = read_folder(put(tmp_path / "plain"))
+    write_folder(drive, tmp_path / "run", commented=True)
+    file = tmp_path / "run" / "drive.yaml"
+    head, *lines = file.read_text().split("sensor:")
+    body = "sensor:" + "sensor:".join(lines).replace("\n#", "\n")
+    homes = [line for line in body.splitlines() if line.startswith("home:")]
+    assert len(homes) == 3
+    for home in homes[1:]:
+        body = body.replace(f"{home}\n", "")
+    file.write_text(head + body)
+    assert read_drive_settings(file).home.during == (0.0, 5.0)

@@ -7,6 +7,7 @@ import pytest
 from refusals import refusal
 from valid_drive import VALID, put
 
+from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.importers.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
@@ -73,7 +74,8 @@ def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
 def test_tables_that_are_no_drive_yet_are_sent_to_import(tmp_path):
     (tmp_path / "wheels.CSV").write_text("time;speed\n")
     for place in (tmp_path, tmp_path / "wheels.CSV"):
-        assert "convert its tables with `homeward import " in refusal(open_drive, place)
+        way = f"homeward import {tmp_path / 'wheels.CSV'} --out out/{place.stem}"
+        assert f"convert its tables with `{way}`" in refusal(open_drive, place)
 
 
 def test_a_bag_folder_with_a_home_csv_is_a_bag(tmp_path):
@@ -90,7 +92,7 @@ def test_a_bag_folder_with_a_home_csv_is_a_bag(tmp_path):
     assert log_info(bag).kind.startswith("ROS 2 bag folder")
     for path in (bag, bag / "run.mcap"):
         assert "use `homeward run " in refusal(imported, path)
-    assert "a drive folder, not a text file" in refusal(imported, tmp_path / "run")
+    assert f"use `homeward run {tmp_path / 'run'}`" in refusal(imported, tmp_path / "run")
     assert "give the files in it" in refusal(imported, tmp_path)
     (bag / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
     assert log_info(bag).kind.startswith("drive folder")
@@ -103,7 +105,7 @@ def test_home_that_the_drive_saw_itself_is_seen_on_time(tmp_path):
 
 
 def test_an_mrclam_folder_is_imported_first(mrclam_folder):
-    assert "homeward import mrclam FOLDER --robot N" in refusal(open_drive, mrclam_folder)
+    assert f"homeward import mrclam {mrclam_folder} --robot" in refusal(open_drive, mrclam_folder)
 
 
 def test_refuses_what_no_reader_knows(tmp_path):
@@ -123,9 +125,7 @@ def test_refuses_what_no_reader_knows(tmp_path):
 def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
     (drive_folder / "home.csv").unlink()
     assert refusal(open_drive, drive_folder) == (
-        "not a complete drive folder: no home.csv; add a table with the columns landmark, "
-        "bearing (home.csv); or use --home-during FROM,TO [s] if the robot was at rest at home, or "
-        "--home-spin FROM,TO [s] if it turned on the spot there"
+        f"not a complete drive folder: no home.csv; {HOME_ADVICE}"
     )
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypedDict, Unpack
 
 import typer
 
@@ -136,6 +136,13 @@ HomeDuring = Annotated[
         help="Interval in which the robot was at rest at home [s from the start].",
     ),
 ]
+HomeAt = Annotated[
+    float | None,
+    typer.Option(
+        metavar="T",
+        help="Time at which the pose of the robot is home [s from the start]; 0: the first pose.",
+    ),
+]
 Changes = Annotated[
     list[str] | None,
     typer.Option(
@@ -180,7 +187,7 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     return a, b, c
 
 
-def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, float] | None:
+def _span(text: str | None, option: str) -> tuple[float, float] | None:
     """Parse the two times [s] of an option; errors as `three_numbers`."""
     if text is None:
         return None
@@ -190,11 +197,21 @@ def spin_span(text: str | None, option: str = "--home-spin") -> tuple[float, flo
     return begin, end
 
 
-def home_spans(
-    home_spin: str | None, home_during: str | None
-) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Parse the options `HomeSpin` and `HomeDuring`."""
-    return spin_span(home_spin), spin_span(home_during, "--home-during")
+class HomeTimes(TypedDict, total=False):
+    """The options that give home by a time of the drive, as keyword arguments of `open_drive`."""
+
+    home_during: tuple[float, float] | None
+    home_spin: tuple[float, float] | None
+    home_at: float | None
+
+
+def home_times(home_during: str | None, home_spin: str | None, home_at: float | None) -> HomeTimes:
+    """Parse the options `HomeDuring`, `HomeSpin` and `HomeAt`."""
+    return {
+        "home_during": _span(home_during, "--home-during"),
+        "home_spin": _span(home_spin, "--home-spin"),
+        "home_at": home_at,
+    }
 
 
 def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:
@@ -209,17 +226,12 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
     return values
 
 
-def read_drive(
-    source: str, topics: Path | None, home_spin: str | None = None, home_during: str | None = None
-) -> Drive:
+def read_drive(source: str, topics: Path | None, **home: Unpack[HomeTimes]) -> Drive:
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 
-    spin, during = home_spans(home_spin, home_during)
     with progress(f"reading {source}") as on_progress:
-        return open_drive(
-            source, topics=topics, home_spin=spin, home_during=during, on_progress=on_progress
-        )
+        return open_drive(source, topics=topics, **home, on_progress=on_progress)
 
 
 def day(text: str) -> float:

@@ -12,12 +12,12 @@ from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.log import is_log
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.settings import HOME_TIMES, DriveSettings, KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.naming import listing, natural
 from homeward.io.reading import is_there, require_folder
-from homeward.io.settings import read_settings, settings_yaml
+from homeward.io.settings import commented_yaml, read_settings, settings_yaml
 from homeward.io.table import (
     Table,
     identifiers,
@@ -33,10 +33,12 @@ from homeward.odometry.clock import MAX_DELAY_S
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
-HOME_ADVICE = (
-    "add a table with the columns landmark, bearing (home.csv); or use --home-during FROM,TO [s] "
-    "if the robot was at rest at home, or --home-spin FROM,TO [s] if it turned on the spot there"
+HOME_ADVICE = f"add a table with the columns landmark, bearing ({HOME}); or use {HOME_TIMES}"
+COMMENTED = (
+    "# Settings of this drive. To set a key, remove the # before it. docs/look-up/files.md and\n"
+    "# `homeward settings drive` describe the keys.\n"
 )
+"""Head of a commented drive.yaml."""
 IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
 OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma"})
@@ -133,16 +135,17 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     )
 
 
-def write_folder(drive: Drive, path: str | os.PathLike[str]) -> None:
+def write_folder(drive: Drive, path: str | os.PathLike[str], *, commented: bool = False) -> None:
     """Write a drive folder that `read_folder` reads back exactly, without name and remarks.
 
+    With `commented`, drive.yaml also lists the other keys, commented out, for users who edit it.
     All files appear together. In an existing folder the files of a drive are replaced or, where
     this drive lacks them, deleted. `InputError` where the folder cannot be written, or the drive
     has no odometry, numbers that are not finite, or invalid ids.
     """
     folder = Path(path)
     with whole_folder(folder, owned=(*REQUIRED, *OPTIONAL)) as scratch:
-        _write_files(drive, scratch, folder)
+        _write_files(drive, scratch, folder, commented)
 
 
 def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
@@ -318,7 +321,7 @@ def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
     return Truth(table["t"], table["x"], table["y"], table["heading"])
 
 
-def _write_files(drive: Drive, scratch: Path, folder: Path) -> None:
+def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> None:
     """Write all files of a drive into `scratch`; errors name files of `folder`."""
     if not drive.odometry.t.size:
         raise InputError("no rows", folder / ODOMETRY)
@@ -332,7 +335,10 @@ def _write_files(drive: Drive, scratch: Path, folder: Path) -> None:
         ]
         write_csv(scratch / name, columns, zip(*cells, strict=True))
     for name, model in ((SETTINGS, drive.settings), (KNOWN, drive.known)):
-        if text := settings_yaml(model):
+        text = settings_yaml(model)
+        if commented and name == SETTINGS:
+            text = COMMENTED + commented_yaml(model)
+        if text:
             (scratch / name).write_text(text, encoding="utf-8")
 
 

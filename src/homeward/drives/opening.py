@@ -16,14 +16,15 @@ from homeward.drives.folder import (
     read_folder,
     write_folder,
 )
-from homeward.drives.home.spin import with_home
+from homeward.drives.home.when import with_home
 from homeward.drives.images import IMAGES
-from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
+from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.ros.log import is_log
 from homeward.drives.settings import home_when
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
+from homeward.io.naming import command
 from homeward.io.reading import is_there, shipped
 from homeward.io.table import quoted
 
@@ -42,6 +43,7 @@ def open_drive(
     topics: str | os.PathLike[str] | None = None,
     home_spin: tuple[float, float] | None = None,
     home_during: tuple[float, float] | None = None,
+    home_at: float | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive in any known format.
@@ -57,15 +59,18 @@ def open_drive(
         [s]; replaces the home bearings of the drive.
     home_during : (float, float), optional
         Interval in which it was at rest there, instead.
+    home_at : float, optional
+        Time of the pose that is home, since the first sample of the drive [s], instead; its
+        bearings come from a map of the drive.
     on_progress : callable, optional
-        Receives the fraction done, in [0, 1], of a log or of images.
+        Receives the fraction done, in [0, 1], of a log, of images, or of the map for `home_at`.
 
     Raises
     ------
     InputError
         For an unknown format or invalid data, or where bearings and odometry do not overlap.
     """
-    chosen = home_when(home_spin, home_during)
+    chosen = home_when(home_during, home_spin, home_at)
     place = located(path)
     kind = kind_of(place)
     if topics is not None and kind != LOG:
@@ -91,7 +96,7 @@ def open_drive(
             place,
         )
     with naming_file(place):
-        return drive if when is None else with_home(drive, when)
+        return drive if when is None else with_home(drive, when, on_progress)
 
 
 def _truth_from_home(drive: Drive, place: Path) -> Drive:
@@ -128,15 +133,20 @@ def kind_of(place: Path) -> str:
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
         ways = "use homeward place PLACE to inspect it, or homeward run DRIVE --place PLACE"
         raise InputError(f"a place, not a drive: {ways}", place)
-    if any(file.suffix.lower() in TABLES for file in (place, *place.glob("*"))):
-        tables = f"{place}/*" if place.is_dir() else str(place)
-        ways = f"convert its tables with `homeward import {tables} --out my_drive`"
-        raise InputError(f"not a drive yet: {ways}, and run that folder", place)
+    if tables := tables_in(place):
+        way = command("import", *tables, "--out", f"out/{place.stem}")
+        raise InputError(f"not a drive yet: convert its tables with `{way}`", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
         raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
     if is_mrclam(place):
-        raise InputError(f"an MRCLAM folder: convert it with {mrclam_command(place)}", place)
+        ways = f"convert one of its robots ({robots_in(place)}) with `{mrclam_command(place)}`"
+        raise InputError(f"an MRCLAM folder: {ways}", place)
     raise InputError(f"neither a {' nor a '.join(KINDS)}", place)
+
+
+def tables_in(place: Path) -> list[Path]:
+    """Return the tables in a folder, or the path itself if it is a table."""
+    return [file for file in (place, *sorted(place.glob("*"))) if file.suffix.lower() in TABLES]
 
 
 def is_image_folder(path: Path) -> bool:
@@ -151,7 +161,11 @@ LOG_SUFFIXES = (".bag", ".mcap", ".db3")
 
 
 def save_drive(
-    drive: Drive, path: str | os.PathLike[str], on_progress: Callable[[float], None] | None = None
+    drive: Drive,
+    path: str | os.PathLike[str],
+    on_progress: Callable[[float], None] | None = None,
+    *,
+    commented: bool = False,
 ) -> str:
     """Write a drive that `open_drive` reads back exactly; return the name of the format.
 
@@ -163,6 +177,8 @@ def save_drive(
         A file with one of `LOG_SUFFIXES`, or else a drive folder; a new path or an empty folder.
     on_progress : callable, optional
         Receives the fraction done of a log, in [0, 1].
+    commented : bool
+        Whether the drive.yaml of a folder lists all keys, those that are not set as comments.
 
     Raises
     ------
@@ -173,7 +189,7 @@ def save_drive(
     if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
         raise InputError("exists already; choose another name", place)
     if place.suffix not in LOG_SUFFIXES:
-        write_folder(drive, place)
+        write_folder(drive, place, commented=commented)
         return "drive folder"
     if drive.known.is_given:
         raise InputError("a log cannot contain landmarks.yaml; write a drive folder instead", place)

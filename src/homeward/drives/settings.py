@@ -117,6 +117,13 @@ Span = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_in_order)]
 """An interval, from the first sample of the drive on [s]."""
 
 
+HOME_TIMES = (
+    "--home-during FROM,TO [s] (at rest at home), --home-spin FROM,TO [s] (turned on the spot "
+    "there) or --home-at T [s] (its pose at time T; 0: the first)"
+)
+"""Ways to give home by a time of the drive."""
+
+
 class HomeWhen(Strict):
     """Time at which the robot was at home during the drive: one of these."""
 
@@ -124,6 +131,13 @@ class HomeWhen(Strict):
     """Interval in which the robot was stationary at home."""
     spin: Span | None = None
     """Interval in which it turned on the spot at home; home is its pose at the beginning."""
+    at: NonNegative | None = None
+    """Time of the pose that is home, from the first sample of the drive on [s]; 0: the first."""
+
+    @property
+    def times(self) -> tuple[float, float] | None:
+        """First and last time at home [s]; None where no time is given."""
+        return self.during or self.spin or (None if self.at is None else (self.at, self.at))
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -133,13 +147,16 @@ class HomeWhen(Strict):
 
 
 def home_when(
-    spin: tuple[float, float] | None, during: tuple[float, float] | None
+    home_during: tuple[float, float] | None = None,
+    home_spin: tuple[float, float] | None = None,
+    home_at: float | None = None,
 ) -> HomeWhen | None:
-    """Return the time at home from two options, of which at most one is given."""
-    if spin is not None and during is not None:
-        raise InputError("give either --home-spin or --home-during, not both")
-    given = {"spin": spin, "during": during}
-    return None if spin is during is None else validated(HomeWhen, given)
+    """Return the time at home from options, of which at most one is given."""
+    given = {"during": home_during, "spin": home_spin, "at": home_at}
+    chosen = {key: value for key, value in given.items() if value is not None}
+    if len(chosen) > 1:
+        raise InputError(f"give one of {', '.join(f'--home-{key}' for key in given)}, not several")
+    return validated(HomeWhen, chosen) if chosen else None
 
 
 class TruthFrame(Strict):
@@ -153,16 +170,18 @@ class DriveSettings(Strict):
     """The keys of drive.yaml; all are optional."""
 
     sensor: Sensor = Sensor()
-    home: HomeWhen | None = None
-    """Time at which the robot was at home; None: home bearings are given instead."""
-    home_sensor: Mount | None = None
+    home: HomeWhen | None = Field(None, examples=[{"during": [0, 5]}, {"spin": [0, 20]}, {"at": 0}])
+    """Time at which the robot was at home [s from the start]; None: home bearings are given
+    instead."""
+    home_sensor: Mount | None = Field(None, examples=[Mount()])
     """The camera extrinsics when home was stored; None: as `sensor`."""
     odometry: OdometryNoise = OdometryNoise()
     bearings_late: Delay | None = None
     """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
     drive that was read has None."""
-    start: Start | None = None
-    truth: TruthFrame | None = None
+    start: Start | None = Field(None, examples=[{"R": 2.0, "theta": 0.0, "alpha": 3.14}])
+    """Start prior: distance from home [m], direction from home [rad], heading [rad]; None: none."""
+    truth: TruthFrame | None = Field(None, examples=[{"home": [0.0, 0.0, 0.0]}])
     """None: the home frame. `open_drive` transforms ground truth to it, and then sets None."""
     epoch: int | None = None
     """Whole seconds to add to the times of the drive for the clock of its log; None: 0. The times

@@ -45,12 +45,12 @@ def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key
 
     Defaults are the values of `given` where that is an instance of the model.
     """
-    meanings, seen = _meanings(model), set[str]()
+    known, seen = meanings(model), set[str]()
     for name, field in model.model_fields.items():
         own = getattr(given, name) if isinstance(given, model) else _default(field)
         full = head + (field.alias or name)
         inner = [k for path, m in _models(field.annotation) for k in keys(m, full + path, own)]
-        for key in inner or [Key(full, _as_yaml(own), meanings.get(name, ""))]:
+        for key in inner or [Key(full, _as_yaml(own), known.get(name, ""))]:
             if key.name not in seen:
                 seen.add(key.name)
                 yield key
@@ -98,7 +98,7 @@ def _as_yaml(value: Any) -> str:
 
 
 @cache
-def _meanings(model: type[Strict]) -> dict[str, str]:
+def meanings(model: type[Strict]) -> dict[str, str]:
     """Return the docstrings below the fields of a model and of its base models."""
     found: dict[str, str] = {}
     for kind in reversed([k for k in model.__mro__ if issubclass(k, Strict)]):

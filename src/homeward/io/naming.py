@@ -1,9 +1,10 @@
-"""Natural order of names, lists in words, and short numbers."""
+"""Natural order of names, lists in words, short numbers, and commands to type."""
 
 from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Sequence
 
 
@@ -36,3 +37,8 @@ def number(value: float) -> str:
 def share(value: float) -> str:
     """Return a share in per cent; empty for NaN."""
     return "" if math.isnan(value) else f"{100 * value:.0f} %"
+
+
+def command(*words: object) -> str:
+    """Return a homeward command to type, with its arguments quoted for a shell."""
+    return shlex.join(["homeward", *map(str, words)])

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import inspect
+import math
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 from pydantic import ValidationError
+from pydantic_core import to_jsonable_python
 
 from homeward.errors import InputError
-from homeward.io.keys import Strict
+from homeward.io.keys import Strict, meanings
 from homeward.io.reading import read_small
 from homeward.io.table import quoted
 from homeward.io.validation_messages import validation_message
@@ -213,6 +217,34 @@ def settings_yaml(settings: Strict) -> str:
     """Return the keys of a settings model that were set, as YAML; empty if there are none."""
     tree = settings.model_dump(mode="json", exclude_unset=True, exclude_none=True)
     return yaml.safe_dump(tree, sort_keys=False) if tree else ""
+
+
+def commented_yaml(settings: Strict) -> str:
+    """Return YAML with all keys of a settings model; those that were not set are commented out.
+
+    Each line has the value of a key, its default or one of its examples, and its meaning with the
+    unit. A line is valid as soon as its first # is removed.
+    """
+    return "".join(f"{line}\n" for line in _commented(settings, ""))
+
+
+def _commented(settings: Strict, indent: str) -> Iterator[str]:
+    words = meanings(type(settings))
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        is_section = isinstance(value, Strict) and field.default is not None
+        text = words.get(name, "") or inspect.getdoc(value) if is_section else words.get(name, "")
+        meaning = f"  # {str(text).partition('. ')[0].rstrip('.')}" if text else ""
+        if is_section:
+            yield f"{indent}{name}:{meaning}"
+            yield from _commented(value, f"{indent}  ")
+            continue
+        is_set = name in settings.model_fields_set and value is not None
+        for shown in [value] if is_set or not field.examples else field.examples:
+            yaml_value = yaml.safe_dump(
+                [to_jsonable_python(shown)], default_flow_style=True, width=math.inf
+            )
+            yield f"{'' if is_set else '#'}{indent}{name}: {yaml_value.strip()[1:-1]}{meaning}"
 
 
 def _read(path: Path) -> bytes:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +23,6 @@ from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.preintegration import Motion
-from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings
@@ -57,27 +57,20 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
-    localizer.retain_marginalised()
-    track = run(drive, localizer)
-    if localizer.is_convention_wrong:
+    track, solved = solve_whole(drive, localizer)
+    if solved is None:
         return track
-    chart = localizer.chart
-    chart.learn(float(track.t[-1]))
-    whole = chart.map.smoother.whole()
-    _solve(whole)
-    if restore(_contradicted(drive, chart, whole), chart.map, whole):
-        _solve(whole)
-    lost = {seen.keyframe for seen in _contradicted(drive, chart, whole)}
+    chart, whole = localizer.chart, solved.whole
     hypotheses = _at_keyframes(chart, whole) if chart.finalise(whole) else None
     if hypotheses is None:
         return track
     stayed = chart.home.stayed(chart.map)
-    rows = _rows(track.t, hypotheses, stayed, whole, drive, localizer)
+    keyframes = [Pose(*h.best.pose) for h in hypotheses]
+    rows = _rows(track.t, hypotheses, keyframes, stayed, solved)
     spells_lost = [(-math.inf, chart.map.begun), *chart.monitor.spells_lost]
-    for i in np.flatnonzero(_within(spells_lost, track.t)).tolist():
+    for i in np.flatnonzero(within(spells_lost, track.t)).tolist():
         rows[i] = _row(track, i)
-    gaps = [*localizer.spells_blind, *_gaps(lost, hypotheses, whole, drive, localizer)]
-    for i in np.flatnonzero(_within(gaps, track.t)).tolist():
+    for i in np.flatnonzero(within(solved.gaps(keyframes), track.t)).tolist():
         rows[i] = Estimate(rows[i].t, Status.MAPPING, Reason.LOST.words)
     return dataclasses.replace(
         track_of(localizer, rows),
@@ -88,6 +81,104 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     )
 
 
+@dataclass(frozen=True)
+class SolvedDrive:
+    """A drive of which all keyframes of the last map were solved at once."""
+
+    drive: Drive
+    localizer: Localizer
+    """After a run of the drive."""
+    whole: Smoother
+    lost: frozenset[int]
+    """Numbers of the keyframes whose poses their bearings contradict."""
+
+    def motions(
+        self, k: int, keyframes: Sequence[Pose], times: Sequence[float]
+    ) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return the motions from a keyframe to times before the next one, given both poses.
+
+        Parameters
+        ----------
+        k : int
+            Index of the keyframe in the window.
+        keyframes : sequence of Pose
+            Poses of all keyframes in one frame.
+        times : sequence of float
+            In order [s].
+
+        Returns
+        -------
+        list of tuple of ndarray, shapes (3,) and (3, 3)
+            Means [m, m, rad] and covariances.
+        """
+        is_last, calibration = k + 1 == len(keyframes), self.whole.state.calibration
+        odometry = self._odometry(k, times[-1] if is_last else self.whole.stamps[k + 1])
+        found = [odometry.advance(t, calibration) for t in times]
+        if is_last:
+            return [(m.delta, m.covariance) for m in found]
+        end = odometry.advance(self.whole.stamps[k + 1], calibration)
+        off = _off(end, between(*keyframes[k : k + 2]))
+        return [bridged(m, end, off) for m in found]
+
+    def gaps(self, keyframes: Sequence[Pose]) -> list[tuple[float, float]]:
+        """Return the intervals in which the robot was lost.
+
+        Those before which a new map replaced one, and those between keyframes with sightings in
+        which odometry is contradicted: by the poses at both ends of a motion, or by the bearings
+        from a keyframe. Where in such an interval odometry failed is unknown. Poses are as in
+        `motions`.
+        """
+        whole, lost = self.whole, self.lost
+        stamps = np.array(whole.stamps)
+        seen = np.isin(whole.first + np.arange(stamps.size), whole.sightings[:, KEYFRAME])
+        seen[[k - whole.first for k in lost]] = False
+        seen[[0, -1]] = True
+        gaps = list(self.localizer.spells_blind)
+        for a, b in pairwise(np.flatnonzero(seen).tolist()):
+            motions = zip(range(a, b), pairwise(keyframes[a : b + 1]), strict=True)
+            ends = {whole.first + k for k in range(a, b + 1)}
+            if not ends.isdisjoint(lost) or any(
+                _is_denied(self._motion(k), between(*poses)) for k, poses in motions
+            ):
+                gaps.append((float(stamps[a]), float(stamps[b])))
+        return gaps
+
+    def _motion(self, k: int) -> Motion:
+        """Return the motion of the odometry from the k-th keyframe in the window to the next."""
+        end = self.whole.stamps[k + 1]
+        return self._odometry(k, end).advance(end, self.whole.state.calibration)
+
+    def _odometry(self, k: int, end: float) -> OdometryIntegrator:
+        """Return an odometry that starts at a keyframe and has the twists until `end` [s]."""
+        twists, begin, odometry = TwistHistory(), self.whole.stamps[k], self.drive.odometry
+        for i in range(*np.searchsorted(odometry.t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
+            twists.add(float(odometry.t[i]), float(odometry.v[i]), float(odometry.omega[i]))
+        integrator = OdometryIntegrator(twists, self.localizer.chart.process_noise)
+        integrator.restart(begin)
+        return integrator
+
+
+def solve_whole(
+    drive: Drive, localizer: Localizer, on_progress: Callable[[float], None] | None = None
+) -> tuple[Track, SolvedDrive | None]:
+    """Run a new localiser on a drive, and solve all keyframes of its last map at once.
+
+    Return the causal track, and the solution; None if bearings and turns have opposite senses.
+    """
+    localizer.retain_marginalised()
+    track = run(drive, localizer, on_progress)
+    if localizer.is_convention_wrong:
+        return track, None
+    chart = localizer.chart
+    chart.learn(float(track.t[-1]))
+    whole = chart.map.smoother.whole()
+    _solve(whole)
+    if restore(_contradicted(drive, chart, whole), chart.map, whole):
+        _solve(whole)
+    lost = frozenset(seen.keyframe for seen in _contradicted(drive, chart, whole))
+    return track, SolvedDrive(drive, localizer, whole, lost)
+
+
 def _solve(whole: Smoother) -> None:
     """Solve the whole drive."""
     for _ in range(NUM_WHOLE_SOLVES):
@@ -96,61 +187,31 @@ def _solve(whole: Smoother) -> None:
 
 def _contradicted(drive: Drive, chart: Chart, whole: Smoother) -> list[SeenAt]:
     """Return sightings from keyframes whose poses they contradict."""
-    keyframes, states = {t: k for k, t in enumerate(whole.stamps)}, whole.marginals()
-    found = []
+    states, known = whole.marginals(), chart.map
+    found = seen_from_keyframes(drive, chart, whole)
+    return [s for s in found if s.contradicts(states[s.keyframe - whole.first], known, whole)]
+
+
+def seen_from_keyframes(
+    drive: Drive, chart: Chart, whole: Smoother, where_at: float | None = None
+) -> Iterator[SeenAt]:
+    """Yield the sightings from keyframes, of landmarks in place then, or at a time [s]."""
+    keyframes = {t: k for k, t in enumerate(whole.stamps)}
     for t, bearings, given in drive.sightings.stamps():
         k = keyframes.get(t)
         if k is None:
             continue
-        ids = chart.map.landmarks.ids_at(t, bearings)
+        ids = chart.map.landmarks.ids_at(t if where_at is None else where_at, bearings)
         names = [n for n, number in ids.items() if math.isfinite(bearings[n])]
         seen = np.array([bearings[n] for n in names])
         frame = WeighedFrame(t, names, seen, chart.noise.sigmas(names, given))
-        seen_at = SeenAt(whole.first + k, frame, np.array([ids[n] for n in names], int))
-        if seen_at.contradicts(states[k], chart.map, whole):
-            found.append(seen_at)
-    return found
+        yield SeenAt(whole.first + k, frame, np.array([ids[n] for n in names], int))
 
 
-def _within(intervals: Sequence[tuple[float, float]], times: np.ndarray) -> np.ndarray:
+def within(intervals: Sequence[tuple[float, float]], times: np.ndarray) -> np.ndarray:
     """Return which times lie in one of the intervals, shape (n,), bool."""
     begin, end = np.array(intervals).reshape(-1, 2).T[:, :, None]
     return np.asarray(((begin <= times) & (times < end)).any(axis=0))
-
-
-def _gaps(
-    lost: Collection[int],
-    hypotheses: list[Hypotheses],
-    whole: Smoother,
-    drive: Drive,
-    localizer: Localizer,
-) -> list[tuple[float, float]]:
-    """Return the intervals between keyframes with sightings in which odometry is contradicted.
-
-    That is by the poses at both ends of a motion, or by the bearings from a keyframe. Where in such
-    an interval odometry failed is unknown.
-    """
-    stamps = np.array(whole.stamps)
-    seen = np.isin(whole.first + np.arange(stamps.size), whole.sightings[:, KEYFRAME])
-    seen[[k - whole.first for k in lost]] = False
-    seen[[0, -1]] = True
-    keyframes = [Pose(*h.best.pose) for h in hypotheses]
-    gaps = []
-    for a, b in pairwise(np.flatnonzero(seen).tolist()):
-        motions = zip(range(a, b), pairwise(keyframes[a : b + 1]), strict=True)
-        ends = {whole.first + k for k in range(a, b + 1)}
-        if not ends.isdisjoint(lost) or any(
-            _is_denied(_motion(drive, localizer, whole, k), between(*poses)) for k, poses in motions
-        ):
-            gaps.append((float(stamps[a]), float(stamps[b])))
-    return gaps
-
-
-def _motion(drive: Drive, localizer: Localizer, whole: Smoother, k: int) -> Motion:
-    """Return the motion of the odometry from the k-th keyframe in the window to the next one."""
-    begin, end = whole.stamps[k : k + 2]
-    odometry = _stretch(drive, localizer.chart.process_noise, begin, end)
-    return odometry.advance(end, whole.state.calibration)
 
 
 def _row(track: Track, i: int) -> Estimate:
@@ -174,28 +235,15 @@ def _at_keyframes(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
     return hypotheses
 
 
-def _stretch(drive: Drive, noise: ProcessNoise, begin: float, end: float) -> OdometryIntegrator:
-    """Return an odometry that starts at `begin` [s] and has the twists until `end` [s]."""
-    twists = TwistHistory()
-    t = drive.odometry.t
-    for i in range(*np.searchsorted(t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
-        twists.add(float(t[i]), float(drive.odometry.v[i]), float(drive.odometry.omega[i]))
-    odometry = OdometryIntegrator(twists, noise)
-    odometry.restart(begin)
-    return odometry
-
-
 def _rows(
     times: np.ndarray,
     hypotheses: list[Hypotheses],
+    keyframes: list[Pose],
     stayed: np.ndarray,
-    whole: Smoother,
-    drive: Drive,
-    localizer: Localizer,
+    solved: SolvedDrive,
 ) -> list[Estimate]:
     """Return the estimates at the times of all rows, by the tests of the causal run."""
-    stamps = np.array(whole.stamps)
-    keyframes = [Pose(*h.best.pose) for h in hypotheses]
+    localizer, stamps = solved.localizer, np.array(solved.whole.stamps)
     index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
     rows: list[Estimate] = []
     for k in np.unique(index).tolist():
@@ -203,16 +251,7 @@ def _rows(
         localizer.chart.share_extrinsics(integrity)
         integrity.update(hypotheses[k], solved=True, stayed=stayed)
         now = times[index == k].tolist()
-        last = k + 1 == stamps.size
-        until = now[-1] if last else float(stamps[k + 1])
-        odometry = _stretch(drive, localizer.chart.process_noise, float(stamps[k]), until)
-        motions = [odometry.advance(t, whole.state.calibration) for t in now]
-        moved = [(m.delta, m.covariance) for m in motions]
-        if not last:
-            end = odometry.advance(until, whole.state.calibration)
-            off = np.array(between(keyframes[k], keyframes[k + 1])) - end.delta
-            off[2] = wrap(off[2])
-            moved = [bridged(m, end, off) for m in motions]
+        moved = solved.motions(k, keyframes, now)
         # Later bearings count too, so that the robot never coasts.
         rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
     return rows
@@ -220,9 +259,15 @@ def _rows(
 
 def _is_denied(motion: Motion, known: Pose) -> bool:
     """Return whether the poses at both ends, `known` apart, contradict a motion of the odometry."""
-    off = np.array(known) - motion.delta
-    off[2] = wrap(off[2])
+    off = _off(motion, known)
     return float(off @ np.linalg.solve(motion.covariance + 1e-12 * np.eye(3), off)) > CONTRADICTED
+
+
+def _off(motion: Motion, known: Pose) -> np.ndarray:
+    """Return by how much the known pose at the end differs from a motion (3,) [m, m, rad]."""
+    off = np.asarray(np.array(known) - motion.delta)
+    off[2] = wrap(off[2])
+    return off
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -15,7 +15,7 @@ from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
-from homeward.drives.settings import Finite, Span, Start
+from homeward.drives.settings import Finite, NonNegative, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose, to_polar
@@ -65,6 +65,8 @@ class RunSettings(DriveChoice):
     """When the robot was at rest at home, in the drive itself [s]."""
     home_spin: Span | None = None
     """Time span of the drive in which the robot turned on the spot at home [s]."""
+    home_at: NonNegative | None = None
+    """Time of the pose of the drive that is home [s]."""
     estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth": from ground truth; None: from the drive's settings,
@@ -132,6 +134,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         topics=run.topics,
         home_spin=run.home_spin,
         home_during=run.home_during,
+        home_at=run.home_at,
         on_progress=progress,
     )
     if not drive.sightings.t.size:

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from homeward.drives.drive import Drive
+from homeward.drives.home.when import time_in
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.io.table import quoted
@@ -76,12 +77,8 @@ def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> No
         require_name("home", store.home, homes)
     if store.route is not None:
         require_name("route", store.route, routes)
-    first, last = drive.span
-    if store.home_at is not None and not 0.0 <= store.home_at <= last - first:
-        raise InputError(
-            f"--home-at {store.home_at:g}: must be from 0 to {last - first:.1f} s, the length of"
-            " the drive"
-        )
+    if store.home_at is not None:
+        time_in(drive, store.home_at)
 
 
 def day_of(run: RunSettings, drive: Drive) -> float:
@@ -110,7 +107,7 @@ def save_visit(
     visit = collect_visit(estimator, drive, track, day_of(run, drive), run.place_home)
     lost: list[str] = []
     if store.home is not None:
-        until = math.inf if store.home_at is None else drive.span[0] + store.home_at
+        until = math.inf if store.home_at is None else time_in(drive, store.home_at)
         try:
             visit = visit.store_home(store.home, *last_frame(drive, track, until))
         except HomewardError as error:  # the visit is merged nevertheless

@@ -4,7 +4,7 @@ import dataclasses
 
 import pytest
 
-from homeward.drives.home.spin import with_home
+from homeward.drives.home.when import with_home
 from homeward.drives.settings import HomeWhen, KnownLandmarks, Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between

@@ -8,7 +8,8 @@ from drives.home.turning import TOLD, turned
 from scipy.stats import chi2
 
 from homeward.drives.drive import Drive, Odometry
-from homeward.drives.home.spin import spin, with_home
+from homeward.drives.home.spin import spin
+from homeward.drives.home.when import with_home
 from homeward.drives.settings import DriveSettings, HomeWhen, Mount, OdometryNoise, Sensor
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
@@ -167,7 +168,7 @@ def refused(words, odometry=None, sightings=None, interval=ALL, settings=None):
 def test_what_is_no_turn_at_home_is_refused():
     odometry, sightings, _ = turned(0)
     t, v, omega = odometry.t, odometry.v, odometry.omega
-    refused("no sightings", interval=(500.0, 510.0))
+    refused("length of the drive", interval=(500.0, 510.0))
     refused("disagree", Odometry(t, v, -omega))
     refused("not turn on the spot", Odometry(t, v + 0.4, omega))
     refused("finite", Odometry(t, v, np.where(t > 3.0, np.nan, omega)))

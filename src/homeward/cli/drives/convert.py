@@ -7,7 +7,17 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import HomeDuring, HomeSpin, Topics, progress, read_drive, say, warn
+from homeward.cli.options import (
+    HomeAt,
+    HomeDuring,
+    HomeSpin,
+    Topics,
+    home_times,
+    progress,
+    read_drive,
+    say,
+    warn,
+)
 
 
 def convert(
@@ -18,13 +28,14 @@ def convert(
         Path, typer.Argument(help="A file ending in .mcap, .bag or .db3, or a new drive folder.")
     ],
     topics: Topics = None,
-    home_spin: HomeSpin = None,
     home_during: HomeDuring = None,
+    home_spin: HomeSpin = None,
+    home_at: HomeAt = None,
 ) -> None:
     """Convert a drive to a drive folder, an MCAP file or a ROS bag, without loss."""
     from homeward.drives.opening import save_drive
 
-    drive = read_drive(source, topics, home_spin, home_during)
+    drive = read_drive(source, topics, **home_times(home_during, home_spin, home_at))
     with progress(f"writing {target}") as on_progress:
         kind = save_drive(drive, target, on_progress)
     say(

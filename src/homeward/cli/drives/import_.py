@@ -10,9 +10,11 @@ import typer
 
 from homeward.cli import options as shared
 from homeward.errors import InputError
+from homeward.io.naming import command
 
 MRCLAM = "mrclam"
 """First argument for a folder of the MRCLAM data set."""
+EDIT = "its drive.yaml lists the settings of camera, odometry and home to edit"
 
 
 def import_(
@@ -57,8 +59,9 @@ def import_(
     camera: Annotated[
         str | None, typer.Option(metavar="FILE", help="Calibration of the camera, for pixels.")
     ] = None,
-    home_spin: shared.HomeSpin = None,
     home_during: shared.HomeDuring = None,
+    home_spin: shared.HomeSpin = None,
+    home_at: shared.HomeAt = None,
     picture: Annotated[Path, typer.Option(help="The figure of the imported data to write.")] = Path(
         "out/import.png"
     ),
@@ -79,9 +82,11 @@ def import_(
     --home 2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
     """
     from homeward.drives.opening import save_drive
+    from homeward.drives.settings import home_when
 
+    when = home_when(**shared.home_times(home_during, home_spin, home_at))
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or kinds or wheels or camera or home_spin or home_during:
+        if columns or kinds or wheels or camera or when:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
@@ -93,7 +98,6 @@ def import_(
         )
     from homeward.drives.cameras.calibration import read_calibration
     from homeward.drives.importers.reading import drive_of, home_warnings, understand
-    from homeward.drives.settings import home_when
     from homeward.drives.wheels import Wheels
     from homeward.io.settings import parse_settings
     from homeward.io.writing import write_whole
@@ -111,28 +115,38 @@ def import_(
     ]
     if not json:
         shared.table([(*keys[:5], "", "from, to"), *rows], left=len(keys))
-    when = home_when(*shared.home_spans(home_spin, home_during))
-    drive = drive_of(found, "import" if out is None else out.name, when, geometry)
+    with shared.progress("mapping the drive for home") as on_progress:
+        name = "import" if out is None else out.name
+        drive = drive_of(found, name, when, geometry, on_progress)
     write_whole(picture, png(draw_drive(drive)))
     remarks = [*drive.remark_lines, *home_warnings(drive)]
+    if out is not None:
+        save_drive(drive, out, commented=True)
+        following = command("run", out)
+    else:
+        options: list[tuple[str, object]] = [("--columns", text) for text in columns or ()]
+        options += [("--as", text) for text in kinds or ()]
+        options += [("--wheels", wheels), ("--camera", camera), ("--home-during", home_during)]
+        options += [("--home-spin", home_spin), ("--home-at", home_at), ("--out", "out/drive")]
+        chosen = (part for option in options if option[1] is not None for part in option)
+        following = command("import", *files, *chosen)
     if json:
-        if out is not None:
-            save_drive(drive, out)
         columns_read = [dict(zip(keys, row, strict=True)) for row in rows]
-        shared.answer(
-            {"columns": columns_read, "remarks": remarks, "picture": picture, "folder": out}
-        )
+        facts = {"columns": columns_read, "remarks": remarks, "picture": picture}
+        shared.answer({**facts, "folder": out, "next": following})
         return
     shared.warn(*remarks)
     shared.say(
         f"Picture: {picture}. Check that the path has the right size and shape and that the"
         " bearings change smoothly."
     )
-    if out is None:
-        shared.say("No drive written. Add --out FOLDER to write it.")
-        return
-    save_drive(drive, out)
-    shared.say(f"Drive folder: {out}")
+    _written(out, following)
+
+
+def _written(out: Path | None, following: str) -> None:
+    """Print where the drive is, and the next command."""
+    shared.say("No drive written." if out is None else f"Drive folder: {out}; {EDIT}")
+    shared.say(f"Next: {following}")
 
 
 def _mrclam(
@@ -155,9 +169,10 @@ def _mrclam(
         )
     place, (noise_deg, seed) = Pose(*shared.three_numbers(home, "--home")), noise
     drive = read_mrclam(folders[0], robot, place, math.radians(noise_deg), seed)
-    save_drive(drive, out)
+    save_drive(drive, out, commented=True)
+    following = command("run", out)
     if json:
-        shared.answer({"remarks": drive.remark_lines, "folder": out})
+        shared.answer({"remarks": drive.remark_lines, "folder": out, "next": following})
         return
     shared.warn(*drive.remark_lines)
-    shared.say(f"Drive folder: {out}")
+    _written(out, following)

@@ -55,6 +55,8 @@ def info(
         say("A run would use these topics (copy them to a topics file to change them):")
         for line in found.settings.splitlines():
             say(line)
+    if found.next:
+        say(f"Next: {found.next}")
 
 
 def _facts(found: LogInfo) -> dict[str, Any]:
@@ -67,6 +69,8 @@ def _facts(found: LogInfo) -> dict[str, Any]:
             "rate_hz": topic.rate,
             "longest_gap_s": topic.longest_gap,
             "received_after_s": None if topic.clock is None else topic.clock.median,
+            "clock_jumps": None if topic.clock is None else topic.clock.jumps,
+            "stamped": topic.header is None or topic.is_stamped,
         }
         for topic in found.topics
     ]
@@ -76,6 +80,7 @@ def _facts(found: LogInfo) -> dict[str, Any]:
         "topics": topics,
         "settings": found.settings,
         "remarks": list(found.remarks),
+        "next": found.next,
     }
 
 

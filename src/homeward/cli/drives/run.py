@@ -52,20 +52,18 @@ def run(
         ),
     ] = None,
     topics: shared.Topics = None,
-    home_spin: shared.HomeSpin = None,
     home_during: shared.HomeDuring = None,
+    home_spin: shared.HomeSpin = None,
+    home_at: shared.HomeAt = None,
     place: shared.KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place after the run.")
     ] = False,
     store_home: Annotated[
         str | None,
-        typer.Option(help="With --update: store the end of the drive as a home with this name."),
-    ] = None,
-    home_at: Annotated[
-        float | None,
         typer.Option(
-            help="With --store-home: time at which the robot was there [s from the start; the end]."
+            help="With --update: store the end of the drive, or its pose at --home-at, as a home "
+            "with this name."
         ),
     ] = None,
     store_route: Annotated[
@@ -102,12 +100,11 @@ def run(
     from homeward.io.settings import nested
     from homeward.places.files import check_place, newest
 
-    spin, during = shared.home_spans(home_spin, home_during)
+    stored_at, home_at = (home_at, None) if store_home else (None, home_at)
     options = {
         "estimator": estimator,
         "start": _start(start),
-        "home_spin": spin,
-        "home_during": during,
+        **shared.home_times(home_during, home_spin, home_at),
         "topics": None if topics is None else os.path.realpath(topics),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,
@@ -125,8 +122,6 @@ def run(
     for option, name in (("--store-home", store_home), ("--store-route", store_route)):
         if name is not None and not update:
             raise InputError(f"{option} needs --update")
-    if home_at is not None and store_home is None:
-        raise InputError("--home-at needs --store-home")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when need --place")
     if save_learnt is not None:
@@ -137,7 +132,7 @@ def run(
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
-    names = store_home, home_at, store_route
+    names = store_home, stored_at, store_route
     _run(run_settings(drive, given), out, update, names, save_learnt, json)
 
 

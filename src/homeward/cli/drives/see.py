@@ -33,8 +33,9 @@ def see(
         typer.Option(help="Detect fiducial tags of this family, for example 36h11 or 4x4_50."),
     ] = None,
     topics: shared.Topics = None,
-    home_spin: shared.HomeSpin = None,
     home_during: shared.HomeDuring = None,
+    home_spin: shared.HomeSpin = None,
+    home_at: shared.HomeAt = None,
     camera: Annotated[
         Path | None,
         typer.Option(
@@ -55,14 +56,17 @@ def see(
 
     Continue with: homeward run OUT. images.yaml in the folder may name the camera, the home image,
     and a mask, black where the robot itself is visible; drive.yaml and truth.csv are copied. With
-    --tags, home.csv, --home-spin or --home-during replace the home image; a drive in a known place
-    needs none of them. Exit status 1 if no landmark was found.
+    --tags, home.csv, --home-during, --home-spin or --home-at replace the home image; a drive in a
+    known place needs none of them. Exit status 1 if no landmark was found.
 
     For two panoramas (`homeward see home.png now.png`), it reports the rotation of the camera since
     home and the direction of home, and writes comparison.png, matches.csv and comparison.json.
     """
+    from homeward.drives.settings import home_when
+
+    when = home_when(**shared.home_times(home_during, home_spin, home_at))
     if now is not None:
-        if tags or topics or home_spin or home_during:
+        if tags or topics or when:
             raise InputError("two panoramas take only --camera, --mask, --force, --out and --json")
         compare(folder, now, out or Path("out/compare"), camera, mask, force, json)
         return
@@ -73,8 +77,7 @@ def see(
     if out is None:
         raise InputError("no output folder: add --out FOLDER, the drive folder to write")
     from homeward.drives.folder import ODOMETRY, write_folder
-    from homeward.drives.home.spin import with_home
-    from homeward.drives.settings import home_when
+    from homeward.drives.home.when import with_home
     from homeward.errors import naming_file
     from homeward.io.writing import check_output
     from homeward.runs.report.words import describe_sightings
@@ -82,7 +85,6 @@ def see(
 
     if os.path.realpath(out) == os.path.realpath(folder):
         raise InputError("--out is the folder of the images; choose another folder", out)
-    when = home_when(*shared.home_spans(home_spin, home_during))
     with shared.progress(f"detecting landmarks in {folder}") as on_progress:
         drive = see_recording(
             folder,
@@ -94,7 +96,7 @@ def see(
         )
         if when is not None:
             with naming_file(folder):
-                drive = with_home(drive, when)
+                drive = with_home(drive, when, on_progress)
         write_folder(drive, out)
     if json:
         seen = Counter(drive.sightings.landmark.tolist())

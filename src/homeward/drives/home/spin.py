@@ -7,22 +7,21 @@ of the ranges.
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Mapping
-from typing import NamedTuple, Unpack
+from dataclasses import dataclass
+from typing import Unpack
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeBearing, Odometry, Samples, Sightings
+from homeward.drives.drive import HomeBearing, Odometry, Samples, Sightings
 from homeward.drives.home.turn import GATE, MIN_SIGMA_RAD, TurnProblem
 from homeward.drives.known import known_robot
-from homeward.drives.settings import DriveSettings, HomeWhen, Robot
+from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.geometry.robust import GNC_SCHEDULE, robust_weight
 from homeward.io.table import quoted
-from homeward.odometry.validity import validities
 
 HARD_STEPS = 4
 """Steps with weights of 0 or 1, after those of graduated non-convexity."""
@@ -32,23 +31,16 @@ DATUM_STEPS = 10
 """Iterations of the weights that define home's heading."""
 
 
-class Spin(NamedTuple):
-    """Home bearings from a rotation; home is the robot's pose at its beginning."""
+@dataclass(frozen=True)
+class JointHome:
+    """Home bearings with their joint covariance."""
 
     names: tuple[str, ...]
     """Ids of n landmarks."""
     bearings: np.ndarray
-    """(n,), from the camera's axis at the beginning [rad]."""
+    """(n,), from the camera's axis at home [rad]."""
     covariance: np.ndarray
-    """(n, n), relative to the robot's heading at the beginning [rad^2]."""
-    left_out: tuple[str, ...]
-    """Landmarks whose sightings disagree: moved meanwhile, or duplicate ids."""
-    turned: float
-    """Corrected rotation [rad]; positive anti-clockwise."""
-    seen: float
-    """Angle that was in view, at most a full turn [rad]."""
-    end: Pose
-    """Pose of the robot at the last sighting, in the home frame."""
+    """(n, n), relative to the robot's heading at home [rad^2]."""
 
     @property
     def home(self) -> dict[str, HomeBearing]:
@@ -65,7 +57,7 @@ class Spin(NamedTuple):
 
     @property
     def heading_sigma(self) -> float:
-        """Standard deviation of home's heading from the robot's heading at the beginning [rad]."""
+        """Standard deviation of home's heading from the robot's heading at home [rad]."""
         return float(np.sqrt(self.datum @ self.covariance @ self.datum))
 
     @property
@@ -82,6 +74,20 @@ class Spin(NamedTuple):
         """Return the variances (n,) of the bearings relative to their weighted mean [rad^2]."""
         common = self.covariance @ weights
         return np.asarray(self.covariance.diagonal() - 2.0 * common + weights @ common)
+
+
+@dataclass(frozen=True)
+class Spin(JointHome):
+    """Home bearings from a rotation; home is the robot's pose at its beginning."""
+
+    left_out: tuple[str, ...]
+    """Landmarks whose sightings disagree: moved meanwhile, or duplicate ids."""
+    turned: float
+    """Corrected rotation [rad]; positive anti-clockwise."""
+    seen: float
+    """Angle that was in view, at most a full turn [rad]."""
+    end: Pose
+    """Pose of the robot at the last sighting, in the home frame."""
 
 
 def spin(
@@ -182,98 +188,32 @@ class HomeScan:
         return not self._too_long
 
 
-MAX_STILL_M, MAX_STILL_RAD = 0.05, 0.05
-"""Maximum motion of a stationary robot [m, rad]."""
 FOUND = (
-    "home bearings from a rotation of {:.0f} degrees, with a median sigma of {:.2g} degrees; sigma "
-    "of home's heading: {:.2g} degrees"
+    "home bearings from {}, with a median sigma of {:.2g} degrees; sigma of home's heading: {:.2g} "
+    "degrees"
 )
 PARTIAL_VIEW = "degrees in view at home, not 360; home has no bearings in the rest"
-OTHER_HOME = "{} relative to another home, ignored"
 INCONSISTENT = "landmarks without a home bearing, since their sightings at home disagree: {}"
-
-
-def with_home(drive: Drive, when: HomeWhen) -> Drive:
-    """Return a drive with home bearings from its own sightings, which replace any that it has.
-
-    `InputError` where the robot moved at that time, or had no sightings; see `spin`.
-    """
-    span = when.during or when.spin
-    if span is None:
-        return drive
-    first, last = (drive.span[0] + t for t in span)
-    if drive.settings.home_sensor is not None:
-        raise InputError(
-            "home_sensor does not apply if home comes from this drive; remove it from drive.yaml"
-        )
-    if drive.known.surveyed_from_home:
-        raise InputError(
-            "landmarks.yaml already defines home (frame: home); remove the time at home"
-        )
-    if drive.home:
-        drive = _seen_from(drive, first)
-    settings = drive.settings.model_copy(update={"home": None})
-    if when.during is not None:
-        _require_still(first, last, drive.odometry)
-        home = _mean_directions(drive, first, last)
-        if not home:
-            raise InputError(f"no sightings at home from {span[0]:g} to {span[1]:g} s")
-        return dataclasses.replace(drive, home=home, settings=settings)
-    found = spin((first, last), drive.odometry, drive.sightings, settings)
-    remarks = {**drive.remarks, **_remarks(found)}
-    return dataclasses.replace(drive, home=found.home, settings=settings, remarks=remarks)
-
-
-def _require_still(first: float, last: float, odometry: Odometry) -> None:
-    """Refuse an interval [s] in which the odometry moves."""
-    ends = np.minimum(odometry.t + validities(odometry.t), last)
-    within = np.clip(ends - np.maximum(odometry.t, first), 0.0, None)
-    odometry = odometry.bridged
-    path, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
-    if path > MAX_STILL_M or turn > MAX_STILL_RAD:
-        raise InputError(
-            f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad; give an "
-            "interval without motion"
-        )
-
-
-def _mean_directions(drive: Drive, first: float, last: float) -> dict[str, HomeBearing]:
-    """Return the mean bearing of each landmark in view in an interval [s]."""
-    seen, home = drive.sightings, dict[str, HomeBearing]()
-    at_home = seen.rows((seen.t >= first) & (seen.t <= last))
-    for landmark in dict.fromkeys(at_home.landmark.tolist()):
-        mine = at_home.bearing[at_home.landmark == landmark]
-        home[landmark] = HomeBearing(float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum())))
-    return home
-
-
-def _seen_from(drive: Drive, t: float) -> Drive:
-    """Return a drive without its home, and its ground truth relative to the pose at `t` [s]."""
-    settings, truth = drive.settings.model_copy(update={"start": None}), drive.truth
-    remarks = dict(drive.remarks)
-    if drive.settings.start is not None:
-        remarks[OTHER_HOME.format("start prior")] = 1
-    if truth is not None and truth.t[0] <= t <= truth.t[-1]:
-        home = Pose(*(float(part[0]) for part in truth.at(np.array([t]))))
-        truth = truth.seen_from(home)
-    elif truth is not None:
-        truth, remarks[OTHER_HOME.format("ground truth")] = None, 1
-    return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)
 
 
 def spin_summary(found: Spin) -> str:
     """Return a summary of a rotation in one line."""
-    return "; ".join(f"{number} {text}" for text, number in _remarks(found).items())
+    return "; ".join(f"{number} {text}" for text, number in spin_remarks(found).items())
 
 
-def _remarks(found: Spin) -> dict[str, int]:
+def spin_remarks(found: Spin) -> dict[str, int]:
     """Return the remarks about a rotation."""
     turned, seen = abs(math.degrees(found.turned)), math.degrees(found.seen)
-    sigma = math.degrees(np.median([seen.sigma for seen in found.home.values()]))
-    heading = math.degrees(found.heading_sigma)
-    remarks = {FOUND.format(turned, sigma, heading): len(found.names)}
+    remarks = home_remark(found, f"a rotation of {turned:.0f} degrees")
     if seen < 359.5:
         remarks[PARTIAL_VIEW] = round(seen)
     if found.left_out:
         remarks[INCONSISTENT.format(", ".join(map(quoted, found.left_out)))] = len(found.left_out)
     return remarks
+
+
+def home_remark(found: JointHome, source: str) -> dict[str, int]:
+    """Return the remark about the number and the precision of home bearings from a source."""
+    sigma = math.degrees(np.median([seen.sigma for seen in found.home.values()]))
+    words = FOUND.format(source, sigma, math.degrees(found.heading_sigma))
+    return {words: len(found.names)}

@@ -19,6 +19,7 @@ from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, bearing
+from homeward.io.naming import command
 from homeward.io.reading import is_there, require_folder
 from homeward.io.table import Table, read_columns
 
@@ -48,7 +49,7 @@ def read_mrclam(
     _check_arguments(home, home_noise, seed)
     require_folder(folder)
     if not is_there(folder / f"Robot{robot}_Odometry.dat"):
-        raise InputError(f"no robot {robot} in it; choose one of: {_robots_in(folder)}", folder)
+        raise InputError(f"no robot {robot} in it; choose one of: {robots_in(folder)}", folder)
     landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
     subjects = _read_barcodes(folder / BARCODES)
     remarks: dict[str, int] = {}
@@ -78,12 +79,14 @@ def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
 
 
 def mrclam_command(folder: Path) -> str:
-    """Return the command that imports an MRCLAM folder."""
-    command = "`homeward import mrclam FOLDER --robot N --home X,Y,HEADING --out DRIVE`"
-    return f"{command} (robots: {_robots_in(folder)})"
+    """Return the command that imports the first robot of an MRCLAM folder."""
+    robot = robots_in(folder).partition(",")[0]
+    options = "--robot", robot, "--home", "0,0,0", "--out", f"out/robot{robot}"
+    return command("import", "mrclam", folder, *options)
 
 
-def _robots_in(folder: Path) -> str:
+def robots_in(folder: Path) -> str:
+    """Return the numbers of the robots in an MRCLAM folder, separated by commas."""
     names = (file.name for file in folder.glob("Robot*_Odometry.dat"))
     robots = sorted(name.removeprefix("Robot").removesuffix("_Odometry.dat") for name in names)
     return ", ".join(robots) or "none"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -16,25 +16,27 @@ from homeward.drives.folder import (
     HOME_ADVICE,
     REPEATED_ODOMETRY,
     home_of,
-    is_drive_folder,
     sightings_of,
     truth_of,
     without_repeats,
 )
-from homeward.drives.home.spin import with_home
+from homeward.drives.home.when import with_home
 from homeward.drives.importers.columns import KINDS, specified_columns
+from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, parts_of
 from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
+from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
+from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
 from homeward.drives.ros.log import Log, is_log
 from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.drives.wheels import Wheels
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
-from homeward.io.naming import listing, natural
+from homeward.io.naming import command, listing, natural
 from homeward.io.table import Table, quoted
 from homeward.odometry.dead_reckoning import dead_reckoning
 
@@ -105,18 +107,19 @@ def understand(
 
 
 def _refuse_drives(path: Path) -> None:
-    """Refuse a folder, or a log, which needs no import."""
+    """Refuse a folder, or a log, which needs no import, with the command to use instead."""
     if is_log(path):
         ways = f"`homeward run {path}`, or `homeward convert {path} my_drive` for a drive folder"
         raise InputError(f"a log ({Log(path).kind}) needs no import: use {ways}", path)
-    if path.is_dir():
-        is_drive = is_drive_folder(path)
-        advice = (
-            "use it directly with `homeward run`"
-            if is_drive
-            else f"give the files in it: `homeward import {path}/*`"
-        )
-        raise InputError(f"a {'drive ' * is_drive}folder, not a text file; {advice}", path)
+    if not path.is_dir():
+        return
+    if not any(recognises(path) for recognises in (*KINDS_OF_DRIVES.values(), is_mrclam)):
+        files: Sequence[object] = tables_in(path) or ["FILE", "..."]
+        way = command("import", *files, "--out", f"out/{path.resolve().name}")
+        raise InputError(f"a folder, not a text file; give the files in it: `{way}`", path)
+    kind = kind_of(path)
+    way = command("run" if kind == DRIVE_FOLDER else "info", path)
+    raise InputError(f"a {kind.partition(' (')[0]} needs no import: use `{way}`", path)
 
 
 def drive_of(
@@ -124,6 +127,7 @@ def drive_of(
     name: str,
     home: HomeWhen | None = None,
     wheels: Wheels | None = None,
+    on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Return the drive of imported tables, with its home as in `open_drive`.
 
@@ -160,7 +164,7 @@ def drive_of(
     if truth is not None and truth.is_unsure:
         drive = _without_dead_reckoning(drive, truth.table.file)
     drive = with_clock_remarks(drive, tables["bearings"].file)
-    return drive if home is None else with_home(drive, home)
+    return drive if home is None else with_home(drive, home, on_progress)
 
 
 def home_warnings(drive: Drive) -> list[str]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import cast
@@ -14,7 +14,7 @@ import numpy as np
 from homeward.drives import folder as csv
 from homeward.drives.drive import Truth
 from homeward.drives.images import IMAGES, read_images
-from homeward.drives.importers.mrclam import is_mrclam, mrclam_command
+from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
@@ -22,6 +22,7 @@ from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS, axes_of
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_HOME,
+    PICTURES,
     BearingsTopic,
     LogSettings,
     OdometryTopic,
@@ -39,9 +40,12 @@ from homeward.drives.ros.topics.choosing import (
 from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, survey
 from homeward.drives.ros.topics.tag_frames import MIN_TAGS
 from homeward.errors import InputError
+from homeward.io.naming import command
 from homeward.io.settings import read_settings, settings_yaml
 from homeward.io.table import quoted
 
+FIRST_POSE = "--home-at", "0"
+"""Options of a next command where home is not given: any other time works, too."""
 REFUSED = "homeward run cannot use it: {}."
 
 
@@ -58,6 +62,8 @@ class LogInfo:
     """Usable topics, obstacles, and remarks of the reader, each a line."""
     folder: bool = False
     """Whether it is a folder of CSV files or images."""
+    next: str = ""
+    """The next command to type; empty where the remarks report the missing data."""
 
     @property
     def settings(self) -> str:
@@ -69,15 +75,15 @@ def log_info(
     path: Path, topics: Path | None = None, on_progress: OnProgress | None = None
 ) -> LogInfo:
     """Inspect a log, or a complete or incomplete drive folder, and try a topics file."""
-    path = located(path)
+    path, given = located(path), path
     if is_mrclam(path):
-        advice = f"Import it with {mrclam_command(path)}."
-        return LogInfo("MRCLAM folder", (), None, (advice,), folder=True)
+        words = f"Robots: {robots_in(path)}. Home is any pose in the frame of the survey."
+        return LogInfo("MRCLAM folder", (), None, (words,), True, mrclam_command(given))
     kind_of(path)  # refuses an unknown kind
     if is_image_folder(path):
-        return _folder_info("folder of images", path, (IMAGES, csv.ODOMETRY))
+        return _folder_info("folder of images", path, given, (IMAGES, csv.ODOMETRY))
     if csv.is_drive_folder(path):
-        return _folder_info("drive folder", path, csv.REQUIRED)
+        return _folder_info("drive folder", path, given, csv.REQUIRED)
     from homeward.drives.ros.reading import calibrated
 
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
@@ -93,7 +99,7 @@ def log_info(
         plan = choose(known, calibrated(settings, path if topics is None else topics))
     except InputError as error:
         remarks = (*cut_short, f"{error.what}.", *_candidates(known))
-        return LogInfo(log.kind, known.topics, None, remarks)
+        return LogInfo(log.kind, known.topics, None, remarks, next=_with_topics(given))
     missing = tuple(_missing(plan))
     remarks = (
         *cut_short,
@@ -102,7 +108,30 @@ def log_info(
         *_tags_used(known, plan),
         *_tried(known, plan, topics, on_progress),
     )
-    return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)))
+    following = _next(given, plan, topics, known, remarks)
+    return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)), next=following)
+
+
+def _next(
+    log: Path, plan: LogSettings, topics: Path | None, known: TopicSurvey, remarks: Sequence[str]
+) -> str:
+    """Return the next command for a log; remarks contain the reason why a run cannot use it."""
+    has_pictures = any(topic.type in PICTURES for topic in known.topics)
+    if plan.odometry is not None and not plan.bearings and has_pictures:
+        return command("see", log, "--tags", "36h11", "--out", f"out/{log.stem}")
+    if plan.odometry is None or not plan.bearings or _is_refused(remarks):
+        return _with_topics(log)
+    home = () if plan.home is not None else FIRST_POSE
+    return command("run", log, *(() if topics is None else ("--topics", topics)), *home)
+
+
+def _with_topics(log: Path) -> str:
+    """Return the command that tries a topics file, which the user has to write."""
+    return command("info", log, "--topics", "topics.yaml")
+
+
+def _is_refused(remarks: Sequence[str]) -> bool:
+    return any(remark.startswith(REFUSED.partition("{")[0]) for remark in remarks)
 
 
 _Remarks = dict[str, int]
@@ -121,8 +150,8 @@ _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
 """Files with times: their columns, and the function that reads the times [s]."""
 
 
-def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
-    """Return the contents of a folder, complete or not."""
+def _folder_info(kind: str, path: Path, given: Path, needed: tuple[str, ...]) -> LogInfo:
+    """Return the contents of a folder, complete or not, which the user calls `given`."""
     counts: _Remarks = {}
     topics = tuple(
         Topic(name, columns, np.rint(times(path / name, counts) * NANO).astype(np.int64), None)
@@ -137,20 +166,29 @@ def _folder_info(kind: str, path: Path, needed: tuple[str, ...]) -> LogInfo:
         missing = csv.missing_files(path)
     else:
         missing = [name for name in needed if not (path / name).exists()]
-    if missing:
+    has_no_home = missing == [csv.HOME]
+    if has_no_home:
+        remarks.append(f"No home bearings found: {csv.HOME_ADVICE}.")
+    elif missing:
         remarks += [f"{number:,} {reason}" for reason, number in counts.items()]
         remarks.append(REFUSED.format(f"there is no {', no '.join(missing)}"))
+    if is_drive and (has_no_home or not missing):
+        remarks += _checked(path, not has_no_home)
+    if _is_refused(remarks):
+        following = ""
     elif is_drive:
-        remarks += _checked(path)
-    return LogInfo(kind, topics, None, tuple(remarks), folder=True)
+        following = command("run", given, *(FIRST_POSE if has_no_home else ()))
+    else:
+        following = command("see", given, "--out", f"out/{path.name}")
+    return LogInfo(kind, topics, None, tuple(remarks), True, following)
 
 
-def _checked(path: Path) -> Iterator[str]:
+def _checked(path: Path, home_needed: bool) -> Iterator[str]:
     """Yield the remarks about a drive, and the reason where `homeward run` cannot use it."""
-    drive = csv.read_folder(path)
+    drive = csv.read_folder(path, home_needed=home_needed)
     if not drive.sightings.t.size:
         yield REFUSED.format(f"{csv.BEARINGS} has no rows")
-    if not drive.home and not csv.has_home(path):
+    if home_needed and not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
         yield from with_clock_remarks(without_bearing_delay(drive), path).remark_lines

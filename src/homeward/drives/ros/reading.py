@@ -12,7 +12,7 @@ from homeward.drives.cameras.calibration import CameraRows, is_calibration, read
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
-from homeward.drives.home.spin import with_home
+from homeward.drives.home.when import with_home
 from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import (
@@ -160,7 +160,7 @@ class _Reading:
             remarks=self._known.log.cut_short | dict(self._remarks),
         )
         drive, home = without_bearing_delay(found), self._plan.home
-        return drive if home is None else with_home(drive, home)
+        return drive if home is None else with_home(drive, home, on_progress)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:
         """Return the settings of the user, or else of the log, and the log's epoch [s]."""

@@ -9,7 +9,14 @@ from pydantic import Field, field_validator, model_validator
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.structure import Layout
-from homeward.drives.settings import DriveSettings, Finite, HomeWhen, Mount, Positive
+from homeward.drives.settings import (
+    HOME_TIMES,
+    DriveSettings,
+    Finite,
+    HomeWhen,
+    Mount,
+    Positive,
+)
 from homeward.drives.wheels import Wheels
 from homeward.io.keys import Strict
 
@@ -120,10 +127,7 @@ class BearingsTopic(Strict):
 
 NAME_BEARINGS = "name its topics under bearings in a topics file; homeward info lists them"
 """Advice for a log without a known topic of bearings."""
-NAME_HOME = (
-    "use --home-during FROM,TO [s] if the robot was at rest at home; --home-spin FROM,TO [s] if it "
-    "turned on the spot there; or name a file or topic under home in a topics file"
-)
+NAME_HOME = f"name a file or topic under home in a topics file; or use {HOME_TIMES}"
 """Advice for a log without home bearings."""
 
 

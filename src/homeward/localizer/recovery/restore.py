@@ -34,8 +34,8 @@ class SeenAt:
     ids: np.ndarray
     """(m,): the landmarks' ids in the smoother."""
 
-    def contradicts(self, state: Marginal, known: Map, whole: Smoother) -> bool:
-        """Return whether most of these bearings, at least two, contradict the keyframe's pose.
+    def misfits(self, state: Marginal, known: Map, whole: Smoother) -> np.ndarray:
+        """Return which bearings contradict the keyframe's pose and the map, shape (m,), bool.
 
         Parameters
         ----------
@@ -46,13 +46,15 @@ class SeenAt:
         whole : Smoother
             All keyframes.
         """
-        if not self.ids.size:
-            return False
         eye = state.pose_after(known.camera(Motion.identity()))
         seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
         expected = predict_bearings(state, *seen)
         sigmas = np.sqrt(expected.innovation_covariance.diagonal())
-        wrong = int((np.abs(expected.residual) > GATE * sigmas).sum())
+        return np.asarray(np.abs(expected.residual) > GATE * sigmas)
+
+    def contradicts(self, state: Marginal, known: Map, whole: Smoother) -> bool:
+        """Return whether most of these bearings, at least two, are `misfits`."""
+        wrong = int(self.misfits(state, known, whole).sum()) if self.ids.size else 0
         return wrong >= 2 and 2 * wrong > self.ids.size
 
     def lines(self, known: Map, whole: Smoother) -> SightLines:

@@ -1,0 +1,136 @@
+"""Home at a time of the drive, from its own sightings."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+import numpy as np
+
+from homeward.drives.drive import Drive, HomeBearing, Odometry
+from homeward.drives.home.spin import home_remark, spin, spin_remarks
+from homeward.drives.settings import HomeWhen
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose
+from homeward.odometry.validity import validities
+
+MAX_STILL_M, MAX_STILL_RAD = 0.05, 0.05
+"""Maximum motion of a stationary robot [m, rad]."""
+OTHER_HOME = "{} relative to another home, ignored"
+SEEN = (
+    "home bearings are the sightings at {:g} s of the drive: fewer than {} landmarks are mapped "
+    "there"
+)
+MIN_MAPPED = 4
+"""Minimum number of mapped landmarks for home at a time of the drive: a pose needs as many."""
+MAX_AGE_S = 0.5
+"""Maximum time between home at a time of the drive and a sighting that counts as seen there [s]."""
+
+
+def with_home(
+    drive: Drive, when: HomeWhen, on_progress: Callable[[float], None] | None = None
+) -> Drive:
+    """Return a drive with home bearings from its own sightings, which replace any that it has.
+
+    `on_progress` receives the fraction done, in [0, 1], while the drive is mapped. `InputError`
+    where the robot moved at that time, or had no sightings; see `spin`.
+    """
+    times = when.times
+    if times is None:
+        return drive
+    first, last = time_in(drive, times[0]), drive.span[0] + times[1]
+    if drive.settings.home_sensor is not None:
+        raise InputError(
+            "home_sensor does not apply if home comes from this drive; remove it from drive.yaml"
+        )
+    if drive.known.surveyed_from_home:
+        raise InputError(
+            "landmarks.yaml already defines home (frame: home); remove the time at home"
+        )
+    drive = _seen_from(drive, first)
+    drive = dataclasses.replace(drive, settings=drive.settings.model_copy(update={"home": None}))
+    if when.at is not None:
+        home, remarks = _home_at(drive, first, on_progress)
+    elif when.during is not None:
+        _require_still(first, last, drive.odometry)
+        home, remarks = _mean_directions(drive, first, last), {}
+    else:
+        found = spin((first, last), drive.odometry, drive.sightings, drive.settings)
+        home, remarks = found.home, spin_remarks(found)
+    if not home:
+        raise InputError(f"no sightings at home from {times[0]:g} to {times[1]:g} s")
+    return dataclasses.replace(drive, home=home, remarks={**drive.remarks, **remarks})
+
+
+def time_in(drive: Drive, since: float) -> float:
+    """Return the stamp of a time since the first sample of a drive [s]; `InputError` if outside."""
+    first, last = drive.span
+    if not 0.0 <= since <= last - first:
+        raise InputError(
+            f"time at home {since:g}: must be from 0 to {last - first:.1f} s, the length of the"
+            " drive"
+        )
+    return first + since
+
+
+def _home_at(
+    drive: Drive, t: float, on_progress: Callable[[float], None] | None
+) -> tuple[dict[str, HomeBearing], dict[str, int]]:
+    """Return the home bearings of the pose at `t` [s], and a remark.
+
+    They are predicted by the map of the drive, or else the sightings nearest in time.
+    """
+    # Imported here only: the localiser uses drives.
+    from homeward.localizer.home_at import predicted_home
+
+    since = t - drive.span[0]
+    found = predicted_home(drive, t, on_progress)
+    mapped = len(found.names)
+    if mapped >= MIN_MAPPED:
+        return found.home, home_remark(found, f"a map of the drive, at {since:g} s")
+    stamps = drive.sightings.t
+    nearest = float(stamps[np.abs(stamps - t).argmin()])
+    if abs(nearest - t) > MAX_AGE_S:
+        raise InputError(
+            f"no home at {since:g} s: the map of the drive gives {mapped} bearings there, and no "
+            f"sighting is within {MAX_AGE_S:g} s; choose a time with landmarks in view"
+        )
+    home = _mean_directions(drive, nearest, nearest)
+    return home, {SEEN.format(nearest - drive.span[0], MIN_MAPPED): len(home)}
+
+
+def _require_still(first: float, last: float, odometry: Odometry) -> None:
+    """Refuse an interval [s] in which the odometry moves."""
+    ends = np.minimum(odometry.t + validities(odometry.t), last)
+    within = np.clip(ends - np.maximum(odometry.t, first), 0.0, None)
+    odometry = odometry.bridged
+    path, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
+    if path > MAX_STILL_M or turn > MAX_STILL_RAD:
+        raise InputError(
+            f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad; give an "
+            "interval without motion"
+        )
+
+
+def _mean_directions(drive: Drive, first: float, last: float) -> dict[str, HomeBearing]:
+    """Return the mean bearing of each landmark in view in an interval [s]."""
+    seen, home = drive.sightings, dict[str, HomeBearing]()
+    at_home = seen.rows((seen.t >= first) & (seen.t <= last))
+    for landmark in dict.fromkeys(at_home.landmark.tolist()):
+        mine = at_home.bearing[at_home.landmark == landmark]
+        home[landmark] = HomeBearing(float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum())))
+    return home
+
+
+def _seen_from(drive: Drive, t: float) -> Drive:
+    """Return a drive without its home, and its ground truth relative to the pose at `t` [s]."""
+    settings, truth, remarks = drive.settings, drive.truth, dict(drive.remarks)
+    if drive.home and settings.start is not None:
+        settings = settings.model_copy(update={"start": None})
+        remarks[OTHER_HOME.format("start prior")] = 1
+    if truth is not None and truth.t[0] <= t <= truth.t[-1]:
+        home = Pose(*(float(part[0]) for part in truth.at(np.array([t]))))
+        truth = truth.seen_from(home)
+    elif drive.home and truth is not None:
+        truth, remarks[OTHER_HOME.format("ground truth")] = None, 1
+    return dataclasses.replace(drive, home={}, settings=settings, truth=truth, remarks=remarks)

@@ -1,0 +1,89 @@
+"""Home at any pose of a drive: its bearings, predicted by the map of the whole drive."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.drives.home.spin import JointHome
+from homeward.drives.settings import Robot
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
+from homeward.io.blas_threads import single_threaded_blas
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.gating import predict_bearings
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
+
+MAX_SIGMA_RAD = 0.5
+"""Maximum standard deviation of a predicted bearing [rad]; larger ones are of no use."""
+MIN_P_STATIC = 0.5
+"""Minimum probability of a landmark to be static."""
+NUM_SIGHTINGS = 5
+"""Number of sightings before and after a time by which a landmark was in place then."""
+NOTHING = JointHome((), np.zeros(0), np.zeros((0, 0)))
+
+
+@single_threaded_blas()
+def predicted_home(
+    drive: Drive, t: float, on_progress: Callable[[float], None] | None = None
+) -> JointHome:
+    """Return the bearings at the robot's pose at `t` [s], predicted by the map of the drive.
+
+    A localiser without home maps the drive, and all keyframes are solved at once. Each landmark is
+    where it was at that time. The covariance is that of one observation there: it contains the
+    camera noise, so that the sightings of the drive do not count twice. Without landmarks where
+    there was no map at that time, or the robot was lost.
+    """
+    robot: Robot = {**drive.settings.robot, "start": None}
+    localizer = Localizer({}, known=drive.known, **robot)
+    solved = solve_whole(dataclasses.replace(drive, home={}), localizer, on_progress)[1]
+    if solved is None:
+        return NOTHING
+    chart = localizer.chart
+    keyframes = [Pose(*pose) for pose in solved.whole.poses.tolist()]
+    lost = [(-np.inf, chart.map.begun), *chart.monitor.spells_lost, *solved.gaps(keyframes)]
+    return NOTHING if within(lost, np.array([t]))[0] else _predicted(solved, keyframes, t)
+
+
+def _predicted(solved: SolvedDrive, keyframes: list[Pose], t: float) -> JointHome:
+    """Return the predicted bearings at a time at which the robot was not lost."""
+    whole, chart = solved.whole, solved.localizer.chart
+    names = dict.fromkeys(solved.drive.sightings.landmark.tolist())
+    ids = chart.map.landmarks.ids_at(t, names)
+    index = whole.index(np.array(list(ids.values()), int))
+    k = max(int(np.searchsorted(whole.stamps, t, side="right")) - 1, 0)
+    shift, covariance = solved.motions(k, keyframes, [t])[0]
+    moved = dataclasses.replace(Motion.identity(), delta=shift, covariance=covariance)
+    states = whole.marginals()
+    state = states[k].propagate(moved)
+    camera = state.pose_after(chart.map.camera(Motion.identity()))
+    sigmas = chart.noise.sigmas(list(ids), {})
+    expected = predict_bearings(state, np.zeros(index.size), sigmas, camera, index)
+    joint = expected.innovation_covariance
+    kept = joint.diagonal() <= MAX_SIGMA_RAD**2
+    kept &= whole.p_static[index] >= MIN_P_STATIC
+    kept &= ~np.isin(list(ids), _moved(solved, states, t))
+    bearings = np.asarray(wrap(-expected.residual))
+    chosen = [name for name, is_kept in zip(ids, kept.tolist(), strict=True) if is_kept]
+    return JointHome(tuple(chosen), bearings[kept], joint[np.ix_(kept, kept)])
+
+
+def _moved(solved: SolvedDrive, states: Sequence[Marginal], t: float) -> list[str]:
+    """Return landmarks that were elsewhere at a time [s]: their sightings next to it do not fit.
+
+    The map has one position of a landmark that moved before it was established.
+    """
+    whole, chart = solved.whole, solved.localizer.chart
+    misfits = defaultdict[str, tuple[list[bool], list[bool]]](lambda: ([], []))
+    for seen in seen_from_keyframes(solved.drive, chart, whole, t):
+        wrong = seen.misfits(states[seen.keyframe - whole.first], chart.map, whole)
+        for name, is_wrong in zip(seen.frame.names, wrong.tolist(), strict=True):
+            misfits[name][seen.frame.t > t].append(is_wrong)
+    nearest = {n: (b[-NUM_SIGHTINGS:], a[:NUM_SIGHTINGS]) for n, (b, a) in misfits.items()}
+    return [n for n, sides in nearest.items() if any(2 * sum(s) > len(s) for s in sides)]
