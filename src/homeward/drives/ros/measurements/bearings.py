@@ -74,8 +74,8 @@ NO_ID = "sightings without an id, left out"
 BIT_ERRORS = "tags decoded with bit errors, left out"
 DUPLICATE = "sightings of a tag that appears twice in one image, left out"
 NOT_FINITE = (
-    "sightings that are not finite, or at the camera's position (as PhotonVision's in 2D mode), left "
-    "out"
+    "sightings that are not finite, or at the camera's position (as PhotonVision's in 2D mode), "
+    "left out"
 )
 OPTICAL_BY_DATA = (
     "positions in {} in optical axes (x right, z ahead) according to their values, although the "
