@@ -122,6 +122,12 @@ def _(s: Sample) -> Files:
     return {"bearings.csv": seen, "home.csv": table(clockwise(s.home))}
 
 
+@kind("distances along with bearings, in mm", ALL)
+def _(s: Sample) -> Files:
+    seen = {"t": s.seen.t, "id": s.seen.id, "bearing": s.seen.bearing}
+    return {"bearings.csv": table(seen | {"distance": 1e3 * s.seen.range})}
+
+
 def robot_axes(
     s: Sample, seen: Seen, unit: float = 1.0, left: float = 1.0
 ) -> dict[str, np.ndarray]:

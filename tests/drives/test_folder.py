@@ -8,7 +8,13 @@ import pytest
 from refusals import refusal
 from valid_drive import VALID, put
 
-from homeward.drives.folder import BEYOND_A_TURN, REPEATED_SIGHTINGS, read_folder
+from homeward.drives.folder import (
+    BAD_RANGES,
+    BEYOND_A_TURN,
+    REPEATED_SIGHTINGS,
+    read_folder,
+    write_folder,
+)
 from homeward.drives.settings import DriveSettings
 
 
@@ -276,3 +282,16 @@ def test_memory_is_that_of_the_numbers(tmp_path):
     assert before.sightings.t.size == n
     # Two numbers, an id and a row, once in pieces and once whole; rows of text would be 5 times it.
     assert peak < 3 * n * 4 * 8
+
+
+def test_ranges_are_optional_and_those_not_above_zero_are_counted_and_left_out(tmp_path):
+    text = "t,landmark,bearing,range,range_sigma\n"
+    text += "0.1,a,0.5,2.5,0.1\n0.2,b,0.5,,\n0.3,a,0.5,0,\n0.4,a,0.5,-1,\n"
+    drive = read_folder(put(tmp_path / "run", bearings_csv=text.encode()))
+    np.testing.assert_array_equal(drive.sightings.range, [2.5, np.nan, np.nan, np.nan])
+    np.testing.assert_array_equal(drive.sightings.range_sigma, [0.1, np.nan, np.nan, np.nan])
+    assert drive.remarks[BAD_RANGES] == 2
+    write_folder(drive, tmp_path / "again")
+    again = read_folder(tmp_path / "again")
+    np.testing.assert_array_equal(again.sightings.range, drive.sightings.range)
+    assert np.isnan(read_folder(put(tmp_path / "bare")).sightings.range).all()

@@ -95,3 +95,12 @@ def test_the_schema_has_every_type():
     for name in ("odometry", "bearings", "go_home", "estimate", "command", "diagnostics"):
         assert f'"const": "{name}"' in result
     assert math.isfinite(len(result))
+
+
+@pytest.mark.parametrize("distance", [0, -1, 1e9, "far"])
+def test_a_range_that_cannot_be_is_refused(distance):
+    bearings = {"type": "bearings", "t": 0, "bearings": {"a": 0.1}}
+    seen = parse(json.dumps(bearings | {"ranges": {"a": 2.5}, "range_sigmas": {"a": 0.1}}))
+    assert (seen.ranges, seen.range_sigmas) == ({"a": 2.5}, {"a": 0.1})
+    with pytest.raises(InputError, match=r"ranges\.a"):
+        parse(json.dumps(bearings | {"ranges": {"a": distance}}))
