@@ -165,7 +165,7 @@ def test_info_prints_the_frames_and_a_topics_file(tmp_path, sample):
     num_tags = np.unique(sample.sightings.landmark[sample.sightings.t <= UNTIL]).size
     found = f"frames in /tf: tag36h11:* ({num_tags} frames in {CAMERA})"
     assert found in result.stdout
-    text = result.stdout.partition("to change them):\n")[2]
+    text = result.stdout.partition("to change them):\n")[2].partition("Next: ")[0]
     assert "frames: tag36h11:*" in text
     home = re.sub(r"\nL0*", r"\n", (sample_drive() / "home.csv").read_text())
     (tmp_path / "home.csv").write_text(home)
