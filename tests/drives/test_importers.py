@@ -547,3 +547,20 @@ def test_a_column_of_distances_becomes_ranges(tmp_path, head, factor):
     paths = [tmp_path / name for name in ("tags.csv", "odometry.csv", "home.csv")]
     drive = drive_of(understand(paths, ()), "tags")
     assert drive.sightings.range == pytest.approx([r for *_, r in rows], rel=1e-5)
+
+
+def test_home_bearings_recorded_for_some_seconds_are_averaged(tmp_path):
+    for name, text in {"odometry": TWISTS, "bearings": SEEN}.items():
+        (tmp_path / f"{name}.csv").write_text(text)
+    home = tmp_path / "home.csv"
+    home.write_text("t,landmark,bearing\n0,L1,0.25\n0,L2,3.14\n1,L1,0.27\n1,L2,-3.14\n")
+    files = [tmp_path / "odometry.csv", tmp_path / "bearings.csv", home]
+    with pytest.raises(InputError, match=r"use --as home\.csv=KIND .* such as home"):
+        understand(files)
+    drive = drive_of(understand(files, (), ["home.csv=home"]), "")
+    assert drive.home["L1"].bearing == pytest.approx(0.26)
+    assert abs(drive.home["L2"].bearing) == pytest.approx(math.pi)
+    assert "4 rows of home bearings, averaged for each landmark" in drive.remark_lines
+    home.write_text("landmark,bearing\nL1,0.25\nL1,0.75\n")
+    with pytest.raises(InputError, match="row 3: landmark is 'L1', which already has a row"):
+        drive_of(understand(files), "")

@@ -35,6 +35,7 @@ from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.drives.wheels import Wheels
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
 from homeward.io.naming import command, listing, natural
 from homeward.io.table import Table, quoted
@@ -46,6 +47,9 @@ OTHER_SOURCES = {
     "home": f" without a time; {HOME_ADVICE}",
 }
 """Other sources of the tables of a drive."""
+AVERAGED = "rows of home bearings, averaged for each landmark"
+MAX_HOME_SPREAD = 0.1
+"""Maximum deviation from their mean of the home bearings of a landmark [rad]."""
 MIN_COMMON = 3
 """Minimum number of landmarks that home and the drive have in common for a pose."""
 MAX_DRIFT = 0.003
@@ -90,7 +94,8 @@ def understand(
             advice = f"; give its roles, as in --columns '{extra.sheet.path.name}: t=1, ...'"
             if not extra.sheet.headless:
                 advice = (
-                    f"; leave one out, or use --as {extra.sheet.path.name}=KIND for another kind"
+                    f"; leave one out, or use --as {extra.sheet.path.name}=KIND for another kind,"
+                    " such as home"
                 )
             raise InputError(f"a second file with {kind}{advice}", extra.sheet.path)
         for part in mine:
@@ -155,7 +160,7 @@ def drive_of(
         name=name,
         odometry=odometry,
         sightings=sightings_of(tables["bearings"], remarks),
-        home=home_of(tables["home"], remarks) if "home" in tables else {},
+        home=home_of(_averaged(tables["home"], remarks), remarks) if "home" in tables else {},
         settings=DriveSettings(epoch=epoch) if epoch else DriveSettings(),
         truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
         remarks=remarks,
@@ -165,6 +170,21 @@ def drive_of(
         drive = _without_dead_reckoning(drive, truth.table.file)
     drive = with_clock_remarks(drive, tables["bearings"].file)
     return drive if home is None else with_home(drive, home, on_progress)
+
+
+def _averaged(home: Table, remarks: dict[str, int]) -> Table:
+    """Return home bearings with one row for each landmark, the mean of its rows if they agree."""
+    ids, first, index = np.unique(
+        home["landmark"].astype(str), return_index=True, return_inverse=True
+    )
+    total = np.zeros(ids.size, complex)
+    np.add.at(total, index, np.exp(1j * home["bearing"]))
+    error = np.abs(wrap(home["bearing"] - np.angle(total)[index]))
+    if ids.size == len(home) or not error.max() <= MAX_HOME_SPREAD:
+        return home
+    remarks[AVERAGED] = len(home)
+    columns = {name: values[first] for name, values in home.columns.items()}
+    return Table(home.file, home.row[first], columns | {"bearing": np.angle(total)})
 
 
 def home_warnings(drive: Drive) -> list[str]:
