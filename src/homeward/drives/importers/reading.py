@@ -24,7 +24,8 @@ from homeward.drives.home.when import with_home
 from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
-from homeward.drives.importers.parts import UNIX_S, ImportedColumn, parts_of
+from homeward.drives.importers.parts import UNIX_S, ImportedColumn
+from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
