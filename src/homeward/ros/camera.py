@@ -1,7 +1,9 @@
-"""Camera of the node: bearings from messages, and the camera extrinsics."""
+"""Cameras of the node: bearings from messages, and the camera extrinsics."""
 
 from __future__ import annotations
 
+import heapq
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -10,11 +12,33 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
-from homeward.drives.ros.measurements.bearings import IN_IMAGE, READERS
-from homeward.drives.ros.measurements.extrinsics import Transforms, mount, not_connected
-from homeward.drives.ros.settings import PICTURES, BearingsTopic, MountFrames
+from homeward.drives.ros.measurements.bearings import (
+    ALL_READERS,
+    IN_IMAGE,
+    TRANSFORMS,
+    frame_of,
+    has_positions,
+    landmark_of,
+    parts_of,
+)
+from homeward.drives.ros.measurements.extrinsics import (
+    Transforms,
+    mount,
+    not_connected,
+    require_near,
+)
+from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.settings import (
+    PICTURES,
+    BearingsTopic,
+    LogSettings,
+    MountFrames,
+    calibrated,
+)
 from homeward.errors import InputError
-from homeward.io.settings import validated
+from homeward.geometry.frames import Pose, between
+from homeward.io.settings import read_settings, validated
+from homeward.io.table import quoted
 from homeward.live.messages import BearingsIn, SetExtrinsics
 from homeward.ros import conversions as convert
 from homeward.ros.conversions import JSON, TFS
@@ -72,43 +96,112 @@ class Newest(Generic[Result]):
                 self._ready()
 
 
-class MessageCamera:
-    """Converter from messages to bearings, once the camera is known.
+MAX_WAIT_S = 0.15
+"""Maximum time by which frames wait for those of other cameras [s]."""
+
+
+class FrameOrder:
+    """Sorts the frames of several cameras by their stamps: cameras differ in their delay.
+
+    A frame waits until each camera has sent a later one, or any one a frame `MAX_WAIT_S` later.
+    Equal stamps of two cameras become 1 ns apart, as in a log.
+    """
+
+    def __init__(self, cameras: int) -> None:
+        self._newest = [-math.inf] * cameras
+        self._waiting: list[tuple[float, int, BearingsIn]] = []
+        self._last = -math.inf
+
+    def add(self, camera: int, frame: BearingsIn) -> list[BearingsIn]:
+        """Add a frame of a camera; return the frames that need not wait any longer, in order."""
+        if len(self._newest) == 1:
+            return [frame]
+        self._newest[camera] = max(self._newest[camera], frame.t)
+        heapq.heappush(self._waiting, (frame.t, camera, frame))
+        due: list[BearingsIn] = []
+        until = max(min(self._newest), max(self._newest) - MAX_WAIT_S)
+        while self._waiting and self._waiting[0][0] <= until:
+            t, _, frame = heapq.heappop(self._waiting)
+            if abs(t - self._last) < 10 / NANO:
+                frame = frame.model_copy(update={"t": (t := self._last + 1 / NANO)})
+            self._last = max(self._last, t)
+            due.append(frame)
+        return due
+
+
+class MessageCameras:
+    """Converter from messages to bearings, once the cameras are known.
 
     `parameters` are those of the node: `InputError` where they are invalid, `ImportError` where the
-    package of a message is missing.
+    package of a message is missing. Bearings are those of the first camera, as in logs.
     """
 
     def __init__(self, parameters: Mapping[str, Any]) -> None:
         self.kind: str = parameters["bearings_type"]
         """The type of the messages."""
-        kinds = (JSON, *READERS, *PICTURES)
-        if self.kind not in kinds:
-            raise InputError(f"bearings_type: one of {', '.join(kinds)}")
         convert.message_class(self.kind)  # fail now if its package is missing
-        file = Path(parameters["camera"])
-        self._lens = read_calibration(file.parent, file.name) if parameters["camera"] else None
+        self._base: str = parameters["base_frame"]
+        self._is_one = True
+        self.topics = self._given(parameters)
+        """The topics of the cameras; they may gain fields and a tilt."""
+        self._require_fields()
+        if len(self.topics) > 1 and self.kind in (JSON, *PICTURES):
+            raise InputError(f"several topics of {self.kind} are not supported; name one")
+        self._lenses = [None if isinstance(g.camera, str) else g.camera for g in self.topics]
         self._eye = None
         if self.takes_pictures:
             from homeward.vision.tags.messages import tag_eye  # the extra vision
 
             self._eye = tag_eye(parameters["tags"])
-        self._topic = validated(
-            BearingsTopic,
-            {
-                "topic": parameters["bearings_topic"],
-                "axes": parameters["bearings_axes"] or None,
-                "sigma": parameters["bearing_sigma"] or None,
-                "rectified": parameters["rectified"],
-            },
-        )
         self._transforms = Transforms()
         self._awaited: MountFrames | None = None
         """Frames without a transform yet; until then bearings are ignored."""
-        if parameters["camera_frame"]:
-            frames = {"camera": parameters["camera_frame"], "base": parameters["base_frame"]}
+        if parameters["camera_frame"] and not parameters["topics"]:
+            frames = {"camera": parameters["camera_frame"], "base": self._base}
             self._awaited = validated(MountFrames, frames)
+        self._mounts = [given.sensor for given in self.topics]
+        self._is_one = self._is_one and not any(self._mounts)
+        self._frame: str | None = None
+        self._are_set = self._is_one and self._awaited is None
+        if self.needs_transforms:
             convert.message_class(TFS)
+
+    def _given(self, parameters: Mapping[str, Any]) -> list[BearingsTopic]:
+        """Return the topics of the topics file, or the one of the parameters."""
+        if parameters["topics"]:
+            file = Path(parameters["topics"])
+            settings = calibrated(read_settings(file, LogSettings), file)
+            if not settings.bearings:
+                raise InputError("no bearings", file)
+            if settings.mount is not None:
+                self._base, self._is_one = settings.mount.base, False
+            return list(settings.bearings)
+        file, info = Path(parameters["camera"]), parameters["camera_info_topic"] or None
+        given = {
+            "topic": parameters["bearings_topic"],
+            "frames": parameters["bearings_frames"] or None,
+            "axes": parameters["bearings_axes"] or None,
+            "sigma": parameters["bearing_sigma"] or None,
+            "rectified": parameters["rectified"],
+            "camera": read_calibration(file.parent, file.name) if parameters["camera"] else info,
+        }
+        return [validated(BearingsTopic, {k: v for k, v in given.items() if v is not None})]
+
+    def _require_fields(self) -> None:
+        """Refuse topics without the fields or frames that their type needs."""
+        for given in self.topics:
+            if "*" in given.topic:
+                raise InputError(f"{given.topic}: name each topic, with its landmark, on a robot")
+            if self.kind in TRANSFORMS and not given.frames:
+                raise InputError(
+                    'name the frames of landmarks: bearings_frames, as in "tag36h11:*"'
+                )
+            if self.kind not in (JSON, *ALL_READERS, *PICTURES) and given.layout is None:
+                raise InputError(
+                    f"bearings_type {self.kind} is not known; give the fields of landmarks in the "
+                    "topics file, as homeward info prints them for a log; known are: "
+                    + ", ".join((JSON, *ALL_READERS, *PICTURES))
+                )
 
     @property
     def takes_pictures(self) -> bool:
@@ -116,43 +209,105 @@ class MessageCamera:
         return self.kind in PICTURES
 
     @property
-    def awaits_mount(self) -> bool:
-        """Whether the extrinsics come from a transform that has not arrived yet."""
-        return self._awaited is not None
+    def needs_transforms(self) -> bool:
+        """Whether extrinsics come from transforms."""
+        return self._awaited is not None or (not self._is_one and None in self._mounts)
 
-    def mount(self, message: Any) -> SetExtrinsics | None:
-        """Add transforms; return the camera extrinsics once they are complete."""
+    @property
+    def number(self) -> int:
+        """The number of cameras; topics without extrinsics belong to one camera."""
+        return 1 if self._is_one else len(self.topics)
+
+    def add_transforms(self, message: Any) -> None:
+        """Add the transforms of a tf2_msgs/TFMessage."""
         self._transforms.add(0.0, message)
-        if self._awaited is None:
+        if self._awaited is not None:
+            found = mount(self._transforms, self._awaited, self.kind, self.topics[0])
+            if found is not None:
+                self._mounts[0], self.topics[0] = found
+                self._awaited = None
+
+    def extrinsics(self) -> SetExtrinsics | None:
+        """Return the extrinsics of the first camera once they are known, and then None."""
+        if self._are_set or self._awaited is not None or (first := self._mounts[0]) is None:
             return None
-        found = mount(self._transforms, self._awaited, self.kind, self._topic)
-        if found is None:
-            return None
-        extrinsics, self._topic = found
-        self._awaited = None
-        return SetExtrinsics(**dict(extrinsics))
+        self._are_set = True
+        return SetExtrinsics(**dict(first))
 
-    def info(self, message: Any) -> None:
-        """Use a sensor_msgs/CameraInfo, unless the camera is known."""
-        if self._lens is None:
-            self._lens = from_camera_info(message, self._topic.rectified)
+    def info(self, number: int, message: Any) -> None:
+        """Use a sensor_msgs/CameraInfo of a camera, unless its lens is known."""
+        if self._lenses[number] is None:
+            self._lenses[number] = from_camera_info(message, self.topics[number].rectified)
 
-    def reader(self, message: Any, t: float) -> Callable[[], BearingsIn]:
-        """Return a function that reads the bearings of a message at `t` [s], on any thread.
+    def readers(
+        self, number: int, message: Any, seconds: Callable[[Any], float]
+    ) -> list[Callable[[], BearingsIn]]:
+        """Return functions that read the bearings of a message of a camera, one for each stamp.
 
-        `InputError` as long as the camera or its extrinsics are unknown.
+        They may run on any thread; `seconds` converts stamps. `InputError` as long as the camera
+        or its extrinsics are unknown.
         """
         self.require_mount()
-        if self.kind in IN_IMAGE and self._lens is None:
+        given = self.topics[number]
+        parts = parts_of(self.kind, message, given.layout)
+        parts = [p for p in parts if not given.frames or landmark_of(p, given)]
+        if not parts:
+            return []
+        self._find_mount(number, frame_of(parts[0]))
+        lens = self._lenses[number]
+        if self.kind in IN_IMAGE and lens is None:
             raise InputError(
                 "bearings are ignored: no message on camera_info_topic yet; check the topic, or"
                 " set the parameter camera to a calibration file"
             )
-        known = self.kind, self._topic, self._lens, self._eye
-        return partial(convert.bearings_in, message, t, *known)
+        known = self.kind, self.topics[number], lens, self._in_reference(number), self._eye
+        times = [seconds(part.header.stamp) for part in parts]
+        return [
+            partial(
+                convert.bearings_in,
+                [p for p, s in zip(parts, times, strict=True) if s == t],
+                t,
+                *known,
+            )
+            for t in sorted(set(times))
+        ]
+
+    def _find_mount(self, number: int, frame: str) -> None:
+        """Find the extrinsics of one of several cameras in the transforms."""
+        if self._is_one:
+            if self._frame is None:
+                self._frame = frame
+            if len(self.topics) > 1 and frame != self._frame:
+                raise InputError(
+                    f"bearings are left out: frames {quoted(self._frame)} and {quoted(frame)} are "
+                    "several cameras; add sensor to each topic in the topics file, or mount: "
+                    f"{{base: {self._base}}}"
+                )
+            return
+        if self._mounts[number] is None:
+            frames = MountFrames(camera=frame or None, base=self._base)
+            found = frame and mount(self._transforms, frames, self.kind, self.topics[number])
+            if not found:
+                raise InputError(f"bearings are left out: {not_connected(frames)} yet")
+            self._mounts[number], self.topics[number] = found
+        if self._mounts[0] is None:
+            raise InputError(
+                "bearings are left out: no message of the first camera, "
+                f"{self.topics[0].topic}, yet"
+            )
+
+    def _in_reference(self, number: int) -> Pose:
+        """Return the pose of a camera in the frame of the first one."""
+        first, own = self._mounts[0], self._mounts[number]
+        if first is None or own is None or not number:
+            return Pose(0.0, 0.0, 0.0)
+        place, topics = between(first.pose, own.pose), [given.topic for given in self.topics]
+        is_exact = has_positions(self.kind, self.topics[number])
+        require_near(place, is_exact, topics[number], topics[0])
+        return place
 
     def require_mount(self) -> None:
         """Raise `InputError` as long as the camera extrinsics are missing."""
         if self._awaited is not None:
-            mount(self._transforms, self._awaited, self.kind, self._topic)
+            mount(self._transforms, self._awaited, self.kind, self.topics[0])
             raise InputError(f"bearings are left out: {not_connected(self._awaited)} yet")

@@ -6,6 +6,7 @@ Message classes are imported when used, because a robot has only the packages th
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cache
 from importlib import import_module
 from typing import Any
@@ -75,20 +76,25 @@ def odometry_in(message: Any, t: float) -> msg.OdometryIn:
 
 
 def bearings_in(
-    message: Any,
+    parts: Sequence[Any],
     t: float,
     kind: str,
     topic: BearingsTopic,
     camera: Lens | None,
+    place: Pose,
     eye: TagDetector | None = None,
 ) -> msg.BearingsIn:
-    """Return the bearings of a message of any type of `READERS`, read like those of logs.
+    """Return the bearings of the parts of a message (`parts_of`), read like those of logs.
+
+    `place` is the pose of their camera in the frame of the first one [m, m, rad].
 
     In images (`PICTURES`) the `eye` detects tags. `InputError` where there are none, or a camera
     model is missing.
     """
     rows = SightingRows(topic, kind, Remarks(), lambda: camera, eye)
-    rows.add(t, message)
+    rows.in_reference = place
+    for part in parts:
+        rows.add(t, part)
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)

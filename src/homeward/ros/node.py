@@ -9,6 +9,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -31,15 +32,17 @@ from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 from homeward.ros import conversions as convert
-from homeward.ros.camera import MessageCamera, Newest
+from homeward.ros.camera import FrameOrder, MessageCameras, Newest
 from homeward.ros.conversions import JSON, TFS, Publishers
 
 LATCHED = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 """Quality of service for messages that were published before the subscription."""
 PARAMETERS: dict[str, Any] = {
     "odometry_topic": "odom",
+    "topics": "",
     "bearings_topic": "bearings",
     "bearings_type": "geometry_msgs/msg/PoseArray",
+    "bearings_frames": "",
     "bearings_axes": "",
     "bearing_sigma": 0.0,
     "tags": "36h11",
@@ -87,7 +90,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._publish = Publishers(self)
         self._worker: threading.Thread | None = None
         self._work, self._running = threading.Event(), False
-        self._camera: MessageCamera | None = None
+        self._cameras: MessageCameras | None = None
+        self._frames = FrameOrder(1)
         self._pictures: Newest[msg.BearingsIn] | None = None
         self._stamps = convert.StampConverter()
         self._map_to_odom: Pose | None = None
@@ -104,7 +108,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 robot = read_settings(Path(parameter("robot")), DriveSettings)
             if parameter("home"):
                 homes["home"] = read_home(Path(parameter("home")), {})
-            self._camera = MessageCamera({name: parameter(name) for name in PARAMETERS})
+            self._cameras = MessageCameras({name: parameter(name) for name in PARAMETERS})
+            self._frames = FrameOrder(self._cameras.number)
             place = None
             if parameter("place_update") and not parameter("place"):
                 raise InputError("place_update needs the parameter place")
@@ -166,28 +171,30 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _listen(self) -> None:
         """Create subscriptions and services."""
-        parameter, camera = self._parameter, self._camera
-        assert camera is not None
-        hear = self._line if camera.kind == JSON else self._bearings
-        if camera.takes_pictures:
+        parameter, cameras = self._parameter, self._cameras
+        assert cameras is not None
+        hear: Callable[[int, Any], None] = self._bearings
+        if cameras.takes_pictures:
             seen = self.create_guard_condition(self._guarded(self._seen))
             self._parts.append((self.destroy_guard_condition, seen))
             self._pictures, hear = Newest(seen.trigger), self._picture
         topics: list[tuple[str, str, Callable[[Any], None]]] = [
             ("nav_msgs/msg/Odometry", parameter("odometry_topic"), self._odometry),
-            (camera.kind, parameter("bearings_topic"), hear),
             ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
             (JSON, "~/request", self._line),
         ]
+        for number, given in enumerate(cameras.topics):
+            take = self._line if cameras.kind == JSON else partial(hear, number)
+            topics.append((cameras.kind, given.topic, take))
+            if isinstance(given.camera, str):
+                info = partial(cameras.info, number)
+                topics.append(("sensor_msgs/msg/CameraInfo", given.camera, info))
         topics += [(JSON, f"~/{topic}", self._named(kind)) for topic, kind in NAMED.items()]
-        if parameter("camera_info_topic"):
-            topics.append(
-                ("sensor_msgs/msg/CameraInfo", parameter("camera_info_topic"), camera.info)
-            )
         if parameter("scan_topic"):
             topics.append(("sensor_msgs/msg/LaserScan", parameter("scan_topic"), self._scan))
-        if camera.awaits_mount:
-            topics.append((TFS, TF_STATIC, self._mount))
+        if cameras.needs_transforms:
+            topics.append((TFS, TF_STATIC, self._transforms))
+        self._send_extrinsics()
         for kind, topic, callback in topics:
             guarded = self._guarded(callback)
             quality = LATCHED if topic == TF_STATIC else qos_profile_sensor_data
@@ -243,35 +250,44 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _odometry(self, message: Any) -> None:
         self._take(convert.odometry_in(message, self._stamps.seconds(message.header.stamp)))
 
-    def _mount(self, message: Any) -> None:
-        """Receive the camera extrinsics."""
-        assert self._camera is not None
-        extrinsics = self._camera.mount(message)
-        if extrinsics is not None:
+    def _transforms(self, message: Any) -> None:
+        """Receive transforms, and with them the camera extrinsics."""
+        assert self._cameras is not None
+        self._cameras.add_transforms(message)
+        self._send_extrinsics()
+
+    def _send_extrinsics(self) -> None:
+        assert self._cameras is not None
+        if (extrinsics := self._cameras.extrinsics()) is not None:
             self._take(extrinsics)
 
-    def _bearings(self, message: Any) -> None:
-        self._take(self._read(message)())
+    def _bearings(self, number: int, message: Any) -> None:
+        for read in self._reads(number, message):
+            for frame in self._frames.add(number, read()):
+                self._take(frame)
 
-    def _picture(self, message: Any) -> None:
+    def _picture(self, number: int, message: Any) -> None:
         assert self._pictures is not None
-        if self._pictures.give(self._read(message)):
-            self._live.counts["images dropped: newer ones came"] += 1
+        for read in self._reads(number, message):
+            if self._pictures.give(read):
+                self._live.counts["images dropped: newer ones came"] += 1
 
     def _seen(self) -> None:
         """Process the bearings from images."""
         while self._pictures is not None and (seen := self._pictures.take()) is not None:
             self._take(seen)
 
-    def _read(self, message: Any) -> Callable[[], msg.BearingsIn]:
-        """Return a function that reads the bearings of a message, on any thread."""
-        assert self._camera is not None
-        return self._camera.reader(message, self._stamps.seconds(message.header.stamp))
+    def _reads(self, number: int, message: Any) -> list[Callable[[], msg.BearingsIn]]:
+        """Return functions that read the bearings of a message of a camera, on any thread."""
+        assert self._cameras is not None
+        reads = self._cameras.readers(number, message, self._stamps.seconds)
+        self._send_extrinsics()
+        return reads
 
     def _line(self, message: Any) -> None:
         request = msg.parse(message.data)
-        if isinstance(request, msg.BearingsIn) and self._camera is not None:
-            self._camera.require_mount()
+        if isinstance(request, msg.BearingsIn) and self._cameras is not None:
+            self._cameras.require_mount()
         if hasattr(request, "t"):  # ROS stamps; subtract the epoch
             request = request.model_copy(update={"t": self._stamps.of_unix(request.t)})
         self._take(request)
@@ -342,7 +358,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _clean(self) -> None:
         self._publish.destroy()
         session, self._session, self._map_to_odom = self._session, None, None
-        self._stamps, self._camera = convert.StampConverter(), None
+        self._stamps, self._cameras = convert.StampConverter(), None
         recorder, self._recorder = self._recorder, None
         ends: list[Callable[[], str | None]] = []
         ends += [] if session is None else [session.localisation.finalise]

@@ -26,6 +26,7 @@ from homeward.drives.ros.settings import (
     BearingsTopic,
     LogSettings,
     OdometryTopic,
+    calibrated,
     wildcard_part,
 )
 from homeward.drives.ros.topics.by_fields import candidates, first_frame, shown, unread
@@ -84,8 +85,6 @@ def log_info(
         return _folder_info("folder of images", path, given, (IMAGES, csv.ODOMETRY))
     if csv.is_drive_folder(path):
         return _folder_info("drive folder", path, given, csv.REQUIRED)
-    from homeward.drives.ros.reading import calibrated
-
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
     log = Log(path)
     half = None if on_progress is None else lambda done: on_progress(done / 2)

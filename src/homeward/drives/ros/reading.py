@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.calibration import CameraRows, is_calibration, read_calibration
+from homeward.drives.cameras.calibration import CameraRows
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
@@ -33,7 +33,13 @@ from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.settings import NAME_BEARINGS, PICTURES, BearingsTopic, LogSettings
+from homeward.drives.ros.settings import (
+    NAME_BEARINGS,
+    PICTURES,
+    BearingsTopic,
+    LogSettings,
+    calibrated,
+)
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings
@@ -82,20 +88,6 @@ def read_planned(
     """Read a drive from the topics of a `plan`; other parameters as `read_log`."""
     with naming_file(known.log.path):
         return _Reading(known, plan, topics, detector).drive(on_progress)
-
-
-def calibrated(settings: LogSettings, source: Path) -> LogSettings:
-    """Return settings with calibration files replaced by camera models.
-
-    Their paths are relative to the folder of the file `source`.
-    """
-    topics = tuple(
-        topic.model_copy(update={"camera": read_calibration(source.parent, topic.camera)})
-        if isinstance(topic.camera, str) and is_calibration(topic.camera)
-        else topic
-        for topic in settings.bearings
-    )
-    return settings.model_copy(update={"bearings": topics}) if topics else settings
 
 
 class _Reading:

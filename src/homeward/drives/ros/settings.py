@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, field_validator, model_validator
 
+from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.camera import Tilt
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.structure import Layout
@@ -176,3 +178,17 @@ class LogSettings(Strict):
     @classmethod
     def _one_or_several(cls, value: Any) -> Any:
         return [value] if isinstance(value, dict) else value
+
+
+def calibrated(settings: LogSettings, source: Path) -> LogSettings:
+    """Return settings with calibration files replaced by camera models.
+
+    Their paths are relative to the folder of the file `source`.
+    """
+    topics = tuple(
+        topic.model_copy(update={"camera": read_calibration(source.parent, topic.camera)})
+        if isinstance(topic.camera, str) and is_calibration(topic.camera)
+        else topic
+        for topic in settings.bearings
+    )
+    return settings.model_copy(update={"bearings": topics}) if topics else settings

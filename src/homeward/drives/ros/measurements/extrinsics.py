@@ -17,7 +17,7 @@ from homeward.drives.ros.measurements.bearings import (
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
-from homeward.geometry.frames import between
+from homeward.geometry.frames import Pose, between
 from homeward.io.settings import validated
 
 TF, TF_STATIC = "/tf", "/tf_static"
@@ -204,16 +204,22 @@ def extrinsics(
         )
     (first, *_), mounts = cameras, [mount for mount in found if mount is not None]
     for camera, own in zip(cameras, mounts, strict=True):
-        distance = math.hypot(own.x - mounts[0].x, own.y - mounts[0].y)
+        place = between(mounts[0].pose, own.pose)
         is_exact = camera.rows.has_positions and first.rows.has_positions
-        if distance > MAX_DISTANCE and not is_exact:
-            raise InputError(
-                f"{camera.name} is {distance:.2f} m from {first.name}: the bearings of several "
-                f"cameras can be combined only within {MAX_DISTANCE:g} m; name the topic of one of "
-                "them under bearings in a topics file"
-            )
-        camera.rows.in_reference = between(mounts[0].pose, own.pose)
+        require_near(place, is_exact, camera.name, first.name)
+        camera.rows.in_reference = place
     return mounts[0]
+
+
+def require_near(place: Pose, is_exact: bool, camera: str, first: str) -> None:
+    """Refuse bearings of a camera at a distance from the first one, unless they have positions."""
+    distance = math.hypot(place.x, place.y)
+    if distance > MAX_DISTANCE and not is_exact:
+        raise InputError(
+            f"{camera} is {distance:.2f} m from {first}: the bearings of several cameras can be "
+            f"combined only within {MAX_DISTANCE:g} m; name the topic of one of them under "
+            "bearings in a topics file, or use positions of tags instead of bearings or pixels"
+        )
 
 
 def _specified(
