@@ -24,7 +24,7 @@ def test_home_is_what_was_seen_while_standing_there(made):
     assert abs(drive.home["a"].bearing) == pytest.approx(math.pi - 0.001)
     with pytest.raises(InputError, match="the robot moves at home"):
         made(standing_then_driving, "home: {during: [1.0, 3.5]}\n", odometry_too=False)
-    with pytest.raises(InputError, match="no sightings"):
+    with pytest.raises(InputError, match="length of the drive"):
         made(standing_then_driving, "home: {during: [50.0, 60.0]}\n", odometry_too=False)
 
 
@@ -128,7 +128,7 @@ def test_several_equal_topics_must_be_named(made):
         ("odometry: {topic: /none}\n", "the log has: /odom"),
         ("bearings: {topic: /odom}\n", "read as odometry .* cannot be used under bearings"),
         ("odometry: {topic: /odom, use: scent}\n", "odometry.use"),
-        ("home: {}\n", "one of during, spin, topic, csv"),
+        ("home: {}\n", "one of during, spin, at, topic, csv"),
         ("home: {during: [3, 1]}\n", "from, until"),
         ("colour: red\n", "colour"),
         ("drive: {sensor: {x: far}}\n", "drive.sensor.x"),
