@@ -221,3 +221,17 @@ def test_camera_option(tmp_path):
     assert "pixels, --camera" in answer.stdout
     words = refused(call("import", *paths, *picture, "--camera", tmp_path / "nothing.yaml"))
     assert "nothing.yaml: cannot be read" in words
+
+
+@pytest.mark.parametrize("name", LENSES)
+def test_the_size_of_tags_gives_ranges(tmp_path, name):
+    paths = write(tmp_path, corners(LENSES[name], NAMES[0]))
+    found = understand(paths, camera=LENSES[name], tag_size=0.16)
+    assert drive_of(found, "tags").sightings.range == pytest.approx(2.0, abs=0.005)
+    assert np.isnan(drive_of(understand(paths, camera=LENSES[name]), "tags").sightings.range).all()
+
+
+def test_the_size_of_tags_without_corners_is_refused(tmp_path):
+    paths = write(tmp_path, points("u", "v"))
+    with pytest.raises(InputError, match="--tag-size is not used: no table has the corners"):
+        understand(paths, camera=LENSES["pinhole"], tag_size=0.16)

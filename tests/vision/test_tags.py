@@ -128,6 +128,18 @@ def test_a_folder_by_command(record, tmp_path):
     assert drive.home["2"].bearing == pytest.approx(np.arctan2(0.2, 1.0), abs=2e-4)
 
 
+def test_the_size_of_tags_gives_ranges(record, tmp_path):
+    folder = shutil.copytree(record, tmp_path / "sized")
+    with (folder / "images.yaml").open("a") as stream:
+        stream.write("tag_size: 0.24\n")  # the black square of a sheet of 0.3 m
+    for k in range(4):
+        upright = placed((1.0 + 0.1 * k, 0.2, 0.1), (0.3, 0.3), 0.4)
+        cv2.imwrite(str(folder / f"{k}.png"), picture(PINHOLE, SHAPE, tag(k), *upright, seed=k))
+    done(call("see", str(folder), "--tags", "36h11", "--out", str(tmp_path / "drive")))
+    true = np.hypot(1.0 + 0.1 * np.arange(4), 0.2)
+    assert read_folder(tmp_path / "drive").sightings.range == pytest.approx(true, rel=0.01)
+
+
 @pytest.fixture
 def homeless(record, tmp_path):
     folder = shutil.copytree(record, tmp_path / "homeless")

@@ -3,7 +3,14 @@
 import numpy as np
 import pytest
 
-from homeward.drives.cameras.camera import angles, tag_bearings, tilt_matrix, unit_vectors
+from homeward.drives.cameras.camera import (
+    angles,
+    sizes_of,
+    tag_bearings,
+    tag_ranges,
+    tilt_matrix,
+    unit_vectors,
+)
 from homeward.drives.cameras.lens import Lens
 from homeward.vision.cameras.panoramic import Equirectangular
 
@@ -76,3 +83,26 @@ def test_corners_that_make_no_tag():
     line = np.array([[0, 0], [1, 1], [2, 2], [3, 3]], float)
     bad = np.array([line, np.full((4, 2), 5.0), np.full((4, 2), np.nan)])
     assert np.isnan(tag_bearings(bad, 0.5, camera, shape)[0]).all()
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_ranges_of_upright_tags_are_right_however_they_face(name):
+    camera, shape = CAMERAS[name]
+    rng = np.random.default_rng(5)
+    at, turn, first = (
+        rng.uniform(-0.4, 0.4, 40),
+        rng.uniform(-1.1, 1.1, 40),
+        rng.integers(4, size=40),
+    )
+    far, up = rng.uniform(1.0, 4.0, 40), rng.uniform(-0.3, 0.3, 40)
+    corners = []
+    for a, b, k, r, z in zip(at, at + np.pi / 2 + turn, first, far, up, strict=True):
+        side = 0.08 * np.array([np.cos(b), np.sin(b), 0.0])
+        square = [p * side + [0, 0, q * 0.08] for p, q in [(1, 1), (-1, 1), (-1, -1), (1, -1)]]
+        seen = np.array([r * np.cos(a), r * np.sin(a), z]) + np.roll(square, k, axis=0)
+        corners.append(np.column_stack(camera.pixels(*angles(seen), shape)))
+    found = tag_ranges(np.array(corners), np.full(40, 0.16), camera, shape)
+    assert found == pytest.approx(far, rel=0.005)  # mean of the ends of a tag of 0.16 m
+    unknown = tag_ranges(np.array(corners[:2]), sizes_of(["7", "8"], {"8": 0.16}), camera, shape)
+    assert np.isnan(unknown[0])
+    assert unknown[1] == pytest.approx(far[1], rel=0.005)

@@ -130,6 +130,19 @@ def test_fiducials_through_a_camera(made, suffix):
     assert made(fill, told, suffix=suffix).sightings.bearing[0] == pytest.approx(-math.atan(2))
 
 
+def test_the_size_of_tags_gives_ranges(made):
+    def fill(log):
+        (t,) = stamps(1)
+        log.write("/tags", t, tags(log, t, {7: 820.0, 3: 320.0}))
+
+    topic = "topic: /tags, camera: {fx: 250, fy: 250, cx: 320, cy: 240}"
+    near = 0.16 * 250 / 20
+    drive = made(fill, f"bearings: {{{topic}, tag_size: 0.16}}\n")
+    assert drive.sightings.range == pytest.approx([math.sqrt(5.0) * near, near], rel=2e-3)
+    drive = made(fill, f"bearings: {{{topic}, tag_size: {{'3': 0.08}}}}\n")
+    assert drive.sightings.range == pytest.approx([math.nan, near / 2.0], rel=2e-3, nan_ok=True)
+
+
 def test_fiducials_without_a_camera_say_what_they_need(made):
     (t,) = stamps(1)
     with pytest.raises(InputError, match="camera model"):

@@ -59,6 +59,10 @@ def import_(
     camera: Annotated[
         str | None, typer.Option(metavar="FILE", help="Calibration of the camera, for pixels.")
     ] = None,
+    tag_size: Annotated[
+        float | None,
+        typer.Option(min=1e-3, max=100.0, help="Side of the tags [m], for ranges from corners."),
+    ] = None,
     home_during: shared.HomeDuring = None,
     home_spin: shared.HomeSpin = None,
     home_at: shared.HomeAt = None,
@@ -86,7 +90,7 @@ def import_(
 
     when = home_when(**shared.home_times(home_during, home_spin, home_at))
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or kinds or wheels or camera or when:
+        if columns or kinds or wheels or camera or tag_size or when:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
@@ -107,7 +111,9 @@ def import_(
     given = "{" + (wheels or "").replace("=", ": ") + "}"
     geometry = parse_settings(given, Wheels, Path("--wheels"))
     lens = None if camera is None else read_calibration(Path(), camera)
-    found = understand(files, columns or (), kinds or (), geometry if wheels else None, lens)
+    found = understand(
+        files, columns or (), kinds or (), geometry if wheels else None, lens, tag_size
+    )
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
         (u.table.file.name, u.kind, u.column.signed_name, u.column.role, u.unit, u.source, u.range)
@@ -127,7 +133,12 @@ def import_(
         options: list[tuple[str, object]] = [("--columns", text) for text in columns or ()]
         options += [("--as", text) for text in kinds or ()]
         options += [("--wheels", wheels), ("--camera", camera), ("--home-during", home_during)]
-        options += [("--home-spin", home_spin), ("--home-at", home_at), ("--out", "out/drive")]
+        options += [
+            ("--tag-size", tag_size),
+            ("--home-spin", home_spin),
+            ("--home-at", home_at),
+            ("--out", "out/drive"),
+        ]
         chosen = (part for option in options if option[1] is not None for part in option)
         following = command("import", *files, *chosen)
     if json:

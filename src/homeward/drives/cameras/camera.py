@@ -8,6 +8,7 @@ the top left pixel is (0, 0). Half a pixel of a camera of 60 degrees and 1280 co
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -103,6 +104,8 @@ def tilt_matrix(roll: float, pitch: float) -> np.ndarray:
     return np.asarray(about_y @ about_x)
 
 
+TagSize = Annotated[float, Field(gt=0, le=100)] | dict[str, Annotated[float, Field(gt=0, le=100)]]
+"""Length of the side of a tag's black square [m]: of all tags, or by id."""
 MIN_TAG_AREA = 1e-10
 """Minimum product of a tag's diagonals and the sine between them [rad^2]."""
 
@@ -129,6 +132,45 @@ def tag_bearings(
     ahead, back = azimuth[1:9], azimuth[9:]
     variance = np.sum((wrap(ahead - back) / 2) ** 2, axis=0)
     return azimuth[0], np.sqrt(variance + camera.bearing_variance(elevation[0]))
+
+
+def tag_ranges(
+    corners: np.ndarray, sizes: np.ndarray, camera: Camera, shape: tuple[int, int]
+) -> np.ndarray:
+    """Return the horizontal distances (n,) of tags on vertical surfaces [m], from their size.
+
+    The ends of a vertical side are at the same distance d, so its length is d times the difference
+    of the tangents of their elevations, however the tag is turned about the vertical.
+
+    Parameters
+    ----------
+    corners : ndarray, shape (n, 4, 2)
+        Columns and rows [px], in order round each tag.
+    sizes : ndarray, shape (n,)
+        Lengths of the sides of the tags [m]; NaN: unknown.
+    camera : Camera
+    shape : (int, int)
+        Height and width of the image [px].
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Mean of the two sides that are more vertical; NaN without a size or a ray.
+    """
+    _, elevation = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
+    height = np.tan(elevation).reshape(-1, 4)
+    sides = np.abs(height - np.roll(height, -1, axis=1)).reshape(-1, 2, 2)  # opposite ones last
+    upright = np.take_along_axis(sides, sides.sum(axis=1).argmax(axis=1)[:, None, None], axis=2)
+    with np.errstate(divide="ignore"):
+        found = sizes * (1.0 / upright[..., 0]).mean(axis=1)
+    return np.where(np.isfinite(found), found, np.nan)
+
+
+def sizes_of(names: Sequence[str], size: TagSize | None) -> np.ndarray:
+    """Return the sizes of named tags [m], shape (n,); NaN where unknown."""
+    known = {} if size is None or isinstance(size, float) else size
+    default = size if isinstance(size, float) else math.nan
+    return np.array([known.get(name, default) for name in names], float)
 
 
 def _centre(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:

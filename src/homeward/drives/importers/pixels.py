@@ -13,7 +13,7 @@ from itertools import chain, product
 
 import numpy as np
 
-from homeward.drives.cameras.camera import tag_bearings
+from homeward.drives.cameras.camera import tag_bearings, tag_ranges
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.importers.columns import KINDS, ROLES, Column, assigned, words_in
 from homeward.drives.importers.sheet import Sheet, number_parser
@@ -59,6 +59,8 @@ class Pixels:
     """Source of the intrinsics."""
     order: tuple[int, ...] = ORDERS[0]
     """The corners in order round the tag."""
+    tag_size: float | None = None
+    """Length of the sides of tags [m]; None: unknown, and no ranges."""
 
     @property
     def name(self) -> str:
@@ -77,7 +79,7 @@ class Pixels:
         return f"tag {names[0]} ... {names[-1]}" if len(names) > 2 else f"ray ({', '.join(names)})"
 
     def measured(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return bearings and, of corners, their standard deviations [rad], (n,) each.
+        """Return bearings [rad], and of corners their standard deviations and ranges, (n,) each.
 
         NaN for pixels without a ray.
         """
@@ -85,7 +87,11 @@ class Pixels:
         if "row0" in values:
             corners = _corners(values)[:, self.order]
             bearing, sigma = tag_bearings(corners, PIXEL_SIGMA, self.lens, shape)
-            return {"bearing": bearing, "sigma": sigma}
+            found = {"bearing": bearing, "sigma": sigma}
+            if self.tag_size is not None and "range" not in values:
+                sizes = np.full(len(bearing), self.tag_size)
+                found["range"] = tag_ranges(corners, sizes, self.lens, shape)
+            return found
         column, row = values["column"], values.get("row")
         row = np.full_like(column, self.lens.cy) if row is None else row
         return {"bearing": self.lens.directions(*_seen(column, row), shape)[0]}

@@ -6,6 +6,7 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,8 @@ from homeward.drives.home.when import with_home
 from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
-from homeward.drives.importers.parts import UNIX_S, ImportedColumn
+from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
+from homeward.drives.importers.pixels import Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
@@ -69,14 +71,16 @@ def understand(
     kinds: Sequence[str] = (),
     wheels: Wheels | None = None,
     camera: Lens | None = None,
+    tag_size: float | None = None,
 ) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
     The tables may have any separator, decimal mark, header and units. `columns` are texts
     ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
     key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file; `camera` is that of
-    pixels. Bearings get the sense of rotation of the odometry. `InputError` where a file cannot be
-    read, contains no table of a drive, or a role is ambiguous.
+    pixels, `tag_size` that of tags with corners [m]. Bearings get the sense of rotation of the
+    odometry. `InputError` where a file cannot be read, contains no table of a drive, or a role is
+    ambiguous.
     """
     for path in files:
         _refuse_drives(path)
@@ -84,6 +88,8 @@ def understand(
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
     parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, camera)
+    if tag_size is not None:
+        _set_tag_size(parts, tag_size)
     found: list[ImportedColumn] = []
     clock: str | None = None
     angle: str | None = None
@@ -110,6 +116,16 @@ def understand(
         tables = {one.kind: one.table for one in found}
         return with_sense_of(_odometry(found, tables, wheels, {}), found)
     return found
+
+
+def _set_tag_size(parts: Sequence[Part], tag_size: float) -> None:
+    """Give the corners of tags their size [m]; `InputError` where there are none."""
+    sized = [part for part in parts if isinstance(part.source, Pixels) and "row0" in part.columns]
+    if not sized:
+        raise InputError("--tag-size is not used: no table has the corners of tags")
+    for part in sized:
+        assert isinstance(part.source, Pixels)
+        part.source = replace(part.source, tag_size=tag_size)
 
 
 def _refuse_drives(path: Path) -> None:

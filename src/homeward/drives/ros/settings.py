@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, field_validator, model_validator
 
 from homeward.drives.cameras.calibration import is_calibration, read_calibration
-from homeward.drives.cameras.camera import Tilt
+from homeward.drives.cameras.camera import TagSize, Tilt
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.structure import Layout
 from homeward.drives.settings import (
@@ -93,6 +93,9 @@ class BearingsTopic(Strict):
     pixel_sigma: Positive = 0.5
     """Standard deviation of each coordinate of a tag's corner [px], where the message has none:
     detectors find corners to a fraction of a pixel."""
+    tag_size: TagSize | None = None
+    """Length of the sides of tags [m], of all or by id, for ranges from their corners, which
+    `Sensor.range_sigma` switches on; None: no ranges. For tags on vertical surfaces."""
     rectified: bool = False
     """Whether points are in the rectified image."""
     axes: Literal["body", "optical"] | None = None

@@ -179,7 +179,7 @@ def see_tags(
     video = path.suffix.lower() in VIDEOS
     folder = path.parent if video else path
     settings = settings_in(folder)
-    eye = TagFrontEnd(settings.camera, family or settings.tags or "36h11")
+    eye = TagFrontEnd(settings.camera, family or settings.tags or "36h11", settings.tag_size)
     remarks: dict[str, int] = {}
     frames = Video(path) if video else PictureFiles(folder, remarks)
     if not frames.t.size:
@@ -211,15 +211,16 @@ def _sightings(
     on_progress: Callable[[float], None] | None,
 ) -> Sightings:
     """Return the sightings in all frames; `remarks` counts those left out."""
-    rows: list[tuple[float, str, float, float]] = []
+    rows, ranges = list[tuple[float, str, float, float]](), list[float]()
     counts: Counter[str] = Counter()
     for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
         with naming_file(Path(f"picture at {t:g} s")):
             seen = eye.see(frame)
         rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
+        ranges += seen.ranges.values()
         counts[DUPLICATE] += len(seen.tags.twice)
         counts[NO_TAGS] += not seen.bearings
         if on_progress is not None:
             on_progress((k + 1) / frames.t.size)
     remarks |= {reason: count for reason, count in counts.items() if count}
-    return Sightings.of_rows(rows)
+    return replace(Sightings.of_rows(rows), range=np.array(ranges))

@@ -8,7 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from homeward.drives.cameras.calibration import read_calibration
-from homeward.drives.cameras.camera import Camera
+from homeward.drives.cameras.camera import Camera, TagSize
 from homeward.drives.cameras.lens import SYNONYMS, Lens
 from homeward.drives.images import file_within
 from homeward.io.keys import Strict
@@ -52,6 +52,9 @@ class ImageSettings(Strict):
     """Maximum number of landmarks that are passed on from one image."""
     tags: str | None = None
     """Family of the tags to detect, such as 36h11; None: natural features instead of tags."""
+    tag_size: TagSize | None = None
+    """Length of the sides of tags [m], of all or by id, for ranges; None: no ranges. For tags on
+    vertical surfaces."""
     force: bool = False
     """Whether to accept pictures that do not look like panoramas."""
 

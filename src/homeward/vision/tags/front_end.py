@@ -6,12 +6,12 @@ Folders, videos, logs, the ROS node and rendered drives all use it.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from homeward.drives.cameras.camera import Camera, tag_bearings
+from homeward.drives.cameras.camera import Camera, TagSize, sizes_of, tag_bearings, tag_ranges
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
@@ -51,6 +51,8 @@ class TagBearings:
     """[rad]"""
     tags: Tags
     """The tags in the picture; those outside the lens model have no bearing."""
+    ranges: dict[str, float] = field(default_factory=dict)
+    """Horizontal distance of each tag with a bearing, from its size [m]; NaN: unknown."""
 
     @property
     def home(self) -> dict[str, HomeBearing]:
@@ -87,6 +89,8 @@ class TagFrontEnd:
     family : str
         36h11, 25h9, 16h5 or 36h10 of AprilTag; 4x4_50 to 7x7_1000, aruco_original or
         aruco_mip_36h12 of ArUco.
+    size : float or dict, optional
+        Length of the sides of tags [m], of all or by number, for ranges.
 
     Raises
     ------
@@ -94,13 +98,15 @@ class TagFrontEnd:
         If there is no such family.
     """
 
-    def __init__(self, camera: Camera | None, family: str = "36h11") -> None:
+    def __init__(
+        self, camera: Camera | None, family: str = "36h11", size: TagSize | None = None
+    ) -> None:
         aruco, self._dictionary = opencv().aruco, family_of(family)
         options = aruco.DetectorParameters()
         options.cornerRefinementMethod = aruco.CORNER_REFINE_SUBPIX
         self._cells = int(self._dictionary.markerSize) + 2 * options.markerBorderBits
         self._detector: Any = aruco.ArucoDetector(self._dictionary, options)
-        self.camera = camera
+        self.camera, self.size = camera, size
 
     def see(self, image: np.ndarray) -> TagBearings:
         """Return the bearings of the tags in an image in any format of `as_grey`.
@@ -114,10 +120,12 @@ class TagFrontEnd:
         bearing, sigma = tag_bearings(tags.corners, tags.sigma, camera, shape)
         there = np.isfinite(bearing) & np.isfinite(sigma)
         names = [name for name, known in zip(tags.names, there, strict=True) if known]
-        bearings, sigmas = (
-            dict(zip(names, values[there].tolist(), strict=True)) for values in (bearing, sigma)
+        ranges = tag_ranges(tags.corners, sizes_of(tags.names, self.size), camera, shape)
+        bearings, sigmas, far = (
+            dict(zip(names, values[there].tolist(), strict=True))
+            for values in (bearing, sigma, ranges)
         )
-        return TagBearings(bearings, sigmas, tags)
+        return TagBearings(bearings, sigmas, tags, far)
 
     def tags(self, image: np.ndarray, camera: Camera | None) -> Tags:
         """Return the tags in an image of `camera`; errors as in `see`."""

@@ -10,7 +10,12 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.camera import tag_bearings, tilt_matrix
+from homeward.drives.cameras.camera import (
+    sizes_of,
+    tag_bearings,
+    tag_ranges,
+    tilt_matrix,
+)
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.importers.positions import axes_by_spread
 from homeward.drives.ros.measurements.rows import Remarks
@@ -413,6 +418,9 @@ class SightingRows:
 
     def _ranges(self) -> np.ndarray:
         """Return the horizontal distances [m] from the reference camera, (n,); NaN: unknown."""
+        if self.kind in CORNERS and self.given.tag_size is not None:
+            sizes = sizes_of([seen.landmark for seen in self._kept], self.given.tag_size)
+            return tag_ranges(self._corners(), sizes, self._model(), (0, 0))
         if not self.has_positions:
             return np.full(len(self), np.nan)
         rows = np.array([(seen.a, seen.b, seen.up) for seen in self._kept], float).reshape(-1, 3)
@@ -437,16 +445,22 @@ class SightingRows:
         if self.has_positions:
             x, y = self._places(a, b, up)
             return np.arctan2(y, x), sigma
+        camera = self._model()
+        if self.kind == DETECTIONS:
+            return camera.directions(a, b)[0], sigma
+        each = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
+        return tag_bearings(self._corners(), each, camera, (0, 0))
+
+    def _corners(self) -> np.ndarray:
+        """Return the corners of tags, (n, 4, 2) [px]."""
+        return np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
+
+    def _model(self) -> Lens:
+        """Return the camera of points in an image; `InputError` where it is unknown."""
         camera = self._camera()
         if camera is None:
             raise InputError(
                 f"{self.given.topic}: points in an image need a camera model; add camera to the "
                 "topic in the topics file: a CameraInfo topic, a calibration file, or the model"
             )
-        camera = camera.model_copy(update=self.given.tilt)
-        if self.kind == DETECTIONS:
-            return camera.directions(a, b)[0], sigma
-        corners = np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
-        each = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
-        bearing, sigma = tag_bearings(corners, each, camera, (0, 0))
-        return bearing, sigma
+        return camera.model_copy(update=self.given.tilt)
