@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.bearings import SightingRows, TagDetector
+from homeward.drives.ros.measurements.bearings import TagDetector
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.estimator import Status

@@ -15,13 +15,7 @@ from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings
 from homeward.drives.home.when import with_home
 from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import (
-    SightingRows,
-    TagDetector,
-    frame_of,
-    landmark_of,
-    parts_of,
-)
+from homeward.drives.ros.measurements.bearings import TagDetector, frame_of, landmark_of, parts_of
 from homeward.drives.ros.measurements.extrinsics import (
     TF,
     TF_STATIC,
@@ -31,6 +25,7 @@ from homeward.drives.ros.measurements.extrinsics import (
 )
 from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
+from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (

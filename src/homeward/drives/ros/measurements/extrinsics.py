@@ -8,12 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from homeward.drives.ros.measurements.bearings import (
-    TRANSFORMS,
-    SightingRows,
-    axes_of,
-    has_bearings,
-)
+from homeward.drives.ros.measurements.bearings import TRANSFORMS, axes_of, has_bearings
+from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
