@@ -208,17 +208,15 @@ def _run(
     save_learnt: Path | None,
     json: bool,
 ) -> None:
-    from homeward.io.writing import check_output, write_whole
+    from homeward.io.writing import write_whole
     from homeward.localizer.localizer import Localizer
     from homeward.runs.learnt import learnt_yaml
-    from homeward.runs.report.folder import PAGE, SETTINGS_FILE, missing_extra, write_run
+    from homeward.runs.report.folder import PAGE, missing_extra, write_run
     from homeward.runs.report.words import route_words, visit_words
     from homeward.runs.scoring import score
     from homeward.runs.single_run import drive_path, finish, prepare
     from homeward.runs.visits import ToStore, check_update, save_visit
 
-    if out is not None:  # before any time is spent
-        check_output(out, SETTINGS_FILE)
     store, missing = ToStore(*names), missing_extra()
     lost: HomewardError | None = None
     after: Place | None = None
