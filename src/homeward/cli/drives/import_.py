@@ -51,7 +51,7 @@ def import_(
     wheels: Annotated[
         str | None,
         typer.Option(
-            metavar="KEY=VALUE,...",
+            metavar="KEY=VALUE,KEY=VALUE",
             help="Geometry of wheels, for encoder counts, wheel speeds and steering: wheel_radius "
             "[m], track_width [m], ticks_per_turn, wheelbase [m].",
         ),
