@@ -166,7 +166,7 @@ def test_ranges_bring_the_first_pose_and_the_notes_report_them():
         {"scale": 10.0},
         {"scale": 0.8, "range_scale_sigma": 0.1},
     ],
-    ids=str,
+    ids=lambda fault: fault["spoil"].__name__ if "spoil" in fault else str(fault),
 )
 def test_a_wrong_range_makes_no_pose_wrong_beyond_its_covariance(fault):
     rig = RangedRig(ring(8), promise=Status.LOCALISED, told=False, **fault)
