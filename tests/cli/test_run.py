@@ -213,7 +213,7 @@ def test_real_drive_runs_to_the_end(data_dir, tmp_path):
     # Dead reckoning from the true start is off by metres in the end.
     assert metrics["position_rmse_m"] < 2.0
     line = refused(call("run", drive, "--out", tmp_path / "b"))
-    assert f"homeward import mrclam {drive} --robot 1 --home" in line
+    assert f"homeward import mrclam {drive.resolve()} --robot 1 --home" in line
 
 
 def test_help_names_every_command():
