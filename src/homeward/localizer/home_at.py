@@ -19,14 +19,7 @@ from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
-
-MAX_SIGMA_RAD = 0.5
-"""Maximum standard deviation of a predicted bearing [rad]; larger ones are of no use."""
-MIN_P_STATIC = 0.5
-"""Minimum probability of a landmark to be static."""
-NUM_SIGHTINGS = 5
-"""Number of sightings before and after a time by which a landmark was in place then."""
-NOTHING = JointHome((), np.zeros(0), np.zeros((0, 0)))
+from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, MIN_P_STATIC, NUM_NEAREST
 
 
 @single_threaded_blas()
@@ -43,12 +36,13 @@ def predicted_home(
     robot: Robot = {**drive.settings.robot, "start": None}
     localizer = Localizer({}, known=drive.known, **robot)
     solved = solve_whole(dataclasses.replace(drive, home={}), localizer, on_progress)[1]
+    nothing = JointHome((), np.zeros(0), np.zeros((0, 0)))
     if solved is None:
-        return NOTHING
+        return nothing
     chart = localizer.chart
     keyframes = [Pose(*pose) for pose in solved.whole.poses.tolist()]
     lost = [(-np.inf, chart.map.begun), *chart.monitor.spells_lost, *solved.gaps(keyframes)]
-    return NOTHING if within(lost, np.array([t]))[0] else _predicted(solved, keyframes, t)
+    return nothing if within(lost, np.array([t]))[0] else _predicted(solved, keyframes, t)
 
 
 def _predicted(solved: SolvedDrive, keyframes: list[Pose], t: float) -> JointHome:
@@ -66,7 +60,7 @@ def _predicted(solved: SolvedDrive, keyframes: list[Pose], t: float) -> JointHom
     sigmas = chart.noise.sigmas(list(ids), {})
     expected = predict_bearings(state, np.zeros(index.size), sigmas, camera, index)
     joint = expected.innovation_covariance
-    kept = joint.diagonal() <= MAX_SIGMA_RAD**2
+    kept = joint.diagonal() <= MAX_PREDICTED_SIGMA**2
     kept &= whole.p_static[index] >= MIN_P_STATIC
     kept &= ~np.isin(list(ids), _moved(solved, states, t))
     bearings = np.asarray(wrap(-expected.residual))
@@ -85,5 +79,5 @@ def _moved(solved: SolvedDrive, states: Sequence[Marginal], t: float) -> list[st
         wrong = seen.misfits(states[seen.keyframe - whole.first], chart.map, whole)
         for name, is_wrong in zip(seen.frame.names, wrong.tolist(), strict=True):
             misfits[name][seen.frame.t > t].append(is_wrong)
-    nearest = {n: (b[-NUM_SIGHTINGS:], a[:NUM_SIGHTINGS]) for n, (b, a) in misfits.items()}
+    nearest = {n: (b[-NUM_NEAREST:], a[:NUM_NEAREST]) for n, (b, a) in misfits.items()}
     return [n for n, sides in nearest.items() if any(2 * sum(s) > len(s) for s in sides)]

@@ -404,3 +404,13 @@ NUM_WHOLE_SOLVES = 6
 CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
 """Squared deviation from which poses contradict the motion between them: one false alarm at
 `FALSE_ALARM` in 5,000 keyframes, as for `FINAL_GATE` [1]."""
+
+# Home at any pose of a drive
+MAX_PREDICTED_SIGMA = 0.5
+"""Largest standard deviation of a predicted home bearing [rad]; a larger one is not linear, and of
+no use."""
+MIN_P_STATIC = 0.5
+"""Smallest probability of a landmark to be static: more likely than not."""
+NUM_NEAREST = 5
+"""Sightings before and after a time by which a landmark was in place then: two wrong ones do not
+decide."""
