@@ -104,7 +104,8 @@ def tilt_matrix(roll: float, pitch: float) -> np.ndarray:
     return np.asarray(about_y @ about_x)
 
 
-TagSize = Annotated[float, Field(gt=0, le=100)] | dict[str, Annotated[float, Field(gt=0, le=100)]]
+Side = Annotated[float, Field(gt=0, le=100)]
+TagSize = Side | dict[str, Side]
 """Length of the side of a tag's black square [m]: of all tags, or by id."""
 MIN_TAG_AREA = 1e-10
 """Minimum product of a tag's diagonals and the sine between them [rad^2]."""
@@ -168,9 +169,9 @@ def tag_ranges(
 
 def sizes_of(names: Sequence[str], size: TagSize | None) -> np.ndarray:
     """Return the sizes of named tags [m], shape (n,); NaN where unknown."""
-    known = {} if size is None or isinstance(size, float) else size
-    default = size if isinstance(size, float) else math.nan
-    return np.array([known.get(name, default) for name in names], float)
+    if isinstance(size, dict):
+        return np.array([size.get(name, math.nan) for name in names], float)
+    return np.full(len(names), math.nan if size is None else size)
 
 
 def _centre(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:

@@ -6,7 +6,6 @@ import dataclasses
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -120,12 +119,13 @@ def understand(
 
 def _set_tag_size(parts: Sequence[Part], tag_size: float) -> None:
     """Give the corners of tags their size [m]; `InputError` where there are none."""
-    sized = [part for part in parts if isinstance(part.source, Pixels) and "row0" in part.columns]
-    if not sized:
+    is_used = False
+    for part in parts:
+        if isinstance(part.source, Pixels) and "row0" in part.columns:
+            part.source = dataclasses.replace(part.source, tag_size=tag_size)
+            is_used = True
+    if not is_used:
         raise InputError("--tag-size is not used: no table has the corners of tags")
-    for part in sized:
-        assert isinstance(part.source, Pixels)
-        part.source = replace(part.source, tag_size=tag_size)
 
 
 def _refuse_drives(path: Path) -> None:
