@@ -10,7 +10,7 @@ import os
 import secrets
 import shutil
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from homeward.errors import InputError
@@ -53,9 +53,11 @@ def write_whole(path: Path, content: bytes) -> None:
 def check_output(directory: Path, marker: str) -> None:
     """Refuse an output folder that has files, but not the `marker` file of earlier output.
 
-    The folder may not exist yet. `InputError` also where it is not a folder or not writable, before
-    a long computation.
+    The folder may not exist yet. `InputError` also where it is not a folder, not writable or has a
+    name that is too long, before a long computation.
     """
+    with naming(directory, "cannot be written"), suppress(FileNotFoundError, NotADirectoryError):
+        os.lstat(directory)
     existing = next(p for p in (directory, *directory.absolute().parents) if is_there(p))
     if not existing.is_dir():
         raise InputError("is not a folder; choose another output folder", existing)
