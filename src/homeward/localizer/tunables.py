@@ -74,6 +74,9 @@ RIVAL_SHARE = 0.67
 [distance]."""
 WALKING_PRIOR = 0.01
 """Prior probability that a landmark walks about while it is observed [1]."""
+BODY_M, ONE_BODY = 0.5, 0.5
+"""Landmarks within the size of a box [m] move as one with this probability [1]: as likely as not,
+they are on one object."""
 SWAP_RATIO = 2.0
 """Identities count as swapped if another landmark's residuals are less than this many times larger
 [1]."""

@@ -7,12 +7,15 @@ contain slips of the pen.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import solve_triangular
 from scipy.special import betaln
 
+from homeward.geometry.angles import TWO_PI
 from homeward.geometry.se2 import lever, rotation
+from homeward.localizer.map.bodies import Bodies, find_bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
@@ -30,9 +33,9 @@ def outlier_probabilities(
 ) -> np.ndarray:
     """Return the probability of each of k places and m distances to be an outlier, (k + m,).
 
-    An outlier may be anywhere on the site. Sets of inliers are compared by their evidence, datum
-    and map being uncertain as they are. A local search from the set of all flips the one that gains
-    most, as long as any does.
+    An outlier may be anywhere on the site, and so may a body that moved. Sets of inliers are
+    compared by their evidence, datum and map being uncertain as they are. A local search from the
+    set of all flips the one, or the body, that gains most, as long as any does.
 
     Parameters
     ----------
@@ -62,7 +65,7 @@ def outlier_probabilities(
     of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
     of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
     item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
-    log_outlier = -np.bincount(item) * math.log(size)
+    labels = _labels(factors, mapped, of_map[: 2 * k, : 2 * k], prior, size)
 
     def linear(inliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return all residuals and their covariance, with a vague datum around that of a set."""
@@ -81,50 +84,84 @@ def outlier_probabilities(
         return np.concatenate([residual, off]), known
 
     found: dict[bytes, float] = {}
-    inliers = np.ones(k + m, bool)
+    inliers, singles = np.ones(k + m, bool), np.eye(k + m, dtype=bool)
     for _ in range(2 * inliers.size):  # all may be outliers, as at another place
-        before, labels = _log_label_prior(inliers, prior)
-        evidence, gains = _weigh(inliers, item, *linear(inliers), labels - log_outlier)
-        evidence += before + float(log_outlier[~inliers].sum())
+        members = labels.bodies.members
+        some = (members & inliers).any(axis=1, keepdims=True)
+        sets = inliers ^ np.vstack([singles, members & (inliers == some)])
+        evidence, gains = _weigh(inliers, item, *linear(inliers), sets)
+        now, *then = labels.log_density(np.vstack([inliers, sets])).tolist()
+        gains += np.array(then) - now
+        evidence += now
         found[inliers.tobytes()] = evidence
-        for i, gain in enumerate(gains.tolist()):
-            flipped = inliers.copy()
-            flipped[i] ^= True
+        for flipped, gain in zip(sets, gains.tolist(), strict=True):
             found.setdefault(flipped.tobytes(), evidence + gain)
         i = int(gains.argmax())
         if not gains[i] > 0.0:
             break
-        inliers[i] ^= True
+        inliers = sets[i]
     log = np.array(list(found.values()))
     weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(IMPROBABLE)))
     outliers = ~np.array([np.frombuffer(key, bool) for key in found])
     return np.asarray(weights @ outliers / weights.sum())
 
 
-def _log_label_prior(inliers: np.ndarray, prior: np.ndarray) -> tuple[float, np.ndarray]:
-    """Return the log prior of a set of inliers, and the log prior odds of each to be one.
+@dataclass(frozen=True)
+class _Labels:
+    """Labels of k items, inlier or outlier: their prior, and the density of the outliers.
 
-    As a rule each is an outlier with its own probability (k,); after an upheaval, or at another
-    place, any share may be, as for home bearings (`homeward.localizer.home.evidence`).
+    As a rule each is an outlier with its own probability; after an upheaval, or at another place,
+    any share may be, as for home bearings (`homeward.localizer.home.evidence`).
     """
-    odds = np.log1p(-prior) - np.log(prior)
-    rule, number = float(np.where(inliers, np.log1p(-prior), np.log(prior)).sum()), inliers.sum()
-    step = np.where(inliers, -1, 1)
-    now = _with_upheaval(np.array(rule), number, inliers.size)
-    then = _with_upheaval(rule + step * odds, number + step, inliers.size)
-    return float(now), step * (then - now)
+
+    prior: np.ndarray
+    """(k,): prior probability of each to be an outlier."""
+    log_outlier: np.ndarray
+    """(k,): log density of each as an outlier."""
+    bodies: Bodies
+    log_moved: np.ndarray
+    """(b,): log density of each body that moved, less that of its members as outliers."""
+
+    def log_density(self, inliers: np.ndarray) -> np.ndarray:
+        """Return the log density of sets of inliers (f, k), shape (f,)."""
+        rule = np.where(inliers, np.log1p(-self.prior), np.log(self.prior)).sum(axis=1)
+        rule += self.bodies.log_prior(inliers, self.prior, self.log_moved)
+        number = inliers.sum(axis=1)
+        upheaval = betaln(1.0 + number, 1.0 + inliers.shape[1] - number)
+        upheaval += self.bodies.log_prior(inliers, 0.5, self.log_moved)
+        log = np.logaddexp(math.log1p(-UPHEAVAL) + rule, math.log(UPHEAVAL) + upheaval)
+        return np.asarray(log + np.where(inliers, 0.0, self.log_outlier).sum(axis=1))
 
 
-def _with_upheaval(rule: np.ndarray, inliers: np.ndarray, of: int) -> np.ndarray:
-    """Return the log prior with an upheaval as the alternative, for numbers of inliers."""
-    upheaval = math.log(UPHEAVAL) + betaln(1.0 + inliers, 1.0 + of - inliers)
-    return np.asarray(np.logaddexp(math.log1p(-UPHEAVAL) + rule, upheaval))
+def _labels(
+    factors: SurveyFactors, mapped: np.ndarray, of_map: np.ndarray, prior: np.ndarray, size: float
+) -> _Labels:
+    """Return the labels of k places, at `mapped` (k, 2) now, and of m distances."""
+    k, m = len(mapped), len(prior) - len(mapped)
+    log_outlier = -np.repeat([2.0, 1.0], [k, m]) * math.log(size)
+    bodies = find_bodies(factors.places, size)
+    log_moved = np.zeros(len(bodies.members))
+    # A Gaussian as dense as the uniform density, on the site and in heading.
+    vague = np.array([size, size, TWO_PI]) / math.sqrt(TWO_PI)
+    for i, of in enumerate(bodies.members):
+        at = np.ix_(np.repeat(of, 2), np.repeat(of, 2))
+        places = factors.places[of] - factors.places[of].mean(axis=0)
+        there = align(mapped[of], places, factors.covariance[at])
+        known = of_map[at] + rotated(factors.covariance[at], rotation(there.pose[2])[:2, :2])
+        by_pose = there.by_pose * vague
+        log_moved[i] = _log_normal(there.residual.ravel(), known + by_pose @ by_pose.T)
+        log_moved[i] -= log_outlier[:k][of].sum()
+    members = np.column_stack([bodies.members, np.zeros((len(log_moved), m), bool)])
+    return _Labels(prior, log_outlier, Bodies(members, bodies.one_body), log_moved)
 
 
 def _weigh(
-    inliers: np.ndarray, item: np.ndarray, z: np.ndarray, covariance: np.ndarray, labels: np.ndarray
+    inliers: np.ndarray, item: np.ndarray, z: np.ndarray, covariance: np.ndarray, sets: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the log evidence of a set, up to a constant, and the gain by flipping each member."""
+    """Return the log density of a set, up to a constant, and the gain of other sets (f, k).
+
+    Each other set has either some items less, or some more.
+    """
     at = inliers[item]
     # By triangular factors, since what a vague datum leaves of a covariance is small.
     root = np.linalg.cholesky(covariance[np.ix_(at, at)])
@@ -133,17 +170,15 @@ def _weigh(
     left, residual, across = whitened[:, : len(z)], whitened[:, len(z)], whitened[:, len(z) + 1 :]
     inverse, weighted = left.T @ left, left.T @ residual
     off, spread = z - across.T @ residual, covariance - across.T @ across
-    odds = labels.copy()
-    for i in range(inliers.size):
-        mine = item == i
-        if inliers[i]:  # given the others of the set
-            own = np.linalg.inv(inverse[np.ix_(mine, mine)])
-            odds[i] += _log_normal(own @ weighted[mine], own)
+    gains = np.zeros(len(sets))
+    for i, changed in enumerate((sets ^ inliers)[:, item]):
+        if at[changed].all():  # given the others of the set
+            own = np.linalg.inv(inverse[np.ix_(changed, changed)])
+            gains[i] = -_log_normal(own @ weighted[changed], own)
         else:
-            odds[i] += _log_normal(off[mine], spread[np.ix_(mine, mine)])
+            gains[i] = _log_normal(off[changed], spread[np.ix_(changed, changed)])
     log_volume = np.log(root.diagonal()).sum() + 0.5 * at.sum() * math.log(math.tau)
-    evidence = float(-0.5 * residual @ residual - log_volume)
-    return evidence, np.where(inliers, -odds, odds)
+    return float(-0.5 * residual @ residual - log_volume), gains
 
 
 def _log_normal(off: np.ndarray, covariance: np.ndarray) -> float:

@@ -1,0 +1,84 @@
+"""Landmarks that move together, such as two tags on one box."""
+
+import math
+
+import numpy as np
+from rig import Rig, ring
+
+from homeward.estimator import Status
+from homeward.geometry.frames import Twist
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.bodies import find_bodies
+from homeward.localizer.output.map_snapshot import moved_probabilities
+
+PRIOR, SIZE = 0.1, 8.0
+CORNERS = [(-4.0, -3.0), (4.0, -3.0), (4.0, 3.0), (-4.0, 3.0)]
+BOX = [(1.0, 2.0), (1.3, 2.0)]
+
+
+def moved(places, now, sigma=0.02):
+    """Return the probability of each landmark to have moved between two maps."""
+    covariance = sigma**2 * np.eye(2 * len(places))
+    before, after = (np.array(places), covariance), (np.array(now), covariance)
+    return moved_probabilities(before, after, np.full(len(places), PRIOR), SIZE)
+
+
+def test_two_tags_on_one_box_do_not_confirm_each_other():
+    assert moved(BOX, BOX).min() > 0.05
+    apart = [(-2.0, 2.0), (2.0, 2.0)]
+    assert moved(apart, apart).max() < 0.05
+
+
+def test_a_box_that_was_carried_and_turned_outvotes_no_landmark_in_place():
+    carried = [(-2.0, 0.5), (-2.0, 0.8)]
+    found = moved([*CORNERS[:3], *BOX], [*CORNERS[:3], *carried])
+    assert found[:3].max() < 0.05
+    assert found[3:].min() > 0.95
+
+
+def test_a_box_in_place_among_others_is_still_evidence():
+    assert moved([*CORNERS, *BOX], [*CORNERS, *BOX]).max() < 0.01
+
+
+def test_one_of_two_tags_on_a_box_may_move_alone():
+    found = moved([*CORNERS, *BOX], [*CORNERS, BOX[0], (2.0, 0.0)])
+    assert found[:5].max() < 0.05
+    assert found[5] > 0.95
+
+
+def test_bodies_are_small_and_disjoint():
+    rng = np.random.default_rng(0)
+    places = rng.uniform(0.0, 4.0, (40, 2))
+    found = find_bodies(places, SIZE)
+    assert len(found.members) > 3
+    assert found.members.sum(axis=0).max() == 1
+    for members in found.members:
+        apart = places[members][:, None] - places[members]
+        assert np.hypot(*apart.T).max() <= 0.5
+
+
+def test_all_landmarks_of_a_small_site_are_no_body():
+    places = np.random.default_rng(1).uniform(0.0, 0.4, (6, 2))
+    assert not find_bodies(places, 0.4).members.all(axis=1).any()
+
+
+def test_a_robot_that_first_sees_a_moved_box_is_not_led_astray():
+    """As two tags at a fixed distance from each other, they fit the survey in a wrong place."""
+    rig = Rig(ring(12, 3) | {"box a": (1.5, 0.8), "box b": (1.8, 0.7)}, 3, promise=None)
+    survey = {n: {"x": x, "y": y} for n, (x, y) in rig.landmarks.items()}
+    for name in ("box a", "box b"):
+        x, y = rig.landmarks[name]
+        rig.landmarks[name] = (x - 0.4, y + 1.0)
+    known = {"frame": "home", "sigma": 0.05, "landmarks": survey}
+    rig.localizer = Localizer({}, known=known, **rig.settings.robot)
+
+    def box_first(seen):
+        names = ("box a", "box b") if rig.t < 106.0 else seen
+        return {n: seen[n] for n in names}
+
+    rig.drive(20.0, lambda _: Twist(0.2, 0.3), box_first)
+    posed = [(a, p) for a, p in rig.answers if a.pose is not None]
+    off = [math.hypot(a.pose.x - p.x, a.pose.y - p.y) for a, p in posed]
+    assert max(off) < 0.3
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.moved() == {"box a", "box b"}
