@@ -130,6 +130,8 @@ class LandmarkEstimate(ByValue):
     moved_at: float = np.nan
     """Time during the drive at which it moved [s]; NaN when it did not."""
     sightings: int = 0
+    exchanged_with: str = ""
+    """The landmark in whose place it is, and which is in its place; empty if there is none."""
 
 
 @dataclass

@@ -71,7 +71,7 @@ def test_landmarks_read_back(folder):
     rows = rows_of(folder / "landmarks.csv")
     assert ",".join(rows[0]) == (
         "landmark,x,y,distance,sigma_distance,home_bearing_stored,home_bearing_estimated,"
-        "moved_probability,moved,sightings,moved_at"
+        "moved_probability,moved,sightings,moved_at,exchanged_with"
     )
     assert [r["moved"] for r in rows] == ["yes", "no", "no", "no"]
     assert rows[1]["x"] == "1.25"

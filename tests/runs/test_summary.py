@@ -66,6 +66,18 @@ def test_summary_names_what_moved_during_the_drive():
     assert "One landmark moved during the drive: b (at 7.0 s)." in said
 
 
+def test_summary_names_landmarks_that_are_exchanged_and_not_as_moved():
+    drive, track = made_up()
+    pair = [
+        dataclasses.replace(track.landmarks[1], landmark=a, moved=True, exchanged_with=b)
+        for a, b in (("5", "6"), ("6", "5"))
+    ]
+    track = dataclasses.replace(track, landmarks=pair)
+    said = summarise(drive, track, score(track, None))
+    assert "Landmarks 5 and 6 are exchanged." in said
+    assert "moved" not in said
+
+
 def test_no_claim_is_rounded_up():
     assert words.percent(0.9999) == "over 99 %"
     assert words.percent(1.0) == "100 %"

@@ -305,6 +305,11 @@ class KnownLandmarks(Strict):
         return self.frame == "home" and bool(self.landmarks)
 
     @property
+    def is_place(self) -> bool:
+        """Whether they are of a place, and not of a file."""
+        return self._joint is not None
+
+    @property
     def is_given(self) -> bool:
         """Whether any landmark or distance is known."""
         return bool(self.landmarks or self.distances)

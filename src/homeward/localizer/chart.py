@@ -76,6 +76,8 @@ class Chart:
         self._integrity = IntegrityMonitor(settings, self.scale.rest)
         self.last_accepted = -math.inf
         """Time of the last frame of which a bearing was accepted [s]."""
+        self._in_view: frozenset[str] = frozenset()
+        """Landmarks of that frame."""
         self._driven_at_fit = Driven()
         """Wheel motion up to the last frame of which most bearings were accepted, ..."""
         self._driven_at_keyframe = Driven()
@@ -214,6 +216,9 @@ class Chart:
         found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
+        doubt = self.map.registration.survey.contradiction(self._in_view)
+        if doubt is not None and found.status in (Status.LOCALISED, Status.COASTING):
+            found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:
             return self._contradiction.applied(found, state, motion)
         return found
@@ -266,7 +271,7 @@ class Chart:
                 gated = self._gate_at_keyframe(seen, wider)
         fits = gated.fits.values()
         if any(fits):
-            self.last_accepted = seen.t
+            self.last_accepted, self._in_view = seen.t, frozenset(seen.names)
         if 2 * sum(fits) > len(fits):
             self._driven_at_fit = seen.driven
         return gated

@@ -84,6 +84,11 @@ SWAP_RATIO = 2.0
 # Home
 UPHEAVAL = 0.1
 """Prior probability that a place was rearranged: then any share of landmarks may have moved [1]."""
+EXCHANGED = 0.02
+"""Prior probability that a survey, or the bearings of a home, has two landmarks exchanged: of nine
+MRCLAM surveys one has it, and one of two of another project; most others have been checked [1]."""
+NUM_EXCHANGES = 3
+"""Exchanges tried from one set: those that leave the smallest errors."""
 OUTLIER_SIGMA = 0.5
 """Standard deviation of an outlier home bearing, for the half of moved landmarks that were pushed;
 the others may be anywhere on the circle [rad]."""

@@ -72,6 +72,7 @@ class LandmarkReport:
             moved=probability > 0.5 if math.isfinite(probability) else None,
             moved_at=moved_at,
             sightings=0 if mapped is None else mapped.sightings,
+            exchanged_with=self.survey.exchanged.get(name, ""),
         )
 
     def _moved_probabilities(self) -> dict[str, float]:

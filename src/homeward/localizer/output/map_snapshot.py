@@ -10,7 +10,7 @@ import numpy as np
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.frames import Pose
 from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.map.survey.evidence import outlier_probabilities
+from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
 from homeward.localizer.tunables import MAX_TESTED
 
@@ -58,4 +58,4 @@ def moved_probabilities(
     covariance = np.zeros((HEAD + 2 * k, HEAD + 2 * k))
     covariance[HEAD:, HEAD:] = mapped
     free = Marginal(np.concatenate([np.zeros(HEAD), positions.ravel()]), covariance)
-    return outlier_probabilities(factors, free, np.arange(k), prior, size)
+    return tested(factors, free, np.arange(k), prior, size).wrong

@@ -23,7 +23,7 @@ from homeward.track import Track
 ESTIMATE_HEADER = "t,x,y,heading,R,theta,alpha,sigma_x,sigma_y,sigma_heading,status"
 LANDMARKS_HEADER = (
     "landmark,x,y,distance,sigma_distance,home_bearing_stored,home_bearing_estimated,"
-    "moved_probability,moved,sightings,moved_at"
+    "moved_probability,moved,sightings,moved_at,exchanged_with"
 )
 
 
@@ -67,6 +67,7 @@ def write_landmarks(file: Path, landmarks: Iterable[LandmarkEstimate]) -> None:
             {True: "yes", False: "no", None: ""}[landmark.moved],
             landmark.sightings,
             repr(landmark.moved_at) if math.isfinite(landmark.moved_at) else "",
+            landmark.exchanged_with,
         ]
         for landmark in landmarks
     )

@@ -130,13 +130,17 @@ def _moved(track: Track) -> str:
     if not tested:
         return f"The estimator {track.estimator} does not detect moved landmarks."
     during = [m for m in tested if m.moved_at == m.moved_at]
-    before = [m for m in tested if m.moved and m not in during]
-    text = ""
+    pairs = {frozenset((m.landmark, m.exchanged_with)): m for m in tested if m.exchanged_with}
+    before = [m for m in tested if m.moved and m not in during and not m.exchanged_with]
+    text = "".join(
+        f"Landmarks {name(m.exchanged_with)} and {name(m.landmark)} are exchanged. "
+        for m in pairs.values()
+    )
     stored = any(math.isfinite(m.home_bearing_stored) for m in track.landmarks)
     since = "home was stored" if stored else "the survey or the last visit"
     if before:
         were = "was" if len(before) == 1 else "were"
-        text = (
+        text += (
             f"{count(len(before), 'landmark').capitalize()} {were} moved since {since}: "
             f"{listing([name(m.landmark) for m in before])}. "
         )

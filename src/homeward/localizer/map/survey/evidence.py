@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -25,17 +26,36 @@ from homeward.localizer.map.survey.factors import (
     rotated,
 )
 from homeward.localizer.motion.preintegration import NC
-from homeward.localizer.tunables import IMPROBABLE, UPHEAVAL, VAGUE_DATUM
+from homeward.localizer.tunables import (
+    EXCHANGED,
+    IMPROBABLE,
+    NUM_EXCHANGES,
+    UNDECIDED,
+    UPHEAVAL,
+    VAGUE_DATUM,
+)
 
 
-def outlier_probabilities(
+class SurveyTest(NamedTuple):
+    """Posterior probabilities of k surveyed places and m distances."""
+
+    wrong: np.ndarray
+    """(k + m,): that a landmark is not at its own place, and that a distance is wrong."""
+    exchanged: np.ndarray
+    """(k, k): that two landmarks are at each other's place."""
+    both_right: np.ndarray
+    """(k, k): that two landmarks both are at their own places."""
+
+
+def tested(
     factors: SurveyFactors, free: Marginal, ids: np.ndarray, prior: np.ndarray, size: float
-) -> np.ndarray:
-    """Return the probability of each of k places and m distances to be an outlier, (k + m,).
+) -> SurveyTest:
+    """Test k places and m distances against the map.
 
-    An outlier may be anywhere on the site, and so may a body that moved. Sets of inliers are
-    compared by their evidence, datum and map being uncertain as they are. A local search from the
-    set of all flips the one, or the body, that gains most, as long as any does.
+    An outlier may be anywhere on the site, and so may a body that moved; two landmarks may be
+    exchanged, each at the place of the other. Sets of inliers are compared by their evidence, datum
+    and map being uncertain as they are. A local search from the set of all flips the one, or the
+    body, that gains most, as long as any does; then it exchanges two, as long as that gains.
 
     Parameters
     ----------
@@ -67,43 +87,105 @@ def outlier_probabilities(
     item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
     labels = _labels(factors, mapped, of_map[: 2 * k, : 2 * k], prior, size)
 
-    def linear(inliers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return all residuals and their covariance, with a vague datum around that of a set."""
+    def linear(inliers: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return all residuals and their covariance, with a vague datum around that of a set.
+
+        Of the surveyed places, that at `order` (k,) is a landmark's.
+        """
         if not k:
             return off, of_map
+        at, places = (2 * order[:, None] + (0, 1)).ravel(), factors.places[order]
+        covariance = factors.covariance[np.ix_(at, at)]
         some = inliers[:k] if inliers[:k].sum() >= 2 else np.ones(k, bool)
-        of_some = factors.covariance[np.ix_(np.repeat(some, 2), np.repeat(some, 2))]
-        pose = align(mapped[some], factors.places[some], of_some).pose
+        of_some = covariance[np.ix_(np.repeat(some, 2), np.repeat(some, 2))]
+        pose = align(mapped[some], places[some], of_some).pose
         rotate = rotation(pose[2])[:2, :2]
-        out = factors.places @ rotate.T
+        out = places @ rotate.T
         vague = np.zeros((len(item), 3))
         vague[: 2 * k] = lever(out)[:, :2].reshape(-1, 3) * (size, size, 1.0)
         known = of_map + VAGUE_DATUM**2 * vague @ vague.T
-        known[: 2 * k, : 2 * k] += rotated(factors.covariance, rotate)
+        known[: 2 * k, : 2 * k] += rotated(covariance, rotate)
         residual = (mapped - out - pose[:2]).ravel()
         return np.concatenate([residual, off]), known
 
     found: dict[bytes, float] = {}
-    inliers, singles = np.ones(k + m, bool), np.eye(k + m, dtype=bool)
-    for _ in range(2 * inliers.size):  # all may be outliers, as at another place
-        members = labels.bodies.members
-        some = (members & inliers).any(axis=1, keepdims=True)
-        sets = inliers ^ np.vstack([singles, members & (inliers == some)])
-        evidence, gains = _weigh(inliers, item, *linear(inliers), sets)
-        now, *then = labels.log_density(np.vstack([inliers, sets])).tolist()
-        gains += np.array(then) - now
-        evidence += now
-        found[inliers.tobytes()] = evidence
-        for flipped, gain in zip(sets, gains.tolist(), strict=True):
-            found.setdefault(flipped.tobytes(), evidence + gain)
-        i = int(gains.argmax())
-        if not gains[i] > 0.0:
+    """Evidence by the place of each landmark (k,) and the inliers (k + m,)."""
+    singles = np.eye(k + m, dtype=bool)
+    log_exchanged = math.log(EXCHANGED / max(math.comb(k, 2), 1))
+
+    def climb(
+        inliers: np.ndarray, order: np.ndarray, least: float = -math.inf
+    ) -> tuple[float, np.ndarray]:
+        """Flip one at a time; return the best evidence, and its set.
+
+        Not if the evidence of the first set is below `least`.
+        """
+        fixed = (order != np.arange(k)).nonzero()[0]
+        for _ in range(2 * inliers.size):  # all may be outliers, as at another place
+            members = labels.bodies.members
+            some = (members & inliers).any(axis=1, keepdims=True)
+            changed = np.vstack([singles, members & (inliers == some)])
+            sets = inliers ^ changed[~changed[:, fixed].any(axis=1)]  # both are exchanged, or none
+            evidence, gains = _weigh(inliers, item, *linear(inliers, order), sets)
+            now, *then = labels.log_density(np.vstack([inliers, sets])).tolist()
+            gains += np.array(then) - now
+            evidence += now + fixed.size // 2 * log_exchanged
+            found[np.concatenate([order, inliers]).tobytes()] = evidence
+            for flipped, gain in zip(sets, gains.tolist(), strict=True):
+                found.setdefault(np.concatenate([order, flipped]).tobytes(), evidence + gain)
+            if evidence < least or not gains.max(initial=0.0) > 0.0:
+                break
+            inliers = sets[gains.argmax()]
+        return evidence, inliers
+
+    order, every = np.arange(k), np.ones(k + m, bool)
+    best = climb(every, order)
+    while not best[1].all():
+        tried, least = [best], best[0] - UNDECIDED + log_exchanged
+        orders = [order]
+        for start in (every, best[1]):
+            for i, j in _exchangeable(mapped, factors.places, start[:k], order):
+                other, inliers = order.copy(), start.copy()
+                other[[i, j]], inliers[[i, j]] = order[[j, i]], True
+                tried.append(climb(inliers, other, least))
+                orders.append(other)
+        i = max(range(len(tried)), key=lambda i: tried[i][0])
+        if not i:
             break
-        inliers = sets[i]
+        best, order = tried[i], orders[i]
     log = np.array(list(found.values()))
     weights = np.exp(np.maximum(log - log.max(), 2.0 * math.log(IMPROBABLE)))
-    outliers = ~np.array([np.frombuffer(key, bool) for key in found])
-    return np.asarray(weights @ outliers / weights.sum())
+    weights /= weights.sum()
+    sets = np.array([np.frombuffer(key, order.dtype) for key in found])
+    at, right = sets[:, :k, None] == np.arange(k), sets[:, k:] > 0
+    right[:, :k] &= at.diagonal(axis1=1, axis2=2)
+    own = right[:, :k]
+    both = np.asarray((own * weights[:, None]).T @ own)
+    exchanged = np.einsum("h,hij->ij", weights, at) * ~np.eye(k, dtype=bool)
+    return SurveyTest(1.0 - weights @ right, exchanged, both)
+
+
+def _exchangeable(
+    mapped: np.ndarray, surveyed: np.ndarray, inliers: np.ndarray, order: np.ndarray
+) -> list[tuple[int, int]]:
+    """Return pairs of k landmarks, not exchanged yet, that fit better if they are; the best first.
+
+    By the residuals after a rigid motion of them and the other `inliers` (k,), in closed form
+    (Procrustes) with equal weights.
+    """
+    p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed[order]))
+    own = (order == np.arange(order.size)).nonzero()[0]
+    i, j = (own[a] for a in np.triu_indices(own.size, 1))
+    of, pairs = np.tile(inliers, (i.size, 1)), np.arange(i.size)
+    of[pairs, i] = of[pairs, j] = True
+    count = of.sum(axis=1, keepdims=True)
+    a, b = (of * (x - (of * x).sum(axis=1, keepdims=True) / count) for x in (p, q))
+    now = (a * b.conj()).sum(axis=1)
+    then = abs(now - (p[i] - p[j]) * (q[i] - q[j]).conj())
+    off = (abs(a) ** 2 + abs(b) ** 2).sum(axis=1) - 2.0 * then
+    (better,) = (then > abs(now)).nonzero()
+    first = better[np.argsort((off / count[:, 0])[better])[:NUM_EXCHANGES]]
+    return list(zip(i[first].tolist(), j[first].tolist(), strict=True))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.settings import KnownLandmarks
+from homeward.io.naming import natural
 from homeward.io.table import quoted
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import outlier_probabilities
+from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
@@ -36,8 +37,7 @@ class Survey:
         places = np.array([(s.x, s.y) for s in known.landmarks.values()]).reshape(-1, 2)
         if known.frame == "own" and places.size:
             places = places - places.mean(axis=0)  # large grid coordinates would cost precision
-        self.places = dict(zip(known.landmarks, places, strict=True))
-        """Positions by landmark, (2,) in the frame of the survey [m]."""
+        self._places = places
         apart = [d.distance for d in known.distances]
         self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
         """Size of the site [m]."""
@@ -47,6 +47,19 @@ class Survey:
         """... and that a distance, by its index in the list, is wrong."""
         self.used: list[str] = []
         """Inliers among the surveyed landmarks."""
+        self.contradicting: list[tuple[str, str]] = []
+        """Pairs of landmarks that cannot both be right, and either of which may be."""
+        self.exchanged: dict[str, str] = {}
+        """The other landmark, of each that is exchanged with another one."""
+
+    @property
+    def places(self) -> dict[str, np.ndarray]:
+        """Positions by landmark, (2,) in the frame of the survey [m]; exchanged ones put right."""
+        return {name: self._places[self._row(name)] for name in self._index}
+
+    def _row(self, name: str) -> int:
+        """Return the row of a landmark in the survey."""
+        return self._index[self.exchanged.get(name, name)]
 
     def evaluate(
         self, free: Marginal, numbers: Mapping[str, int], ids: np.ndarray
@@ -72,16 +85,29 @@ class Survey:
         pairs = [i for i, d in enumerate(self.known.distances) if {*d.between} <= {*numbers}]
         if not names and not pairs:
             self.wrong, self.wrong_distances, self.used = {}, {}, []
+            self.contradicting, self.exchanged = [], {}
             return SurveyFactors.none()
-        factors, k = self.factors(names, pairs, numbers), len(names)
-        prior = [1.0 - self.p_stayed(n) for n in names] + [self._prior] * len(pairs)
-        wrong = outlier_probabilities(factors, free, ids, np.array(prior), self.size)
-        self.wrong = dict(zip(names, wrong[:k].tolist(), strict=True))
-        self.wrong_distances = dict(zip(pairs, wrong[k:].tolist(), strict=True))
-        used = [n for n in names if self.wrong[n] <= 1.0 - self._sure]
-        self.used = used if len(used) >= 2 else []
-        right = [i for i in pairs if self.wrong_distances[i] <= 1.0 - self._sure]
-        return self.factors(self.used, right, numbers)
+        k, prior = len(names), [1.0 - self.p_stayed(n) for n in names] + [self._prior] * len(pairs)
+        exchanged, self.exchanged = self.exchanged, {}
+        try:
+            as_given = self.factors(names, pairs, numbers)
+            found = tested(as_given, free, ids, np.array(prior), self.size)
+        except np.linalg.LinAlgError:
+            self.exchanged = exchanged
+            raise
+        self.wrong = dict(zip(names, found.wrong[:k].tolist(), strict=True))
+        self.wrong_distances = dict(zip(pairs, found.wrong[k:].tolist(), strict=True))
+        certain = np.argwhere(found.exchanged >= self._sure).tolist()
+        self.exchanged = {names[i]: names[j] for i, j in certain}
+        right = 1.0 - found.wrong[:k]
+        most = np.maximum(right, found.exchanged.max(axis=1, initial=0.0))
+        self.used = [n for n, p in zip(names, most.tolist(), strict=True) if p >= self._sure]
+        self.used = self.used if len(self.used) >= 2 else []
+        doubtful = np.maximum(most, found.wrong[:k] - found.exchanged.sum(axis=1)) < self._sure
+        apart = np.triu(doubtful[:, None] & doubtful & (found.both_right < 1.0 - self._sure), 1)
+        self.contradicting = [(names[i], names[j]) for i, j in np.argwhere(apart).tolist()]
+        agreeing = [i for i in pairs if self.wrong_distances[i] <= 1.0 - self._sure]
+        return self.factors(self.used, agreeing, numbers)
 
     def factors(
         self, names: list[str], pairs: list[int], numbers: Mapping[str, int]
@@ -90,7 +116,7 @@ class Survey:
         known, apart = self.known, [self.known.distances[i] for i in pairs]
         return SurveyFactors(
             np.array([numbers[n] for n in names], int),
-            np.array([self.places[n] for n in names]).reshape(-1, 2),
+            self._places[[self._row(n) for n in names]].reshape(-1, 2),
             self.covariance_of(names),
             np.array([[numbers[n] for n in d.between] for d in apart], int).reshape(-1, 2),
             np.array([d.distance for d in apart]),
@@ -104,8 +130,16 @@ class Survey:
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
         """Return the covariance of surveyed coordinates, (2 k, 2 k) [m^2]."""
-        at = np.array([[2 * self._index[n], 2 * self._index[n] + 1] for n in names], int).ravel()
+        at = (2 * np.array([self._row(n) for n in names], int)[:, None] + (0, 1)).ravel()
         return np.asarray(self._covariance[np.ix_(at, at)])
+
+    def contradiction(self, in_view: frozenset[str]) -> str | None:
+        """Return why landmarks in view verify no pose, if one of them contradicts another one."""
+        for pair in self.contradicting:
+            if not in_view.isdisjoint(pair):
+                a, b = map(quoted, pair)
+                return f"surveyed landmarks {a} and {b} contradict each other; drive on"
+        return None
 
     def notes(self, state: Marginal) -> tuple[str, ...]:
         """Return notes for the user, the map being in `state`."""
@@ -113,12 +147,28 @@ class Survey:
         words = ["Speed scale estimated from the known landmarks: true speeds are"]
         words[0] += f" {1.0 + speed:.3f} +- {math.sqrt(sigma):.3f} x those of odometry."
         if self.places:
-            off = ", ".join(quoted(n) for n, p in self.wrong.items() if p > 0.5)
+            exchanged = self.exchanged
+            wrong = (n for n, p in self.wrong.items() if p > 0.5 and n not in exchanged)
+            off = ", ".join(quoted(n) for n in wrong)
             words.append(f"{len(self.used)} of {len(self.places)} surveyed landmarks agree")
             words[-1] += f"; not at the surveyed position: {off}" if off else ""
-            words[-1] += ". Correct or remove them in landmarks.yaml." if off else "."
+            is_place = self.known.is_place
+            correct = off and not is_place
+            words[-1] += ". Correct or remove them in landmarks.yaml." if correct else "."
+            where = "since the last visit" if is_place else "in landmarks.yaml"
+            words += exchange_notes(exchanged, where)
         for i in (i for i, p in self.wrong_distances.items() if p > 0.5):
             a, b = map(quoted, self.known.distances[i].between)
             given = f"{self.known.distances[i].distance:g} m"
             words.append(f"{a} and {b} are not {given} apart. Correct it in landmarks.yaml.")
         return tuple(words)
+
+
+def exchange_notes(exchanged: Mapping[str, str], where: str) -> list[str]:
+    """Return a note for the user on each pair of landmarks that are exchanged."""
+    pairs = dict.fromkeys(frozenset(pair) for pair in exchanged.items())
+    return [
+        f"Landmarks {' and '.join(map(quoted, sorted(pair, key=natural)))} are exchanged {where};"
+        " each was used in place of the other."
+        for pair in pairs
+    ]

@@ -309,6 +309,8 @@ def _moved_words(m: LandmarkEstimate, track: Track) -> str:
     """Return whether a landmark moved, in words."""
     if math.isfinite(m.moved_at):
         return f"moved during the drive, at {words.quantity(m.moved_at - track.t[0], 's')}"
+    if m.exchanged_with:
+        return f"exchanged with {words.name(m.exchanged_with, 60)}"
     if m.moved is None:
         return "not tested" + (": no home bearing" if math.isnan(m.home_bearing_stored) else "")
     chance = f"(probability of having moved: {words.percent(m.moved_probability)})"
