@@ -114,3 +114,33 @@ def test_no_pose_is_localised_while_two_tags_contradict_each_other(data_dir):
     assert all(off < 3.5 * a.sigmas[:2].max() for t, a, off, _ in found if t > 25.0)
     assert found[-1][1].status is Status.LOCALISED
     assert "Landmarks '5' and '6' are exchanged in landmarks.yaml" in " ".join(localizer.notes)
+
+
+def home_bearings_exchanged(seed, *pair):
+    """Return a rig whose home bearings of a pair of landmarks are exchanged."""
+    rig = Rig(ring(9, seed), seed, promise=None)
+    rig.home = exchanged(rig.home, pair)
+    rig.localizer = Localizer(rig.home, **rig.settings.robot)
+    return rig
+
+
+def test_exchanged_home_bearings_are_named_and_used():
+    rig = home_bearings_exchanged(1, "L2", "L6")
+    rig.drive(40.0)
+    hypotheses, home = rig.localizer.chart.home.hypotheses, rig.localizer.chart.home
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    assert rig.error() < 0.1
+    assert home.exchanged == {"L2": "L6", "L6": "L2"}
+    assert hypotheses.best.inliers.all()
+    assert "Landmarks 'L2' and 'L6' are exchanged in the home bearings" in " ".join(
+        rig.localizer.notes
+    )
+    assert rig.moved() == {"L2", "L6"}
+
+
+def test_landmarks_that_moved_since_home_are_not_called_exchanged():
+    rig = Rig(ring(9), promise=None)
+    rig.landmarks = rig.landmarks | {"L2": (0.9, 1.7), "L6": (-1.9, 0.4)}
+    rig.drive(40.0)
+    assert rig.moved() == {"L2", "L6"}
+    assert not rig.localizer.chart.home.exchanged

@@ -237,6 +237,7 @@ class Chart:
             hypotheses,
             self.map.registration.in_home_frame(self.map.smoother.state),
             self.map.registration.survey,
+            {**self.home.exchanged, **self.map.registration.survey.exchanged},
         ).landmarks()
 
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:

@@ -171,8 +171,11 @@ class HomeFit:
 
     @property
     def odds(self) -> np.ndarray:
-        """(q,): log odds of each to be an inlier, given the rest of the set."""
-        return self.evidence.odds
+        """(q,): log odds of each to be an inlier, given the rest of the set.
+
+        Two that are exchanged are inliers, or the exchange is wrong.
+        """
+        return np.where(self.problem.is_exchanged, np.inf, self.evidence.odds)
 
     def odds_of(
         self, places: np.ndarray, covariances: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray

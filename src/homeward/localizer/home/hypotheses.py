@@ -23,10 +23,12 @@ from homeward.localizer.home.problem import POSE_AND_YAW, USUAL, Assumption, Hom
 from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
 from homeward.localizer.tunables import (
     IMPROBABLE,
+    INLIER,
     MAX_FLIPS,
     MAX_FOR_PAIRS,
     MAX_SEEDS,
     MINIMAL,
+    NUM_EXCHANGES,
     NUM_NEIGHBOURS,
     PROBABLE,
     UNDECIDED,
@@ -58,7 +60,16 @@ class Hypotheses:
     def moved_probabilities(self) -> np.ndarray:
         """Return the probability of each home bearing to be an outlier, shape (q,)."""
         wrong = [1.0 / (1.0 + np.exp(np.clip(f.odds, -500, 500))) for f in self.fits]
-        return np.asarray(self.weights @ np.array(wrong))
+        apart = np.array([f.problem.is_exchanged for f in self.fits])
+        return np.asarray(self.weights @ np.where(apart, 1.0, np.array(wrong)))
+
+    def exchanged(self, sure: float) -> dict[str, str]:
+        """Return two landmarks, each with the other, that are exchanged with probability `sure`."""
+        pair = self.best.problem.assumed.exchanged
+        same = [f.problem.assumed.exchanged == pair for f in self.fits]
+        if pair is None or self.weights @ same < sure:
+            return {}
+        return dict([pair, pair[::-1]])
 
     @cached_property
     def unconverged_probability(self) -> float:
@@ -104,7 +115,30 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
         return None
     if problem.bearings.size <= MAX_FOR_PAIRS:
         _flip_pairs(max(found.values(), key=lambda f: f.log_evidence), found)
+    _exchange(found)
     return _weigh(found)
+
+
+def _exchange(found: dict[Key, HomeFit]) -> None:
+    """Search from the best set with two bearings exchanged, where one was wrong and both then fit.
+
+    Those that fit best are tried.
+    """
+    best = max(found.values(), key=lambda f: f.log_evidence)
+    problem, inliers = best.problem, best.inliers
+    if inliers.all() or problem.assumed.exchanged or not problem.names:
+        return
+    innovation, variance = best.innovations
+    off = wrap(innovation[:, None] + problem.bearings - problem.bearings[:, None])
+    square = off**2 / variance[:, None]
+    fits = np.triu((square < INLIER**2) & ~(inliers & inliers[:, None]), 1) & (square.T < INLIER**2)
+    pairs = np.argwhere(fits)
+    order = np.argsort((square + square.T)[fits])[:NUM_EXCHANGES]
+    for i, j in pairs[order].tolist():
+        assumed = problem.assumed._replace(exchanged=(problem.names[i], problem.names[j]))
+        chosen = inliers.copy()
+        chosen[[i, j]] = True
+        _local_search(problem.under(assumed), best.home, chosen, found)
 
 
 def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
@@ -141,7 +175,10 @@ def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
         flip = _best_flip(under, again) if weight > PROBABLE else None
         if flip is not None:
             _local_search(under, again.home, flip, found)
-    return _weigh(found) if found else None
+    if not found:
+        return None
+    _exchange(found)
+    return _weigh(found)
 
 
 def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) -> list[Seed]:
@@ -150,7 +187,10 @@ def seeds_for(hypotheses: Hypotheses, names: Sequence[str], now: Sequence[str]) 
     for f in hypotheses.fits:
         inliers = dict(zip(names, f.inliers.tolist(), strict=True))
         chosen = np.array([inliers.get(n, False) for n in now], bool)
-        seeds.append((f.home, chosen, f.problem.assumed))
+        assumed = f.problem.assumed
+        if not {*(assumed.exchanged or ())} <= {*now}:
+            assumed = assumed._replace(exchanged=None)
+        seeds.append((f.home, chosen, assumed))
     return seeds
 
 

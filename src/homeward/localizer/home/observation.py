@@ -113,6 +113,7 @@ class HomeObservation:
             sigmas=sigmas,
             mount=self.mount + shift,
             same_camera=self.same_camera,
+            names=tuple(names),
             moved_prior=self._settings.moved_prior,
             walk_excess=walk_excess,
             prior=None if self._prior is None else self._prior[0],

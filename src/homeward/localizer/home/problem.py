@@ -14,6 +14,7 @@ from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.tunables import (
+    EXCHANGED,
     GIVEN_WRONG,
     HOME_DISTANCE,
     MAX_HOME_STEP,
@@ -36,6 +37,8 @@ class Assumption(NamedTuple):
     """Factor of the standard deviations of the home bearings [1]."""
     start: bool = True
     """Whether the start prior, if there is one, is right."""
+    exchanged: tuple[str, str] | None = None
+    """Two landmarks whose home bearings are exchanged."""
 
 
 USUAL = Assumption()
@@ -71,6 +74,16 @@ class HomeProblem:
 
     surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): surveyed landmarks that determine home without its bearings [m]; see `at_origin`."""
+    names: tuple[str, ...] = ()
+    """Names of the landmarks."""
+
+    @cached_property
+    def is_exchanged(self) -> np.ndarray:
+        """(q,), bool: which home bearings are assumed to be exchanged."""
+        found = np.zeros(self.bearings.size, bool)
+        if self.assumed.exchanged is not None:
+            found[[self.names.index(n) for n in self.assumed.exchanged]] = True
+        return found
 
     def at_origin(self, surveyed: np.ndarray) -> HomeProblem:
         """Return it with home at the origin, from which `surveyed` (k, 2) were surveyed."""
@@ -81,8 +94,13 @@ class HomeProblem:
         """Return it under an assumption; one that rejected the start does not get it back."""
         if assumed == self.assumed:
             return self
-        sigmas = assumed.noise_scale / self.assumed.noise_scale * self.sigmas
-        changed = replace(self, sigmas=sigmas, assumed=assumed)
+        order = np.arange(self.bearings.size)
+        for pair in (self.assumed.exchanged, assumed.exchanged):
+            if pair is not None:
+                i, j = map(self.names.index, pair)
+                order[[i, j]] = order[[j, i]]
+        sigmas = assumed.noise_scale / self.assumed.noise_scale * self.sigmas[order]
+        changed = replace(self, bearings=self.bearings[order], sigmas=sigmas, assumed=assumed)
         if assumed.start:
             return changed
         return replace(changed, prior=None, prior_information=None)
@@ -99,6 +117,8 @@ class HomeProblem:
         """Log prior of the assumption."""
         noisy = self.assumed.noise_scale != 1.0
         noise = math.log(GIVEN_WRONG / len(NOISE_SCALES) if noisy else 1.0 - GIVEN_WRONG)
+        if self.assumed.exchanged:
+            noise += math.log(EXCHANGED / math.comb(self.bearings.size, 2))
         if self.assumed.start:
             return noise + (0.0 if self.prior is None else math.log1p(-GIVEN_WRONG))
         return noise + math.log(GIVEN_WRONG)

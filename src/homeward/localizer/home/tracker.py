@@ -25,6 +25,7 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey.survey import exchange_notes
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     INLIER,
@@ -79,9 +80,15 @@ class HomeTracker:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Notes for the user on the given start."""
+        """Notes for the user on the given start, and on exchanged home bearings."""
         found = self.hypotheses
-        return () if found is None or found.best.problem.assumed.start else (START_NOTE,)
+        start = () if found is None or found.best.problem.assumed.start else (START_NOTE,)
+        return *start, *exchange_notes(self.exchanged, "in the home bearings")
+
+    @property
+    def exchanged(self) -> dict[str, str]:
+        """Two landmarks, each with the other, whose home bearings are exchanged."""
+        return {} if self.hypotheses is None else self.hypotheses.exchanged(self._sure)
 
     def update(self, known: Map) -> None:
         """Update home after a change of the map, by a new search if necessary."""

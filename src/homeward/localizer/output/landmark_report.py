@@ -37,6 +37,8 @@ class LandmarkReport:
     """State of the map, in the frame in which home is."""
     survey: Survey
     """Survey of landmarks."""
+    exchanged: Mapping[str, str]
+    """The other landmark, of each that is exchanged with another one."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return the estimate of each landmark, in natural order of name."""
@@ -72,7 +74,7 @@ class LandmarkReport:
             moved=probability > 0.5 if math.isfinite(probability) else None,
             moved_at=moved_at,
             sightings=0 if mapped is None else mapped.sightings,
-            exchanged_with=self.survey.exchanged.get(name, ""),
+            exchanged_with=self.exchanged.get(name, ""),
         )
 
     def _moved_probabilities(self) -> dict[str, float]:
