@@ -133,6 +133,20 @@ def test_ids_are_any_printable_text(tmp_path):
     assert drive.sightings.landmark.tolist() == ["door, left", "7", 'a "b"', "é"]
 
 
+def test_ids_that_move_together_may_be_numbers_and_a_wrong_one_is_reported(tmp_path):
+    bearings = b"t,landmark,bearing\n0,42,0\n0,43,0\n"
+    together = b"together: [[42, 43, 44]]\n"
+    drive = read_folder(put(tmp_path / "run", bearings_csv=bearings, drive_yaml=together))
+    assert drive.settings.together == (("42", "43", "44"),)
+    assert any("drive.yaml without sightings in this drive: '44'" in r for r in drive.remarks)
+
+
+@pytest.mark.parametrize("given", ["5", "[42, 43]", "[[]]", "{42: 43}", "[[1, [2]]]", "[null]"])
+def test_groups_that_are_no_lists_of_ids_are_refused(tmp_path, given):
+    folder = put(tmp_path / "run", drive_yaml=f"together: {given}\n".encode())
+    assert "drive.yaml: together" in refusal(read_folder, folder)
+
+
 def test_bearings_are_wrapped(tmp_path):
     given = [math.pi, -math.pi, 3.5, -7.0, 2000 * math.pi, -2001 * math.pi, 0.1]
     rows = "".join(f"0,a,{bearing!r}\n" for bearing in given)

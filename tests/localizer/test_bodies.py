@@ -20,7 +20,12 @@ def moved(places, now, sigma=0.02):
     """Return the probability of each landmark to have moved between two maps."""
     covariance = sigma**2 * np.eye(2 * len(places))
     before, after = (np.array(places), covariance), (np.array(now), covariance)
-    return moved_probabilities(before, after, np.full(len(places), PRIOR), SIZE)
+    names = [f"{i}" for i in range(len(places))]
+    return moved_probabilities(before, after, np.full(len(places), PRIOR), SIZE, names, ())
+
+
+def bodies(places, size=SIZE, together=()):
+    return find_bodies([f"{i}" for i in range(len(places))], places, together, size)
 
 
 def test_two_tags_on_one_box_do_not_confirm_each_other():
@@ -49,7 +54,7 @@ def test_one_of_two_tags_on_a_box_may_move_alone():
 def test_bodies_are_small_and_disjoint():
     rng = np.random.default_rng(0)
     places = rng.uniform(0.0, 4.0, (40, 2))
-    found = find_bodies(places, SIZE)
+    found = bodies(places)
     assert len(found.members) > 3
     assert found.members.sum(axis=0).max() == 1
     for members in found.members:
@@ -59,7 +64,7 @@ def test_bodies_are_small_and_disjoint():
 
 def test_all_landmarks_of_a_small_site_are_no_body():
     places = np.random.default_rng(1).uniform(0.0, 0.4, (6, 2))
-    assert not find_bodies(places, 0.4).members.all(axis=1).any()
+    assert not bodies(places, 0.4).members.all(axis=1).any()
 
 
 def test_a_robot_that_first_sees_a_moved_box_is_not_led_astray():
@@ -82,3 +87,36 @@ def test_a_robot_that_first_sees_a_moved_box_is_not_led_astray():
     assert max(off) < 0.3
     assert rig.answers[-1][0].status is Status.LOCALISED
     assert rig.moved() == {"box a", "box b"}
+
+
+def test_tags_that_are_given_as_one_body_are_one_wherever_they_are():
+    apart = np.array([(-2.0, 2.0), (2.0, 2.0), (2.1, 2.0), *CORNERS])
+    assert [list(np.flatnonzero(m)) for m in bodies(apart).members] == [[1, 2]]
+    given = bodies(apart, together=[["0", "3"], ["3", "4"], ["1"]])
+    assert [list(np.flatnonzero(m)) for m in given.members] == [[0, 3, 4]]
+
+
+def boxes(moved, together=()):
+    """Drive among three landmarks and two boxes of two tags, `moved` of which were carried."""
+    landmarks = {"A": (3.0, 0.5), "B": (-1.0, 3.0), "C": (-2.5, -1.5)}
+    landmarks |= {"p": (0.5, -2.5), "q": (0.8, -2.4), "r": (2.0, 2.2), "s": (2.1, 1.9)}
+    rig = Rig(landmarks, 1, promise=None)
+    for name in moved:
+        x, y = rig.landmarks[name]
+        rig.landmarks[name] = (x + 0.9, y - 0.3)
+    rig.localizer = Localizer(rig.home, **rig.settings.robot | {"together": together})
+    rig.drive(30.0)
+    return rig
+
+
+def test_a_box_that_was_carried_is_found_by_home_bearings():
+    rig = boxes(["p", "q"])
+    assert rig.moved() == {"p", "q"}
+    assert rig.error() < 0.1
+
+
+def test_two_boxes_alone_verify_no_pose():
+    rig = boxes([], [["A", "p", "q"], ["B", "C", "r", "s"]])
+    last = rig.answers[-1][0]
+    assert last.status is Status.UNVERIFIED
+    assert "only 2 are independent" in last.reason

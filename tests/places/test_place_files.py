@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from visited import new_place, room, visit_data
 
+from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.errors import InputError
 from homeward.io.table import write_csv
 from homeward.places.files import NUM_KEPT, load_place, newest, save_place, undo, update_place
@@ -42,6 +43,19 @@ def test_a_place_comes_back_to_the_last_bit(folder, tmp_path):
     place = load_place(folder)
     save_place(place, tmp_path / "again")
     same(load_place(tmp_path / "again"), place)
+
+
+def test_landmarks_that_move_together_are_kept_with_a_place(folder):
+    rng, together = np.random.default_rng(2), (("1", "2"), ("3",))
+    place = load_place(folder)
+    assert place.together == ()
+    save_place(merged(place, visit_data(room(), rng, together=together)), folder)
+    place = load_place(folder)
+    assert place.together == together
+    none = np.zeros(0)
+    drive = Drive("d", Odometry(none, none, none), Sightings(none, none, none, none), {})
+    visit = place.visited_by(drive, when=20.0)
+    assert visit.settings.robot["together"] == together
 
 
 def test_undo_goes_back_and_only_as_far_as_there_is_something(folder):

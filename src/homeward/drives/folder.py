@@ -120,15 +120,18 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         t = np.unique(sightings.t)
         odometry = Odometry(t, np.full(t.size, np.nan), np.full(t.size, np.nan))
         remarks[NO_ODOMETRY] = t.size
-    if absent := sorted(known.names - set(sightings.landmark.tolist()), key=natural):
-        names = listing([quoted(name) for name in absent], 3)
-        remarks[f"landmarks of {KNOWN} without sightings in this drive: {names}"] = len(absent)
+    settings = read_drive_settings(folder / SETTINGS)
+    together = {name for group in settings.together for name in group}
+    for file, given in ((KNOWN, known.names), (SETTINGS, together)):
+        if absent := sorted(given - set(sightings.landmark.tolist()), key=natural):
+            names = listing([quoted(name) for name in absent], 3)
+            remarks[f"landmarks of {file} without sightings in this drive: {names}"] = len(absent)
     return Drive(
         name=folder.resolve().name,
         odometry=odometry,
         sightings=sightings,
         home=read_home(folder / HOME, remarks) if is_there(folder / HOME) else {},
-        settings=read_drive_settings(folder / SETTINGS),
+        settings=settings,
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
         known=known,

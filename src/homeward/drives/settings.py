@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self, TypedDict
 
 import numpy as np
@@ -105,6 +106,8 @@ class Robot(TypedDict, total=False):
     """Noise of the odometry."""
     start: Start | dict[str, Any] | None
     """Prior of the initial pose."""
+    together: Sequence[Sequence[str]]
+    """Groups of landmarks that move together."""
 
 
 def _in_order(span: tuple[float, float]) -> tuple[float, float]:
@@ -181,6 +184,9 @@ class DriveSettings(Strict):
     drive that was read has None."""
     start: Start | None = Field(None, examples=[{"R": 2.0, "theta": 0.0, "alpha": 3.14}])
     """Start prior: distance from home [m], direction from home [rad], heading [rad]; None: none."""
+    together: tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...] = ()
+    """Groups of ids of landmarks that move together, as tags on one box; an id alone moves alone.
+    Others within 0.5 m of each other may."""
     truth: TruthFrame | None = Field(None, examples=[{"home": [0.0, 0.0, 0.0]}])
     """None: the home frame. `open_drive` transforms ground truth to it, and then sets None."""
     epoch: int | None = None
@@ -196,6 +202,7 @@ class DriveSettings(Strict):
             "home_sensor": self.home_sensor,
             "odometry": self.odometry,
             "start": self.start,
+            "together": self.together,
         }
 
     @property

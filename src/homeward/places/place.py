@@ -86,6 +86,8 @@ class Place:
     """The `tally` of forgotten landmarks."""
     routes: dict[str, Route] = field(default_factory=dict)
     """By name."""
+    together: tuple[tuple[str, ...], ...] = ()
+    """Groups of landmarks that move together."""
 
     @property
     def origin(self) -> str:
@@ -147,7 +149,9 @@ class Place:
     def visited_by(self, drive: Drive, when: float, home: str | None = None) -> Drive:
         """Return a drive with this place as known landmarks and a home of it; see `known`."""
         first = self.required(home) == self.origin
-        settings = drive.settings.model_copy(update={"home_sensor": None})
+        together = (*self.together, *drive.settings.together)
+        update = {"home_sensor": None, "together": together}
+        settings = drive.settings.model_copy(update=update)
         if not first:
             settings = settings.model_copy(update={"start": None})
         truth = drive.truth if first else None  # ground truth is in the frame of the first home

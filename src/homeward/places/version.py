@@ -63,6 +63,8 @@ class PlaceSettings(Strict):
     """... and their total time of observation [days]."""
     nodes: int = 0
     """Number of nodes of all routes; missing in old files without routes."""
+    together: tuple[tuple[str, ...], ...] = ()
+    """Groups of landmarks that move together."""
 
 
 def write_version(place: Place, folder: Path) -> None:
@@ -77,8 +79,9 @@ def write_version(place: Place, folder: Path) -> None:
         forgotten_changes=place.past[0],
         forgotten_days=place.past[1],
         nodes=sum(len(route.nodes) for route in place.routes.values()),
+        together=place.together,
     )
-    text = yaml.safe_dump(settings.model_dump(), sort_keys=False, allow_unicode=True)
+    text = yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
     columns = [f.name for f in fields(LandmarkPersistence)]
     write_csv(
@@ -160,6 +163,7 @@ def read_version(folder: Path) -> Place:
         tuple(_records(events, Event)),
         (settings.forgotten_changes, settings.forgotten_days),
         _routes(folder / ROUTES, settings.nodes) if settings.nodes else {},
+        settings.together,
     )
 
 

@@ -80,6 +80,8 @@ class VisitData:
     """Homes stored on the drive, with the estimates there."""
     routes: dict[str, tuple[Route, JointMap]] = field(default_factory=dict)
     """Routes taught by the drive, with the map of landmarks in the same frame."""
+    together: tuple[tuple[str, ...], ...] = ()
+    """Groups of landmarks that move together, as the drive gives them."""
 
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
         """Return the data with a home at the pose of an estimate, and the bearings seen there.
@@ -156,7 +158,9 @@ def collect_visit_along(
     cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
     frames = VisitFrames(cameras, known, drive.settings.sensor.field_of_view)
-    return VisitData(drive.name, fingerprint(drive), when, own_map(localizer), frames, home)
+    together = drive.settings.together
+    found = drive.name, fingerprint(drive), when, own_map(localizer), frames, home
+    return VisitData(*found, together=together)
 
 
 def own_map(localizer: Localizer) -> JointMap:

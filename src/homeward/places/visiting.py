@@ -101,7 +101,8 @@ def merged_places(place: Place, other: Place) -> Place:
     when = max(place.visits[-1].when, other.visits[-1].when)
     theirs = replace(other.aged(when), homes=tuple(names[h] for h in other.map.homes))
     theirs = theirs.marginal({n for n, stays in other.stays(when).items() if stays >= GONE})
-    tested, stayed = _moved_probabilities(place, VisitData(other.name, known, when, theirs))
+    theirs_data = VisitData(other.name, known, when, theirs, together=other.together)
+    tested, stayed = _moved_probabilities(place, theirs_data)
     differ = HomewardError(
         f"too few of the {len(tested)} common landmarks are at the same place in both: "
         "these are two different places, or most landmarks were moved"
@@ -121,6 +122,7 @@ def merged_places(place: Place, other: Place) -> Place:
     ways = _free_names(there.routes, other.routes, other.name)
     more = {ways[n]: r.transferred(other.map, now, stayed) for n, r in other.routes.items()}
     there = replace(there, persistence=persistence, homes=homes, routes=there.routes | more)
+    there = replace(there, together=tuple(dict.fromkeys((*place.together, *other.together))))
     new = [n for n in now.names if n not in place.persistence]
     moved = [n for n in tested if n not in stayed and n not in older]
     what = dict.fromkeys(new, "new") | dict.fromkeys(moved, "moved")
@@ -242,7 +244,8 @@ def _moved_probabilities(place: Place, data: VisitData) -> tuple[dict[str, float
         known = mine.positions, mine.covariance[:n, :n]
         mapped = theirs.mean[order], theirs.covariance[np.ix_(order, order)]
         prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
-        wrong = moved_probabilities(known, mapped, prior, before.size)
+        about = mine.names, (*place.together, *data.together)
+        wrong = moved_probabilities(known, mapped, prior, before.size, *about)
         found |= dict(zip(mine.names, wrong.tolist(), strict=True))
     return found, [name for name, wrong in found.items() if wrong <= 0.5]
 
@@ -269,7 +272,8 @@ def _well_placed(some: JointMap) -> set[str]:
 
 
 def _with_stored(place: Place, data: VisitData) -> Place:
-    """Return a place with the homes and routes stored on a visit."""
+    """Return a place with the homes and routes stored on a visit, and its given bodies."""
+    place = replace(place, together=tuple(dict.fromkeys((*place.together, *data.together))))
     for name, (route, seen) in data.routes.items():
         require_name("route", name, place.routes)
         both = [n for n in seen.names if n in place.persistence]

@@ -167,7 +167,12 @@ class HomeFit:
         """(q,), bool: members of the set that the others predict well enough to contradict."""
         if self.inliers.sum() <= self.problem.min_inliers:
             return np.zeros_like(self.inliers)
-        return np.asarray(self.inliers & (self.evidence.variance < OUTLIER_SIGMA**2))
+        checked = self.inliers & (self.evidence.variance < OUTLIER_SIGMA**2)
+        if self.problem.bodies.members.size:  # a body does not check itself
+            bodies = self.problem.bodies.members & self.inliers
+            others = self.inliers.sum() - bodies.sum(axis=1, keepdims=True)
+            checked &= ~(bodies & (others < self.problem.min_inliers)).any(axis=0)
+        return np.asarray(checked)
 
     @property
     def odds(self) -> np.ndarray:

@@ -9,7 +9,7 @@ half uniform on the circle; adding the variance of the prediction to it is exact
 
 The share of outliers is unknown, too, and integrated out: as a rule each bearing is an outlier with
 a known probability, but after an upheaval any share is equally probable. So each outlier makes
-another one more plausible.
+another one more plausible; all the more one on the same body, which is then off by about as much.
 """
 
 from __future__ import annotations
@@ -102,7 +102,12 @@ class Evidence:
     @cached_property
     def odds(self) -> np.ndarray:
         """(q,): log odds of each to be an inlier, given the rest of the set."""
-        return log_odds(self.innovation, self.variance, self.others_share)
+        if not self.linear.problem.bodies.members.size:
+            return log_odds(self.innovation, self.variance, self.others_share)
+        prior = self._log_labels(np.eye(1 + self.innovation.size, dtype=bool)[:, 1:])
+        gain = prior[1:] - prior[0]
+        gain[self.whitened.members] *= -1.0
+        return np.asarray(gain + log_odds(self.innovation, self.variance, 0.5))
 
     @property
     def others_share(self) -> np.ndarray:
@@ -127,8 +132,33 @@ class Evidence:
         log_density = -0.5 * (square + whitened.log_volume + n * math.log(TWO_PI))
         log_home = 0.5 * (3.0 * math.log(TWO_PI) - self.log_determinant)
         log_prior = float(cached_set_prior(n, wrong, problem.moved_prior))
+        if problem.bodies.members.size:
+            log_prior = float(self._log_labels(np.zeros((1, n + wrong), bool))[0])
         outliers = float(log_outlier(*self._outliers).sum()) if wrong else 0.0
         return log_density + log_home + log_prior + outliers
+
+    def _log_labels(self, flips: np.ndarray) -> np.ndarray:
+        """Return the log prior of sets with bodies, (f,): this one with `flips` (f, q), bool."""
+        problem, inside = self.linear.problem, np.zeros(flips.shape[1], bool)
+        inside[self.whitened.members] = True
+        return problem.bodies.log_labels(inside ^ flips, problem.moved_prior, self._log_moved)
+
+    @cached_property
+    def _log_moved(self) -> np.ndarray:
+        """(b,): log density of each body that moved, less that of its members as outliers.
+
+        Bearings of one body are off by the same angle, but for its rotation.
+        """
+        members, places = self.linear.problem.bodies.members, self.linear.problem.landmarks
+        (body, each), first = members.nonzero(), members.argmax(axis=1)
+        body, each = body[each != first[body]], each[each != first[body]]
+        lead, off, variance = first[body], self.innovation, self.variance
+        apart, away = places[each] - places[lead], places[lead] - self.linear.at[:2]
+        turned = (apart**2).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1e-12)
+        both = turned + variance[each] + variance[lead]
+        density = log_inlier(wrap(off[each] - off[lead]), both)
+        density -= log_outlier(off[each], variance[each])
+        return np.bincount(body, density, len(members))
 
     @cached_property
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:

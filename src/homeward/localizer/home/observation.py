@@ -11,6 +11,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
+from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
 from homeward.localizer.settings import LocalizerSettings
@@ -41,15 +42,17 @@ class HomeObservation:
         self.same_camera = drive.home_sensor is None
         """Whether home was seen by the camera as it sits in the drive."""
         self._settings = settings
+        self._together = given_bodies(drive.together, self.bearings)
         self._prior = home_from_start(drive)
         self._names: list[str] = []
         """Names for which these columns were computed last:"""
         self._bearings = self._given = np.zeros(0)
         self._index: np.ndarray | None = None
         """Indices of landmarks for which these were computed last: columns of the state that a
-        problem is about, and blocks of the landmarks among them."""
+        problem is about, and blocks of the landmarks among them, and bodies."""
         self._state = np.zeros(0, int)
         self._blocks = np.zeros((0, 2, 1), int), np.zeros((0, 1, 2), int)
+        self._bodies = Bodies.none(0)
 
     @property
     def has_start(self) -> bool:
@@ -96,6 +99,9 @@ class HomeObservation:
             self._state[4::2], self._state[5::2] = HEAD + 2 * index, HEAD + 1 + 2 * index
             each = np.arange(4, size).reshape(-1, 2)
             self._blocks = each[:, :, None], each[:, None, :]
+            places = state.positions[index]
+            extent = float(np.ptp(places, axis=0).max()) if names else 0.0
+            self._bodies = find_bodies(names, places, self._together, extent)
         columns, at = self._state, self._blocks
         bearings, sigmas = self._columns(names, noise)
         covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
@@ -116,6 +122,7 @@ class HomeObservation:
             names=tuple(names),
             moved_prior=self._settings.moved_prior,
             walk_excess=walk_excess,
+            bodies=self._bodies,
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )

@@ -13,6 +13,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import from_polar, polar_covariance_to_pose
 from homeward.geometry.se2 import between, lever, rotation
+from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.tunables import (
     EXCHANGED,
     GIVEN_WRONG,
@@ -71,6 +72,9 @@ class HomeProblem:
 
     walk_excess: np.ndarray | None = None
     """(q, 2, 2): covariance of landmarks that may walk, beyond that in `covariance`."""
+
+    bodies: Bodies = field(default_factory=lambda: Bodies.none(0))
+    """Bodies among the landmarks."""
 
     surveyed: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     """(k, 2): surveyed landmarks that determine home without its bearings [m]; see `at_origin`."""

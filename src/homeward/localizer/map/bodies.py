@@ -6,12 +6,15 @@ landmarks agree with each other, but this is no evidence that they are in place.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Collection, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.cluster.hierarchy import fcluster, linkage
+from scipy.special import betaln
 
-from homeward.localizer.tunables import BODY_M, CLOSE, ONE_BODY
+from homeward.localizer.tunables import BODY_M, CLOSE, GIVEN_WRONG, ONE_BODY, UPHEAVAL
 
 
 class Bodies(NamedTuple):
@@ -27,10 +30,18 @@ class Bodies(NamedTuple):
         """Return no bodies among k items."""
         return Bodies(np.zeros((0, items), bool), np.zeros(0))
 
-    def log_prior(
-        self, right: np.ndarray, wrong: np.ndarray | float, more: np.ndarray | float = 0.0
+    def independent(self, items: np.ndarray) -> int:
+        """Return the number of independent ones among items (k,), bool: a body counts once."""
+        inside = (self.members & items).sum(axis=1) if self.members.size else np.zeros(0, int)
+        return int(np.count_nonzero(items) - np.maximum(inside - 1, 0).sum())
+
+    def log_labels(
+        self, right: np.ndarray, wrong: np.ndarray | float, more: np.ndarray
     ) -> np.ndarray:
-        """Return the log ratio of the prior of labels to that of independent items, (f,).
+        """Return the log prior of labels, and the gain in density of bodies that moved, (f,).
+
+        As a rule each item has its own probability to be moved; after an upheaval, or at another
+        place, any share of them may be.
 
         Parameters
         ----------
@@ -38,27 +49,58 @@ class Bodies(NamedTuple):
             Labels: the items in place.
         wrong : ndarray, shape (k,), or float
             Prior probability of each to be moved.
-        more : ndarray, shape (b,), or float
+        more : ndarray, shape (b,)
             Log density of a body that moved, less that of its members moved independently.
         """
-        number, wrong = self.members.sum(axis=1), np.broadcast_to(wrong, self.members.shape[1:])
-        share = self.members @ wrong / number
+        number, wrong = right.sum(axis=1), np.broadcast_to(wrong, right.shape[1:])
+        rule = np.where(right, np.log1p(-wrong), np.log(wrong)).sum(axis=1)
+        rule = rule + self._log_factor(right, wrong, more)
+        upheaval = betaln(1.0 + number, 1.0 + right.shape[1] - number)
+        upheaval = upheaval + self._log_factor(right, np.full(wrong.size, 0.5), more)
+        log = np.logaddexp(math.log1p(-UPHEAVAL) + rule, math.log(UPHEAVAL) + upheaval)
+        return np.asarray(log)
+
+    def _log_factor(self, right: np.ndarray, wrong: np.ndarray, more: np.ndarray) -> np.ndarray:
+        """Return the log ratio of a prior to that of independent items, (f,)."""
+        size, inside = self.members.sum(axis=1), right @ self.members.T.astype(int)
+        share = self.members @ wrong / size
         stayed = np.log1p(-share) - self.members @ np.log1p(-wrong)
         moved = np.log(share) - self.members @ np.log(wrong) + more
-        inside = right @ self.members.T.astype(int)
-        as_one = np.where(inside == number, stayed, np.where(inside == 0, moved, -np.inf))
+        as_one = np.where(inside == size, stayed, np.where(inside == 0, moved, -np.inf))
         independent = np.log1p(-self.one_body)
         return np.asarray(np.logaddexp(independent, np.log(self.one_body) + as_one).sum(axis=1))
 
 
-def find_bodies(places: np.ndarray, size: float) -> Bodies:
-    """Return the groups of landmarks at `places` (k, 2) [m] that are near each other.
+def given_bodies(together: Iterable[Sequence[str]], site: Collection[str]) -> list[Sequence[str]]:
+    """Return the given groups without any that is all of a site: it is then the reference."""
+    return [group for group in together if not {*site} <= {*group}]
 
-    `size` is that of the site [m].
+
+def find_bodies(
+    names: Sequence[str], places: np.ndarray, together: Sequence[Sequence[str]], size: float
+) -> Bodies:
+    """Return the bodies among landmarks: those given, and others near each other.
+
+    Parameters
+    ----------
+    names : sequence of str
+        The k landmarks.
+    places : ndarray, shape (k, 2)
+        Their positions [m].
+    together : sequence of sequences of str
+        Groups that are given; one landmark alone is on no body.
+    size : float
+        Size of the site [m].
     """
-    if len(places) < 2:
-        return Bodies.none(len(places))
+    if len(names) < 2:
+        return Bodies.none(len(names))
     group = fcluster(linkage(places, "complete"), min(BODY_M, CLOSE * size), "distance")
-    members = group == np.unique(group)[:, None]
-    members = members[members.sum(axis=1) > 1]
-    return Bodies(members, np.full(len(members), ONE_BODY))
+    given = np.zeros(len(names), int)
+    for number, landmarks in enumerate(together, 1):
+        of = np.isin(names, landmarks)
+        given[of | (np.isin(given, given[of]) & (given > 0))] = number
+    group = np.where(given > 0, -given, group)
+    numbers, count = np.unique(group, return_counts=True)
+    numbers = numbers[count > 1]
+    one_body = np.where(numbers < 0, 1.0 - GIVEN_WRONG, ONE_BODY)
+    return Bodies(group == numbers[:, None], one_body)

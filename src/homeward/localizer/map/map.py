@@ -93,7 +93,8 @@ class Map:
         learnt = noise, process_noise, extrinsics
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
-        self.registration = Registration(Survey(known, settings), self.landmarks)
+        survey = Survey(known, settings, drive.together)
+        self.registration = Registration(survey, self.landmarks)
         self.begun = t
         self.solved = True
         """Whether the state is a solution of the whole window, not an EKF update."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.frames import Pose
+from homeward.localizer.map.bodies import find_bodies, given_bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
@@ -40,6 +41,8 @@ def moved_probabilities(
     now: tuple[np.ndarray, np.ndarray],
     prior: np.ndarray,
     size: float,
+    names: Sequence[str],
+    together: Iterable[Sequence[str]],
 ) -> np.ndarray:
     """Return the probability of each of k landmarks to have moved between two maps, (k,).
 
@@ -51,6 +54,10 @@ def moved_probabilities(
         Prior probability of each to have moved.
     size : float
         Size of the site [m].
+    names : sequence of str
+        The landmarks.
+    together : iterable of sequences of str
+        Groups of landmarks that move together, as given.
     """
     (places, surveyed), (positions, mapped) = before, now
     k, none = len(places), (np.zeros((0, 2), int), np.zeros(0), np.zeros(0))
@@ -58,4 +65,5 @@ def moved_probabilities(
     covariance = np.zeros((HEAD + 2 * k, HEAD + 2 * k))
     covariance[HEAD:, HEAD:] = mapped
     free = Marginal(np.concatenate([np.zeros(HEAD), positions.ravel()]), covariance)
-    return tested(factors, free, np.arange(k), prior, size).wrong
+    bodies = find_bodies(names, places, given_bodies(together, names), size)
+    return tested(factors, free, np.arange(k), prior, size, bodies).wrong

@@ -165,6 +165,10 @@ class IntegrityMonitor:
         checked = int(np.count_nonzero(self._checked)) + surveyed
         if agreeing < MIN_AGREEING:
             return Status.UNVERIFIED, too_few_agree(agreeing)
+        independent = best.problem.bodies.independent(best.inliers) + surveyed
+        if independent < MIN_AGREEING:
+            words = f"of {agreeing} agreeing home bearings only {independent} are independent"
+            return Status.UNVERIFIED, f"{words}: landmarks near each other may have moved together"
         if checked < MIN_AGREEING:
             return Status.UNVERIFIED, f"only {checked} of {agreeing} home bearings are checked"
         stayed = int(np.count_nonzero(best.inliers & self._stayed)) + surveyed

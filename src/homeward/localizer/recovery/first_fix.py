@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 import numpy as np
 from scipy.special import bdtr, bdtrc
@@ -95,7 +96,8 @@ class FirstFix:
 
         An a contrario test (Desolneux, Moisan and Morel): the expected number of poses, one from
         each triple of landmarks, with which as many others agree by chance. It is multiplied by the
-        probability that too many landmarks moved for the right pose to be a rival.
+        probability that too many landmarks moved for the right pose to be a rival. A body that
+        moved as one agrees with itself: then it counts as one landmark.
         """
         seen = sight(compose(origin, lines.cameras), lines.positions)
         variances = np.einsum("mi,mij,mj->m", seen.by_place, lines.covariances, seen.by_place)
@@ -108,11 +110,21 @@ class FirstFix:
         if len(names) < VERIFIED:
             return names, 1.0
         by_chance = min(2.0 * INLIER * float(np.median(sigmas)) / VIEW_ANGLE, 1.0)
-        others = len(self._seen) - MINIMAL
-        tail = bdtrc(len(names) - MINIMAL - 1, others, by_chance)
-        stay = np.mean([self._survey.p_stayed(n) for n in self._seen])
-        no_rival = bdtr(len(names) - 2, len(self._seen), stay)
-        return names, math.comb(len(self._seen), MINIMAL) * float(tail * no_rival)
+        every, bodies = list(self._seen), self._survey.bodies(list(self._seen))
+        stay, agree = np.array([self._survey.p_stayed(n) for n in every]), np.isin(every, names)
+
+        def false_alarm(count: Callable[[np.ndarray], int]) -> float:
+            number, of = count(agree), count(np.ones_like(agree))
+            if number <= MINIMAL:
+                return 1.0
+            tail = bdtrc(number - MINIMAL - 1, of - MINIMAL, by_chance)
+            return math.comb(of, MINIMAL) * float(tail * bdtr(number - 2, of, stay.mean()))
+
+        carried = (bodies.members & agree).sum(axis=1) > 1
+        moved = bodies.one_body * (1.0 - (bodies.members @ stay) / bodies.members.sum(axis=1))
+        p_carried = min(float(moved[carried].sum()), 1.0)
+        wrong = false_alarm(np.count_nonzero)
+        return names, wrong + p_carried * false_alarm(bodies.independent)
 
 
 def survey_lines(

@@ -15,12 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import compose, lever, sight
+from homeward.localizer.map.bodies import find_bodies
 from homeward.localizer.tunables import (
     CLOSE,
     INLIER,
@@ -110,8 +111,7 @@ def relocalise(
             continue
         distance = float(_distances(located.pose[None], lines)[0])
         if not any(_same(located.pose, f.pose, CLOSE * distance) for _, f in found):
-            log_prior = -math.log(TWO_PI * math.pi * distance**2)  # in sight of its landmarks
-            log_priors = [log_prior, *(located.log_density(*each) for each in near)]
+            log_priors = [_log_in_sight(distance), *(located.log_density(*each) for each in near)]
             log_prior = float(np.logaddexp.reduce(log_priors)) - math.log(len(log_priors))
             found.append((located.log_evidence(log_prior), located))
     if not found:
@@ -120,7 +120,7 @@ def relocalise(
     log_evidence, best = found[0]
     # Rival: no landmark is where it is mapped. It is improbable for a robot that was displaced.
     elsewhere = math.log(UPHEAVAL / (1.0 - UPHEAVAL)) if near else 0.0
-    rivals = [elsewhere, *(f[0] for f in found[1:])]
+    rivals = [elsewhere, *(f[0] for f in found[1:]), *_carried_bodies(best.pose, lines)]
     if not _is_proved(log_evidence, rivals):
         return None
     if expected is not None:
@@ -143,6 +143,29 @@ def relocalise_near(
     if lines.names.size <= MINIMAL:
         return None
     return relocalise(lines, near=[(last, covariance + motion) for motion in motions])
+
+
+def _carried_bodies(pose: np.ndarray, lines: SightLines) -> list[float]:
+    """Return the log evidence that only the lines of a carried body fit a pose, for each body."""
+    names, first = np.unique(lines.names, return_index=True)
+    places = lines.positions[first]
+    bodies = find_bodies(
+        names.astype(str).tolist(), places, (), float(np.ptp(places, axis=0).max())
+    )
+    evidence = []
+    for members, one_body in zip(bodies.members, bodies.one_body.tolist(), strict=True):
+        of = np.isin(lines.names, names[members])
+        body = SightLines(*(getattr(lines, f.name)[of] for f in fields(lines)))
+        alone = Located(pose, _step(pose, body)[1], _log_likelihood(pose, body))
+        log_prior = _log_in_sight(float(_distances(pose[None], body)[0]))
+        fits = min(alone.log_likelihood, alone.log_evidence(log_prior))  # if it leaves a pose open
+        evidence.append(math.log(one_body * UPHEAVAL / (1.0 - UPHEAVAL)) + fits)
+    return evidence
+
+
+def _log_in_sight(distance: float) -> float:
+    """Return the log prior density of a pose in sight of landmarks at a distance [m]."""
+    return -math.log(TWO_PI * math.pi * distance**2)
 
 
 def _is_proved(log_evidence: float, rivals: list[float]) -> bool:
@@ -205,19 +228,26 @@ def _refine(start: np.ndarray, lines: SightLines) -> Located | None:
     pose, longest = start.copy(), LINEAR * np.ones(3)
     longest[:2] *= _distances(start[None], lines)[0]
     for _ in range(RELOCALISATION_STEPS):
-        r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
-        variance = _variances(by_place, lines)
-        by_eye = np.column_stack([-by_place, -np.ones(len(r))])
-        jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
-        weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER**2), 1.0))
-        information = (jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3)
-        covariance = np.linalg.inv(information)
-        step = covariance @ (jacobian.T @ (weight * r))
+        step, covariance, inliers = _step(pose, lines)
         pose = pose + step / max(1.0, float((np.abs(step) / longest).max()))
-    inliers = np.abs(r) < INLIER * np.sqrt(variance)
     if np.unique(lines.names[inliers]).size < MINIMAL:
         return None
     return Located(pose, covariance, _log_likelihood(pose, lines))
+
+
+def _step(pose: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return a Gauss-Newton step, the covariance of the pose, and the inliers (m,)."""
+    r, by_place, eyes = (a[0] for a in _residuals(pose[None], lines))
+    variance = _variances(by_place, lines)
+    by_eye = np.column_stack([-by_place, -np.ones(len(r))])
+    jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
+    weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER**2), 1.0))
+    covariance = np.linalg.inv((jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3))
+    return (
+        covariance @ (jacobian.T @ (weight * r)),
+        covariance,
+        np.abs(r) < INLIER * np.sqrt(variance),
+    )
 
 
 def _variances(by_place: np.ndarray, lines: SightLines) -> np.ndarray:

@@ -7,16 +7,14 @@ contain slips of the pen.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import solve_triangular
-from scipy.special import betaln
 
 from homeward.geometry.angles import TWO_PI
 from homeward.geometry.se2 import lever, rotation
-from homeward.localizer.map.bodies import Bodies, find_bodies
+from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
@@ -31,7 +29,6 @@ from homeward.localizer.tunables import (
     IMPROBABLE,
     NUM_EXCHANGES,
     UNDECIDED,
-    UPHEAVAL,
     VAGUE_DATUM,
 )
 
@@ -48,7 +45,12 @@ class SurveyTest(NamedTuple):
 
 
 def tested(
-    factors: SurveyFactors, free: Marginal, ids: np.ndarray, prior: np.ndarray, size: float
+    factors: SurveyFactors,
+    free: Marginal,
+    ids: np.ndarray,
+    prior: np.ndarray,
+    size: float,
+    bodies: Bodies,
 ) -> SurveyTest:
     """Test k places and m distances against the map.
 
@@ -69,6 +71,8 @@ def tested(
         Prior probability of each to be an outlier.
     size : float
         Of the site [m].
+    bodies : Bodies
+        Among the places.
 
     Raises
     ------
@@ -85,7 +89,9 @@ def tested(
     of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
     of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
     item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
-    labels = _labels(factors, mapped, of_map[: 2 * k, : 2 * k], prior, size)
+    log_outlier = -np.bincount(item) * math.log(size)
+    more = _log_moved(bodies, factors, mapped, of_map, size) - bodies.members @ log_outlier[:k]
+    bodies = Bodies(np.pad(bodies.members, ((0, 0), (0, m))), bodies.one_body)
 
     def linear(inliers: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return all residuals and their covariance, with a vague datum around that of a set.
@@ -122,14 +128,14 @@ def tested(
         """
         fixed = (order != np.arange(k)).nonzero()[0]
         for _ in range(2 * inliers.size):  # all may be outliers, as at another place
-            members = labels.bodies.members
-            some = (members & inliers).any(axis=1, keepdims=True)
-            changed = np.vstack([singles, members & (inliers == some)])
+            some = (bodies.members & inliers).any(axis=1, keepdims=True)
+            changed = np.vstack([singles, bodies.members & (inliers == some)])
             sets = inliers ^ changed[~changed[:, fixed].any(axis=1)]  # both are exchanged, or none
             evidence, gains = _weigh(inliers, item, *linear(inliers, order), sets)
-            now, *then = labels.log_density(np.vstack([inliers, sets])).tolist()
-            gains += np.array(then) - now
-            evidence += now + fixed.size // 2 * log_exchanged
+            all_sets = np.vstack([inliers, sets])
+            labels = bodies.log_labels(all_sets, prior, more) + ~all_sets @ log_outlier
+            gains += labels[1:] - labels[0]
+            evidence += float(labels[0]) + fixed.size // 2 * log_exchanged
             found[np.concatenate([order, inliers]).tobytes()] = evidence
             for flipped, gain in zip(sets, gains.tolist(), strict=True):
                 found.setdefault(np.concatenate([order, flipped]).tobytes(), evidence + gain)
@@ -188,53 +194,20 @@ def _exchangeable(
     return list(zip(i[first].tolist(), j[first].tolist(), strict=True))
 
 
-@dataclass(frozen=True)
-class _Labels:
-    """Labels of k items, inlier or outlier: their prior, and the density of the outliers.
-
-    As a rule each is an outlier with its own probability; after an upheaval, or at another place,
-    any share may be, as for home bearings (`homeward.localizer.home.evidence`).
-    """
-
-    prior: np.ndarray
-    """(k,): prior probability of each to be an outlier."""
-    log_outlier: np.ndarray
-    """(k,): log density of each as an outlier."""
-    bodies: Bodies
-    log_moved: np.ndarray
-    """(b,): log density of each body that moved, less that of its members as outliers."""
-
-    def log_density(self, inliers: np.ndarray) -> np.ndarray:
-        """Return the log density of sets of inliers (f, k), shape (f,)."""
-        rule = np.where(inliers, np.log1p(-self.prior), np.log(self.prior)).sum(axis=1)
-        rule += self.bodies.log_prior(inliers, self.prior, self.log_moved)
-        number = inliers.sum(axis=1)
-        upheaval = betaln(1.0 + number, 1.0 + inliers.shape[1] - number)
-        upheaval += self.bodies.log_prior(inliers, 0.5, self.log_moved)
-        log = np.logaddexp(math.log1p(-UPHEAVAL) + rule, math.log(UPHEAVAL) + upheaval)
-        return np.asarray(log + np.where(inliers, 0.0, self.log_outlier).sum(axis=1))
-
-
-def _labels(
-    factors: SurveyFactors, mapped: np.ndarray, of_map: np.ndarray, prior: np.ndarray, size: float
-) -> _Labels:
-    """Return the labels of k places, at `mapped` (k, 2) now, and of m distances."""
-    k, m = len(mapped), len(prior) - len(mapped)
-    log_outlier = -np.repeat([2.0, 1.0], [k, m]) * math.log(size)
-    bodies = find_bodies(factors.places, size)
-    log_moved = np.zeros(len(bodies.members))
+def _log_moved(
+    bodies: Bodies, factors: SurveyFactors, mapped: np.ndarray, of_map: np.ndarray, size: float
+) -> np.ndarray:
+    """Return the log density (b,) of the positions `mapped` (k, 2) of each body if it moved."""
     # A Gaussian as dense as the uniform density, on the site and in heading.
-    vague = np.array([size, size, TWO_PI]) / math.sqrt(TWO_PI)
-    for i, of in enumerate(bodies.members):
-        at = np.ix_(np.repeat(of, 2), np.repeat(of, 2))
-        places = factors.places[of] - factors.places[of].mean(axis=0)
+    vague, found = np.array([size, size, TWO_PI]) / math.sqrt(TWO_PI), []
+    for of in bodies.members:
+        rows = np.flatnonzero(np.repeat(of, 2))
+        at, places = np.ix_(rows, rows), factors.places[of] - factors.places[of].mean(axis=0)
         there = align(mapped[of], places, factors.covariance[at])
         known = of_map[at] + rotated(factors.covariance[at], rotation(there.pose[2])[:2, :2])
         by_pose = there.by_pose * vague
-        log_moved[i] = _log_normal(there.residual.ravel(), known + by_pose @ by_pose.T)
-        log_moved[i] -= log_outlier[:k][of].sum()
-    members = np.column_stack([bodies.members, np.zeros((len(log_moved), m), bool)])
-    return _Labels(prior, log_outlier, Bodies(members, bodies.one_body), log_moved)
+        found.append(_log_normal(there.residual.ravel(), known + by_pose @ by_pose.T))
+    return np.array(found)
 
 
 def _weigh(

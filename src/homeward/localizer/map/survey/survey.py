@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from homeward.drives.settings import KnownLandmarks
 from homeward.io.naming import natural
 from homeward.io.table import quoted
+from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors
@@ -28,9 +29,16 @@ class Survey:
     settings : LocalizerSettings
         `moved_prior` is the prior probability of an outlier, `sure` the posterior probability
         that an inlier needs.
+    together : sequence of sequences of str
+        Groups of landmarks that move together, as given by the user.
     """
 
-    def __init__(self, known: KnownLandmarks, settings: LocalizerSettings) -> None:
+    def __init__(
+        self,
+        known: KnownLandmarks,
+        settings: LocalizerSettings,
+        together: Sequence[Sequence[str]] = (),
+    ) -> None:
         self.known, self._prior, self._sure = known, settings.moved_prior, settings.sure
         self._index = {name: i for i, name in enumerate(known.landmarks)}
         self._covariance = known.joint_covariance
@@ -41,6 +49,7 @@ class Survey:
         apart = [d.distance for d in known.distances]
         self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
         """Size of the site [m]."""
+        self._together = given_bodies(together, known.landmarks)
         self.wrong: dict[str, float] = {}
         """Probability that a landmark is not at its surveyed position, if tested ..."""
         self.wrong_distances: dict[int, float] = {}
@@ -91,7 +100,8 @@ class Survey:
         exchanged, self.exchanged = self.exchanged, {}
         try:
             as_given = self.factors(names, pairs, numbers)
-            found = tested(as_given, free, ids, np.array(prior), self.size)
+            bodies = self.bodies(names)
+            found = tested(as_given, free, ids, np.array(prior), self.size, bodies)
         except np.linalg.LinAlgError:
             self.exchanged = exchanged
             raise
@@ -122,6 +132,11 @@ class Survey:
             np.array([d.distance for d in apart]),
             np.array([d.sigma or known.sigma for d in apart]),
         )
+
+    def bodies(self, names: Sequence[str]) -> Bodies:
+        """Return the bodies among surveyed landmarks."""
+        places = self._places[[self._row(n) for n in names]].reshape(-1, 2)
+        return find_bodies(names, places, self._together, self.size)
 
     def p_stayed(self, name: str) -> float:
         """Return the prior probability that a landmark is still where it was surveyed."""
