@@ -18,7 +18,7 @@ from homeward.lab.observability.study import observe
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.report.observe import draw_family
-from homeward.lab.report.plan.figures import draw_begin
+from homeward.lab.report.plan import draw_begin
 from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.room.presets import load_room
 from homeward.runs.report.canvas import png

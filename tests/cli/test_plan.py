@@ -9,7 +9,7 @@ from commands import call, done, refused
 from homeward.io.reading import shipped
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.report.plan.page import plan_summary
+from homeward.lab.report.plan import plan_summary
 
 FILES = {
     "plan.html",

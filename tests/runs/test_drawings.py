@@ -9,7 +9,7 @@ from made_up_study import made_up_study
 
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import Plan
-from homeward.lab.report.plan.figures import draw_accuracy, draw_begin, draw_hidden
+from homeward.lab.report.plan import draw_accuracy, draw_begin, draw_hidden
 from homeward.lab.report.study.maps import draw_maps, grids
 from homeward.lab.report.study.page import (
     MARK,

@@ -9,7 +9,7 @@ from homeward.lab.observability.study import observe
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.report.observe import write_model_view
-from homeward.lab.report.plan.page import write_plan
+from homeward.lab.report.plan import write_plan
 from homeward.lab.report.study.page import write_study
 from homeward.runs.report.folder import write_run
 

@@ -6,14 +6,13 @@ import pytest
 from homeward.drives.cameras.camera import tilt_matrix
 from homeward.geometry.angles import wrap
 from homeward.vision.geometry.epipolar import Motion, Pairs, residuals
-from homeward.vision.geometry.jackknife import jackknife_covariance
 from homeward.vision.geometry.ransac import (
     coefficients,
     estimate_motion,
     msac_costs,
     two_point_motions,
 )
-from homeward.vision.geometry.refinement import MAX_OTHERS, SAME, refine
+from homeward.vision.geometry.refinement import MAX_OTHERS, SAME, jackknife_covariance, refine
 
 SIGMA = 0.002
 

@@ -9,7 +9,7 @@ import cv2
 from vision_scene import align_features
 
 from homeward.vision import Equirectangular, extract
-from homeward.vision.features.match_propagation import propagate_matches
+from homeward.vision.features.matching import propagate_matches
 
 WIDTH, HEIGHT = 512, 128
 MIDDLE = (255.5, 63.5)
@@ -123,8 +123,8 @@ def test_of_too_many_only_some_are_tried(monkeypatch):
     known = np.arange(0, len(home), 10)
     given = laid(home, home, known, place(home, known))
     _, every = propagate_matches(home, home, known, given)
-    monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_PATCHES", 12)
-    monkeypatch.setattr("homeward.vision.features.match_propagation.MAX_GUIDES", 5)
+    monkeypatch.setattr("homeward.vision.features.matching.MAX_PATCHES", 12)
+    monkeypatch.setattr("homeward.vision.features.matching.MAX_GUIDES", 5)
     places, some = propagate_matches(home, home, known, given)
     assert len(every) > 36
     assert 0 < len(some) <= 36  # twelve in each of three rounds

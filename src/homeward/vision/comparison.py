@@ -12,8 +12,7 @@ from homeward.io.blas_threads import single_threaded_blas
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
-from homeward.vision.features.match_propagation import propagate_matches, thinned
-from homeward.vision.features.matching import RATIO, match
+from homeward.vision.features.matching import RATIO, match, propagate_matches, thinned
 from homeward.vision.features.moved_groups import moved_groups
 from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
 from homeward.vision.features.self_similarity import self_similar
@@ -27,9 +26,8 @@ from homeward.vision.geometry.a_contrario import (
     explain,
 )
 from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
-from homeward.vision.geometry.jackknife import jackknife_covariance
 from homeward.vision.geometry.ransac import APART, estimate_motion
-from homeward.vision.geometry.refinement import Fit, irls, refine
+from homeward.vision.geometry.refinement import Fit, irls, jackknife_covariance, refine
 from homeward.vision.geometry.tilt import Tilt
 
 MAX_DIRECTION_SIGMA = np.radians(30.0)

@@ -6,7 +6,7 @@ import pytest
 from lab.model_by_hand import scene
 
 from homeward.geometry.frames import Pose, bearing, to_polar
-from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
+from homeward.lab.filters.backend import CartesianPrior, SensorNoise
 from homeward.lab.filters.invariant import (
     InvariantFilter,
     error_between,

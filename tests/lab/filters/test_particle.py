@@ -6,7 +6,7 @@ from lab.model_by_hand import scene
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, bearing, to_polar
-from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
+from homeward.lab.filters.backend import CartesianPrior, SensorNoise
 from homeward.lab.filters.particle import ParticleFilter, _sight
 from homeward.lab.model import home_anchored_bearing
 

@@ -103,7 +103,7 @@ def _plan(source: str, out: Path, json: bool) -> None:
     from homeward.lab.planning.analysis import analyse
     from homeward.lab.planning.floor import make_floor
     from homeward.lab.planning.settings import load_plan
-    from homeward.lab.report.plan.page import PAGE, SETTINGS_FILE, plan_summary, write_plan
+    from homeward.lab.report.plan import PAGE, SETTINGS_FILE, plan_summary, write_plan
 
     settings = load_plan(source)
     try:

@@ -13,12 +13,12 @@ from homeward.geometry.frames import Pose, from_polar, polar_covariance_to_pose
 from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
+    CartesianFilter,
     LandmarkBelief,
     MaybeTwist,
     Outputs,
     empty_outputs,
 )
-from homeward.lab.filters.cartesian import CartesianFilter
 from homeward.lab.model import INPUTS, discretise, home_anchored_bearing, unicycle_rates
 
 POSE = 3

@@ -12,12 +12,14 @@ from homeward.geometry.frames import Polar, Pose, Twist, advance, from_polar
 from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
+    CartesianFilter,
+    CartesianPrior,
     LandmarkBelief,
     MaybeTwist,
     Outputs,
+    SensorNoise,
     empty_outputs,
 )
-from homeward.lab.filters.cartesian import CartesianFilter, CartesianPrior, SensorNoise
 from homeward.lab.model import home_anchored_bearing
 
 

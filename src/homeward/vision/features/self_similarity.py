@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
-from homeward.vision.features.match_propagation import MAX_GROWTH, MIN_CORRELATION, thinned
+from homeward.vision.features.matching import MAX_GROWTH, MIN_CORRELATION, thinned
 from homeward.vision.features.moved_groups import MAX_SCALE
 from homeward.vision.features.patch_alignment import STEPS, align_patches, areas, radius_of
 

@@ -17,7 +17,7 @@ from homeward.geometry.frames import Pose
 from homeward.geometry.robust import robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
-from homeward.vision.geometry.jackknife import leave_windows_out
+from homeward.vision.geometry.refinement import leave_windows_out
 
 BLUR = 0.01
 """Standard deviation added to bearings in the search for a start [rad]."""

@@ -21,8 +21,7 @@ from homeward.geometry.angles import wrap
 from homeward.lab.engine.estimators.adaptive import AdaptiveRunner
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
-from homeward.lab.filters.backend import FilterBackend
-from homeward.lab.filters.cartesian import CartesianPrior, SensorNoise
+from homeward.lab.filters.backend import CartesianPrior, FilterBackend, SensorNoise
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
