@@ -130,12 +130,8 @@ def compare(home: Features, now: Features, camera: Panorama) -> Comparison:
     """Compare the `Features` of two panoramas of one camera, with a second pass if necessary.
 
     If the first pass is undecided, the second matches each feature only where it can be according
-    to the heading of the first, so that fewer others look like it.
-
-    Raises
-    ------
-    InputError
-        If their sizes differ.
+    to the heading of the first, so that fewer others look like it. Raises `InputError` if their
+    sizes differ.
     """
     require_like_home(now.shape, home.shape)
     seen = compare_once(home, now, camera)

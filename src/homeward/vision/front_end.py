@@ -109,10 +109,8 @@ class FrontEnd:
     def see(self, panorama: np.ndarray) -> FrameBearings:
         """Process a panorama as `Panorama.panorama` returns it, in any format of `extract`.
 
-        Raises
-        ------
-        InputError
-            If it is no picture or differs in size from home's; the front-end does not change then.
+        Raises `InputError` if it is no picture or differs in size from home's; the front-end does
+        not change then.
         """
         return self.take(extract(panorama, self.camera, self.home.mask))
 

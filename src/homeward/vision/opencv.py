@@ -20,10 +20,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3
 def opencv() -> Any:
     """Return the module cv2.
 
-    Raises
-    ------
-    InputError
-        When it is not installed.
+    Raises `InputError` when it is not installed.
     """
     try:
         import cv2

@@ -45,12 +45,8 @@ def describe(seen: Comparison) -> str:
 def write_comparison(directory: Path, seen: Comparison, images: Images, views: Views) -> None:
     """Write comparison.json, matches.csv and comparison.png, all or none.
 
-    In `images` and `views`, home's comes first.
-
-    Raises
-    ------
-    InputError
-        If the folder contains anything but an earlier comparison, or cannot be written.
+    In `images` and `views`, home's comes first. Raises `InputError` if the folder contains anything
+    but an earlier comparison, or cannot be written.
     """
     with whole_folder(directory, RESULT) as scratch:
         _write_matches(scratch / MATCHES, seen)

@@ -213,21 +213,9 @@ def observe(
 ) -> ModelView:
     """Return the observability from bearings to q landmarks: ranks, words and equivalent worlds.
 
-    Parameters
-    ----------
-    landmarks : int
-        q, from 1 to `MAX_LANDMARKS`.
-    compass, distances : bool
-        Whether the heading and the landmarks' distances from home are measured.
-    motion : str, optional
-        One of `MOTIONS`; by default all motions (Lie derivatives), with an arc as the example.
-    unknown : tuple of str
-        Unknown `CALIBRATIONS`.
-
-    Raises
-    ------
-    InputError
-        When the number of landmarks is out of range, or a motion or calibration does not exist.
+    `unknown`, `compass` and `distances` are those of `Scene`. By default all of `MOTIONS` count
+    (Lie derivatives), with an arc as the example. Raises `InputError` when the number of landmarks
+    is out of range (up to `MAX_LANDMARKS`), or a motion or calibration does not exist.
     """
     if not 1 <= landmarks <= MAX_LANDMARKS:
         raise InputError(f"landmarks must be from 1 to {MAX_LANDMARKS}, not {landmarks}")

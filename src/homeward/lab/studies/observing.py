@@ -108,25 +108,11 @@ def check_window(drive: Drive, window: float) -> None:
 def observe_drive(
     drive: Drive, window: float = WINDOW_S, progress: Callable[[float], None] | None = None
 ) -> DriveView:
-    """Return the observability of the pose relative to home along a drive.
+    """Return the observability of the pose relative to home along a drive, in windows [s].
 
-    Without ground truth, the path is that of the robust localiser, smoothed.
-
-    Parameters
-    ----------
-    drive : Drive
-        With home bearings.
-    window : float
-        [s]; windows overlap by half.
-    progress : callable, optional
-        Receives the finished fraction, in [0, 1].
-
-    Raises
-    ------
-    InputError
-        As `check_window`.
-    HomewardError
-        When there is neither ground truth nor a pose, or no landmark has a position.
+    Windows overlap by half. Without ground truth, the path is that of the robust localiser,
+    smoothed. `progress` receives the finished fraction, in [0, 1]. Errors as `check_window`;
+    `HomewardError` when there is neither ground truth nor a pose, or no landmark has a position.
     """
     check_window(drive, window)
     rows, poses, path_from = _path(drive)

@@ -58,10 +58,7 @@ def as_grey(image: ArrayLike) -> np.ndarray:
 def eight_bits(deep: np.ndarray) -> np.ndarray:
     """Return integers of up to 16 bits in 8 bits, scaled so that the brightest one fits.
 
-    Raises
-    ------
-    InputError
-        If they exceed 16 bits.
+    Raises `InputError` if they exceed 16 bits.
     """
     brightest = int(deep.max(initial=0))
     bits = max(8, brightest.bit_length())

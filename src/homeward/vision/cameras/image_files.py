@@ -25,16 +25,8 @@ FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")
 def read_grey(path: Path) -> np.ndarray:
     """Read an image as grey, uint8 (height, width), rotated according to its Exif orientation.
 
-    Parameters
-    ----------
-    path : Path
-        PNG, JPEG, BMP, TIFF, PPM, WebP or GIF, of one frame; 16-bit images are scaled as in
-        `as_grey`.
-
-    Raises
-    ------
-    InputError
-        If it is no complete image of one frame, or its size is not that of a panorama.
+    The file is a PNG, JPEG, BMP, TIFF, PPM, WebP or GIF; 16 bits are scaled as in `as_grey`. Raises
+    `InputError` if it is no complete image of one frame, or its size is not that of a panorama.
     """
     with naming(path, "cannot be read"), opened(path) as stream:
         return decoded_grey(stream, path)
@@ -64,21 +56,10 @@ def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
 
 
 def read_mask(path: Path, camera: Panorama, shape: tuple[int, int]) -> Mask:
-    """Read a mask from a file.
+    """Read a mask from an image file, whose `shape` (height, width) [px] is that of the pictures.
 
-    Parameters
-    ----------
-    path : Path
-        An image as for `read_grey`, in the format of the camera's pictures: a ring is unwrapped.
-    camera : Panorama
-        The camera of the pictures.
-    shape : tuple of int
-        Height and width of a stored picture [px].
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, has another size, or leaves no pixels.
+    A ring is unwrapped. Raises `InputError` if it cannot be read, has another size, or leaves no
+    pixels.
     """
     grey = read_grey(path)
     if grey.shape != shape:

@@ -29,10 +29,7 @@ class Mask:
     def of(cls, panorama: np.ndarray) -> Mask:
         """Return the mask in a picture as of `Panorama.panorama`; black (below 128) is not used.
 
-        Raises
-        ------
-        InputError
-            If it is no picture, or no pixel would be left.
+        Raises `InputError` if it is no picture, or no pixel would be left.
         """
         used = as_grey(panorama) >= MIN_USED
         if not used.any():

@@ -158,10 +158,7 @@ class PartialPanorama(Equirectangular):
     def through(cls, lens: Lens) -> PartialPanorama:
         """Return the partial panorama of a lens.
 
-        Raises
-        ------
-        InputError
-            If the size of its pictures is unknown.
+        Raises `InputError` if the size of its pictures is unknown.
         """
         if lens.width is None or lens.height is None:
             raise InputError("in images.yaml the camera needs width and height, or tags: 36h11")

@@ -38,16 +38,8 @@ def better_settings(
 ) -> str | None:
     """Return a message about another setting that fits two panoramas far better, or None.
 
-    Parameters
-    ----------
-    seen : Comparison
-        Their comparison with the given settings.
-    pictures : tuple of ndarray
-        The panoramas at home and now, as `Panorama.panorama` returns them.
-    views : tuple of Features
-        Their features.
-    camera : Panorama
-        The camera as specified.
+    `seen` is the comparison of the panoramas (home's first, as `Panorama.panorama` returns them)
+    with the camera as specified.
     """
     if not seen.accepted:
         flipped = extract(np.ascontiguousarray(pictures[1][:, ::-1]), camera)

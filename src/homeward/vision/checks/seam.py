@@ -32,14 +32,9 @@ FORCE_HINT = "to use it anyway: force: true in images.yaml, or --force of see"
 
 
 def require_panoramas(pictures: Sequence[np.ndarray], camera: Panorama) -> None:
-    """Raise InputError, with the reason, if pictures of one camera are no panoramas.
+    """Raise InputError, with the reason, if pictures of one camera, as specified, are no panoramas.
 
-    Parameters
-    ----------
-    pictures : sequence of ndarray
-        As `Panorama.panorama` returns them, in any format of `as_grey`.
-    camera : Panorama
-        Their camera as specified.
+    They are as `Panorama.panorama` returns them, in any format of `as_grey`.
     """
     greys = [as_grey(picture) for picture in pictures]
     if greys and all(map(_two_discs, greys)):

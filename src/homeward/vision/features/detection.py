@@ -148,23 +148,11 @@ def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Fe
 def read_features(
     path: Path, camera: Panorama, like: Features | None = None, mask: Path | None = None
 ) -> tuple[np.ndarray, Features]:
-    """Read an image; return its panorama, uint8 (height, width), and the features.
+    """Read an image as `read_grey`; return its panorama, uint8 (height, width), and the features.
 
-    Parameters
-    ----------
-    path : Path
-        As in `read_grey`.
-    camera : Panorama
-        The camera of the image.
-    like : Features, optional
-        Of home: the panorama must have the same size and gets the same mask.
-    mask : Path, optional
-        Mask of home's picture, see `read_mask`.
-
-    Raises
-    ------
-    InputError
-        If a file cannot be read, or its size does not suit the camera, home or the picture.
+    With the features of home, `like`, the panorama must have the same size and gets the same mask;
+    `mask` is the file for home's picture. Raises `InputError` if a file cannot be read, or its size
+    does not suit the camera, home or the picture.
     """
     grey = read_grey(path)
     with naming_file(path):

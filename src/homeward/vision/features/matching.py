@@ -27,23 +27,11 @@ EXCLUDED = -1.0
 def match(
     a: np.ndarray, b: np.ndarray, ratio: float = RATIO, possible: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Match descriptors: mutual nearest neighbours, clearly nearer than the second.
+    """Match descriptors, unit vectors (n, k) and (m, k): mutual nearest neighbours.
 
-    Parameters
-    ----------
-    a, b : ndarray of float32, shapes (n, k) and (m, k)
-        Unit vectors.
-    ratio : float
-        Maximum ratio of the distances to the nearest and the second, in both directions.
-    possible : ndarray of bool, shape (n, m), optional
-        Pairs that may show the same; others are neither the nearest nor the second.
-
-    Returns
-    -------
-    pairs : ndarray of int, shape (p, 2)
-        Rows of `a` and `b`.
-    quality : ndarray, shape (p,)
-        The larger of the two ratios, in [0, ratio]; smaller is better.
+    They must be nearer than the second by `ratio` in both directions (Lowe). Pairs that are not
+    `possible` (n, m) are neither the nearest nor the second. Return rows of both, (p, 2), and the
+    larger of the two ratios, (p,); smaller is better.
     """
     if len(a) < 2 or len(b) < 2:
         return np.zeros((0, 2), int), np.zeros(0)
@@ -88,21 +76,8 @@ def propagate_matches(
 ) -> tuple[np.ndarray, Alignment]:
     """Align patches of home that are next to matched features.
 
-    Parameters
-    ----------
-    home, now : Features
-        The two panoramas.
-    matched : ndarray of int, shape (n,)
-        Matched features of home.
-    alignment : Alignment
-        Of their patches now.
-
-    Returns
-    -------
-    places : ndarray, shape (2, m)
-        Columns and rows of other patches of home [px].
-    alignment : Alignment
-        Of these patches now.
+    Given are the matched rows of home, (n,), and the alignment of their patches now. Return columns
+    and rows of other patches of home, (2, m) [px], and the alignment of these.
     """
     (patches, of), found = home.patches, []
     guides = of[matched]

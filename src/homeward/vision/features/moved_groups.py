@@ -25,16 +25,9 @@ MIN_MATCHES = 4
 def moved_groups(
     home: Features, now: Features, rows: np.ndarray, candidates: np.ndarray
 ) -> np.ndarray:
-    """Return which matches are on moved objects, (n,) bool.
+    """Return which matches, rows (n, 2) of both, are on moved objects: (n,) bool.
 
-    Parameters
-    ----------
-    home, now : Features
-        The two panoramas.
-    rows : ndarray of int, shape (n, 2)
-        Matched features of each.
-    candidates : ndarray of bool, shape (n,)
-        Outliers of the motion.
+    Candidates, (n,) bool, are the outliers of the motion.
     """
     moved = np.zeros(len(rows), bool)
     chosen = np.flatnonzero(candidates)

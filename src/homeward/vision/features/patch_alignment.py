@@ -65,14 +65,10 @@ class Pyramid:
         return np.array([self.times, self.width, self.margin], float)
 
     def sample(self, points: np.ndarray, spacing: np.ndarray) -> np.ndarray:
-        """Return interpolated grey values, float32 (n, k).
+        """Return interpolated grey values, float32 (n, k), of n patches.
 
-        Parameters
-        ----------
-        points : ndarray, shape (n, 2, k)
-            Columns and rows [px] of n patches, which may be across the seam.
-        spacing : ndarray, shape (n,)
-            Distance between the points of each patch [px], which determines the level.
+        Points are columns and rows (n, 2, k) [px], which may be across the seam. The distance
+        between those of each patch, `spacing` (n,) [px], determines the level.
         """
         column, row = points[:, 0], points[:, 1]
         around = np.floor((column.mean(axis=1, keepdims=True) + 0.5) / self.width) * self.width
@@ -173,18 +169,8 @@ def align_patches(
 ) -> Alignment:
     """Align patches of home with the panorama now, starting from given affine maps.
 
-    Parameters
-    ----------
-    home, now : Pyramid
-        The two panoramas.
-    at_home : ndarray, shape (n, 2)
-        Column and row of each feature [px].
-    size : ndarray, shape (n,)
-        Diameter of the feature at home [px].
-    start : ndarray, shape (n, 2, 3)
-        Maps from steps at home [px] to columns and rows now.
-    steps : int
-        Number of iterations.
+    Features at home have columns and rows (n, 2) and diameters (n,) [px]; maps, (n, 2, 3), are from
+    steps at home to columns and rows now. `steps` is the number of iterations.
     """
     radius = radius_of(size, home)
     begun = start.copy()

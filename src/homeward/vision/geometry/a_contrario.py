@@ -63,14 +63,8 @@ class Acceptance:
 def assess(fit: Fit | None, pairs: Pairs, heading: float | None = None) -> Acceptance:
     """Accept or refuse a fit, from its number of false alarms and the spread of its inliers.
 
-    Parameters
-    ----------
-    fit : Fit or None
-        None if no motion was found.
-    pairs : Pairs
-        All matches.
-    heading : float, optional
-        Heading [rad] now, if matches were searched `WITHIN` their predicted directions.
+    No fit: no motion was found. The heading now [rad] is given if matches were searched `WITHIN`
+    their predicted directions.
     """
     if fit is None or fit.inlier.sum() < 3:
         return Acceptance(
@@ -94,18 +88,8 @@ def assess_unrepeated(
     """Accept or refuse a fit whose inliers were tested for self-similarity.
 
     The tiles of a floor match those of another room. So if most inliers are self-similar, the
-    others must be accepted on their own.
-
-    Parameters
-    ----------
-    acceptance : Acceptance
-        Without this test.
-    fit, pairs, heading
-        As in `assess`.
-    tested : ndarray of int, shape (k,)
-        Some or all of the inliers.
-    recurs : ndarray of bool, shape (k,)
-        Whether these inliers are self-similar in home's picture.
+    others must be accepted on their own. `acceptance` is without this test, `tested` (k,) are rows
+    of inliers, and `recurs` (k,) bool is whether these are self-similar in home's picture.
     """
     unique = np.zeros(len(pairs), bool)
     unique[tested[~recurs]] = True

@@ -47,16 +47,10 @@ class Pairs:
     def of(
         cls, home: np.ndarray, now: np.ndarray, covariance: np.ndarray, growth: np.ndarray
     ) -> Pairs:
-        """Return pairs of directions.
+        """Return pairs of directions at home and now, azimuth and elevation (n, 2) [rad].
 
-        Parameters
-        ----------
-        home, now : ndarray, shape (n, 2)
-            Azimuth and elevation [rad].
-        covariance : ndarray, shape (n, 2, 2)
-            Of azimuth and elevation now [rad^2]. Those at home are exact: they define the points.
-        growth : ndarray, shape (n,)
-            Logarithm of the feature's size now over that at home.
+        Their covariance now is (n, 2, 2) [rad^2]; those at home are exact: they define the points.
+        For `growth` see the property.
         """
         first, both, second = covariance.reshape(-1, 4).T[[0, 1, 3]]
         largest = np.sqrt((first + second) / 2 + np.hypot((first - second) / 2, both))
@@ -170,14 +164,8 @@ LIMITS = np.array([INLIER, np.cos(MAX_PARALLAX), MAX_GROWTH_ERROR])
 def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Residuals:
     """Return Sampson's epipolar residual of each pair over its standard deviation.
 
-    Parameters
-    ----------
-    motions : ndarray, shape (m, 5)
-        Rows in the order of `Motion`.
-    pairs : Pairs
-        n matches.
-    looseness : float
-        Additional error of each direction now [rad].
+    Rows of the motions, (m, 5), are in the order of `Motion`; `looseness` is an additional error of
+    each direction now [rad].
     """
     native = compiled()
     if native is not None:

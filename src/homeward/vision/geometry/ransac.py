@@ -28,21 +28,10 @@ APART = 0.1
 
 
 def estimate_motion(pairs: Pairs, quality: np.ndarray, tilt_sigma: float) -> Fit | None:
-    """Find the motion between two panoramas.
+    """Find the motion between two panoramas from all matches.
 
-    Parameters
-    ----------
-    pairs : Pairs
-        All matches.
-    quality : ndarray, shape (n,)
-        Of each match; smaller is better, and drawn more often.
-    tilt_sigma : float
-        Standard deviation of each camera's tilt [rad].
-
-    Returns
-    -------
-    Fit or None
-        None if there are fewer than three matches, or no motion fits two of them.
+    Matches of smaller `quality` (n,) are better, and drawn more often; `tilt_sigma` is as for
+    `irls`. None if there are fewer than three matches, or no motion fits two of them.
     """
     if len(pairs) < 3:
         return None
@@ -108,18 +97,10 @@ def coefficients(home: np.ndarray, now: np.ndarray) -> np.ndarray:
 
 
 def two_point_motions(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Return the motions that are consistent with two matches.
+    """Return the motions, theta and alpha (m, 2) [rad], that are consistent with two matches.
 
-    Parameters
-    ----------
-    first, second : ndarray, shape (s, 4)
-        Rows of the two matches of each sample, from `coefficients`.
-
-    Returns
-    -------
-    ndarray, shape (m, 2)
-        theta and alpha [rad] of all real solutions, theta in (-pi/2, pi/2]: theta + pi, with the
-        same alpha, solves the equations as well.
+    `first` and `second` (s, 4) are the `coefficients` of both matches of each sample. Of each real
+    solution, theta is in (-pi/2, pi/2]: theta + pi, with the same alpha, is one as well.
     """
     a, b, c, d = -first[:, 2], -first[:, 3], -second[:, 2], -second[:, 3]
     determinant = a * d - b * c
@@ -149,17 +130,7 @@ def msac_costs(
     """Return the MSAC cost, (m,), of motions, for theta or theta + pi.
 
     It is the sum over matches of the squared normalised residual, at most `max_square` each.
-
-    Parameters
-    ----------
-    motions : ndarray, shape (m, 2)
-        theta and alpha [rad].
-    pairs : Pairs
-        All matches.
-    tilt_sigma : float
-        Standard deviation of each elevation due to tilt [rad].
-    max_square : float
-        Cost of an outlier.
+    Motions are theta and alpha, (m, 2) [rad]; `tilt_sigma` is that of each elevation [rad].
     """
     theta, turn = motions[:, 0], motions[:, 1] - motions[:, 0]
     k = np.stack([np.cos(theta), np.sin(theta), np.cos(turn), np.sin(turn)]).astype(np.float32)

@@ -50,10 +50,7 @@ class Fit:
 
 
 def refine(starts: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float = INLIER) -> Fit:
-    """Fit a motion to all matches by IRLS from several starts; return the fit of least loss.
-
-    Parameters are those of `irls`.
-    """
+    """Fit a motion to all matches from several starts, as `irls`; return the fit of least loss."""
     prior = prior_information(tilt_sigma)
     x = irls(starts, pairs, tilt_sigma, scale)
     found = residuals(x, pairs)
@@ -78,18 +75,9 @@ def irls(
 ) -> np.ndarray:
     """Fit motions, (m, 5), by iteratively reweighted least squares, each from its own start.
 
-    Parameters
-    ----------
-    starts : ndarray, shape (m, 5)
-        Initial motions.
-    pairs : Pairs
-        n matches, wrong ones among them.
-    tilt_sigma : float
-        Standard deviation of each camera's tilt [rad].
-    scale : float
-        Of the robust loss [standard deviations].
-    counts : ndarray, shape (m, n), or 1
-        Weight of each match in each fit.
+    The n pairs contain wrong matches; `counts`, (m, n) or 1, is the weight of each in each fit.
+    `tilt_sigma` is the standard deviation of each camera's tilt [rad], `scale` that of the robust
+    loss [standard deviations].
     """
     x = np.array(starts, float, order="C")
     if not _irls_compiled(x, pairs, tilt_sigma, scale, counts):

@@ -77,21 +77,9 @@ class Resection:
 def resect(anchors: HomeLandmarks, seen: Direction, tilt: np.ndarray) -> Resection | None:
     """Fit a pose to home's landmarks and to the direction from the two panoramas.
 
-    The direction matters where the map is poor; near home its covariance reduces its weight.
-
-    Parameters
-    ----------
-    anchors : HomeLandmarks
-        The landmarks.
-    seen : Direction
-        From the two panoramas alone.
-    tilt : ndarray, shape (2, 2)
-        Covariance of the remaining roll and pitch of the camera [rad^2].
-
-    Returns
-    -------
-    Resection or None
-        None if they do not determine a pose.
+    The direction matters where the map is poor; near home its covariance reduces its weight. `tilt`
+    (2, 2) is the covariance of the remaining roll and pitch of the camera [rad^2]. None if the
+    landmarks do not determine a pose.
     """
     if len(anchors) < 3:
         return None

@@ -114,19 +114,9 @@ def see_folder(
 def drive_without_images(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
     """Read the drive of an image folder, without bearings and home.
 
-    Parameters
-    ----------
-    folder : Path
-        With odometry.csv, and optionally drive.yaml and truth.csv.
-    t : ndarray, shape (n,)
-        Stamps of the pictures [s].
-    remarks : dict of str to int
-        The remarks of the drive, which are added to.
-
-    Raises
-    ------
-    InputError
-        If a file is missing or cannot be used, or pictures and odometry do not overlap.
+    The folder has odometry.csv, and optionally drive.yaml and truth.csv; `t` (n,) are the stamps of
+    the pictures [s], and `remarks` becomes the drive's. Raises `InputError` if a file is missing or
+    cannot be used, or pictures and odometry do not overlap.
     """
     odometry = read_odometry(folder / ODOMETRY, remarks)
     spans = {"the odometry": odometry.t, "the images": t}
@@ -146,10 +136,7 @@ def drive_without_images(folder: Path, t: np.ndarray, remarks: dict[str, int]) -
 def home_image(folder: Path, settings: ImageSettings) -> Path:
     """Return the file of the home image: named in the settings, or HOME_STEM in any case.
 
-    Raises
-    ------
-    InputError
-        If there is none, several candidates, or one outside the folder.
+    Raises `InputError` if there is none, several candidates, or one outside the folder.
     """
     found = home_images(folder, settings)
     if len(found) != 1:

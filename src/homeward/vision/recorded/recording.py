@@ -52,12 +52,8 @@ class Video:
     """The frames of a video file, decoded one by one.
 
     Their stamps [s] are in column `t` of the CSV file with the name of the video, one row per
-    frame; without this file, they are those of the container.
-
-    Raises
-    ------
-    InputError
-        If it cannot be read, or the numbers of frames and stamps differ.
+    frame; without this file, they are those of the container. Raises `InputError` if it cannot be
+    read, or the numbers of frames and stamps differ.
     """
 
     def __init__(self, path: Path) -> None:

@@ -62,10 +62,7 @@ class ImageSettings(Strict):
     def panorama(self) -> Panorama:
         """The camera as a panoramic one.
 
-        Raises
-        ------
-        InputError
-            If it has a lens whose calibration lacks the size of the pictures.
+        Raises `InputError` if it has a lens whose calibration lacks the size of the pictures.
         """
         if isinstance(self.camera, Panorama):
             return self.camera
@@ -85,10 +82,8 @@ class ImageSettings(Strict):
 def read_image_settings(path: Path | None) -> ImageSettings:
     """Read images.yaml; None gives the defaults.
 
-    Raises
-    ------
-    InputError
-        If it has an unknown key, a value out of range, or a file outside its folder.
+    Raises `InputError` if it has an unknown key, a value out of range, or a file outside its
+    folder.
     """
     if path is None:
         return ImageSettings()

@@ -111,10 +111,8 @@ class TagFrontEnd:
     def see(self, image: np.ndarray) -> TagBearings:
         """Return the bearings of the tags in an image in any format of `as_grey`.
 
-        Raises
-        ------
-        InputError
-            If it is no image, or its size differs from that of the camera's calibration.
+        Raises `InputError` if it is no image, or its size differs from that of the camera's
+        calibration.
         """
         tags, camera, shape = self._find(image, self.camera)
         bearing, sigma = tag_bearings(tags.corners, tags.sigma, camera, shape)

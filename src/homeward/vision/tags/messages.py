@@ -39,10 +39,7 @@ PLAIN = {
 def picture_of(message: Any) -> np.ndarray:
     """Return the picture of a decoded message, uint8 (height, width).
 
-    Raises
-    ------
-    InputError
-        If its encoding is unknown, or its bytes are no picture.
+    Raises `InputError` if its encoding is unknown, or its bytes are no picture.
     """
     if not hasattr(message, "encoding"):
         return decoded_grey(io.BytesIO(bytes(message.data)), Path(message.format or "picture"))
@@ -66,11 +63,8 @@ def picture_of(message: Any) -> np.ndarray:
 def tag_eye(family: str) -> TagDetector:
     """Return a function that detects tags in a sensor_msgs/Image or CompressedImage.
 
-    Raises
-    ------
-    InputError
-        If there is no such family. The function raises it if a message is no picture, or its size
-        differs from that of the camera's calibration.
+    Raises `InputError` if there is no such family. The function raises it if a message is no
+    picture, or its size differs from that of the camera's calibration.
     """
     front_end = TagFrontEnd(None, family)
 

@@ -160,22 +160,11 @@ def run_batched(
 ) -> list[Track | None]:
     """Run filters of one kind, each over its drive, with the result of `homeward.track.run`.
 
-    Parameters
-    ----------
-    drives : sequence of Drive
-        One for each filter; filters over the same drive share one object.
-    estimators : sequence of OnlineFilter
-        New filters of one `batch_kind`, which end in the state after their drive.
-    engine : {"auto", "interpreter", "native"}
-        With auto, compiled code runs where that pays.
-    more : float
-        All work to come as a multiple of this call, which decides whether compiling pays.
-
-    Returns
-    -------
-    list of Track or None
-        Only rows and innovations. None for a filter that must run on its own: no compiled code is
-        available, or its belief diverged.
+    There is one drive for each filter; filters over the same drive share one object. The filters
+    are new, of one `batch_kind`, and end in the state after their drive. `more` is all work to come
+    as a multiple of this call, which decides whether compiling pays. A track has only rows and
+    innovations; it is None for a filter that must run on its own: no compiled code is available, or
+    its belief diverged.
     """
     ids = [tuple(e.ids) for e in estimators]
     differ = {(id(d), i): d for d, i in zip(drives, ids, strict=True)}

@@ -236,24 +236,11 @@ def write_rendered(
 
     It has home.png, images.csv (t, file) and the images, images.yaml (the camera), odometry.csv,
     truth.csv and drive.yaml as in a drive folder, things.csv (the true objects of the room), and
-    scenario.yaml, which repeats the drive.
-
-    Parameters
-    ----------
-    eye : Eye
-        The camera in its room.
-    folder : Path
-        An empty folder.
-    make_estimator : callable, optional
-        Makes the estimator that steers by the images, from a drive with home and settings; its
-        bearings are written to the drive folder `DRIVE`. None: the true pose steers.
-    progress : callable, optional
-        Receives the fraction of the maximum duration.
-
-    Raises
-    ------
-    InputError
-        When the robot collides with something, or the folder cannot be written.
+    scenario.yaml, which repeats the drive. The estimator that steers by the images is made from a
+    drive with home and settings; its bearings are written to the drive folder `DRIVE`. Without
+    `make_estimator`, the true pose steers. `progress` receives the fraction of the maximum
+    duration. Raises `InputError` when the robot collides with something, or the folder, which must
+    be empty, cannot be written.
     """
     rows: list[tuple[float, str]] = []
 
