@@ -11,7 +11,8 @@ from typing import Required, TypedDict, Unpack
 
 import numpy as np
 
-from homeward.geometry.frames import Pose, compose
+from homeward.geometry.frames import Pose
+from homeward.geometry.se2 import compose, lever, sight
 
 CENTRE = Pose(0.0, 0.0, 0.0)
 CHUNK = 128
@@ -107,14 +108,10 @@ class RunningBound:
         The noise may be singular or zero.
         """
         back = np.eye(len(self.information))
-        back[0, 2], back[1, 2] = after[1] - before[1], before[0] - after[0]
+        back[:3, :3] = lever(before - after)
         carried = back.T @ self.information @ back
-        middle = before[2] + 0.5 * twist[1] * dt
         noise = np.zeros((len(self.information), 2))
-        noise[:2, 0] = np.cos(middle), np.sin(middle)
-        swing = 0.5 * twist[0] * dt
-        noise[:3, 1] = -swing * np.sin(middle), swing * np.cos(middle), 1.0
-        noise *= np.array(self._sigmas) * np.sqrt(dt)
+        noise[:3] = odometry_noise(before[2] + 0.5 * twist[1] * dt, twist[0], dt, self._sigmas)
         pulled = carried @ noise
         left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
         self.information = 0.5 * (left + left.T)  # asymmetry would grow at each step
@@ -154,18 +151,29 @@ class RunningBound:
         self.information[part], self.information[:, part] = 0.0, 0.0
 
 
+def odometry_noise(
+    heading: float, speed: float, dt: float, sigmas: tuple[float, float]
+) -> np.ndarray:
+    """Return a root, (3, 2), of the covariance of the pose after `dt` [s] of white noise.
+
+    `heading` is that in the middle of the motion, `sigmas` are those of speed and turn rate.
+    """
+    c, s, swing = np.cos(heading), np.sin(heading), 0.5 * speed * dt
+    noise = np.array([[c, -swing * s], [s, swing * c], [0.0, 1.0]])
+    noise *= np.array(sigmas) * np.sqrt(dt)
+    return noise
+
+
 def _bearing_jacobians(poses: np.ndarray, landmarks: np.ndarray, mount: Pose) -> np.ndarray:
     """Return derivatives of all bearings by pose and landmarks, (n, q, 3 + 2 q), at n poses."""
-    q = len(landmarks)
-    camera = np.stack(compose(Pose(*poses.T), mount)[:2], axis=1)
-    d, arm = landmarks - camera[:, None], (camera - poses[:, :2])[:, None]
-    across = np.stack([-d[..., 1], d[..., 0]], axis=-1) / (d**2).sum(axis=-1)[..., None]
+    q, cameras = len(landmarks), compose(poses, np.array(mount))
+    by_place = sight(cameras[:, None], landmarks).by_place
+    by_camera = -np.concatenate([by_place, np.ones((*by_place.shape[:2], 1))], axis=-1)
     jacobians = np.zeros((len(poses), q, 3 + 2 * q))
-    jacobians[..., :2] = -across
-    jacobians[..., 2] = across[..., 0] * arm[..., 1] - across[..., 1] * arm[..., 0] - 1.0
+    jacobians[..., :3] = by_camera @ lever(cameras - poses)
     rows = np.arange(q)
-    jacobians[:, rows, 3 + 2 * rows] = across[..., 0]
-    jacobians[:, rows, 4 + 2 * rows] = across[..., 1]
+    jacobians[:, rows, 3 + 2 * rows] = by_place[..., 0]
+    jacobians[:, rows, 4 + 2 * rows] = by_place[..., 1]
     return jacobians
 
 

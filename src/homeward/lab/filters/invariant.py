@@ -8,8 +8,9 @@ from functools import lru_cache
 import casadi as ca
 import numpy as np
 
+from homeward.geometry import se2
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, from_polar, polar_covariance_to_pose
+from homeward.geometry.frames import Pose, compose, from_polar, inverse, polar_covariance_to_pose
 from homeward.lab.filters.backend import (
     LOST_SIGMA,
     Angles,
@@ -47,17 +48,15 @@ class CartesianBelief:
 
 def moved(pose: ca.SX, error: ca.SX) -> ca.SX:
     """Return the pose after a right-invariant error: a rotation about home, then a translation."""
-    c, s = ca.cos(error[2]), ca.sin(error[2])
-    x = c * pose[0] - s * pose[1] + error[0]
-    return ca.vertcat(x, s * pose[0] + c * pose[1] + error[1], pose[2] + error[2])
+    after: ca.SX = ca.vertcat(*compose(Pose(*ca.vertsplit(error)), Pose(*ca.vertsplit(pose))))
+    return after
 
 
 def error_between(true: ca.SX, pose: ca.SX) -> ca.SX:
     """Return the error with which `moved` maps a pose to the true one."""
-    turn = true[2] - pose[2]
-    c, s = ca.cos(turn), ca.sin(turn)
-    x = true[0] - c * pose[0] + s * pose[1]
-    return ca.vertcat(x, true[1] - s * pose[0] - c * pose[1], turn)
+    back = inverse(Pose(*ca.vertsplit(pose)))
+    error: ca.SX = ca.vertcat(*compose(Pose(*ca.vertsplit(true)), back))
+    return error
 
 
 @lru_cache(maxsize=1)
@@ -107,8 +106,7 @@ class InvariantFilter(CartesianFilter):
         """Return the belief of the prior."""
         prior, q, pose = self.prior, self.stored.size, from_polar(self.prior.polar)
         spread = polar_covariance_to_pose(prior.polar, np.diag(prior.sigmas**2))
-        by_pose = np.eye(POSE)  # derivative of the error
-        by_pose[:2, 2] = pose.y, -pose.x
+        by_pose = se2.lever(np.negative(pose))  # derivative of the error
         covariance = np.diag(
             np.r_[np.zeros(POSE), prior.home_sigma**2, np.full(q, prior.inverse_sigma**2)]
         )
@@ -164,8 +162,7 @@ class InvariantFilter(CartesianFilter):
     def pose(self, belief: CartesianBelief) -> tuple[Pose, np.ndarray]:
         """Return the pose and its covariance (3, 3)."""
         x, y, heading = belief.pose.tolist()
-        by_error = np.eye(POSE)  # derivative of the pose
-        by_error[:2, 2] = -y, x
+        by_error = se2.lever(belief.pose)  # derivative of the pose
         covariance = by_error @ belief.covariance[:POSE, :POSE] @ by_error.T
         return Pose(x, y, float(wrap(heading))), covariance
 
@@ -192,12 +189,10 @@ class InvariantFilter(CartesianFilter):
 
     def _moved(self, belief: CartesianBelief, error: np.ndarray) -> CartesianBelief:
         """Return the belief moved by an error; see `moved`."""
-        q, (x, y, heading) = self.stored.size, belief.pose
-        c, s = np.cos(error[2]), np.sin(error[2])
-        turned = np.array([c * x - s * y, s * x + c * y, heading])
+        q = self.stored.size
         return replace(
             belief,
-            pose=turned + error[:POSE],
+            pose=se2.compose(error[:POSE], belief.pose),
             home=belief.home + error[POSE : POSE + q],
             inverse=belief.inverse + error[POSE + q :],
         )

@@ -15,6 +15,8 @@ from functools import cached_property
 import numpy as np
 
 from homeward.geometry.frames import Pose, Twist, advance
+from homeward.geometry.se2 import lever
+from homeward.lab.bounds import odometry_noise
 from homeward.lab.planning.floor import Floor
 from homeward.lab.planning.settings import Plan
 
@@ -210,23 +212,16 @@ def _stop_by_unknowns(plan: Plan, stops: np.ndarray) -> np.ndarray:
     d = POSE + 2 * (s - 1)
     dt = plan.drive.length / plan.drive.speed / (s - 1)
     rate = plan.drive.turn / (s - 1)
+    sigmas = plan.odometry.speed_sigma, plan.odometry.turn_sigma
     out = np.zeros((s, POSE, d))
     out[-1, :, :POSE] = np.eye(POSE)
     for k in range(s - 2, -1, -1):
-        middle, swing = stops[k, 2] + 0.5 * rate, 0.5 * plan.drive.speed * dt
-        noise = np.array(
-            [
-                [np.cos(middle), -swing * np.sin(middle)],
-                [np.sin(middle), swing * np.cos(middle)],
-                [0.0, 1.0],
-            ]
-        )
-        noise *= np.sqrt(dt) * np.array([plan.odometry.speed_sigma, plan.odometry.turn_sigma])
         step = out[k + 1].copy()
-        step[:, POSE + 2 * k : POSE + 2 * k + 2] -= noise
-        back = np.eye(POSE)
-        back[:2, 2] = stops[k + 1, 1] - stops[k, 1], stops[k, 0] - stops[k + 1, 0]
-        out[k] = back @ step
+        middle = stops[k, 2] + 0.5 * rate
+        step[:, POSE + 2 * k : POSE + 2 * k + 2] -= odometry_noise(
+            middle, plan.drive.speed, dt, sigmas
+        )
+        out[k] = lever(stops[k] - stops[k + 1]) @ step
     return out
 
 

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
+from homeward.geometry.se2 import rotation
 from homeward.vision.geometry.epipolar import Motion
 
 
@@ -32,12 +33,9 @@ class Tilt:
 
     def then(self, motion: Motion, covariance: np.ndarray) -> Tilt:
         """Return the tilt of a picture from its motion relative to a picture of this tilt."""
-        c, s = math.cos(motion.alpha), math.sin(motion.alpha)
-        turn = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        turn = rotation(motion.alpha)
         whole = self.rotation @ turn @ tilt_matrix(motion.roll, motion.pitch)
-        heading = math.atan2(whole[1, 0], whole[0, 0])
-        c, s = math.cos(heading), math.sin(heading)
-        back = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+        back = rotation(-math.atan2(whole[1, 0], whole[0, 0]))
         ours = turn[:2, :2].T @ self.covariance @ turn[:2, :2]
         return Tilt(back @ whole, ours + covariance)
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between, compose
+from homeward.geometry.se2 import lever
 from homeward.odometry.history import TwistHistory
 from homeward.vision.geometry.epipolar import INLIER
 
@@ -51,8 +52,7 @@ def propagated(fix: Fix, t: float, odometry: TwistHistory, noise_rates: np.ndarr
     """
     motion = between(odometry.pose(fix.t), odometry.pose(t))
     there = compose(fix.pose, motion)
-    jacobian = np.eye(3)
-    jacobian[:2, 2] = fix.pose.y - there.y, there.x - fix.pose.x
+    jacobian = lever(np.subtract(there, fix.pose))
     shift = math.hypot(motion.x, motion.y)
     slip = SLIP * np.array([shift, shift, motion.heading])
     driven = odometry.driven(t).since(odometry.driven(fix.t))

@@ -37,6 +37,7 @@ from homeward.geometry.frames import (
     inverse,
     polar_covariance_to_pose,
 )
+from homeward.geometry.se2 import lever, rotation
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
@@ -234,11 +235,9 @@ class VisualHoming:
     def _of_robot(self, camera: Pose, covariance: np.ndarray) -> tuple[Pose, np.ndarray]:
         """Return pose and covariance of the robot's centre, from the camera's."""
         home_mount, mount = self._mounts()
-        off = inverse(mount)
-        robot = compose(compose(home_mount, camera), off)
-        c, s = math.cos(home_mount.heading), math.sin(home_mount.heading)
-        arm = compose(Pose(0.0, 0.0, home_mount.heading + camera.heading), off)
-        jacobian = np.array([[c, -s, -arm.y], [s, c, arm.x], [0.0, 0.0, 1.0]])
+        there = compose(home_mount, camera)
+        robot = compose(there, inverse(mount))
+        jacobian = lever(np.subtract(robot, there)) @ rotation(home_mount.heading)
         return robot, jacobian @ covariance @ jacobian.T
 
     def _carried(self, t: float) -> Fix | None:

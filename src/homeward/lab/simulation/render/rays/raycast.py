@@ -8,7 +8,6 @@ products a pixel. Each rectangle is tested only in the blocks that its pyramid c
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
+from homeward.geometry.se2 import rotation
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.native.program import Program
 
@@ -150,9 +150,7 @@ def viewpoint(
     x: float, y: float, height: float, heading: float, roll: float = 0.0, pitch: float = 0.0
 ) -> Viewpoint:
     """Return the viewpoint of a camera [m, rad]; first rolled about its axis, then pitched down."""
-    c, s = math.cos(heading), math.sin(heading)
-    turned = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
-    return Viewpoint(np.array([x, y, height]), turned @ tilt_matrix(roll, pitch))
+    return Viewpoint(np.array([x, y, height]), rotation(heading) @ tilt_matrix(roll, pitch))
 
 
 @dataclass(frozen=True)
