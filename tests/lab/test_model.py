@@ -9,7 +9,6 @@ from homeward.geometry.angles import guarded_inverse, wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
 from homeward.lab.filters.ekf import augmented_ekf
 from homeward.lab.model import (
-    POLAR,
     PolarModel,
     discretise,
     landmark_distance,
@@ -46,30 +45,6 @@ def test_step_and_its_jacobians(estimated, method):
     by_input = complex_jacobian(lambda c: advance(np.tile(state + 0j, (2, 1)).T, c), control)
     np.testing.assert_allclose(G, by_state, rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(Gu, by_input, rtol=1e-12, atol=1e-13)
-
-
-def test_the_signs_that_the_paper_has_wrong():
-    """Closed forms of the derivatives of a bearing rate; K_i, P_i and Q_i are printed wrong."""
-    model = PolarModel(1, guard=0.0)
-    R, theta, alpha, beta, stored, v = 0.8, -0.6, 0.4, 1.3, 0.9, 0.2
-    S, C = np.sin(stored - beta - alpha), np.cos(stored - beta - alpha)
-    T, TC = np.sin(stored - theta), np.cos(stored - theta)
-    expected = {
-        "J, by R": v * np.sin(beta) * S / (R**2 * T),
-        "K, by theta": -v * np.sin(beta) * S * TC / (R * T**2),
-        "P, by alpha": v * np.sin(beta) * C / (R * T),
-        "Q, by beta": (-v * np.cos(beta) * S + v * np.sin(beta) * C) / (R * T),
-    }
-    x, u = ca.SX.sym("x", 4), ca.SX.sym("u", 2)
-    row = ca.jacobian(model.rates(x, u, ca.SX(stored), ca.SX(1))[POLAR], x)
-    found = np.array(ca.Function("f", [x, u], [row])([R, theta, alpha, beta], [v, 0.3]))[0]
-    np.testing.assert_allclose(found, list(expected.values()), rtol=1e-12)
-    state = np.array([R, theta, alpha, beta])
-    checked = complex_jacobian(
-        lambda s: rates(model, s, np.array([v, 0.3]), np.array([stored]), np.ones(1))[POLAR:],
-        state,
-    )[0]
-    np.testing.assert_allclose(found, checked, rtol=1e-12)
 
 
 def test_polar_bearings_are_those_of_the_cartesian_truth():

@@ -152,8 +152,7 @@ class Best:
         covariance = None
         if start.prior:
             polar = to_polar(robot.pose)._replace(R=max(math.hypot(*robot.pose[:2]), MIN_R_M))
-            sigmas = start.sigma_R, start.sigma_theta, start.sigma_alpha
-            covariance = polar_covariance_to_pose(polar, np.diag(np.square(sigmas)))
+            covariance = polar_covariance_to_pose(polar, np.diag(start.sigmas**2))
         self._bound = RunningBound(
             world.in_home_frame,
             bearing_sigma=scenario.noise.bearing_sigma,

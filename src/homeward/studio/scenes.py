@@ -69,14 +69,13 @@ def _numbers(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
 
 def with_landmarks(scenario: Scenario, world: World) -> Scenario:
     """Return a scenario with the landmark positions of a world, now and at home."""
-    at = {i: (float(x), float(y)) for i, (x, y) in zip(world.ids, world.places, strict=True)}
     camera = compose(world.home, scenario.home_mount.pose)
     new = {
         i: float(wrap(bearing(camera, *old) - bearing(camera, *now)))
         for i, old, now in zip(world.ids, world.places_at_home, world.places, strict=True)
     }
     faults = {i: fault for i, fault in new.items() if abs(fault) > 1e-6}
-    update = {"landmarks": Listed(at=at), "moved": Moved(faults=faults)}
+    update = {"landmarks": Listed(at=world.at), "moved": Moved(faults=faults)}
     return scenario.model_copy(update=update)
 
 

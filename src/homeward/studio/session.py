@@ -189,14 +189,14 @@ class Session:
         self.version += 1
 
     def _add(self, x: float, y: float) -> None:
-        at = self._listed()
+        at = self._robot.world.at
         if len(at) >= scenes.MAX_LANDMARKS:
             raise InputError(f"no more than {scenes.MAX_LANDMARKS} landmarks")
         name = next(n for n in (f"N{k}" for k in range(1, scenes.MAX_LANDMARKS + 2)) if n not in at)
         self._with_marks(at | {name: (x, y)}, f"{name} was added. Restarted.")
 
     def _remove(self, name: str) -> None:
-        at = self._listed()
+        at = self._robot.world.at
         if at.pop(name, None) is None or not at:
             raise InputError(f"{name} cannot be removed")
         self._with_marks(at, f"{name} was removed. Restarted.")
@@ -206,10 +206,6 @@ class Session:
         faults = {i: f for i, f in now.moved.faults.items() if i in at}
         update = {"landmarks": Listed(at=at), "moved": Moved(faults=faults)}
         self._again(now.model_copy(update=update), text)
-
-    def _listed(self) -> dict[str, tuple[float, float]]:
-        world = self._robot.world
-        return {i: (float(x), float(y)) for i, (x, y) in zip(world.ids, world.places, strict=True)}
 
     def _choose(self, names: tuple[str, ...]) -> None:
         for name in names:
@@ -236,7 +232,7 @@ class Session:
             "extent": self._extent,
             "room": None if scenario.room is None else scenario.room.model_dump(),
             "home": [float(v) for v in world.home],
-            "landmarks": dict(zip(world.ids, world.places.tolist(), strict=True)),
+            "landmarks": world.at,
             "previous": dict(zip(world.ids, world.places_at_home.tolist(), strict=True)),
             "stored": sorted(self._robot.drive.home),
             "path": [list(point) for point in getattr(scenario.trajectory, "points", ())],

@@ -27,13 +27,9 @@ def circle():
 
 
 def only(drive, names):
-    keep = np.isin(drive.sightings.landmark.astype(str), names)
-    parts = (getattr(drive.sightings, k)[keep] for k in ("t", "landmark", "bearing", "sigma"))
-    return replace(
-        drive,
-        sightings=Sightings(*parts),
-        home={k: v for k, v in drive.home.items() if k in names},
-    )
+    sightings = drive.sightings.rows(np.isin(drive.sightings.landmark.astype(str), names))
+    home = {k: v for k, v in drive.home.items() if k in names}
+    return replace(drive, sightings=sightings, home=home)
 
 
 def test_the_whole_is_the_bound_without_odometry_noise(circle):
@@ -76,8 +72,7 @@ def test_a_moved_landmark_is_not_counted(circle):
 def test_stretches_that_see_nothing_say_so(circle):
     drive = circle.drive
     gap = (drive.sightings.t > 5.0) & (drive.sightings.t < 18.0)
-    parts = (getattr(drive.sightings, k)[~gap] for k in ("t", "landmark", "bearing", "sigma"))
-    view = observe_drive(replace(drive, sightings=Sightings(*parts)), window=4.0)
+    view = observe_drive(replace(drive, sightings=drive.sightings.rows(~gap)), window=4.0)
     blind = [w for w in view.windows if not w.landmarks]
     assert blind
     assert all("no landmark with a home bearing" in w.weakest[0] for w in blind)
@@ -90,11 +85,8 @@ def test_a_window_must_be_one(circle, window):
 
 
 def test_a_drive_without_sightings_or_home_bearings(circle):
-    none = Sightings(
-        *(getattr(circle.drive.sightings, k)[:0] for k in ("t", "landmark")), *(np.zeros(0),) * 2
-    )
     with pytest.raises(InputError, match="no sightings"):
-        observe_drive(replace(circle.drive, sightings=none))
+        observe_drive(replace(circle.drive, sightings=Sightings.of_rows(())))
     view = observe_drive(replace(circle.drive, home={}), window=30.0)
     assert np.isinf(view.whole.position_sigma)
 

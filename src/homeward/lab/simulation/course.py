@@ -303,9 +303,7 @@ def before(
 
 def _draw_prior(scenario: Course) -> Start:
     """Return a start prior whose mean is drawn around the true start with its sigmas."""
-    start = scenario.start
-    true = to_polar(start.in_home_frame(scenario.home.pose))
-    sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
+    true, sigmas = to_polar(scenario.start.in_home_frame(scenario.home.pose)), scenario.start.sigmas
     drawn = Polar(*(np.array(true) + sigmas * generator(scenario, Stream.PRIOR).standard_normal(3)))
     if drawn.R < 0:  # the same place with a positive distance
         drawn = to_polar(from_polar(drawn))

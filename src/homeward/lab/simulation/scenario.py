@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, Self
 
+import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
 from homeward.control.laws import STOP_RADIUS
@@ -209,6 +210,11 @@ class StartPose(Strict):
         if None in whole or any(value is not None for value in empty):
             raise ValueError("give R, theta and alpha, or x, y and heading")
         return self
+
+    @property
+    def sigmas(self) -> np.ndarray:
+        """Standard deviations of the prior's R [m], theta, alpha [rad], (3,)."""
+        return np.array([self.sigma_R, self.sigma_theta, self.sigma_alpha])
 
     def in_home_frame(self, home: Pose) -> Pose:
         """Return the start in the frame of `home`, which is given in room coordinates."""

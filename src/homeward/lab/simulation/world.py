@@ -132,6 +132,11 @@ class World:
         return np.stack([local.x, local.y], axis=-1)
 
     @property
+    def at(self) -> dict[str, tuple[float, float]]:
+        """Position of each landmark during the drive, in room coordinates [m]."""
+        return {i: (x, y) for i, (x, y) in zip(self.ids, self.places.tolist(), strict=True)}
+
+    @property
     def moved(self) -> dict[str, float]:
         """Id of each moved landmark to its fault [rad]."""
         return {i: float(f) for i, f in zip(self.ids, self.fault, strict=True) if f != 0.0}

@@ -75,7 +75,7 @@ def score_function(n: int) -> ca.Function:
     along, across = ca.cos(theta), ca.sin(theta)
     dx, dy = R * along - pose[0], R * across - pose[1]
     own = ca.vertcat(along * dx + across * dy, (along * dy - across * dx) / R, error[2])
-    nees = own.T @ _inverse3(covariance[:POLAR, :POLAR]) @ own
+    nees = own.T @ ca.inv_minor(covariance[:POLAR, :POLAR]) @ own
     outputs = {
         "error": error,
         "squared_error": error**2,
@@ -84,13 +84,6 @@ def score_function(n: int) -> ca.Function:
     }
     given = {"pose": pose, "state": state, "covariance": covariance, "stop_radius": radius}
     return named_function("score", given, outputs)
-
-
-def _inverse3(m: ca.SX) -> ca.SX:
-    """Return the inverse of a symmetric 3 x 3 matrix by its cofactors."""
-    rows = [m[i, :].T for i in range(3)]
-    cofactors = [ca.cross(rows[(i + 1) % 3], rows[(i + 2) % 3]) for i in range(3)]
-    return ca.horzcat(*cofactors) / ca.dot(rows[0], cofactors[0])
 
 
 @lru_cache(maxsize=64)

@@ -195,9 +195,7 @@ def block_lines(name: str) -> list[str]:
 
 def _full(lower: ca.SX) -> ca.SX:
     """Return a symmetric matrix of three rows from its lower triangle, row by row (6,)."""
-    return ca.blockcat(
-        [[lower[max(i, j) * (max(i, j) + 1) // 2 + min(i, j)] for j in range(3)] for i in range(3)]
-    )
+    return ca.triu2symm(ca.SX(ca.Sparsity.upper(3), lower))  # column by column, the upper one
 
 
 def _lower(full: ca.SX) -> ca.SX:

@@ -61,8 +61,7 @@ RIVALS = ("A-EKF (one)", "PI-EKF", PI_HT, DEAD_RECKONING)
 
 def errors_of(study: LayoutStudy, case: CaseName, name: str, start: Start) -> np.ndarray:
     """Return the RMSE of a filter, the robust localiser or the bound in the paper's units."""
-    source = study.bounds if name in (ROBUST, BOUND) else study.grid
-    outcome = source[case, study.reading(case, initial_error=start)]
+    outcome = study.outcome(case, study.reading(case, initial_error=start), name)
     return np.asarray(outcome.of(name) * TO_PAPER_UNITS)
 
 
@@ -199,7 +198,7 @@ def error_table(study: LayoutStudy) -> list[list[str]]:
         low, middle, high = np.nanquantile(rmse, [0.05, 0.5, 0.95], axis=0, method="inverted_cdf")
         cells = [f"{m:.3g} ({a:.2g} to {b:.2g})" for a, m, b in zip(low, middle, high, strict=True)]
         reading = study.reading(case, initial_error=start)
-        outcome = (study.bounds if name in (ROBUST, BOUND) else study.grid)[case, reading]
+        outcome = study.outcome(case, reading, name)
         k = outcome.names.index(name)
         far = f"{np.nanmedian(outcome.theta_far[k]):.3g}"
         printed = printed_of(case, name)
@@ -275,11 +274,10 @@ def _share(share: float, n: int) -> str:
 
 def bound_ratio(study: LayoutStudy, case: CaseName, reading: Reading, name: str) -> np.ndarray:
     """Return the ratio of RMSE to the bound over the layouts of the bound, (3,)."""
-    outcome = study.bounds[case, reading]
-    bound = np.sqrt(np.mean(outcome.of(BOUND) ** 2, axis=0))
-    n = outcome.rmse.shape[1]
-    source = outcome if name in outcome.names else study.grid[case, reading]
-    return np.asarray(np.sqrt(np.nanmean(source.of(name)[:n] ** 2, axis=0)) / bound)
+    bounds = study.bounds[case, reading].of(BOUND)
+    errors = study.outcome(case, reading, name).of(name)[: len(bounds)]
+    bound = np.sqrt(np.mean(bounds**2, axis=0))
+    return np.asarray(np.sqrt(np.nanmean(errors**2, axis=0)) / bound)
 
 
 def ratio_table(study: LayoutStudy) -> list[list[str]]:
@@ -335,8 +333,7 @@ def _below(study: LayoutStudy) -> dict[str, str]:
     for (case, reading), outcome in study.bounds.items():
         bounds = outcome.of(BOUND)
         for name in ROWS[:-1]:
-            source = outcome if name in outcome.names else study.grid[case, reading]
-            errors = source.of(name)[: len(bounds)]
+            errors = study.outcome(case, reading, name).of(name)[: len(bounds)]
             for k, quantity in enumerate(("R", "theta", "alpha")):
                 words = below_bound(errors[:, k], bounds[:, k])
                 found[f"{name} in Case {case}, {quantity}, {reading_words(reading, case)}"] = words

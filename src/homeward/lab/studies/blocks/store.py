@@ -21,7 +21,7 @@ from pydantic import BaseModel
 
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming, opened, read_small
-from homeward.io.writing import whole_file
+from homeward.io.writing import whole_file, write_whole
 
 Arrays = dict[str, np.ndarray]
 """Results of a block: names to arrays, text as ``str`` arrays."""
@@ -93,9 +93,9 @@ class BlockStore:
             self.folder.mkdir(parents=True, exist_ok=True)
             # First, so that an interrupted folder is recognised as output of homeward.
             text = yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
-            _write_text(self.folder / marker, text)
+            write_whole(self.folder / marker, text.encode())
             self._blocks.mkdir(exist_ok=True)
-            _write_text(manifest, json.dumps(tree, indent=1))
+            write_whole(manifest, json.dumps(tree, indent=1).encode())
         except BaseException:
             if new:  # a full disk leaves nothing behind
                 shutil.rmtree(self.folder, ignore_errors=True)
@@ -127,11 +127,6 @@ def our_version() -> str:
         return version("homeward")
     except PackageNotFoundError:
         return "not installed"
-
-
-def _write_text(path: Path, text: str) -> None:
-    with whole_file(path) as scratch:
-        scratch.write_text(text, encoding="utf-8")
 
 
 def _first_change(before: Any, now: Any, key: str = "") -> str | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Literal
 
@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.control.laws import homing
+from homeward.drives.drive import Columns
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist
 from homeward.lab.engine.batch.homing import Law, homing_program, run_homing
@@ -187,7 +188,7 @@ FAR = 0.2
 
 
 @dataclass(frozen=True)
-class Errors:
+class Errors(Columns):
     """Errors of one filter in several runs; infinite where it diverged."""
 
     rmse: np.ndarray
@@ -219,11 +220,6 @@ def errors_over(error: np.ndarray, pose: np.ndarray) -> Errors:
         (none if lost else np.abs(error[-1]))[None],
         distance[-1:],
     )
-
-
-def joined(parts: Sequence[Errors]) -> Errors:
-    """Return the errors of several parts, one after the other."""
-    return Errors(*(np.concatenate([getattr(p, f.name) for p in parts]) for f in fields(Errors)))
 
 
 def run_many(
@@ -266,7 +262,7 @@ def run_many(
     error, pose = result.history["error"], result.history["pose"]
     error = np.where(result.diverged[:, None, None], np.nan, error)
     kept = [errors_over(error[k, :n], pose[k, :n]) for k, n in enumerate(result.samples)]
-    return replace(joined(kept), final_distance=result.final_distance)
+    return replace(Errors.joined(kept), final_distance=result.final_distance)
 
 
 def rolled(world: PaperWorld) -> PaperWorld:

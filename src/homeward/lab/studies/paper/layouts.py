@@ -28,7 +28,6 @@ from homeward.lab.studies.paper.cases import (
     Errors,
     draw,
     errors_over,
-    joined,
     run_filter,
     run_many,
 )
@@ -175,7 +174,7 @@ def _errors(
     if name in FILTERS and settings.measurements == "model":
         return run_many(name, case, worlds, settings)
     one = {ROBUST: run_robust, BOUND: bound_errors}.get(name, partial(_run_one, name))
-    return joined([one(case, world, settings) for world in worlds])
+    return Errors.joined([one(case, world, settings) for world in worlds])
 
 
 def _run_one(name: str, case: CaseName, world: PaperWorld, settings: PaperSettings) -> Errors:

@@ -79,6 +79,10 @@ class LayoutStudy:
     varied: dict[tuple[str, CaseName, Start], Outcome]
     """By variant, case and start."""
 
+    def outcome(self, case: CaseName, reading: Reading, name: str) -> Outcome:
+        """Return the outcome of a filter, the robust localiser or the bound under a reading."""
+        return (self.grid if name in FILTERS else self.bounds)[case, reading]
+
     def reading(self, case: CaseName, **change: Any) -> Reading:
         """Return the first reading of a case with changes."""
         return self.settings.readings(case)[0]._replace(**change)

@@ -62,9 +62,8 @@ def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Er
     Unlike the paper's filters it is given the true noise; homing ends as for them. Errors are over
     the samples with a pose, NaN when there was none.
     """
-    printed, assumed = settings.printed, settings.assumed
     estimator = make_estimator("robust", drive_of(world, settings))
-    speed, dt, pose = printed.speed_cm / 100, printed.sample_time, world.start
+    dt, pose = settings.printed.sample_time, world.start
     answers: list[Polar] = []
     poses: list[Pose] = []
     for k, visible in enumerate(world.visible):
@@ -73,12 +72,10 @@ def run_robust(case: CaseName, world: PaperWorld, settings: PaperSettings) -> Er
         if polar is not None:
             answers.append(polar)
             poses.append(pose)
-        twist = Twist(speed, assumed.circle_turn_rate)
-        if case != "4":
-            localised = answer.status in (Status.LOCALISED, Status.COASTING)
-            if polar is not None and localised and assumed.stop_radius > polar.R:
-                break
-            twist = homing(polar, speed) if polar is not None else Twist(speed, 0.0)
+        localised = answer.status in (Status.LOCALISED, Status.COASTING)
+        twist = _command(case, settings, polar, localised)
+        if twist is None:
+            break
         estimator.odometry(k * dt, float(twist.v), float(twist.omega))
         pose = advance(pose, Twist(*(np.array(twist) + world.disturbance[k])), dt)
         seen = bearing(pose, *world.landmarks.T) + world.noise[k]
@@ -125,20 +122,28 @@ def _true_path(
     case: CaseName, world: PaperWorld, settings: PaperSettings
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return poses (n, 3) and twists (n - 1, 2) of the path steered by the true pose."""
-    printed, assumed = settings.printed, settings.assumed
-    speed, pose = printed.speed_cm / 100, world.start
+    pose = world.start
     poses, twists = [np.array(pose, float)], []
     for disturbance in world.disturbance[:-1]:
-        twist = Twist(speed, assumed.circle_turn_rate)
-        if case != "4":
-            polar = to_polar(pose)
-            if assumed.stop_radius > polar.R:
-                break
-            twist = homing(polar, speed)
-        pose = advance(pose, Twist(*(np.array(twist) + disturbance)), printed.sample_time)
+        twist = _command(case, settings, to_polar(pose), True)
+        if twist is None:
+            break
+        pose = advance(pose, Twist(*(np.array(twist) + disturbance)), settings.printed.sample_time)
         poses.append(np.array(pose, float))
         twists.append(np.array(twist, float))
     return np.array(poses), np.array(twists).reshape(-1, 2)
+
+
+def _command(
+    case: CaseName, settings: PaperSettings, polar: Polar | None, localised: bool
+) -> Twist | None:
+    """Return the twist of a case at a pose, straight ahead without one; None at home."""
+    speed, assumed = settings.printed.speed_cm / 100, settings.assumed
+    if case == "4":
+        return Twist(speed, assumed.circle_turn_rate)
+    if polar is None:
+        return Twist(speed, 0.0)
+    return None if localised and assumed.stop_radius > polar.R else homing(polar, speed)
 
 
 def _polar_variances(poses: np.ndarray, covariances: np.ndarray) -> np.ndarray:

@@ -110,8 +110,7 @@ def _start_covariance(case: Scenario) -> np.ndarray | None:
     if not case.start.prior:
         return None
     start = to_polar(case.start.in_home_frame(case.home.pose))
-    sigmas = case.start.sigma_R, case.start.sigma_theta, case.start.sigma_alpha
-    return polar_covariance_to_pose(start, np.diag(np.square(sigmas)))
+    return polar_covariance_to_pose(start, np.diag(case.start.sigmas**2))
 
 
 def simulated_trial(simulation: Simulation) -> Trial:
