@@ -8,7 +8,7 @@ cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
 from test_seam import ordinary
 from vision_scene import look as draw
-from vision_scene import make_room
+from vision_scene import make_room, write_pictures
 
 FRAMES = 6
 
@@ -16,11 +16,7 @@ FRAMES = 6
 def folder_of(path, home, pictures):
     path.mkdir()
     cv2.imwrite(str(path / "home.png"), home)
-    rows = ["t,file"]
-    for k, picture in enumerate(pictures):
-        cv2.imwrite(str(path / f"{k}.png"), picture)
-        rows.append(f"{0.5 * k},{k}.png")
-    (path / "images.csv").write_text("\n".join(rows) + "\n")
+    write_pictures(path, pictures, 0.5)
     (path / "odometry.csv").write_text("t,v,omega\n0,0.2,0\n3,0,0\n")
     return path
 

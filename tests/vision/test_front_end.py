@@ -11,7 +11,7 @@ from cli.commands import call, done, refused
 cv2 = pytest.importorskip("cv2")
 
 from vision_scene import look as draw
-from vision_scene import make_room
+from vision_scene import make_room, write_pictures
 
 from homeward.drives.folder import read_folder
 from homeward.drives.images import REPEATED_IMAGES, read_images
@@ -47,11 +47,7 @@ def folder(room, tmp_path_factory):
     path = tmp_path_factory.mktemp("images")
     (path / "pictures").mkdir()
     cv2.imwrite(str(path / "home.png"), draw(room, *HOME, seed=99))
-    rows = ["t,file"]
-    for k in range(FRAMES):
-        cv2.imwrite(str(path / "pictures" / f"{k}.png"), frame(1, k))
-        rows.append(f"{0.5 * k},pictures/{k}.png")
-    (path / "images.csv").write_text("\n".join(rows) + "\n")
+    write_pictures(path, [frame(1, k) for k in range(FRAMES)], 0.5, "pictures/")
     (path / "odometry.csv").write_text("t,v,omega\n0,0.2088,0\n7,0,0\n")
     return path
 

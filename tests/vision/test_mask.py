@@ -8,7 +8,7 @@ from cli.commands import call, refused
 cv2 = pytest.importorskip("cv2")
 
 from vision_scene import look as draw
-from vision_scene import make_room
+from vision_scene import make_room, write_pictures
 
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
@@ -156,10 +156,7 @@ def test_compare_takes_the_mask_next_to_images_yaml(files, tmp_path):
 def test_nothing_that_turns_with_the_robot_is_a_landmark_of_a_drive(tmp_path):
     """On the spot, turning: only what belongs to the robot keeps its bearing."""
     frames = 13
-    for k in range(frames):
-        cv2.imwrite(str(tmp_path / f"{k}.png"), turning(k))
-    rows = "".join(f"{k},{k}.png\n" for k in range(frames))
-    (tmp_path / "images.csv").write_text("t,file\n" + rows)
+    write_pictures(tmp_path, [turning(k) for k in range(frames)], 1.0)
     (tmp_path / "odometry.csv").write_text(f"t,v,omega\n0,0,0.1\n{frames},0,0\n")
     cv2.imwrite(str(tmp_path / "mask.png"), PAINTED)
     still = []

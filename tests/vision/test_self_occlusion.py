@@ -9,7 +9,7 @@ cv2 = pytest.importorskip("cv2")
 
 from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, TURN, WIDTH, on_robot
 from vision_scene import look as draw
-from vision_scene import make_room
+from vision_scene import make_room, write_pictures
 
 from homeward.vision import Mask, compare, extract
 from homeward.vision.checks.self_occlusion import SelfOcclusionDetector, find_self_occlusion
@@ -92,11 +92,7 @@ def folder(tmp_path):
     path.mkdir()
     cv2.imwrite(str(path / "home.png"), on_robot(draw(make_room(7), 3.0, 3.0, 0.4, seed=99)))
     cv2.imwrite(str(path / "mask.png"), PAINTED)
-    rows = ["t,file"]
-    for k in range(16):
-        cv2.imwrite(str(path / f"{k}.png"), on_robot(frame(k)))
-        rows.append(f"{k},{k}.png")
-    (path / "images.csv").write_text("\n".join(rows) + "\n")
+    write_pictures(path, [on_robot(frame(k)) for k in range(16)], 1.0)
     twists = [f"{0.5 * k},0.05,{STEP}" for k in range(32)]
     (path / "odometry.csv").write_text("\n".join(["t,v,omega", *twists]) + "\n")
     return path

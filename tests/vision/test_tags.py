@@ -13,6 +13,7 @@ from drives.ros.rig import NANO
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import Stores, get_typestore
 from vision.drawn import picture, placed, tag
+from vision_scene import write_pictures
 
 from homeward.drives.cameras.camera import angles
 from homeward.drives.cameras.lens import Lens
@@ -103,12 +104,8 @@ def test_pictures_of_another_size():
 def record(tmp_path_factory):
     """A folder with pictures along a drive, home's, and what else there must be."""
     folder = tmp_path_factory.mktemp("tags")
-    lines = ["t,file"]
-    for k in range(4):
-        image, _ = drawn(PINHOLE, k, (1.0 + 0.1 * k, 0.2, 0.1), seed=k)
-        cv2.imwrite(str(folder / f"{k}.png"), image)
-        lines.append(f"{k / 4},{k}.png")
-    (folder / "images.csv").write_text("\n".join(lines) + "\n")
+    seen = [drawn(PINHOLE, k, (1.0 + 0.1 * k, 0.2, 0.1), seed=k)[0] for k in range(4)]
+    write_pictures(folder, seen, 0.25)
     cv2.imwrite(str(folder / "home.png"), drawn(PINHOLE, 2)[0])
     (folder / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n1,0.1,0\n")
     (folder / "camera.yaml").write_text("{fx: 250, fy: 252, cx: 161, cy: 118, width: 320}\n")

@@ -122,6 +122,15 @@ def look(
     return np.clip(image, 0, 255).astype(np.uint8)
 
 
+def write_pictures(folder, pictures, period, under=""):
+    """Write numbered pictures, `period` [s] apart, and the images.csv that lists them."""
+    rows = ["t,file"]
+    for k, picture in enumerate(pictures):
+        cv2.imwrite(str(folder / under / f"{k}.png"), picture)
+        rows.append(f"{period * k},{under}{k}.png")
+    (folder / "images.csv").write_text("\n".join(rows) + "\n")
+
+
 def align_features(home, now, at_home, at_now, size, growth, turn):
     """Align patches about features, (n, 2), with those of their matches, grown and turned."""
     return align_patches(home, now, at_home, size, similarity(at_now, growth, turn))
