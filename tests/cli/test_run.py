@@ -35,28 +35,6 @@ def test_by_default_home_is_found_without_a_start_and_what_moved_is_named(tmp_pa
         assert moved == {r["landmark"] for r in csv.DictReader(stream) if r["moved"] == "1"}
 
 
-def test_what_a_run_learnt_is_saved_as_lines_for_drive_yaml(tmp_path):
-    folder, lines = first_seconds(tmp_path / "drive", 60.0), tmp_path / "learnt.yaml"
-    (folder / "drive.yaml").unlink()
-    options = ["--out", tmp_path / "out", "--save-learnt", lines]
-    assert f"Lines for drive.yaml: {lines}" in done(call("run", folder, *options)).stdout
-    assert yaml.safe_load(lines.read_text())["sensor"]["x"] == pytest.approx(0.2, abs=0.05)
-    assert "# sensor: {bearing_sigma: 0.00" in lines.read_text()  # 0.0087 in the simulation
-    before = lines.read_text()
-    assert "exists already" in refused(call("run", folder, *options))
-    assert lines.read_text() == before
-    options[-1] = tmp_path / "other.yaml"
-    refused(call("run", folder, *options, "--smooth"))
-    lines.unlink()
-
-
-def test_a_run_that_learns_nothing_new_writes_no_lines(tmp_path):
-    folder, lines = first_seconds(tmp_path / "drive", 20.0), tmp_path / "learnt.yaml"
-    result = done(call("run", folder, "--out", tmp_path / "out", "--save-learnt", lines))
-    assert "was not written" in result.stdout.replace("\n", " ")
-    assert not lines.exists()
-
-
 @pytest.mark.parametrize("command", ["run", "info", "convert"])
 def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path, command):
     file = short / "bearings.csv"

@@ -6,7 +6,8 @@ import pytest
 from homeward.drives.importers.columns import words_in
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.importers.wheel_columns import wheel_role
-from homeward.drives.wheels import WRAPPED, Wheels
+from homeward.drives.settings import Wheels
+from homeward.drives.wheels import WRAPPED
 from homeward.errors import InputError
 
 T = np.arange(0.0, 30.0, 0.1)

@@ -2,7 +2,6 @@
 
 import dataclasses
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,7 +9,7 @@ from cli.commands import call, first_seconds
 
 from benchmarks.odometry_noise import drive_of
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.settings import DriveSettings, KnownLandmarks, RobotSettings, Sensor
 from homeward.errors import HomewardError
 from homeward.io.settings import parse_settings
 from homeward.runs import tuning
@@ -44,9 +43,10 @@ def test_the_noise_of_a_drive_is_identified_and_consistent():
     found = tune([drive], fractions.append)
     assert fractions == sorted(fractions)
     assert fractions[-1] == 1.0
-    assert found.noise.bearing_sigma == pytest.approx(true.sensor.bearing_sigma, rel=0.6)
-    assert found.noise.speed_sigma == pytest.approx(true.odometry.speed_sigma, rel=0.7)
-    assert found.noise.turn_sigma == pytest.approx(true.odometry.turn_sigma, rel=0.7)
+    sensor, odometry = found.settings.sensor, found.settings.odometry
+    assert sensor.bearing_sigma == pytest.approx(true.sensor.bearing_sigma, rel=0.6)
+    assert odometry.speed_sigma == pytest.approx(true.odometry.speed_sigma, rel=0.7)
+    assert odometry.turn_sigma == pytest.approx(true.odometry.turn_sigma, rel=0.7)
     (before,), (after,) = found.before, found.after
     assert after.log_likelihood > before.log_likelihood
     assert abs(after.nis - 1.0) < abs(before.nis - 1.0)
@@ -124,37 +124,45 @@ def test_deviations_that_sightings_bring_are_left_alone():
     own = dataclasses.replace(drive, sightings=dataclasses.replace(drive.sightings, sigma=result))
     calls = []
     found = tune([own], calls.append)
-    assert not found.has_bearing_noise
-    assert "sensor" not in found.settings.model_fields_set
+    assert found.settings.sensor.bearing_sigma is None
     assert calls == sorted(calls)
     assert calls[-1] == 1.0
     assert calls[-2] < 1.0
 
 
-def test_the_command_prints_the_settings_as_lines_and_as_json(monkeypatch):
-    check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=np.nan, nees=np.nan)
-    found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [check], [check])
+def tuned(monkeypatch, before, after, has_scale=True):
+    """Stand in for the tuning of a drive."""
+    settings = RobotSettings(sensor=Sensor(bearing_sigma=0.01))
+    found = Tuning(settings, has_scale, ["sample"], [before], [after])
     monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, on_progress: found)
-    said = call("tune", "sample").stdout
-    lines = said.partition("first halves):\n")[2]
-    assert parse_settings(lines, DriveSettings, Path("drive.yaml")) == found.settings
+    return settings
+
+
+def test_the_command_writes_and_prints_the_settings(monkeypatch, tmp_path):
+    check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=np.nan, nees=np.nan)
+    settings = tuned(monkeypatch, check, check)
+    file, other = tmp_path / "robot.yaml", tmp_path / "other.yaml"
+    said = call("tune", "sample", "--out", file).stdout
+    assert parse_settings(file.read_text(), RobotSettings, file) == settings
+    assert file.read_text() in said
     assert "sample" in said
     assert "worse" not in said
-    facts = json.loads(call("tune", "sample", "--json").stdout)
+    facts = json.loads(call("tune", "sample", "--json", "--out", other).stdout)
     assert facts["settings"]["sensor"] == {"bearing_sigma": 0.01}
     assert facts["held_out"][0]["after"]["rmse_m"] is None
 
 
-def test_lines_that_make_answers_less_consistent_are_reported(monkeypatch):
+def test_values_that_make_answers_less_consistent_are_reported(monkeypatch, tmp_path):
     before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
     after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
-    found = Tuning(Noise(0.01, 0.02, 0.03), True, 0.01, 0.001, ["sample"], [before], [after])
-    monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, on_progress: found)
-    assert "NEES got worse with these lines" in call("tune", "sample").output
+    tuned(monkeypatch, before, after, has_scale=False)
+    said = call("tune", "sample", "--out", tmp_path / "robot.yaml").output
+    assert "NEES got worse with these values" in said
+    assert "speed scale is unknown" in said
 
 
 def test_the_command_prints_the_error_in_one_line(tmp_path):
-    answer = call("tune", first_seconds(tmp_path / "short", 5.0))
+    answer = call("tune", first_seconds(tmp_path / "short", 5.0), "--out", tmp_path / "robot.yaml")
     assert answer.exit_code == 1
     assert "are needed" in answer.stderr
     assert "Traceback" not in answer.output

@@ -24,6 +24,7 @@ OTHERS = {
     "study": ("the YAML file of homeward study", "lab.studies.study.settings:StudySettings"),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),
+    "robot": ("robot.yaml, for --robot-file", "drives.settings:RobotSettings"),
     "images": ("images.yaml of a folder of images", "vision.recorded.settings:ImageSettings"),
     "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
 }

@@ -166,6 +166,8 @@ class Drive:
     """Numbers of anomalies that the reader found, by description."""
     known: KnownLandmarks = field(default_factory=KnownLandmarks)
     """Surveyed landmarks and measured distances."""
+    recorded: Drive | None = field(default=None, repr=False, compare=False)
+    """The drive before the corrections in its settings were applied; None: there are none."""
 
     def home_bearings(self) -> dict[str, float]:
         """Return beta* of each landmark in the robot's home frame [rad].

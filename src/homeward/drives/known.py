@@ -27,7 +27,13 @@ def known_home(home: Home) -> dict[str, HomeBearing]:
 
 def known_robot(robot: Robot) -> DriveSettings:
     """Return validated settings of a robot; `InputError` names the wrong key."""
-    return validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
+    known = validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
+    if given := known.odometry.corrections:
+        raise InputError(
+            f"odometry: {', '.join(given)}: an estimator takes corrected twists; correct them with "
+            "OdometryNoise.corrected, and leave these keys out"
+        )
+    return known
 
 
 def known_landmarks(known: KnownLandmarks | dict[str, Any] | None) -> KnownLandmarks:

@@ -33,7 +33,6 @@ SLOW_TRUTH = (
     "rows of ground truth with a median interval of {:.1f} s, too long to interpolate: errors are "
     "computed at these times only"
 )
-DELAY_REMOVED = "sightings with stamps corrected by the {:g} s of bearings_late"
 OTHER_CLOCK = "use stamps of one clock in seconds, and files that were recorded together"
 
 
@@ -60,18 +59,6 @@ def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
         return
     unit = next((name for a_second, name in UNITS.items() if step <= a_second), "other units")
     remarks[TOO_RARE.format(step, twist_validity(np.diff(t).tolist()), unit)] = t.size
-
-
-def without_bearing_delay(drive: Drive) -> Drive:
-    """Return a drive with the delay `bearings_late` removed from the stamps of its bearings."""
-    late = drive.settings.bearings_late
-    if late is None:
-        return drive
-    settings = drive.settings.model_copy(update={"bearings_late": None})
-    remarks = {**drive.remarks, DELAY_REMOVED.format(late): drive.sightings.t.size}
-    return dataclasses.replace(
-        drive.with_earlier_sightings(late), settings=settings, remarks=remarks
-    )
 
 
 def _slow_remarks(drive: Drive) -> dict[str, int]:

@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     BEARINGS,
@@ -19,13 +20,14 @@ from homeward.drives.folder import (
 from homeward.drives.home.when import with_home
 from homeward.drives.images import IMAGES
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
-from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
+from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.log import is_log
-from homeward.drives.settings import home_when
+from homeward.drives.settings import RobotSettings, home_when
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.naming import command
 from homeward.io.reading import is_there, shipped
+from homeward.io.settings import read_settings
 from homeward.io.table import quoted
 
 SAMPLE = "sample"
@@ -41,6 +43,7 @@ def open_drive(
     path: str | os.PathLike[str],
     *,
     topics: str | os.PathLike[str] | None = None,
+    robot_file: str | os.PathLike[str] | None = None,
     home_spin: tuple[float, float] | None = None,
     home_during: tuple[float, float] | None = None,
     home_at: float | None = None,
@@ -54,6 +57,8 @@ def open_drive(
         A drive folder, a folder of images, a ROS bag, an MCAP file or `SAMPLE`.
     topics : path-like, optional
         As in `read_log`; only for logs.
+    robot_file : path-like, optional
+        The robot.yaml of the robot, see `homeward tune`; the drive's own settings replace its keys.
     home_spin : (float, float), optional
         Interval in which the robot turned on the spot at home, since the first sample of the drive
         [s]; replaces the home bearings of the drive.
@@ -71,6 +76,7 @@ def open_drive(
         For an unknown format or invalid data, or where bearings and odometry do not overlap.
     """
     chosen = home_when(home_during, home_spin, home_at)
+    robot = None if robot_file is None else read_settings(Path(robot_file), RobotSettings)
     place = located(path)
     kind = kind_of(place)
     if topics is not None and kind != LOG:
@@ -79,14 +85,15 @@ def open_drive(
     if kind == IMAGE_FOLDER:
         from homeward.vision.recorded.recording import see_recording
 
-        drive = see_recording(place, on_progress)
+        drive = with_calibration(see_recording(place, on_progress), robot)
     elif kind == DRIVE_FOLDER:
-        drive = read_folder(place, home_needed=chosen is None)
+        drive = with_calibration(read_folder(place, home_needed=chosen is None), robot)
     else:
         from homeward.drives.ros.reading import read_log
 
-        drive = read_log(place, None if topics is None else Path(topics), on_progress)
-    drive = _truth_from_home(with_clock_remarks(without_bearing_delay(drive), place), place)
+        file = None if topics is None else Path(topics)
+        drive = read_log(place, file, on_progress, robot=robot)
+    drive = _truth_from_home(with_clock_remarks(drive, place), place)
     when = drive.settings.home
     if chosen is not None:
         when = chosen

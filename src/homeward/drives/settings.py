@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal, Self, TypedDict
+from typing import Annotated, Any, Literal, Self, TypedDict, TypeVar
 
 import numpy as np
 from pydantic import AfterValidator, Field, PrivateAttr, model_validator
@@ -21,6 +21,9 @@ Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]
 Delay = Annotated[float, Field(ge=-5, le=5)]
 """[s], up to `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S`."""
+Scale = Annotated[float, Field(ge=0.5, le=2)]
+"""True value over the measured one [1]; a larger error is a wrong unit or geometry."""
+Number = TypeVar("Number", float, np.ndarray)
 
 
 class Mount(Strict):
@@ -42,6 +45,12 @@ class Mount(Strict):
 class Sensor(Mount):
     """The camera of the drive."""
 
+    x_sigma: NonNegative | None = None
+    """Standard deviation of x [m]; None: 0 where x is given."""
+    y_sigma: NonNegative | None = None
+    """That of y [m]."""
+    yaw_sigma: NonNegative | None = None
+    """That of the yaw [rad]; None: as the estimator's settings specify."""
     bearing_sigma: Annotated[float, Field(gt=0, le=math.pi)] | None = None
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
@@ -54,18 +63,96 @@ class Sensor(Mount):
 
 
 class OdometryNoise(Strict):
-    """Standard deviations of the odometry's errors; None when unknown."""
+    """Corrections of the odometry, and standard deviations of its errors; None when unknown.
 
+    Readers and live sessions apply the corrections; estimators get corrected twists.
+    """
+
+    speed_scale: Scale | None = None
+    """True speed over that of the odometry [1]."""
+    speed_scale_sigma: NonNegative | None = None
+    """Constant relative error of the speed [1]."""
+    turn_scale: Scale | None = None
+    """True yaw rate over that of the odometry [1]."""
+    turn_scale_sigma: NonNegative | None = None
+    """Constant relative error of the yaw rate [1]."""
+    turn_bias: Finite | None = None
+    """True yaw rate minus the scaled one while the robot moves [rad/s]."""
+    turn_bias_sigma: NonNegative | None = None
+    """Constant error of the yaw rate [rad/s]."""
     speed_sigma: NonNegative | None = None
     """Density of the speed's white noise [m/s/sqrt(Hz)]."""
     turn_sigma: NonNegative | None = None
     """Density of the yaw rate's white noise [rad/s/sqrt(Hz)]."""
-    speed_scale_sigma: NonNegative | None = None
-    """Constant relative error of the speed [1]."""
-    turn_scale_sigma: NonNegative | None = None
-    """Constant relative error of the yaw rate [1]."""
-    turn_bias_sigma: NonNegative | None = None
-    """Constant error of the yaw rate [rad/s]."""
+    delay_sigma: NonNegative | None = None
+    """Error of `bearings_late` [s]."""
+
+    @property
+    def corrections(self) -> dict[str, float]:
+        """The given corrections by key."""
+        return self.model_dump(
+            include={"speed_scale", "turn_scale", "turn_bias"}, exclude_none=True
+        )
+
+    def corrected(self, v: Number, omega: Number) -> tuple[Number, Number]:
+        """Return speeds [m/s] and yaw rates [rad/s], numbers or (n,), with the corrections."""
+        bias = (self.turn_bias or 0.0) * ((v != 0.0) | (omega != 0.0))
+        return (self.speed_scale or 1.0) * v, (self.turn_scale or 1.0) * omega + bias
+
+
+class Wheels(Strict):
+    """Geometry of the wheels; the measurements determine which keys are required."""
+
+    wheel_radius: Positive | None = None
+    """[m]"""
+    track_width: Positive | None = None
+    """Distance between left and right wheels [m]."""
+    ticks_per_turn: Positive | None = None
+    """Encoder counts in one turn of a wheel, with the gear; None: wheel angles are in radians."""
+    wheelbase: Positive | None = None
+    """Distance between the axles of a car-like (Ackermann) robot [m]."""
+
+    def missing(self, unit: str, steers: bool = False) -> list[str]:
+        """Return the missing keys for wheels in a unit: ticks, rad or m, or these per second."""
+        base = unit.removesuffix("/s")
+        keys = ["wheel_radius"] * (base != "m") + ["ticks_per_turn"] * (base == "ticks")
+        keys.append("wheelbase" if steers else "track_width")
+        return [key for key in keys if getattr(self, key) is None]
+
+    def turn(self, unit: str) -> float | None:
+        """Return one turn of a wheel in a unit, as `missing`; None without a radius."""
+        turns = {"ticks": self.ticks_per_turn, "rad": math.tau}
+        if self.wheel_radius is None:
+            return None
+        return turns.get(unit.removesuffix("/s"), math.tau * self.wheel_radius)
+
+    def metres(self, unit: str) -> float:
+        """Return the distance of one unit [m], as `missing`."""
+        turn = self.turn(unit)
+        if unit.removesuffix("/s") == "m" or turn is None:
+            return 1.0
+        return math.tau * (self.wheel_radius or math.nan) / turn
+
+
+class RobotSettings(Strict):
+    """The keys of robot.yaml: the calibration of a robot, which its drives share."""
+
+    sensor: Sensor = Sensor()
+    odometry: OdometryNoise = OdometryNoise()
+    bearings_late: Delay | None = None
+    """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
+    drive that was read has None."""
+    wheels: Wheels | None = Field(None, examples=[{"wheel_radius": 0.1, "track_width": 0.4}])
+    """Geometry with which the odometry was computed, which the corrections refer to."""
+
+    @property
+    def uncorrected(self) -> Self:
+        """These settings for odometry and stamps that are corrected already."""
+        update: dict[str, Any] = {"bearings_late": None}
+        if given := self.odometry.corrections:
+            rest = self.odometry.model_copy(update=dict.fromkeys(given))
+            update |= {"odometry": rest, "wheels": None}
+        return self.model_copy(update=update)
 
 
 class Start(Strict):
@@ -169,19 +256,14 @@ class TruthFrame(Strict):
     """Home in that frame: x [m], y [m], heading [rad]."""
 
 
-class DriveSettings(Strict):
+class DriveSettings(RobotSettings):
     """The keys of drive.yaml; all are optional."""
 
-    sensor: Sensor = Sensor()
     home: HomeWhen | None = Field(None, examples=[{"during": [0, 5]}, {"spin": [0, 20]}, {"at": 0}])
     """Time at which the robot was at home [s from the start]; None: home bearings are given
     instead."""
     home_sensor: Mount | None = Field(None, examples=[Mount()])
     """The camera extrinsics when home was stored; None: as `sensor`."""
-    odometry: OdometryNoise = OdometryNoise()
-    bearings_late: Delay | None = None
-    """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
-    drive that was read has None."""
     start: Start | None = Field(None, examples=[{"R": 2.0, "theta": 0.0, "alpha": 3.14}])
     """Start prior: distance from home [m], direction from home [rad], heading [rad]; None: none."""
     together: tuple[Annotated[tuple[str, ...], Field(min_length=1)], ...] = ()

@@ -8,46 +8,11 @@ import numpy as np
 
 from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import MIN_JUMP, without_implausible
-from homeward.drives.settings import Positive
-from homeward.io.keys import Strict
+from homeward.drives.settings import Wheels
 
 BITS = 8, 15, 16, 24, 31, 32
 """Sizes of wheel counters; a wrap-around is a step of 2^bits, for signed and unsigned ones."""
 WRAPPED = "wrap-arounds of wheel counters, corrected"
-
-
-class Wheels(Strict):
-    """Geometry of the wheels; the measurements determine which keys are required."""
-
-    wheel_radius: Positive | None = None
-    """[m]"""
-    track_width: Positive | None = None
-    """Distance between left and right wheels [m]."""
-    ticks_per_turn: Positive | None = None
-    """Encoder counts in one turn of a wheel, with the gear; None: wheel angles are in radians."""
-    wheelbase: Positive | None = None
-    """Distance between the axles of a car-like (Ackermann) robot [m]."""
-
-    def missing(self, unit: str, steers: bool = False) -> list[str]:
-        """Return the missing keys for wheels in a unit: ticks, rad or m, or these per second."""
-        base = unit.removesuffix("/s")
-        keys = ["wheel_radius"] * (base != "m") + ["ticks_per_turn"] * (base == "ticks")
-        keys.append("wheelbase" if steers else "track_width")
-        return [key for key in keys if getattr(self, key) is None]
-
-    def turn(self, unit: str) -> float | None:
-        """Return one turn of a wheel in a unit, as `missing`; None without a radius."""
-        turns = {"ticks": self.ticks_per_turn, "rad": math.tau}
-        if self.wheel_radius is None:
-            return None
-        return turns.get(unit.removesuffix("/s"), math.tau * self.wheel_radius)
-
-    def metres(self, unit: str) -> float:
-        """Return the distance of one unit [m], as `missing`."""
-        turn = self.turn(unit)
-        if unit.removesuffix("/s") == "m" or turn is None:
-            return 1.0
-        return math.tau * (self.wheel_radius or math.nan) / turn
 
 
 def speeds_from_positions(

@@ -234,7 +234,9 @@ def _commented(settings: Strict, indent: str) -> Iterator[str]:
         value = getattr(settings, name)
         is_section = isinstance(value, Strict) and field.default is not None
         text = words.get(name, "") or inspect.getdoc(value) if is_section else words.get(name, "")
-        meaning = f"  # {str(text).partition('. ')[0].rstrip('.')}" if text else ""
+        meaning = (
+            f"  # {' '.join(str(text).split()).partition('. ')[0].rstrip('.')}" if text else ""
+        )
         if is_section:
             yield f"{indent}{name}:{meaning}"
             yield from _commented(value, f"{indent}  ")

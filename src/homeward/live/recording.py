@@ -68,7 +68,7 @@ class Recorder:
         if is_there(folder):
             raise InputError("exists already; choose another name", folder)
         known = None if place is None else place.place
-        on_time = robot.model_copy(update={"bearings_late": None})  # recorded stamps are corrected
+        robot = robot.uncorrected  # messages are recorded as corrected
         seen = {
             name: {i: (h.bearing, h.sigma if h.sigma > 0 else None) for i, h in home.items()}
             for name, home in homes.items()
@@ -77,9 +77,9 @@ class Recorder:
         if place is not None:
             about = {"when": place.when, "update": place.update, "known": known is not None}
             visit = _Visit(name=place.name, **about)
-        data = _Head(settings=settings, robot=on_time, homes=seen, place=visit)
+        data = _Head(settings=settings, robot=robot, homes=seen, place=visit)
         head = data.model_dump(mode="json")
-        head["robot"] = on_time.model_dump(mode="json", exclude_unset=True, exclude_none=True)
+        head["robot"] = robot.model_dump(mode="json", exclude_unset=True, exclude_none=True)
         with naming(folder, "cannot be written"):
             folder.mkdir(parents=True)
             self._file: TextIO = (folder / SESSION).open("w", encoding="utf-8")

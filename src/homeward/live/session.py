@@ -46,10 +46,10 @@ class Session:
         place: PlaceSession | None = None,
     ) -> None:
         self.settings = settings = settings or LiveSettings()
-        known = robot or DriveSettings(), homes or {}, place
-        self.localisation = Localisation(settings.estimator, *known)
-        self._late = (robot and robot.bearings_late) or 0.0
-        noise = (robot or DriveSettings()).odometry
+        robot = robot or DriveSettings()
+        self.localisation = Localisation(settings.estimator, robot.uncorrected, homes or {}, place)
+        self._late, self._corrections = robot.bearings_late or 0.0, robot.odometry
+        noise = robot.odometry
         self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
         """Whether the odometry noise is given, so that the robot may drive on odometry alone."""
         self.homing, self._turning = Driver(settings.limits), Driver(settings.limits)
@@ -63,7 +63,7 @@ class Session:
         self._odometry = Watchdog("odometry", settings.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", settings.bearings_timeout, clock)
         self._lags = {"bearings": Debounced(), "answers": Debounced()}
-        self._frozen = FrozenCamera((robot or DriveSettings()).sensor.yaw)
+        self._frozen = FrozenCamera(robot.sensor.yaw)
         self._is_frozen, self._is_blind = Debounced(), Debounced()
         self._last_sighting = math.inf
         """Last time with landmarks in view of a camera that is not frozen [s]."""
@@ -107,7 +107,10 @@ class Session:
                 if not self._gate.accepts(message.t):
                     self.counts["stamps far ahead of all others"] += 1
                     return
-                if isinstance(message, msg.BearingsIn) and self._late:
+                if isinstance(message, msg.OdometryIn):
+                    v, omega = self._corrections.corrected(message.v, message.omega)
+                    message = message.model_copy(update={"v": v, "omega": omega})
+                elif self._late:
                     message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
                 odom = self._odometry_pose(t)

@@ -11,7 +11,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignCheck
-from homeward.localizer.motion.odometry import lag_notes, notable_lag
+from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
@@ -39,7 +39,8 @@ from homeward.reasons import Reason, Rejection
 SCALE_NOTE = (
     "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. To remove"
     " it, add one measured distance to landmarks.yaml in the drive folder: `distances: [{between:"
-    " [ID, ID], distance: METRES}]` (convert a log to a drive folder first)."
+    " [ID, ID], distance: METRES}]` (convert a log to a drive folder first). `homeward tune` then"
+    " writes the speed scale to robot.yaml, for all drives of the robot."
 )
 NOISY_NOTE = (
     "The bearings are noisier than given; larger standard deviations were used. Increase"
@@ -49,17 +50,6 @@ DEFAULT_NOISE_NOTE = (
     "The camera noise was not given; at least {:g} rad was assumed. "
     "`homeward tune` estimates it: with the right `bearing_sigma` the first pose can come earlier."
 )
-
-
-class Learnt(NamedTuple):
-    """Estimates of parameters that were not given, and that matter."""
-
-    extrinsics: dict[str, float]
-    """Of x, y [m] and yaw [rad] of the camera: those that the bearings determine."""
-    bearing_sigma: float | None
-    """Standard deviation of a bearing from residuals and second differences [rad]."""
-    lag: float
-    """By how much odometry acts after its stamps, compared with the bearings [s]; 0: negligible."""
 
 
 class Localizer:
@@ -95,9 +85,9 @@ class Localizer:
         **robot: Unpack[Robot],
     ) -> None:
         self.counts, self._turn = Counts(), threading.RLock()
-        self._notes = (SCALE_NOTE,)
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
+        self._notes = (SCALE_NOTE,) if self._robot.odometry.speed_scale_sigma is None else ()
         self._twists, self._known = TwistHistory(), known_landmarks(known)
         self._chart = self._new_chart(self._robot, self.counts)
         self._candidate_chart: Chart | None = None
@@ -140,13 +130,6 @@ class Localizer:
         smoother, counts = self.chart.map.smoother, self.chart.counts
         rejected = counts.rejected.get(Rejection.RANGE_OUTSIDE_GATE, 0)
         return self._ranges.notes(counts.ranges, rejected, *smoother.range_over_odometry)
-
-    @property
-    def learnt(self) -> Learnt:
-        """Estimates of parameters that were not given, for drive.yaml."""
-        calibration = self.chart.map.smoother.state.calibration
-        extrinsics = self.chart.extrinsics.learnt(calibration)
-        return Learnt(extrinsics, self.chart.noise.learnt, notable_lag(calibration))
 
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:

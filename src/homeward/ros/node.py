@@ -60,7 +60,7 @@ PARAMETERS: dict[str, Any] = {
     "home": "",
     "place": "",
     "place_update": False,
-    "robot": "",
+    "robot_file": "",
     "session": "",
     "record": "",
     "autostart": True,
@@ -104,8 +104,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             settings, robot, homes = LiveSettings(), DriveSettings(), {}
             if parameter("session"):
                 settings = read_settings(Path(parameter("session")), LiveSettings)
-            if parameter("robot"):
-                robot = read_settings(Path(parameter("robot")), DriveSettings)
+            if parameter("robot_file"):
+                robot = read_settings(Path(parameter("robot_file")), DriveSettings)
             if parameter("home"):
                 homes["home"] = read_home(Path(parameter("home")), {})
             self._cameras = MessageCameras({name: parameter(name) for name in PARAMETERS})

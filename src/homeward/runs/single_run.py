@@ -61,6 +61,8 @@ class DriveChoice(Strict):
 class RunSettings(DriveChoice):
     """Everything that a run depends on: the content of run.yaml, which repeats the run."""
 
+    robot_file: str | None = None
+    """Path of the robot.yaml of the robot."""
     home_during: Span | None = None
     """When the robot was at rest at home, in the drive itself [s]."""
     home_spin: Span | None = None
@@ -132,6 +134,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     drive = open_drive(
         drive_path(run),
         topics=run.topics,
+        robot_file=run.robot_file,
         home_spin=run.home_spin,
         home_during=run.home_during,
         home_at=run.home_at,

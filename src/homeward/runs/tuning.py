@@ -1,8 +1,10 @@
-"""Identification of a robot's sensor noise from its logs.
+"""Identification of a robot's calibration and sensor noise from its drives.
 
 The search starts from the noise that the localiser estimates by variance components. It scales each
 noise up and down as long as the likelihood of the innovations grows (Mehra 1972; Abbeel and others
 2005). The first half of each log is for the search; the second half is held out, for the scores.
+The final calibration is from whole drives; the difference of their halves is in its standard
+deviations.
 """
 
 from __future__ import annotations
@@ -11,17 +13,19 @@ import dataclasses
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from homeward.drives.calibration import as_recorded, given_keys, with_calibration
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
-from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
-from homeward.errors import HomewardError
+from homeward.drives.settings import DriveSettings, OdometryNoise, RobotSettings
+from homeward.errors import HomewardError, InputError
+from homeward.io.settings import nested, validated
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import TURN_BIAS, TURN_SCALE
+from homeward.runs.calibration import Estimates, as_keys, combined, estimates
 from homeward.runs.held_out import CONSISTENT, Check, checks, evaluated, log_likelihoods, stamps
-from homeward.track import run
+from homeward.track import Track, run
 
 Table = TypeVar("Table", Odometry, Sightings, Truth)
 Likelihoods = dict[tuple[int, float, str], float]
@@ -37,6 +41,8 @@ MIN_GAIN_SIGMAS, NUM_BLOCKS = 2.0, 20
 errors of bearings are correlated, so the likelihood of independent ones grows by tens by chance."""
 MAX_STEPS = 5
 """Steps in one direction: a noise that a log cannot distinguish from zero must not go to zero."""
+SPEED_SCALE_SIGMA = 0.1
+"""Standard deviation of the speed scale before it is estimated [1]: of wheels never measured."""
 MIN_SIGHTINGS = 100
 """Sightings that each half of a log needs."""
 
@@ -52,23 +58,24 @@ class Noise(NamedTuple):
     """[rad/s/sqrt(Hz)]"""
 
 
+NOISE_KEYS = "sensor.bearing_sigma", "odometry.speed_sigma", "odometry.turn_sigma"
+"""Keys of `Noise`."""
+
+
 @dataclass(frozen=True)
 class Tuning:
-    """Identified noise, and the scores of the held-out halves before and after."""
+    """Calibration and noise of a robot, and scores of the held-out halves before and after."""
 
-    noise: Noise
-    has_bearing_noise: bool
-    """Whether bearing noise was identified: not if every bearing has its own sigma."""
-    turn_scale_sigma: float
-    """Scale error of the turn rate with its uncertainty, RMS over all logs [1]."""
-    turn_bias_sigma: float
-    """Bias of the turn rate with its uncertainty, RMS over all logs [rad/s]."""
+    settings: RobotSettings
+    """Settings for robot.yaml, to two or three digits; only these keys are set."""
+    has_scale: bool
+    """Whether the scale of the speed was estimated."""
     names: list[str]
     """Names of the drives."""
     before: list[Check]
     """Scores with the drives' own settings."""
     after: list[Check]
-    """Scores with the identified noise."""
+    """Scores with noise and calibration from the first halves."""
 
     @property
     def less_consistent(self) -> list[str]:
@@ -79,27 +86,19 @@ class Tuning:
 
         return [name for name in CONSISTENT if mean(self.after, name) > mean(self.before, name)]
 
-    @property
-    def settings(self) -> DriveSettings:
-        """Settings for drive.yaml, to two or three digits; only these keys are set."""
-        bearing, speed, turn = (float(f"{sigma:.3g}") for sigma in self.noise)
-        scale, bias = (float(f"{s:.2g}") for s in (self.turn_scale_sigma, self.turn_bias_sigma))
-        odometry = {"speed_sigma": speed, "turn_sigma": turn}
-        odometry |= {"turn_scale_sigma": scale, "turn_bias_sigma": bias}
-        sensor = {"sensor": Sensor(bearing_sigma=bearing)} if self.has_bearing_noise else {}
-        return DriveSettings(**sensor, odometry=OdometryNoise(**odometry))
-
 
 def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
-    """Identify the noise of one robot's sensors from its drives, at least one.
+    """Identify the calibration and noise of one robot from its drives, at least one.
 
     `progress` receives the fraction done, in [0, 1]. `HomewardError` where a drive is too short.
     """
+    drives = [as_recorded(drive) for drive in drives]
+    shared = _shared_keys(drives)
     halves = [_halves(drive) for drive in drives]
     first, held_out = [a for a, _ in halves], [b for _, b in halves]
     has_bearing_noise = any(np.isnan(drive.sightings.sigma).any() for drive in first)
     fields = Noise._fields[0 if has_bearing_noise else 1 :]
-    num_steps = 2 * len(fields) * len(FACTORS) + 4
+    num_steps = 2 * len(fields) * len(FACTORS) + 6
     done = 0
 
     def step_done() -> None:
@@ -109,18 +108,43 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
 
     begun = [_identified(drive) for drive in first]
     step_done()
-    noise = Noise(*np.exp(np.mean(np.log([n for n, _, _ in begun]), axis=0)).tolist())
+    noise = Noise(*np.exp(np.mean(np.log([n for n, _ in begun]), axis=0)).tolist())
     noise = _search(first, noise, fields, step_done)
-    turn = np.sqrt(np.mean(np.square([(scale, bias) for _, scale, bias in begun]), axis=0))
-    scale, bias = turn.tolist()
-    as_is = [evaluated(drive, _localizer(drive)) for drive in held_out]
+    parts = [e for _, e in begun]
+
+    def settings(found: Sequence[Estimates]) -> RobotSettings:
+        sigmas = dict(zip(NOISE_KEYS, (float(f"{sigma:.3g}") for sigma in noise), strict=True))
+        for key in NOISE_KEYS[: 0 if has_bearing_noise else 1]:
+            del sigmas[key]
+        keys = {**shared, **sigmas, **as_keys(combined(found, parts))}
+        return validated(RobotSettings, nested({k: v for k, v in keys.items() if v is not None}))
+
+    own = [_on_clock_of_bearings(with_calibration(drive)) for drive in held_out]
+    as_is = [evaluated(drive, _localizer(drive)) for drive in own]
     step_done()
-    tuned = [_with_noise(drive, noise, scale, bias) for drive in held_out]
+    now = settings(parts)
+    tuned = [with_calibration(_unspecified(drive), now) for drive in held_out]
+    tuned = [_on_clock_of_bearings(drive) for drive in tuned]
     improved = [evaluated(drive, _localizer(drive)) for drive in tuned]
     step_done()
+    parts += [_mapped(drive)[2] for drive in held_out]
+    step_done()
+    found = [_mapped(drive)[2] for drive in drives]
+    step_done()
     before, after = zip(*map(checks, as_is, improved), strict=True)
+    has_scale = any("odometry.speed_scale" in e for e in found)
     names = [drive.name for drive in drives]
-    return Tuning(noise, has_bearing_noise, scale, bias, names, list(before), list(after))
+    return Tuning(settings(found), has_scale, names, list(before), list(after))
+
+
+def _shared_keys(drives: Sequence[Drive]) -> dict[str, float]:
+    """Return the keys of the robot's settings with the same value in all drives."""
+    settings = [drive.settings for drive in drives]
+    if any(other.wheels != settings[0].wheels for other in settings):
+        raise InputError("the drives have different wheels: import them with the same --wheels")
+    first, *others = map(given_keys, settings)
+    same = {k: v for k, v in first.items() if all(o.get(k) == v for o in others)}
+    return {k: v for k, v in same.items() if k.partition(".")[0] in RobotSettings.model_fields}
 
 
 def _halves(drive: Drive) -> tuple[Drive, Drive]:
@@ -152,28 +176,39 @@ def _part(drive: Drive, begin: float, end: float, settings: DriveSettings) -> Dr
     )
 
 
-def _with_noise(drive: Drive, noise: Noise, scale: float | None, bias: float | None) -> Drive:
-    """Return the drive with this sensor noise in its settings."""
+def _on_clock_of_bearings(drive: Drive) -> Drive:
+    """Return a drive with the delay of its bearings added to all other stamps instead.
+
+    Runs with different delays then have the stamps of their innovations in common.
+    """
+    if drive.recorded is None or (late := drive.recorded.settings.bearings_late) is None:
+        return drive
+    odometry = dataclasses.replace(drive.odometry, t=drive.odometry.t + late)
+    truth = drive.truth and dataclasses.replace(drive.truth, t=drive.truth.t + late)
+    sightings = drive.recorded.sightings
+    return dataclasses.replace(drive, odometry=odometry, truth=truth, sightings=sightings)
+
+
+def _unspecified(drive: Drive, **noise: float) -> Drive:
+    """Return a drive, as it was recorded, with this odometry noise and no bearing noise."""
     settings = drive.settings
-    odometry = OdometryNoise(
-        speed_sigma=noise.speed_sigma,
-        turn_sigma=noise.turn_sigma,
-        speed_scale_sigma=settings.odometry.speed_scale_sigma,
-        turn_scale_sigma=scale,
-        turn_bias_sigma=bias,
-    )
-    sensor = settings.sensor.model_copy(update={"bearing_sigma": noise.bearing_sigma})
-    update = {"odometry": odometry, "sensor": sensor}
+    bearing_sigma = noise.pop("bearing_sigma", None)
+    sensor = settings.sensor.model_copy(update={"bearing_sigma": bearing_sigma})
+    update = {"odometry": OdometryNoise(**noise), "sensor": sensor, "bearings_late": None}
     return dataclasses.replace(drive, settings=settings.model_copy(update=update))
 
 
-def _identified(drive: Drive) -> tuple[Noise, float, float]:
-    """Return the noise from variance components, and the scale error and bias of turn rates."""
-    sensor = drive.settings.sensor.model_copy(update={"bearing_sigma": None})
-    update = {"odometry": OdometryNoise(), "sensor": sensor}
-    unspecified = dataclasses.replace(drive, settings=drive.settings.model_copy(update=update))
-    localizer = _localizer(unspecified)
-    track = run(unspecified, localizer)
+def _mapped(drive: Drive) -> tuple[Localizer, Track, Estimates]:
+    """Return the localiser after a drive of unspecified noise, its track, and its estimates."""
+    drive = _unspecified(drive)
+    localizer = _localizer(drive, odometry={"speed_scale": SPEED_SCALE_SIGMA})
+    track = run(drive, localizer)
+    return localizer, track, estimates(drive, localizer)
+
+
+def _identified(drive: Drive) -> tuple[Noise, Estimates]:
+    """Return the noise from variance components, and the calibration."""
+    localizer, track, found = _mapped(drive)
     if track.innovations.t.size < MIN_SIGHTINGS:
         raise HomewardError(
             f"{drive.name}: its first half has {track.innovations.t.size} sightings of mapped "
@@ -188,11 +223,7 @@ def _identified(drive: Drive) -> tuple[Noise, float, float]:
             f"{drive.name}: in its first half the robot moves too little to estimate the odometry"
             " noise; use a log with more motion"
         )
-    calibration = chart.map.smoother.state.calibration
-    variances = chart.map.smoother.state.calibration_variances
-    off = np.sqrt(calibration**2 + variances)
-    noise = Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading))
-    return noise, float(off[TURN_SCALE]), float(off[TURN_BIAS])
+    return Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading)), found
 
 
 def _search(
@@ -233,7 +264,7 @@ def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bo
     found: Likelihoods = {}
     is_raised = False
     for number, drive in enumerate(drives):
-        tuned = _with_noise(drive, noise, None, None)
+        tuned = _unspecified(drive, **noise._asdict())
         localizer = _localizer(tuned)
         i = run(tuned, localizer).innovations
         chart = localizer.chart
@@ -243,5 +274,5 @@ def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bo
     return found, is_raised
 
 
-def _localizer(drive: Drive) -> Localizer:
-    return Localizer(drive.home, known=drive.known, **drive.settings.robot)
+def _localizer(drive: Drive, **settings: Any) -> Localizer:
+    return Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)

@@ -117,6 +117,8 @@ class Replay:
                     known["bearings_late"] = self._asked.bearings_late
                 if self._home is not None:
                     known["home"] = self._home
+                if (recorded := self._drive.recorded) is not None:
+                    known |= {k: getattr(recorded.settings, k) for k in ("odometry", "wheels")}
                 saved: Strict = settings.model_copy(update=known)
                 if self._log is not None:
                     # Extrinsics from /tf_static would override those of the sliders.

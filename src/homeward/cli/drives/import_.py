@@ -102,7 +102,7 @@ def import_(
         )
     from homeward.drives.cameras.calibration import read_calibration
     from homeward.drives.importers.reading import drive_of, home_warnings, understand
-    from homeward.drives.wheels import Wheels
+    from homeward.drives.settings import Wheels
     from homeward.io.settings import parse_settings
     from homeward.io.writing import write_whole
     from homeward.runs.report.canvas import png

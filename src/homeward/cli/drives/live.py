@@ -25,8 +25,9 @@ def live(
         str | None, typer.Option(metavar="[HOST:]PORT", help="WebSocket port (needs extra live).")
     ] = None,
     home: Annotated[Path | None, typer.Option(help="A home.csv with the home bearings.")] = None,
-    robot: Annotated[
-        Path | None, typer.Option(help="A drive.yaml: camera, odometry noise, start prior.")
+    robot_file: Annotated[
+        Path | None,
+        typer.Option(help="The robot.yaml of homeward tune, or a drive.yaml with a start prior."),
     ] = None,
     place: KnownPlace = None,
     update: Annotated[
@@ -72,7 +73,7 @@ def live(
         say(f"{same:,} answers, all equal to the last bit")
         return
     settings = validated(LiveSettings, nested(key_values(changes or [])))
-    known = DriveSettings() if robot is None else read_settings(robot, DriveSettings)
+    known = DriveSettings() if robot_file is None else read_settings(robot_file, DriveSettings)
     homes = {} if home is None else {"home": read_home(home, {})}
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
     if update and place is None:

@@ -52,6 +52,10 @@ def run(
         ),
     ] = None,
     topics: shared.Topics = None,
+    robot_file: Annotated[
+        Path | None,
+        typer.Option(help="The robot.yaml of the robot, written by homeward tune."),
+    ] = None,
     home_during: shared.HomeDuring = None,
     home_spin: shared.HomeSpin = None,
     home_at: shared.HomeAt = None,
@@ -80,13 +84,6 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth the track over the whole drive (not causal).")
     ] = False,
-    save_learnt: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write the estimated camera extrinsics, camera noise and lag that drive.yaml does "
-            "not give to this new YAML file."
-        ),
-    ] = None,
     changes: shared.Changes = None,
     json: shared.AsJson = False,
 ) -> None:
@@ -106,6 +103,7 @@ def run(
         "start": _start(start),
         **shared.home_times(home_during, home_spin, home_at),
         "topics": None if topics is None else os.path.realpath(topics),
+        "robot_file": None if robot_file is None else os.path.realpath(robot_file),
         "place": None if place is None else os.path.realpath(place),
         "place_home": place_home,
         "when": None if when is None else shared.day(when),
@@ -124,16 +122,11 @@ def run(
             raise InputError(f"{option} needs --update")
     if place is None and (place_home is not None or when is not None):
         raise InputError("--place-home and --when need --place")
-    if save_learnt is not None:
-        if smooth or estimator not in (None, "robust"):
-            raise InputError("--save-learnt needs the estimator robust, without --smooth")
-        if is_there(save_learnt):
-            raise InputError("exists already; choose a new file", save_learnt)
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
     names = store_home, stored_at, store_route
-    _run(run_settings(drive, given), out, update, names, save_learnt, json)
+    _run(run_settings(drive, given), out, update, names, json)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -205,12 +198,8 @@ def _run(
     out: Path | None,
     update: bool,
     names: tuple[str | None, float | None, str | None],
-    save_learnt: Path | None,
     json: bool,
 ) -> None:
-    from homeward.io.writing import write_whole
-    from homeward.localizer.localizer import Localizer
-    from homeward.runs.learnt import learnt_yaml
     from homeward.runs.report.folder import PAGE, missing_extra, write_run
     from homeward.runs.report.words import route_words, visit_words
     from homeward.runs.scoring import score
@@ -234,9 +223,6 @@ def _run(
                 lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # raised after the summary is printed
                 after, lost = None, error
-    learnt = learnt_yaml(estimator.learnt, drive.name) if isinstance(estimator, Localizer) else ""
-    if learnt and save_learnt is not None:
-        write_whole(save_learnt, learnt.encode())
     words = [summary, *([] if after is None else [visit_words(after)])]
     if after is not None and store.route in after.routes:
         words.append(route_words(after, str(store.route)))
@@ -250,14 +236,6 @@ def _run(
         for paragraph in words:
             shared.say(paragraph)
         shared.warn(*drive.remark_lines, *track.notes, *unread)
-        if save_learnt is not None:
-            shared.say(
-                f"Lines for drive.yaml: {save_learnt}"
-                if learnt
-                else f"{save_learnt} was not written: no estimate for a key that drive.yaml lacks."
-            )
-        elif learnt:
-            shared.say("--save-learnt FILE writes the estimates above as lines for drive.yaml.")
         if missing is None:
             shared.say(f"Report: {folder / PAGE}")
         else:

@@ -1,21 +1,28 @@
-"""`homeward tune`: estimate a robot's sensor noise from its logs."""
+"""`homeward tune`: calibrate a robot from its drives, and write robot.yaml."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from homeward.cli.drives.run import run_settings
 from homeward.cli.options import AsJson, Topics, answer, progress, say, table, warn
+from homeward.errors import InputError
+from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
     from homeward.runs.held_out import Check
     from homeward.runs.tuning import Tuning
 
 HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NEES")
+NO_SCALE = (
+    "The speed scale is unknown: the drives have no ground truth, no survey or distances in "
+    "landmarks.yaml, and no ranges with range_scale_sigma. One measured distance determines it."
+)
 
 
 def tune(
@@ -23,35 +30,50 @@ def tune(
         list[str], typer.Argument(help="Drives or logs of one robot, as for `homeward run`.")
     ],
     topics: Topics = None,
+    out: Annotated[Path, typer.Option(help="The new file to write.")] = Path("robot.yaml"),
     json: AsJson = False,
 ) -> None:
-    """Estimate the noise of a robot's camera and odometry from its logs, for drive.yaml.
+    """Calibrate a robot from its drives; write robot.yaml for --robot-file of run and live.
 
-    The first half of each log gives the estimate, the second half the scores before and after: NIS
-    (consistent: 1), log-likelihood, and with ground truth RMSE and NEES (consistent: 3).
+    Estimates the scales of speed and yaw rate, the delay of the bearings, camera extrinsics and
+    noise, with standard deviations. The speed scale needs a measured distance, a survey, ranges or
+    ground truth. The first half of each drive gives the noise; the table has scores of the second
+    half before and after: NIS (consistent: 1), log-likelihood, and with ground truth RMSE and NEES
+    (consistent: 3).
     """
     from homeward.io.settings import settings_yaml
+    from homeward.io.writing import write_whole
+    from homeward.runs.calibration import for_other_tools
     from homeward.runs.report.words import count, listing
     from homeward.runs.single_run import opened
     from homeward.runs.tuning import tune as identify
 
+    if is_there(out):
+        raise InputError("exists already; choose another file with --out", out)
     given = {} if topics is None else {"topics": str(topics)}
     with progress(count(len(drives), "drive")) as on_progress:
         found = identify([opened(run_settings(drive, given)) for drive in drives], on_progress)
+    others = for_other_tools(found.settings)
+    head = f"# Calibration of a robot by homeward tune from {listing(found.names)}\n"
+    notes = "".join(f"# {tool}: {text}\n" for tool, text in others.items())
+    text = head + settings_yaml(found.settings) + notes
+    write_whole(out, text.encode())
     if json:
-        answer(_facts(found))
+        answer(_facts(found) | {"file": out, "other_tools": others})
         return
     table([HEAD, *_rows(found)], left=2)
     say(
         "Each held-out half starts without a map, so its pose share is below that of the whole "
-        "drive. Compare whole drives with `homeward run`, before and after you add the lines."
+        "drive. Compare whole drives with `homeward run`, with and without --robot-file."
     )
-    say("Add these lines to drive.yaml (estimated from the first halves):")
-    for line in settings_yaml(found.settings).splitlines():
+    for line in text.splitlines():
         typer.echo(line)
+    if not found.has_scale:
+        warn(NO_SCALE)
     if found.less_consistent:
         worse = listing(found.less_consistent)
-        warn(f"{worse} got worse with these lines. Do not add them where you rely on covariances.")
+        warn(f"{worse} got worse with these values. Do not use them where you rely on covariances.")
+    say(f"Robot file: {out}. Use it with `homeward run DRIVE --robot-file {out}`.")
 
 
 def _rows(found: Tuning) -> list[tuple[str, ...]]:

@@ -13,7 +13,8 @@ from homeward.drives.importers.parts import ImportedColumn
 from homeward.drives.importers.wheel_columns import accumulates, base_of
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
-from homeward.drives.wheels import Wheels, ackermann, differential, speeds_from_positions
+from homeward.drives.settings import Wheels
+from homeward.drives.wheels import ackermann, differential, speeds_from_positions
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import Table

@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,8 +34,7 @@ from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
 from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
 from homeward.drives.ros.log import Log, is_log
-from homeward.drives.settings import DriveSettings, HomeWhen
-from homeward.drives.wheels import Wheels
+from homeward.drives.settings import DriveSettings, HomeWhen, Wheels
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
@@ -173,12 +173,15 @@ def drive_of(
             tables[kind] = dataclasses.replace(table, columns=columns)
     remarks = {reason: n for one in found for reason, n in one.remarks.items()}
     odometry = _odometry(found, tables, wheels, remarks)
+    given: dict[str, Any] = {"epoch": epoch} if epoch else {}
+    if wheels not in (None, Wheels()) and "gyro" not in tables:
+        given["wheels"] = wheels
     drive = Drive(
         name=name,
         odometry=odometry,
         sightings=sightings_of(tables["bearings"], remarks),
         home=home_of(_averaged(tables["home"], remarks), remarks) if "home" in tables else {},
-        settings=DriveSettings(epoch=epoch) if epoch else DriveSettings(),
+        settings=DriveSettings(**given),
         truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
         remarks=remarks,
     )

@@ -12,10 +12,11 @@ from typing import cast
 import numpy as np
 
 from homeward.drives import folder as csv
+from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Truth
 from homeward.drives.images import IMAGES, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
-from homeward.drives.one_clock import with_clock_remarks, without_bearing_delay
+from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS, axes_of
@@ -190,7 +191,7 @@ def _checked(path: Path, home_needed: bool) -> Iterator[str]:
     if home_needed and not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
-        yield from with_clock_remarks(without_bearing_delay(drive), path).remark_lines
+        yield from with_clock_remarks(with_calibration(drive), path).remark_lines
     except InputError as error:
         yield from drive.remark_lines
         yield REFUSED.format(error.what)

@@ -8,12 +8,12 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from homeward.drives.calibration import with_calibration
 from homeward.drives.cameras.calibration import CameraRows
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.when import with_home
-from homeward.drives.one_clock import without_bearing_delay
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import TagDetector, frame_of, landmark_of, parts_of
 from homeward.drives.ros.measurements.extrinsics import (
@@ -37,7 +37,7 @@ from homeward.drives.ros.settings import (
 )
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
-from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import DriveSettings, RobotSettings, Wheels
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -55,22 +55,22 @@ def read_log(
     topics: Path | None = None,
     on_progress: OnProgress | None = None,
     detector: TagDetector | None = None,
+    robot: RobotSettings | None = None,
 ) -> Drive:
     """Read a drive from a ROS 1 bag, a ROS 2 bag or an MCAP file.
 
     `topics` is a YAML file of `LogSettings`; missing keys are guessed. `on_progress` receives the
     fraction done, in [0, 1]. `detector` finds tags in images; without it, image topics are ignored.
-    Times are header stamps by default, counted from `DriveSettings.epoch` where they are Unix time.
-    Remarks count the messages that were left out. `InputError` where the log is damaged, or its
-    topics do not make a drive.
+    `robot` is as for `with_calibration`. Times are header stamps by default, counted from
+    `DriveSettings.epoch` where they are Unix time. Remarks count the messages that were left out.
+    `InputError` where the log is damaged, or its topics do not make a drive.
     """
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
     first_half = None if on_progress is None else lambda done: on_progress(done / 2)
     settings = calibrated(settings, path if topics is None else topics)
     known = survey(Log(path), keep=(OUR_SETTINGS,), on_progress=first_half)
-    return read_planned(
-        known, choose(known, settings, pictures=detector is not None), topics, on_progress, detector
-    )
+    plan = choose(known, settings, pictures=detector is not None)
+    return read_planned(known, plan, topics, on_progress, detector, robot)
 
 
 def read_planned(
@@ -79,10 +79,11 @@ def read_planned(
     topics: Path | None = None,
     on_progress: OnProgress | None = None,
     detector: TagDetector | None = None,
+    robot: RobotSettings | None = None,
 ) -> Drive:
     """Read a drive from the topics of a `plan`; other parameters as `read_log`."""
     with naming_file(known.log.path):
-        return _Reading(known, plan, topics, detector).drive(on_progress)
+        return _Reading(known, plan, topics, detector).drive(on_progress, robot)
 
 
 class _Reading:
@@ -128,12 +129,15 @@ class _Reading:
                 plan.truth.topic, lambda t, m: self._poses.append((t, *map(float, pose_of(m))))
             )
 
-    def drive(self, on_progress: OnProgress | None) -> Drive:
+    def drive(self, on_progress: OnProgress | None, robot: RobotSettings | None) -> Drive:
         """Read the messages and return the drive."""
         self._read(on_progress)
         self._set_extrinsics()
         odometry = self._odometry.odometry(self._remarks)
         if (source := self._plan.odometry) is not None:
+            wheels = Wheels(**{k: v for k, v in source if k in Wheels.model_fields and v})
+            if wheels != Wheels() and source.yaw_rate is None:
+                self._settings = self._settings.model_copy(update={"wheels": wheels})
             fields = f"v = {source.v}, omega = {source.omega}"
             self._remark_fields(source.topic, fields, "odometry samples", odometry.t.size)
         sightings = self._sightings()
@@ -146,7 +150,7 @@ class _Reading:
             truth=self._truth(),
             remarks=self._known.log.cut_short | dict(self._remarks),
         )
-        drive, home = without_bearing_delay(found), self._plan.home
+        drive, home = with_calibration(found, robot), self._plan.home
         return drive if home is None else with_home(drive, home, on_progress)
 
     def _drive_settings(self) -> tuple[DriveSettings, int | None]:

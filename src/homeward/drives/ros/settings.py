@@ -18,8 +18,8 @@ from homeward.drives.settings import (
     HomeWhen,
     Mount,
     Positive,
+    Wheels,
 )
-from homeward.drives.wheels import Wheels
 from homeward.io.keys import Strict
 
 ODOMETRY = "homeward_msgs/msg/Odometry"

@@ -294,7 +294,7 @@ def before(
             ),
             home_sensor=course.home_sensor,
             odometry=OdometryNoise(
-                **course.odometry.model_dump(include=set(OdometryNoise.model_fields))
+                **{k: s for k, s in course.odometry.model_dump().items() if k.endswith("_sigma")}
             ),
             start=_draw_prior(course) if course.start.prior else None,
         ),

@@ -45,11 +45,12 @@ class Extrinsics:
     """
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
+        camera, usual = drive.sensor, settings.camera_yaw_sigma
         self.sigmas = np.array(
             [
-                max(settings.camera_yaw_sigma, MIN_EXTRINSICS_RAD),
-                FIXED_EXTRINSICS_M,
-                FIXED_EXTRINSICS_M,
+                max(usual if camera.yaw_sigma is None else camera.yaw_sigma, MIN_EXTRINSICS_RAD),
+                max(camera.x_sigma or 0.0, FIXED_EXTRINSICS_M),
+                max(camera.y_sigma or 0.0, FIXED_EXTRINSICS_M),
             ]
         )
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""

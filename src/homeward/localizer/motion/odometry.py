@@ -50,22 +50,16 @@ def calibration_sigmas(
             default.turn_scale if scale is None else scale,
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
-            settings.lag_sigma,
+            settings.lag_sigma if given.delay_sigma is None else given.delay_sigma,
             speed_scale,
         ]
     )
 
 
-def notable_lag(calibration: np.ndarray) -> float:
-    """Return by how much odometry acts after its stamps [s]; 0 where that is not notable."""
-    lag = float(calibration[LAG])
-    return lag if abs(lag) >= NOTABLE_LAG_S else 0.0
-
-
 def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
     """Return notes for the user on the lag in a calibration (8,), if it is notable."""
-    lag = notable_lag(calibration)
-    if not lag:
+    lag = float(calibration[LAG])
+    if abs(lag) < NOTABLE_LAG_S:
         return ()
     way = "after" if lag > 0 else "before"
     return (

@@ -71,7 +71,7 @@ class ProcessNoise:
         way, turn = off.tolist()
         return (
             f"Estimated odometry noise: {way:.2g} x the assumed value in translation, {turn:.2g} x "
-            "in rotation. `homeward tune` prints the lines for drive.yaml.",
+            "in rotation. `homeward tune` writes it to robot.yaml.",
         )
 
     def update(

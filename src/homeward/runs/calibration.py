@@ -1,0 +1,225 @@
+"""Calibration of a robot: estimates from a map or from ground truth, and their combination.
+
+A value that is constant in each drive, but differs between drives, has a random-effects mean
+(DerSimonian and Laird 1986). Its standard deviation is that of the next drive's value.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from homeward.drives.drive import Drive, Odometry, Truth
+from homeward.drives.settings import OdometryDefaults, RobotSettings, Wheels
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, between
+from homeward.localizer.localizer import Localizer
+from homeward.localizer.motion.odometry import calibration_sigmas
+from homeward.localizer.motion.preintegration import (
+    CAMERA_X,
+    CAMERA_Y,
+    CAMERA_YAW,
+    LAG,
+    SPEED_SCALE,
+    TURN_BIAS,
+    TURN_SCALE,
+)
+from homeward.localizer.settings import LocalizerSettings
+from homeward.odometry.dead_reckoning import dead_reckoning
+
+WINDOW_S = 4.0
+"""Length of the motions that are compared with ground truth [s]: far longer than a lag."""
+LAGS_S = sorted((0.05 * k for k in range(-10, 11)), key=abs)
+"""Lags of the odometry behind the ground truth that are compared [s]."""
+MAX_TURN = 2.5
+"""Largest rotation in such a window, below half a turn [rad]."""
+MIN_DELAY = 2.0
+"""Smallest delay that is corrected [standard deviations]."""
+NUM_GROUPS = 20
+"""Groups of windows of the jackknife."""
+DEFAULT = OdometryDefaults()
+ASSUMED = {
+    "odometry.speed_scale": DEFAULT.speed_scale,
+    "odometry.turn_scale": DEFAULT.turn_scale,
+    "odometry.turn_bias": DEFAULT.turn_bias,
+    "bearings_late": LocalizerSettings().lag_sigma,
+    "sensor.x": math.inf,
+    "sensor.y": math.inf,
+    "sensor.yaw": math.inf,
+}
+"""Keys of the calibration, and the standard deviations that are assumed without an estimate."""
+STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, LAG, CAMERA_X, CAMERA_Y, CAMERA_YAW
+"""The state of the localiser for each of them."""
+SIGMA_KEYS = {"bearings_late": "odometry.delay_sigma"}
+"""Keys of standard deviations that are not the key of the value with _sigma at its end."""
+
+
+class Value(NamedTuple):
+    """An estimate."""
+
+    mean: float
+    sigma: float
+
+
+Estimates = dict[str, Value]
+"""Estimates by key of `ASSUMED`, those no better than the assumption are missing."""
+
+
+def estimates(drive: Drive, localizer: Localizer) -> Estimates:
+    """Return the estimates of a drive that an uncalibrated localiser has processed.
+
+    Those from ground truth replace those from the map. The scale of the speed needs ground truth, a
+    survey, measured distances, or ranges of a known scale; camera extrinsics are estimated where
+    they are not given and the bearings contradict zero.
+    """
+    found = _from_truth(drive.odometry, drive.truth) if drive.truth is not None else {}
+    return _from_map(drive, localizer) | found
+
+
+def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
+    """Return the estimates of a map; the information of the prior is removed from them."""
+    chart = localizer.chart
+    state, camera = chart.map.smoother.state, chart.extrinsics
+    free = {f"sensor.{name}" for name in camera.learnt(state.calibration)}
+    of_odometry = calibration_sigmas(drive.settings, localizer.settings, chart.scale.state)
+    priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
+    variances = state.calibration_variances.copy()
+    for table in (priors, variances):  # what ranges leave unknown of the scale is in no state
+        table[SPEED_SCALE] += (chart.scale.rest or 0.0) ** 2
+    found = {}
+    for key, at in zip(ASSUMED, STATES, strict=True):
+        own = 1.0 / float(variances[at]) - 1.0 / float(priors[at])
+        if own > 0.0 and (key in free or not key.startswith("sensor.")):
+            mean = float(state.calibration[at] / variances[at]) / own
+            found[key] = Value(float(key.endswith("_scale")) + mean, own**-0.5)
+    return _informative(found)
+
+
+def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
+    """Return the corrections of the odometry by the motions of the ground truth.
+
+    Odometry may act late: the lag with which rotations fit best counts.
+    """
+    t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
+    t = t[np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW_S)))] if t.size else t
+    steps, true, reckoned = np.diff(t), _steps(truth.at(t)), _steps(dead_reckoning(odometry, t))
+    moved = np.hypot(reckoned.x, reckoned.y) + np.abs(reckoned.heading) > 0.0
+    used = moved & (np.abs(reckoned.heading) < MAX_TURN) & (steps < 2.0 * WINDOW_S)
+    used &= np.isfinite(true.x + true.heading)
+    if used.sum() < NUM_GROUPS:
+        return {}
+    by = true.heading[used]
+
+    def turned(lag: float) -> np.ndarray:
+        heading = _steps(dead_reckoning(odometry, t - lag)).heading
+        return np.asarray(np.stack([heading, steps], axis=1)[used])
+
+    def misfit(lag: float) -> float:
+        return float(np.linalg.lstsq(turned(lag), by, rcond=None)[1].sum())
+
+    turns = turned(min(LAGS_S, key=misfit))
+    path, true_path = _arc(reckoned)[used], _arc(true)[used]
+
+    def fitted(rows: np.ndarray) -> np.ndarray:
+        along = float(np.sign(path[rows]) @ true_path[rows])
+        turn, *_ = np.linalg.lstsq(turns[rows], by[rows], rcond=None)
+        return np.array([along / max(float(np.abs(path[rows]).sum()), 1e-9), *turn])
+
+    every = np.arange(by.size)
+    without = [fitted(np.delete(every, group)) for group in np.array_split(every, NUM_GROUPS)]
+    sigmas = math.sqrt(NUM_GROUPS - 1) * np.std(without, axis=0)
+    values = map(Value, fitted(every).tolist(), sigmas.tolist())
+    return _informative(dict(zip(ASSUMED, values, strict=False)))
+
+
+def _steps(pose: Pose) -> Pose:
+    """Return the motions (n - 1,) between successive poses (n,)."""
+    step = between(Pose(*(a[:-1] for a in pose)), Pose(*(a[1:] for a in pose)))
+    return step._replace(heading=wrap(step.heading))
+
+
+def _arc(motion: Pose) -> np.ndarray:
+    """Return the signed lengths of arcs (n,) from their start to poses `motion` [m]."""
+    half = 0.5 * motion.heading
+    chord = motion.x * np.cos(half) + motion.y * np.sin(half)
+    return np.asarray(chord / np.sinc(half / math.pi))
+
+
+def _informative(found: Estimates) -> Estimates:
+    """Return the estimates that are better than the assumption without them."""
+    return {key: value for key, value in found.items() if value.sigma < ASSUMED[key]}
+
+
+def combined(found: Sequence[Estimates], parts: Sequence[Estimates]) -> Estimates:
+    """Return the mean of each value over drives, with its standard deviation in the next one.
+
+    `parts` are the estimates of parts of the drives, whose differences give the variance between
+    drives: a single drive has parts, too.
+    """
+    result = {}
+    for key in dict.fromkeys(key for one in found for key in one):
+        mean, weight = _weighed(found, key)
+        between_drives = 0.0
+        part, of_part = _weighed(parts, key)
+        if part.size > 1:
+            surplus = of_part @ (part - of_part @ part / of_part.sum()) ** 2 - part.size + 1
+            freedom = of_part.sum() - of_part @ of_part / of_part.sum()
+            between_drives = max(0.0, float(surplus / freedom))
+        weight = 1.0 / (1.0 / weight + between_drives)
+        sigma = math.sqrt(between_drives + 1.0 / weight.sum())
+        result[key] = Value(float(weight @ mean / weight.sum()), sigma)
+    return result
+
+
+def _weighed(found: Sequence[Estimates], key: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return the estimates of a key, and their weights, (n,) each."""
+    values = np.array([e[key] for e in found if key in e]).reshape(-1, 2)
+    return values[:, 0], 1.0 / np.maximum(values[:, 1], 1e-9) ** 2
+
+
+def as_keys(found: Estimates) -> dict[str, float | None]:
+    """Return the keys of robot.yaml, each value to two digits of its standard deviation.
+
+    A delay that may be zero is None, and not corrected: stamps stay as recorded.
+    """
+    keys: dict[str, float | None] = {}
+    for key, (mean, sigma) in found.items():
+        if key == "bearings_late" and abs(mean) < MIN_DELAY * sigma:
+            keys |= {key: None, SIGMA_KEYS[key]: float(f"{math.hypot(mean, sigma):.2g}")}
+            continue
+        digits = 1 - math.floor(math.log10(max(sigma, 1e-9)))
+        keys[key] = round(mean, digits) + 0.0  # no -0
+        keys[SIGMA_KEYS.get(key, f"{key}_sigma")] = round(sigma, digits)
+    return keys
+
+
+def for_other_tools(robot: RobotSettings) -> dict[str, str]:
+    """Return the calibration in the terms of diff_drive_controller, URDF and `import --wheels`."""
+    odometry, camera, wheels = robot.odometry, robot.sensor, robot.wheels or Wheels()
+    found = {}
+    speed, turn = odometry.speed_scale, odometry.turn_scale
+    if speed is not None and turn is not None:
+        found["diff_drive_controller"] = (
+            f"wheel_separation_multiplier: {speed / turn:.4f}, "
+            f"left_wheel_radius_multiplier: {speed:.4f}, right_wheel_radius_multiplier: {speed:.4f}"
+        )
+    relative = (odometry.speed_scale_sigma or 0.0) / (speed or 1.0)
+    if speed is not None and wheels.wheel_radius is not None:
+        found["wheel_radius"] = _metres(wheels.wheel_radius * speed, relative)
+    relative = math.hypot(relative, (odometry.turn_scale_sigma or 0.0) / (turn or 1.0))
+    for name in ("track_width", "wheelbase"):
+        width = getattr(wheels, name)
+        if width is not None and speed is not None and turn is not None:
+            found[name] = _metres(width * speed / turn, relative)
+    if camera.model_fields_set & {"x", "y", "yaw"}:
+        origin = f'<origin xyz="{camera.x:.4g} {camera.y:.4g} 0" rpy="0 0 {camera.yaw:.4g}"/>'
+        found["URDF, joint of the camera, in the plane"] = origin
+    return found
+
+
+def _metres(value: float, relative: float) -> str:
+    """Return a length with its standard deviation as text."""
+    return f"{value:.4g} +- {relative * value:.2g} m"
