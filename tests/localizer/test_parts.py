@@ -23,8 +23,9 @@ from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.preintegration import (
     CALIBRATION,
-    LAG,
+    DELAY,
     NC,
+    TIME_CONSTANT,
     TURN_SCALE,
     Motion,
     camera_on_robot,
@@ -94,17 +95,17 @@ def test_a_pose_that_nothing_fixes_is_an_error():
 
 
 def test_motion_is_linear_in_its_calibration_as_it_says():
-    at = np.array([0.02, 0.003, 0.01, 0.13, 0.05, 0.0, 0.1, -0.1])
+    at = np.array([0.02, 0.003, 0.01, 0.13, 0.15, 0.05, 0.0, 0.1, -0.1])
     motion = integrated(at)
     for i in range(len(CALIBRATION)):
         step = np.zeros(len(CALIBRATION))
         step[i] = 1e-6
         numeric = (integrated(at + step).delta - integrated(at - step).delta) / 2e-6
-        if i == LAG:  # of mean twists, so that their noise is no information
-            step[i], error = MEAN_S, 0.03
-            numeric = (integrated(at + step).delta - motion.delta) / MEAN_S
-        else:
-            error = 2e-4
+        if i == DELAY:  # of mean twists, so that their noise is no information
+            step[i], error = MEAN_S / 2.0, 0.03
+            numeric = (integrated(at + step).delta - integrated(at - step).delta) / MEAN_S
+        else:  # the time constant acts on averages, too
+            error = 0.04 if i == TIME_CONSTANT else 2e-4
         assert motion.jacobian[:, i] == pytest.approx(numeric, abs=error), CALIBRATION[i]
 
 
@@ -156,7 +157,7 @@ def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
     odometry = Wheels()
     drive(odometry)
-    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.04, 0.02, 0.03, -0.02])
+    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.1, 0.04, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
@@ -177,7 +178,7 @@ def test_bearings_have_the_derivatives_they_say():
     camera = compose(robot, Pose(0.23, -0.12, 0.32))
     assert expected(x)[0][0] == pytest.approx(wrap(0.4 - bearing(camera, 3.0, 2.0)))
     assert motion.jacobian[2, TURN_SCALE] != 0
-    assert motion.jacobian[2, LAG] != 0
+    assert motion.jacobian[2, DELAY] != 0
 
 
 def test_a_landmark_starts_among_wrong_sight_lines():
@@ -271,7 +272,7 @@ def test_a_slip_is_suspected_while_most_is_off():
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
     landmarks = Landmarks(
-        Smoother(np.ones(5), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
+        Smoother(np.ones(6), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
     )
     landmarks.mapped["a"] = Landmark("a", 0)
     assert not any(landmarks.update_rejections({"a": fit}) for fit in 20 * [False, True])

@@ -186,7 +186,7 @@ def test_a_steady_speed_has_no_noise_of_samples():
     twists, rng = TwistHistory(), np.random.default_rng(2)
     for k in range(400):
         twists.add(0.02 * k, 0.3 + 0.4 * float(rng.normal()), 0.0)
-    steady = [twists.stretch(t, t).steady_speed for t in np.arange(1.0, 8.0, STEADY_S)]
+    steady = [twists.stretch(t, t, 0.0).steady_speed for t in np.arange(1.0, 8.0, STEADY_S)]
     assert np.std(steady) < 0.15
     assert np.mean(steady) == pytest.approx(0.3, abs=0.03)
 

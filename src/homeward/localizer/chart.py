@@ -35,7 +35,14 @@ from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
 from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import ADVANCE_S, RESECTION_S, SLIP_MEMORY_S, SLIP_SHARE
+from homeward.localizer.tunables import (
+    ADVANCE_S,
+    INTEGRATED_AGAIN_S,
+    MEMORY_OF_LAG_S,
+    RESECTION_S,
+    SLIP_MEMORY_S,
+    SLIP_SHARE,
+)
 from homeward.odometry.history import Driven, Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 
@@ -105,6 +112,16 @@ class Chart:
         if t - self.odometry.end > ADVANCE_S:
             self.odometry.run_ahead(t, self.map.smoother.state.calibration)
 
+    @property
+    def needed_since(self) -> float:
+        """Oldest stamp of the twists that are still needed [s]."""
+        return min(self.odometry.needed_since, self._integrable_since - MEMORY_OF_LAG_S)
+
+    @property
+    def _integrable_since(self) -> float:
+        """Since when motions in the window can be integrated again [s]."""
+        return max(self.map.smoother.stamps[0], self.odometry.end - INTEGRATED_AGAIN_S)
+
     def add_bearings(self, frame: BearingFrame, reckoned: Reckoned, now: float) -> list[Innovation]:
         """Process all bearings of one stamp; return their innovations.
 
@@ -152,6 +169,11 @@ class Chart:
 
     def learn(self, t: float) -> bool:
         """Learn from the last solution; return whether the map was reset at `t` [s] as singular."""
+        if self.noise.confirmed and self.map.smoother.is_stale:
+            calibration, since = self.map.smoother.state.calibration, self._integrable_since
+            self.map.integrate_again(
+                since, lambda begin, end: self.odometry.between(begin, end, calibration)
+            )
         try:
             self.map.learn()
         except np.linalg.LinAlgError:

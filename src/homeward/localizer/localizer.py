@@ -162,7 +162,7 @@ class Localizer:
         self._twists.add(t, v, omega)
         for chart in self.charts:
             chart.follow(t)
-        self._twists.forget(min(chart.odometry.needed_since for chart in self.charts))
+        self._twists.forget(min(chart.needed_since for chart in self.charts))
         self._process_due()
 
     @guarded

@@ -24,7 +24,10 @@ class LocalizerSettings(Strict):
     bearing."""
     odometry: OdometryDefaults = OdometryDefaults()
     lag_sigma: NonNegative = 0.2
-    """Prior standard deviation of the lag of odometry behind the camera, around zero [s]."""
+    """Prior standard deviation of the delay of odometry behind the camera, around zero [s]."""
+    time_constant_sigma: NonNegative = 0.2
+    """Prior standard deviation of the time constant with which the robot follows its odometry,
+    around zero and not negative [s]; 0.1 to 0.2 s where odometry is the commanded twist."""
     camera_yaw_sigma: NonNegative = 0.01
     """Prior standard deviation of the camera's yaw on the robot [rad]."""
     keyframe_interval: Positive = 0.5

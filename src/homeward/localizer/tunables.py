@@ -330,8 +330,11 @@ MIN_RANGE_SIGMA, MAX_RANGE_SIGMA = 0.005, 1.0
 """Bounds on the relative standard deviation of a range: no detector of tags is better [1]."""
 MIN_CALIBRATION_SIGMA = 1e-6
 """Smallest prior standard deviation of the odometry's calibration."""
-MAX_GAIN_M = 1e-4
-"""Negative slip that is negligible [m]."""
+NEGLIGIBLE_CALIBRATION = 1e-4
+"""Negative slip [m] and time constant [s] that are negligible."""
+STALE_S = 0.02
+"""Change of delay or time constant from which motions are integrated again [s]: at a fast turn rate
+of 1 rad/s, its second-order effect on a heading is below the noise of a bearing."""
 SOLVE_CONVERGED = 2e-2
 """Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
 MAX_TESTED = 48
@@ -366,8 +369,19 @@ BRIDGED = 0.1
 """Standard deviation of the motion beyond `TWIST_VALIDITY_S` of a slow twist, over that motion:
 robots mostly keep their speed; where this one does not, the residuals of the map raise its noise
 further [1]."""
+INTEGRATED_AGAIN_S = 120.0
+"""Largest age of motions that are integrated again, a bound on the twists that are kept [s]."""
 MAX_LAG_S = 0.8
 """Largest plausible lag [s]."""
+MEMORY_OF_LAG_S = 5.0 * MAX_LAG_S
+"""How long before a motion twists act on it: twice the delay (it may change by as much), and three
+time constants of a first-order lag [s]."""
+FIXED_TIME_CONSTANT_S = 0.005
+"""Prior standard deviation of the time constant while it is fixed at zero [s]: what a robot drives
+in that time is below the noise of bearings."""
+LAG_GATE = 2.0
+"""Gate at which it is estimated, and motions are integrated again [standard deviations]: many
+robots lag, and a false alarm costs little, as the estimate then has its prior around zero."""
 BEND, NUM_BENDS = 0.125, 33
 """Width [rad/m] and number of the classes of turn per metre into which the path is sorted."""
 NOTABLE_RATIO = 2.0

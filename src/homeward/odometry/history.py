@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
-from collections import deque
+from bisect import bisect_left, bisect_right
 from operator import attrgetter
 from typing import NamedTuple
 
@@ -21,8 +20,14 @@ MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
 the jitter and bias at standstill; in a second, a slower robot moves less than the uncertainty of a
 pose."""
 MEAN_S = 0.07
-"""Averaging time of the twist in the derivative by the lag [s]: the noise of single samples would
-count as information on the lag, and a longer mean lags when the robot accelerates."""
+"""Averaging time of a twist [s]: longer than a sample, so that their noise is averaged, and shorter
+than the robot takes to accelerate."""
+LAG_TIMES = -np.log1p(-np.arange(11) / 10.5)
+"""Times before the present, in time constants, between which a first-order lag weighs the command
+equally."""
+SLOPE_WEIGHTS = -np.diff((1.0 + LAG_TIMES) * np.exp(-LAG_TIMES))
+SLOPE_WEIGHTS /= SLOPE_WEIGHTS.sum()
+"""Weights of those intervals in the derivative by T of T times the twist, T the time constant."""
 
 
 class Driven(NamedTuple):
@@ -53,6 +58,15 @@ class Reckoned(NamedTuple):
     """Time since the newest twist [s]; infinite without one."""
 
 
+class SettledTwist(NamedTuple):
+    """The twist of a robot that follows its odometry as a first-order lag with time constant T."""
+
+    twist: tuple[float, float]
+    """Speed [m/s] and yaw rate [rad/s]."""
+    slope: tuple[float, float]
+    """Derivative by T of T times `twist` [m/s], [rad/s]."""
+
+
 class Stretch(NamedTuple):
     """Twists of an interval, and mean rates without the noise of single samples."""
 
@@ -60,8 +74,8 @@ class Stretch(NamedTuple):
     """Twists that are valid in the interval, at least in part."""
     steady_speed: float
     """Mean speed just before its end [m/s]."""
-    ends: tuple[tuple[float, float], tuple[float, float]]
-    """Mean speed [m/s] and yaw rate [rad/s] just before its beginning and its end."""
+    ends: tuple[SettledTwist, SettledTwist]
+    """The robot's twists at its beginning and its end."""
 
 
 class OdometrySample(NamedTuple):
@@ -124,7 +138,7 @@ class TwistHistory:
     """The history of twists; all users of odometry share one."""
 
     def __init__(self) -> None:
-        self._samples: deque[OdometrySample] = deque()
+        self._samples: list[OdometrySample] = []
         self._validity = TwistValidity()
         self.newest = -math.inf
         """Stamp of the newest twist [s]; minus infinity if there was none."""
@@ -246,23 +260,42 @@ class TwistHistory:
         twist = self._at(t)
         return (0.0, 0.0) if twist is None else twist.reckoned(t)
 
+    def _extrapolated(self, t: float) -> tuple[float, float]:
+        """Return `reckoned`, with the first twist also before its stamp."""
+        first = self._samples[0] if self._samples else None
+        if first is None or t >= first.t:
+            return self.reckoned(t)
+        return first.heading + first.omega * (t - first.t), first.path + first.v * (t - first.t)
+
     def reckoned_at(self, times: list[float]) -> np.ndarray | None:
         """Return `reckoned` at k times [s], newest first, (2, k); None before the first twist."""
         if self.before(times[0]) is None:
             return None
         return np.array([self.reckoned(t) for t in times]).T
 
-    def stretch(self, begin: float, end: float) -> Stretch:
+    def settled(self, t: float, time_constant: float) -> SettledTwist:
+        """Return the robot's twist at `t` [s]; the time constant [s] is `MEAN_S` / 2 at least."""
+        lag = max(time_constant, 0.5 * MEAN_S)
+        times = (t - lag * LAG_TIMES).tolist()
+        turned, path = np.array([self._extrapolated(time) for time in times]).T
+        rates = -np.diff([path, turned]) / (lag * np.diff(LAG_TIMES))
+        v, omega = rates.mean(axis=1).tolist()
+        by_v, by_omega = (rates @ SLOPE_WEIGHTS).tolist()
+        return SettledTwist((v, omega), (by_v, by_omega))
+
+    def stretch(self, begin: float, end: float, time_constant: float) -> Stretch:
         """Return the twists from `begin` until `end` [s], with mean rates."""
         first = len(self._samples)
         while first > 0 and self._samples[first - 1].t >= begin:
             first -= 1
         valid = (self._samples[i] for i in range(max(first - 1, 0), len(self._samples)))
         steady = (self.path(end) - self.path(end - STEADY_S)) / STEADY_S
-        ends = self.mean(begin), self.mean(end)
+        known = max(begin, self._samples[0].t) if self._samples else end
+        ends = self.settled(known, time_constant), self.settled(end, time_constant)
         return Stretch([twist for twist in valid if twist.t < end], steady, ends)
 
     def forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""
-        while len(self._samples) > 1 and self._samples[1].t < t:
-            self._samples.popleft()
+        old = bisect_left(self._samples, t, lo=1, key=_stamp) - 1 if self._samples else 0
+        if 2 * old > len(self._samples):  # so that each sample is shifted once on average
+            del self._samples[:old]

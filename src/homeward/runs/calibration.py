@@ -17,13 +17,16 @@ from homeward.drives.settings import OdometryDefaults, RobotSettings, Wheels
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
     CAMERA_Y,
     CAMERA_YAW,
-    LAG,
+    DELAY,
+    NC,
     SPEED_SCALE,
+    TIME_CONSTANT,
     TURN_BIAS,
     TURN_SCALE,
 )
@@ -51,7 +54,7 @@ ASSUMED = {
     "sensor.yaw": math.inf,
 }
 """Keys of the calibration, and the standard deviations that are assumed without an estimate."""
-STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, LAG, CAMERA_X, CAMERA_Y, CAMERA_YAW
+STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, DELAY, CAMERA_X, CAMERA_Y, CAMERA_YAW
 """The state of the localiser for each of them."""
 SIGMA_KEYS = {"bearings_late": "odometry.delay_sigma"}
 """Keys of standard deviations that are not the key of the value with _sigma at its end."""
@@ -80,20 +83,27 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
 
 
 def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
-    """Return the estimates of a map; the information of the prior is removed from them."""
-    chart = localizer.chart
-    state, camera = chart.map.smoother.state, chart.extrinsics
+    """Return the estimates of a map; the information of the prior is removed from them.
+
+    Delay and time constant of the odometry count as one delay.
+    """
+    chart, smoother = localizer.chart, localizer.chart.map.smoother
+    state, camera = smoother.state, chart.extrinsics
     free = {f"sensor.{name}" for name in camera.learnt(state.calibration)}
     of_odometry = calibration_sigmas(drive.settings, localizer.settings, chart.scale.state)
     priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
-    variances = state.calibration_variances.copy()
+    priors[DELAY] += smoother.time_constant_sigma**2
+    both = np.eye(NC)
+    both[DELAY, TIME_CONSTANT] = 1.0
+    means = both @ state.calibration
+    variances = (both @ state.covariance[3:HEAD, 3:HEAD] @ both.T).diagonal().copy()
     for table in (priors, variances):  # what ranges leave unknown of the scale is in no state
         table[SPEED_SCALE] += (chart.scale.rest or 0.0) ** 2
     found = {}
     for key, at in zip(ASSUMED, STATES, strict=True):
         own = 1.0 / float(variances[at]) - 1.0 / float(priors[at])
         if own > 0.0 and (key in free or not key.startswith("sensor.")):
-            mean = float(state.calibration[at] / variances[at]) / own
+            mean = float(means[at] / variances[at]) / own
             found[key] = Value(float(key.endswith("_scale")) + mean, own**-0.5)
     return _informative(found)
 

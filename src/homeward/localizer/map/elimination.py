@@ -255,7 +255,7 @@ class Prior:
     def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
         """Replace it by an elimination, linearised at `at`.
 
-        The calibration drifts meanwhile by variances (8,): the old one is marginalised, and the new
+        The calibration drifts meanwhile by variances (9,): the old one is marginalised, and the new
         one takes its place.
         """
         c = slice(3, HEAD)

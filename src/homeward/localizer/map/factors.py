@@ -15,9 +15,11 @@ from homeward.localizer.tunables import GATE, MAX_PADDING
 MIN_COVARIANCE = 1e-10 * np.eye(3)
 """Smallest covariance of a motion [m^2, rad^2]."""
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
-STEP = 12 + 3 * NC
+IS_ODOMETRY = 12 + 3 * NC
+STEP = 13 + 3 * NC
 """Columns of the table of motions between keyframes: the motion for a calibration of zero, the
-inverse of its covariance (3, 3), and its Jacobian by the calibration (3, 8)."""
+inverse of its covariance (3, 3), its Jacobian by the calibration (3, 9), and whether it is from
+twists alone."""
 
 
 def step_row(motion: Motion) -> np.ndarray:
@@ -26,6 +28,7 @@ def step_row(motion: Motion) -> np.ndarray:
     row[0, FREE] = motion.uncalibrated
     row[0, INFORMATION] = np.linalg.inv(motion.covariance + MIN_COVARIANCE).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
+    row[0, IS_ODOMETRY] = motion.is_odometry
     return row
 
 
@@ -41,7 +44,7 @@ class OdometryErrors(NamedTuple):
     error: np.ndarray
     """(k, 3): residual, measured minus expected motion [m, m, rad]."""
     jacobian: np.ndarray
-    """(k, 3, 14): Jacobian of the expected motion by both poses and the calibration."""
+    """(k, 3, 15): Jacobian of the expected motion by both poses and the calibration."""
     information: np.ndarray
     """(k, 3, 3): inverse of the covariance of the residual."""
     weight: np.ndarray
@@ -61,7 +64,7 @@ def cauchy_weights(squares: np.ndarray) -> np.ndarray:
 def odometry_errors(
     poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> OdometryErrors:
-    """Linearise the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (8,).
+    """Linearise the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (9,).
 
     Residuals are measured in the odometry's own metres. Otherwise all of them would shrink with the
     scale of its speed, which may be otherwise undetermined, and the map with it (errors in
@@ -85,7 +88,7 @@ def odometry_errors(
 def add_odometry(
     e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> None:
-    """Add the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (8,)."""
+    """Add the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (9,)."""
     if len(poses) < 2:
         return
     error, jacobian, information, weight = odometry_errors(poses, calibration, steps)
@@ -110,7 +113,7 @@ class WeighedSightings(NamedTuple):
     residual: np.ndarray
     """(m,): normalised residual, measured minus expected bearing [1]."""
     jacobian: np.ndarray
-    """(m, 13): normalised Jacobian of the expected one by pose, calibration and landmark."""
+    """(m, 14): normalised Jacobian of the expected one by pose, calibration and landmark."""
     pose: np.ndarray
     """(m,), int: the pose from which each was made ..."""
     landmark: np.ndarray
@@ -129,7 +132,7 @@ def weigh_sightings(
 
     Parameters
     ----------
-    residual, jacobian : ndarray, shape (m,), (m, 13)
+    residual, jacobian : ndarray, shape (m,), (m, 14)
         See `bearing_residuals`.
     sigma, effective : ndarray, shape (m,)
         Standard deviations, and effective ones given earlier sightings [rad].

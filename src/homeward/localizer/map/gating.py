@@ -41,9 +41,9 @@ class Prediction:
     residual: np.ndarray
     """(m,): innovations, measured minus expected [rad]."""
     jacobian: np.ndarray
-    """(m, 13): Jacobian of the expected bearings; see `bearing_residuals`."""
+    """(m, 14): Jacobian of the expected bearings; see `bearing_residuals`."""
     correlated: np.ndarray
-    """(m, 3 + 8 + 2 n): cross-covariance of the expected bearings with the state."""
+    """(m, 3 + 9 + 2 n): cross-covariance of the expected bearings with the state."""
     innovation_covariance: np.ndarray
     """(m, m): innovation covariance."""
 
@@ -75,7 +75,7 @@ def bearing_residuals(
     ----------
     bearings : ndarray, shape (m,)
         Measured from the camera's axis [rad].
-    eyes, by_head : ndarray, shape (m, 3), (m, 3, 11), or (3,), (3, 11)
+    eyes, by_head : ndarray, shape (m, 3), (m, 3, 12), or (3,), (3, 12)
         The camera's pose and its Jacobian; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
         Of the landmarks [m].
@@ -84,7 +84,7 @@ def bearing_residuals(
     -------
     residual : ndarray, shape (m,)
         Measured minus expected [rad], wrapped.
-    jacobian : ndarray, shape (m, 13)
+    jacobian : ndarray, shape (m, 14)
         Jacobian by keyframe's pose, calibration and landmark.
     """
     seen = sight(eyes, positions)
@@ -112,7 +112,7 @@ def predict_bearings(
         With the newest pose.
     bearings, sigmas : ndarray, shape (m,)
         Measured from the camera's axis, and their standard deviations [rad].
-    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11), or (3,) and (3, 11)
+    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 12), or (3,) and (3, 12)
         The camera's poses and Jacobians; see `Frames.eyes`, `pose_after`.
     index : ndarray, shape (m,), int
         Indices of the landmarks.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
@@ -90,7 +90,7 @@ class Map:
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
         self.smoother.range_ratio = scale.ratio
-        learnt = noise, process_noise, extrinsics
+        learnt = noise, process_noise, extrinsics, settings.time_constant_sigma
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         survey = Survey(known, settings, drive.together)
@@ -168,7 +168,7 @@ class Map:
             self._unlearnt_solution = False
             self._learner.learn(self.smoother, self.landmarks)
             self._count_ranges()
-            if self._learner.enable_extrinsics_calibration(self.smoother):
+            if self._learner.free_contradicted(self.smoother):
                 self._solve()
 
     def _count_ranges(self) -> None:
@@ -314,6 +314,11 @@ class Map:
         self.landmarks.revert_to(keyframe)
         self._pending_rows = []
         self._correct(None)
+
+    def integrate_again(self, since: float, between: Callable[[float, float], Motion]) -> None:
+        """Integrate the motions since a time again, and solve the window at the next keyframe."""
+        self.smoother.integrate_again(since, between, self._mount)
+        self._solve_due = True
 
     def replace_solution(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive, for the same landmarks."""

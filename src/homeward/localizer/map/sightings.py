@@ -29,10 +29,12 @@ class Frames:
         """Number of the oldest frame."""
         self.keyframes = np.zeros(0, int)
         """(f,): numbers of the keyframes."""
+        self.stamps = np.zeros(0)
+        """(f,): their times [s]."""
         self.free = np.zeros((0, 3))
         """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
         self.jacobians = np.zeros((0, 3, NC))
-        """(f, 3, 8): ... and its Jacobian by the calibration."""
+        """(f, 3, 9): ... and its Jacobian by the calibration."""
 
     @property
     def next(self) -> int:
@@ -54,6 +56,7 @@ class Frames:
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         uncalibrated = camera.delta - camera.jacobian @ camera.calibration
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
+        self.stamps = np.concatenate([self.stamps, [frame.t]])
         self.free = np.concatenate([self.free, uncalibrated[None]])
         self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
         return rows
@@ -61,13 +64,14 @@ class Frames:
     def drop_newest(self) -> None:
         """Drop the newest frame."""
         self.keyframes, self.free = self.keyframes[:-1], self.free[:-1]
-        self.jacobians = self.jacobians[:-1]
+        self.jacobians, self.stamps = self.jacobians[:-1], self.stamps[:-1]
 
     def since(self, number: int) -> Frames:
         """Return the frames from a number on."""
         some, begin = Frames(), number - self.first
         some.first, some.keyframes = number, self.keyframes[begin:]
         some.free, some.jacobians = self.free[begin:], self.jacobians[begin:]
+        some.stamps = self.stamps[begin:]
         return some
 
     def take_before(self, keyframe: int) -> Frames:
@@ -77,8 +81,13 @@ class Frames:
         old.keyframes, self.keyframes = self.keyframes[:count], self.keyframes[count:]
         old.free, self.free = self.free[:count], self.free[count:]
         old.jacobians, self.jacobians = self.jacobians[:count], self.jacobians[count:]
+        old.stamps, self.stamps = self.stamps[:count], self.stamps[count:]
         self.first += count
         return old
+
+    def replace(self, index: int, camera: Motion) -> None:
+        """Replace the motion of a frame."""
+        self.free[index], self.jacobians[index] = camera.uncalibrated, camera.jacobian
 
     @staticmethod
     def joined(parts: list[Frames]) -> Frames:
@@ -88,6 +97,7 @@ class Frames:
         whole.keyframes = np.concatenate([p.keyframes for p in parts])
         whole.free = np.concatenate([p.free for p in parts])
         whole.jacobians = np.concatenate([p.jacobians for p in parts])
+        whole.stamps = np.concatenate([p.stamps for p in parts])
         return whole
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -97,13 +107,13 @@ class Frames:
         ----------
         poses : ndarray, shape (f, 3) or (3,)
             Poses of the keyframes.
-        calibration : ndarray, shape (8,)
+        calibration : ndarray, shape (9,)
             The present estimate.
 
         Returns
         -------
         eyes : ndarray, shape (f, 3)
-        by_head : ndarray, shape (f, 3, 11)
+        by_head : ndarray, shape (f, 3, 12)
             Jacobian by keyframe's pose and calibration.
         """
         eyes, by_pose, by_camera = composition(poses, self.free + self.jacobians @ calibration)

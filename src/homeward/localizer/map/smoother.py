@@ -13,6 +13,7 @@ undone is marginalised.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,9 @@ from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (
+    BY_CALIBRATION,
+    FREE,
+    IS_ODOMETRY,
     STEP,
     OdometryErrors,
     WeighedSightings,
@@ -50,22 +54,31 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
+    DELAY,
     MOUNT,
     NC,
     ODOMETRY_CALIBRATION,
     SPEED_SCALE,
+    TIME_CONSTANT,
     TURN_SLIP,
     Motion,
+    camera_after,
 )
 from homeward.localizer.tunables import (
+    FIXED_TIME_CONSTANT_S,
     INFINITY_RATIO,
+    LAG_GATE,
     LINEAR,
-    MAX_GAIN_M,
     MAX_SOLVE_STEPS,
     MIN_CALIBRATION_SIGMA,
+    NEGLIGIBLE_CALIBRATION,
     SOLVE_CONVERGED,
+    STALE_S,
 )
 
+ONE_SIDED = [TURN_SLIP, TIME_CONSTANT]
+"""Unknowns that cannot be negative: wheels gain no way in bends, and no robot precedes its command.
+"""
 NO_TAIL = np.ones(2)
 """Ratios of inlier variances of shift and turn where motions have no heavy tail [1]."""
 
@@ -85,9 +98,9 @@ class Smoother:
 
     Parameters
     ----------
-    odometry_sigmas : ndarray, shape (5,)
+    odometry_sigmas : ndarray, shape (6,)
         Prior standard deviations of the odometry's calibration, around zero.
-    drift : ndarray, shape (8,)
+    drift : ndarray, shape (9,)
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Prior standard deviations of the extrinsics, around zero.
@@ -126,6 +139,8 @@ class Smoother:
         """Priors that may change are never marginalised: of the extrinsics ..."""
         self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_CALIBRATION_SIGMA)
         """... of slip in bends [m] ..."""
+        self.time_constant_sigma = FIXED_TIME_CONSTANT_S
+        """... of the time constant [s] ..."""
         self.survey = SurveyFactors.none()
         """... and the survey of landmarks."""
         self.range_ratio = 0.0
@@ -137,8 +152,10 @@ class Smoother:
         self._next_id = 0
         self._closed: list[Closed] | None = None
         self._drift, self._correlated = drift, correlated
+        self._integrated_at = np.zeros(2)
+        """Delay and time constant [s] of the motions in the window."""
         of_odometry = 1.0 / np.maximum(odometry_sigmas, MIN_CALIBRATION_SIGMA) ** 2
-        of_odometry[TURN_SLIP] = 0.0
+        of_odometry[ONE_SIDED] = 0.0
         information = np.concatenate([np.full(3, 1e10), of_odometry, np.zeros(len(mount_sigmas))])
         self._first_information = np.diag(information)
         self._prior = Prior(self._first_information)
@@ -156,6 +173,7 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
+        whole.time_constant_sigma = self.time_constant_sigma
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
@@ -197,7 +215,7 @@ class Smoother:
         return np.asarray(self.ids.searchsorted(ids))
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 11)."""
+        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 12)."""
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
         some = self.frames.since(begin)
@@ -245,6 +263,47 @@ class Smoother:
             mean = np.concatenate([pose, self.state.mean[3:]])
             self.state = Marginal(mean, self.state.covariance)
 
+    @property
+    def is_stale(self) -> bool:
+        """Whether delay or time constant differ from those of the motions, beyond their error.
+
+        False while the delay is negative: the newest motions then lack twists that are still to
+        come, and an older one without such errors is no measure of their noise.
+        """
+        of_lag, state = [DELAY, TIME_CONSTANT], self.state
+        if state.calibration[DELAY] < 0.0:
+            return False
+        change = np.abs(state.calibration[of_lag] - self._integrated_at)
+        sigmas = np.sqrt(state.calibration_variances[of_lag])
+        return bool((change > np.maximum(STALE_S, LAG_GATE * sigmas)).any())
+
+    def integrate_again(
+        self, since: float, between: Callable[[float, float], Motion], mount: np.ndarray
+    ) -> None:
+        """Replace the motions in the window: delay and time constant act nonlinearly.
+
+        Parameters
+        ----------
+        since : float
+            Time of the oldest one that can be integrated again [s].
+        between : callable
+            Returns the motion between two times [s] at the present calibration.
+        mount : ndarray, shape (3,)
+            The given pose of the camera on the robot.
+        """
+        self._integrated_at = self.state.calibration[[DELAY, TIME_CONSTANT]]
+        known = np.array(self.stamps[:-1]) >= since
+        for k in np.flatnonzero(known & (self._steps[:, IS_ODOMETRY] > 0.0)).tolist():
+            motion = between(self.stamps[k], self.stamps[k + 1])
+            self._steps[k, FREE] = motion.uncalibrated
+            self._steps[k, BY_CALIBRATION] = motion.jacobian.ravel()
+        frames = self.frames
+        for k, (keyframe, t) in enumerate(zip(frames.keyframes, frames.stamps, strict=True)):
+            begin = self.stamps[keyframe - self.first]
+            if t > begin >= since:
+                motion = camera_after(between(begin, t), mount, self.state.calibration)
+                frames.replace(k, motion)
+
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
         for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
@@ -288,10 +347,11 @@ class Smoother:
             poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
-            constrained = self._slip_is_negative
+            bounded = self._negative
             small = self._move(poses, common, covariance) < SOLVE_CONVERGED
-            slip = float(self.state.calibration[TURN_SLIP])
-            self.converged = small and (slip <= 0.0 if constrained else slip > -MAX_GAIN_M)
+            now = self.state.calibration[self._one_sided]
+            right = np.where(bounded, now <= 0.0, now > -NEGLIGIBLE_CALIBRATION)
+            self.converged = small and bool(right.all())
             if self.converged:
                 break
 
@@ -404,7 +464,7 @@ class Smoother:
     ) -> NormalEquations:
         """Return the normal equations of the oldest w poses, sightings from them, and the prior.
 
-        The priors on extrinsics and slip are not among them, since they may change.
+        The priors on extrinsics, slip and time constant are not among them, since they may change.
         """
         equations = NormalEquations.zeros(w, NC + self.state.positions.size)
         self._prior.add_to(equations, self._linearisation_point())
@@ -414,20 +474,31 @@ class Smoother:
         return equations
 
     @property
-    def _slip_is_negative(self) -> bool:
-        """Whether slip is negative, so that wheels would gain way in bends, which is impossible."""
-        return bool(self.state.calibration[TURN_SLIP] < 0.0)
+    def _one_sided(self) -> list[int]:
+        """Unknowns that cannot be negative.
+
+        A negative delay with a time constant would be a filter of noise without a lag.
+        """
+        return (
+            [*ONE_SIDED, DELAY] if self.time_constant_sigma > FIXED_TIME_CONSTANT_S else ONE_SIDED
+        )
+
+    @property
+    def _negative(self) -> np.ndarray:
+        """(2,) or (3,), bool: which of `_one_sided` are negative."""
+        return np.asarray(self.state.calibration[self._one_sided] < 0.0)
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
         equations = self._normal_equations(len(self.poses), self.sightings, seen)
-        at = np.array([TURN_SLIP, *range(NC)[MOUNT]])
-        information = np.array([self.slip_sigma, *self.mount_sigmas]) ** -2.0
+        at = np.array([*ONE_SIDED, *range(NC)[MOUNT]])
+        sigmas = [self.slip_sigma, self.time_constant_sigma, *self.mount_sigmas]
+        information = np.array(sigmas) ** -2.0
         equations.common[at, at] += information
         equations.common_slope[at] -= information * self.state.calibration[at]
-        if self._slip_is_negative:
-            equations.common[TURN_SLIP, TURN_SLIP] += MAX_GAIN_M**-2.0
-            equations.common_slope[TURN_SLIP] -= (
-                MAX_GAIN_M**-2.0 * self.state.calibration[TURN_SLIP]
-            )
+        bounded = np.array(self._one_sided)[self._negative]
+        equations.common[bounded, bounded] += NEGLIGIBLE_CALIBRATION**-2.0
+        equations.common_slope[bounded] -= (
+            NEGLIGIBLE_CALIBRATION**-2.0 * self.state.calibration[bounded]
+        )
         return equations

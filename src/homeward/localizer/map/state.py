@@ -30,7 +30,7 @@ class View(NamedTuple):
     pose: np.ndarray
     """(3,): its pose [m, m, rad]."""
     by_head: np.ndarray
-    """(3, 11): Jacobian of the pose; see `Marginal.pose_after`."""
+    """(3, 12): Jacobian of the pose; see `Marginal.pose_after`."""
 
 
 @dataclass(frozen=True)
@@ -38,18 +38,18 @@ class Marginal:
     """Gaussian on newest pose, calibration and n landmarks."""
 
     mean: np.ndarray
-    """(3 + 8 + 2 n,)"""
+    """(3 + 9 + 2 n,)"""
     covariance: np.ndarray
-    """(3 + 8 + 2 n, 3 + 8 + 2 n)"""
+    """(3 + 9 + 2 n, 3 + 9 + 2 n)"""
 
     @cached_property
     def calibration(self) -> np.ndarray:
-        """(8,): calibration of odometry and camera."""
+        """(9,): calibration of odometry and camera."""
         return self.mean[3:HEAD]
 
     @property
     def calibration_variances(self) -> np.ndarray:
-        """(8,): its variances."""
+        """(9,): its variances."""
         return self.covariance.diagonal()[3:HEAD]
 
     @cached_property
@@ -73,7 +73,7 @@ class Marginal:
         return self.distances + CLOSE * self.scale
 
     def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose after a motion from the newest one, and its Jacobian (3, 11)."""
+        """Return the pose after a motion from the newest one, and its Jacobian (3, 12)."""
         by_calibration, now = motion.jacobian, self.mean[3:HEAD]
         moved = motion.delta - by_calibration @ motion.calibration + by_calibration @ now
         by_head = np.empty((3, HEAD))

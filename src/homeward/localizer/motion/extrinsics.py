@@ -62,7 +62,7 @@ class Extrinsics:
         self._not_given = np.array([part not in given for part in ("yaw", "x", "y")])
 
     def estimate(self, calibration: np.ndarray) -> Pose | None:
-        """Return the camera's pose on the robot by a calibration (8,); None if as assumed."""
+        """Return the camera's pose on the robot by a calibration (9,); None if as assumed."""
         off = calibration[MOUNT]
         if not self.contradicted or (np.abs(off) < self._tolerance).all():
             return None
@@ -80,7 +80,7 @@ class Extrinsics:
         return {name: round(values[name], 2) + 0.0 for name in values if name not in given}  # no -0
 
     def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
-        """Return notes for the user, `calibration` (8,) being the present one."""
+        """Return notes for the user, `calibration` (9,) being the present one."""
         learnt = self.learnt(calibration)
         if not learnt:
             return ()
@@ -95,7 +95,7 @@ class Extrinsics:
 
         Parameters
         ----------
-        calibration, variances : ndarray, shape (8,)
+        calibration, variances : ndarray, shape (9,)
             Posterior mean and variances in the map.
         scale : float
             Median distance of the landmarks [m].

@@ -12,15 +12,24 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.settings import DriveSettings
-from homeward.localizer.motion.preintegration import LAG, Motion, Piece, integrate
+from homeward.localizer.motion.preintegration import (
+    DELAY,
+    TIME_CONSTANT,
+    Motion,
+    Piece,
+    integrate,
+)
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     BEND,
     BRIDGED,
+    FIXED_TIME_CONSTANT_S,
     INFLATION,
     INITIAL_STRAIGHT_M,
+    LAG_GATE,
     MAX_LAG_S,
+    MEMORY_OF_LAG_S,
     MEMORY_S,
     MIN_SPEED,
     MIN_TURN_RATE,
@@ -31,14 +40,14 @@ from homeward.localizer.tunables import (
     TURN_TIME_S,
 )
 from homeward.odometry.clock import MAX_DELAY_S
-from homeward.odometry.history import STEADY_S, Stretch, TwistHistory
+from homeward.odometry.history import MEAN_S, Stretch, TwistHistory
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
 def calibration_sigmas(
     drive: DriveSettings, settings: LocalizerSettings, speed_scale: float
 ) -> np.ndarray:
-    """Return the prior standard deviations of the odometry's calibration, shape (5,).
+    """Return the prior standard deviations of the odometry's calibration, shape (6,).
 
     That of the speed's scale is `speed_scale`; it is zero unless something observes the scale, such
     as a survey: bearings do not.
@@ -51,14 +60,40 @@ def calibration_sigmas(
             default.turn_bias if bias is None else bias,
             default.turn_slip if given.speed_scale_sigma is None else 0.0,
             settings.lag_sigma if given.delay_sigma is None else given.delay_sigma,
+            settings.time_constant_sigma,
             speed_scale,
         ]
     )
 
 
+def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
+    """Return whether a map shows that the robot follows its odometry as a first-order lag.
+
+    The time constant is fixed at zero until then. The information of that prior is known, and so
+    what the map alone would estimate follows from its posterior. A filter also takes noise from the
+    motions between keyframes, so the noise of measured twists looks like a time constant: of up to
+    half the averaging time of a twist, or more if a negative delay makes up for it. So the lower
+    bound of the estimate must exceed the first, and not the delay found without a time constant.
+
+    Parameters
+    ----------
+    calibration, variances : ndarray, shape (9,)
+        Posterior mean and variances, with the prior of `FIXED_TIME_CONSTANT_S`.
+    """
+    precision = 1.0 / float(variances[TIME_CONSTANT])
+    own = precision - FIXED_TIME_CONSTANT_S**-2.0
+    if own <= 0.0:
+        return False
+    estimate = float(calibration[TIME_CONSTANT]) * precision / own
+    return 0.5 * MEAN_S < estimate - LAG_GATE * own**-0.5 <= float(calibration[DELAY])
+
+
 def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
-    """Return notes for the user on the lag in a calibration (8,), if it is notable."""
-    lag = float(calibration[LAG])
+    """Return notes for the user on the lag in a calibration (9,), if it is notable.
+
+    A robot with a time constant moves that much later than its command, in the mean.
+    """
+    lag = float(calibration[DELAY] + calibration[TIME_CONSTANT])
     if abs(lag) < NOTABLE_LAG_S:
         return ()
     way = "after" if lag > 0 else "before"
@@ -154,12 +189,12 @@ class OdometryIntegrator:
         ----------
         t : float
             A time before `end` counts as `end`.
-        calibration : ndarray, shape (8,)
+        calibration : ndarray, shape (9,)
             Where to linearise.
         """
         if t <= self.end:
             return self._motion
-        return self._motion.compose(self._further(t, calibration)[0])
+        return self._motion.compose(self.between(self.end, t, calibration))
 
     def advance(self, t: float, calibration: np.ndarray) -> Motion:
         """Integrate the motion up to `t` [s] for good and return it; earlier twists are refused."""
@@ -189,22 +224,29 @@ class OdometryIntegrator:
     @property
     def needed_since(self) -> float:
         """Oldest stamp of the twists that are still needed [s]."""
-        return (self._saved[0].t if self._saved else self.end) - 2.0 * MAX_LAG_S - STEADY_S
+        return (self._saved[0].t if self._saved else self.end) - MEMORY_OF_LAG_S
 
     def _integrate(self, t: float, calibration: np.ndarray) -> None:
         """Extend the integration to `t` [s]."""
         if t <= self.end:
             return
-        motion, path, pieces = self._further(t, calibration)
+        motion, path, pieces = self._integrated(self.end, t, calibration)
         self._motion, self.end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
         self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
 
-    def _further(self, t: float, calibration: np.ndarray) -> tuple[Motion, np.ndarray, list[Piece]]:
-        """Return the motion from `end` to `t` [s], its length by bend, and its pieces."""
-        lag = min(max(float(calibration[LAG]), -MAX_LAG_S), MAX_LAG_S)
-        begin, end = self.end - lag, t - lag
-        stretch = self._twists.stretch(begin, end)
+    def between(self, begin: float, end: float, calibration: np.ndarray) -> Motion:
+        """Return the motion between two times [s] of which the twists are remembered."""
+        return self._integrated(begin, end, calibration)[0]
+
+    def _integrated(
+        self, begin: float, end: float, calibration: np.ndarray
+    ) -> tuple[Motion, np.ndarray, list[Piece]]:
+        """Return the motion between two times [s], its length by bend, and its pieces."""
+        delay, constant = calibration[[DELAY, TIME_CONSTANT]].tolist()
+        delay = min(max(delay, -MAX_LAG_S), MAX_LAG_S)
+        begin, end = begin - delay, end - delay
+        stretch = self._twists.stretch(begin, end, min(constant, MAX_LAG_S))
         pieces, rates = self._pieces(stretch, begin, end), self._noise.rates
         return *integrate(pieces, stretch.ends, calibration, rates, self._straightest), pieces
 

@@ -5,10 +5,14 @@ calibration, so that a new calibration needs no new integration.
 
 The calibration is one vector (`CALIBRATION`), constant but for a slow drift. The true turn rate is
 ``(1 + turn_scale) omega + turn_bias`` while the robot moves; the true speed is reduced in bends by
-the slip ``turn_slip (|omega| - r |v|)``; twists act ``lag`` seconds after their stamps; all speeds
-are ``1 + speed_scale`` times as large, which only known landmarks make observable; the camera is
-turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from its given pose. A robot
-whose twist is exactly zero is stationary, and gathers neither drift nor noise.
+the slip ``turn_slip (|omega| - r |v|)``; twists act ``delay`` seconds after their stamps, as below;
+all speeds are ``1 + speed_scale`` times as large, which only known landmarks make observable; the
+camera is turned by ``camera_yaw`` and shifted by ``camera_x`` and ``camera_y`` from its given pose.
+A robot whose twist is exactly zero is stationary, and gathers neither drift nor noise.
+
+Where odometry is the commanded twist u, the robot follows as a first-order lag with the time
+constant T: its twist is s, with ``T ds/dt = u - s``. Its pose is then the commanded one less the
+motion ``exp(T s)``, exact for a constant direction of u; so only the ends of a motion change.
 
 In the slip, r is the turn per metre of this robot where it drives straightest. The speed is right
 there, and slip is zero for a robot that always turns alike; else slip could be traded for the scale
@@ -25,17 +29,36 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.geometry.frames import Twist, advance
 from homeward.geometry.se2 import between, composition
 from homeward.localizer.tunables import BEND, NUM_BENDS
+from homeward.odometry.history import ORIGIN, SettledTwist
 
-ODOMETRY_CALIBRATION = ("turn_scale", "turn_bias", "turn_slip", "lag", "speed_scale")
+ODOMETRY_CALIBRATION = (
+    "turn_scale",
+    "turn_bias",
+    "turn_slip",
+    "delay",
+    "time_constant",
+    "speed_scale",
+)
 CALIBRATION = (*ODOMETRY_CALIBRATION, "camera_yaw", "camera_x", "camera_y")
-"""Unknowns of odometry and camera: [1], [rad/s], [m], [s], [1], [rad], [m], [m]."""
+"""Unknowns of odometry and camera: [1], [rad/s], [m], [s], [s], [1], [rad], [m], [m]."""
 NC = len(CALIBRATION)
-TURN_SCALE, TURN_BIAS, TURN_SLIP, LAG, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y = range(NC)
+(
+    TURN_SCALE,
+    TURN_BIAS,
+    TURN_SLIP,
+    DELAY,
+    TIME_CONSTANT,
+    SPEED_SCALE,
+    CAMERA_YAW,
+    CAMERA_X,
+    CAMERA_Y,
+) = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-"""(3, 8): Jacobian of the camera's pose on the robot by the calibration."""
+"""(3, 9): Jacobian of the camera's pose on the robot by the calibration."""
 
 
 @dataclass(frozen=True)
@@ -47,13 +70,15 @@ class Motion:
     covariance: np.ndarray
     """(3, 3): of `delta`, by white noise alone."""
     jacobian: np.ndarray
-    """(3, 8): of `delta` by the calibration."""
+    """(3, 9): of `delta` by the calibration."""
     path: float = 0.0
     """Length driven [m]."""
     turned: float = 0.0
     """Sum of the sizes of all turns [rad]."""
     calibration: np.ndarray = field(default_factory=lambda: np.zeros(NC))
-    """(8,): linearisation point."""
+    """(9,): linearisation point."""
+    is_odometry: bool = False
+    """Whether it is from twists alone, and so can be integrated again."""
 
     @property
     def uncalibrated(self) -> np.ndarray:
@@ -78,6 +103,7 @@ class Motion:
             self.path + later.path,
             self.turned + later.turned,
             later.calibration,
+            self.is_odometry and later.is_odometry,
         )
 
     def inverse(self) -> Motion:
@@ -117,7 +143,7 @@ class Piece(NamedTuple):
 
 def integrate(
     pieces: Sequence[Piece],
-    ends: tuple[tuple[float, float], tuple[float, float]],
+    ends: tuple[SettledTwist, SettledTwist],
     calibration: np.ndarray,
     rates: np.ndarray,
     straightest: float,
@@ -128,11 +154,11 @@ def integrate(
     ----------
     pieces : sequence of Piece
         At least one.
-    ends : tuple of tuples
-        Mean speed [m/s] and turn rate [rad/s] at the start and at the end, for the derivative by
-        the lag. The noise of single samples there would count as information on the lag.
-    calibration : ndarray, shape (8,)
-        Linearisation point; the lag is already in the times of the pieces.
+    ends : tuple of SettledTwist
+        The robot's twists at the start and at the end. The noise of single samples there would
+        count as information on the delay.
+    calibration : ndarray, shape (9,)
+        Linearisation point; the delay is already in the times of the pieces.
     rates : ndarray, shape (3, 3)
         Growth of the variances; see `homeward.drives.settings.noise_rates`.
     straightest : float
@@ -163,10 +189,38 @@ def integrate(
         by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), NUM_BENDS - 1)] += way
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
-    jacobian[:2, SPEED_SCALE] = delta[:2] / size
-    twists = [(size * v, (1.0 + scale) * w + bias if v or w else 0.0) for v, w in ends]
-    jacobian[:, LAG] = _shift(delta, *twists[0], *twists[1])
-    return Motion(delta, covariance, jacobian, path, turned, calibration), np.array(by_bend)
+    commanded = Motion(delta, covariance, jacobian, path, turned, calibration, True)
+    first, last = (
+        _outstanding(*end, calibration, sign) for end, sign in zip(ends, (1.0, -1.0), strict=True)
+    )
+    motion = first.compose(commanded).compose(last)
+    motion.jacobian[:2, SPEED_SCALE] = motion.delta[:2] / size
+    twists = [(size * v, (1.0 + scale) * w + bias if v or w else 0.0) for (v, w), _ in ends]
+    motion.jacobian[:, DELAY] = _shift(motion.delta, *twists[0], *twists[1])
+    return motion, np.array(by_bend)
+
+
+def _outstanding(
+    twist: tuple[float, float],
+    slope: tuple[float, float],
+    calibration: np.ndarray,
+    sign: float,
+) -> Motion:
+    """Return the commanded motion that the robot still has to make, forward or backward by sign.
+
+    A first-order lag is behind its command by its time constant times its own twist.
+    """
+    scale, bias, lag = calibration[[TURN_SCALE, TURN_BIAS, TIME_CONSTANT]].tolist()
+    size, (v, omega) = 1.0 + float(calibration[SPEED_SCALE]), twist
+    rate = (1.0 + scale) * omega + bias if v or omega else 0.0
+    end = advance(ORIGIN, Twist(size * v, rate), sign * lag)
+    by_calibration = np.zeros((3, NC))
+    c, s = math.cos(end.heading), math.sin(end.heading)
+    for column, turn in ((TURN_SCALE, sign * lag * omega), (TURN_BIAS, sign * lag)):
+        by_calibration[:, column] = -end.x * end.heading / 3.0 * turn, 0.5 * end.x * turn, turn
+    ahead, turn = size * slope[0], (1.0 + scale) * slope[1] + bias if v or omega else 0.0
+    by_calibration[:, TIME_CONSTANT] = sign * np.array([c * ahead, s * ahead, turn])
+    return Motion(np.array(end), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
 
 
 def _add_errors(

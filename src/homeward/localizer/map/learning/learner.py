@@ -12,6 +12,7 @@ from homeward.localizer.map.learning.walking import update_walking
 from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
+from homeward.localizer.motion.odometry import shows_lag
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 
@@ -27,6 +28,8 @@ class Learner:
         Noise of motions.
     extrinsics : Extrinsics
         Prior on the camera's pose on the robot.
+    time_constant_sigma : float
+        Prior standard deviation of the odometry's time constant once it is free [s].
     slip_sigma : float
         Prior standard deviation of slip in bends, of robots in a room [m].
     """
@@ -36,10 +39,11 @@ class Learner:
         noise: BearingNoise,
         process_noise: ProcessNoise,
         extrinsics: Extrinsics,
+        time_constant_sigma: float,
         slip_sigma: float,
     ) -> None:
         self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
-        self._slip_sigma = slip_sigma
+        self._time_constant_sigma, self._slip_sigma = time_constant_sigma, slip_sigma
         self._updated_at = self._odometry_updated_at = 0
 
     def scale_noise_prior(self, smoother: Smoother) -> None:
@@ -75,17 +79,23 @@ class Learner:
             sums, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*sums, motions, min(since, motions)))
 
-    def enable_extrinsics_calibration(self, smoother: Smoother) -> bool:
-        """Free the extrinsics if the bearings contradict the assumed ones; return whether so.
+    def free_contradicted(self, smoother: Smoother) -> bool:
+        """Free extrinsics and time constant where the map contradicts zero; return whether so.
 
-        That happens once, and requires another solution.
+        That happens once for each, and requires another solution.
         """
-        now, reliable = smoother.state, smoother.converged and self._noise.confirmed
-        calibration = now.calibration, now.calibration_variances
-        if not (reliable and self._extrinsics.test(*calibration, now.scale)):
+        now = smoother.state
+        calibration, variances = now.calibration, now.calibration_variances
+        if not (smoother.converged and self._noise.confirmed):
             return False
-        smoother.mount_sigmas = self._extrinsics.sigmas
-        return True
+        extrinsics = self._extrinsics.test(calibration, variances, now.scale)
+        if extrinsics:
+            smoother.mount_sigmas = self._extrinsics.sigmas
+        is_fixed = smoother.time_constant_sigma < self._time_constant_sigma
+        lag = is_fixed and shows_lag(calibration, variances)
+        if lag:
+            smoother.time_constant_sigma = self._time_constant_sigma
+        return extrinsics or lag
 
 
 def _odometry_misfit(smoother: Smoother) -> Misfit:

@@ -33,7 +33,7 @@ class BearingErrors(NamedTuple):
     error: np.ndarray
     """(m,): normalised by the standard deviation of a single bearing [1]."""
     jacobian: np.ndarray
-    """(m, 13): Jacobian of `bearing_residuals`, normalised by effective standard deviations."""
+    """(m, 14): Jacobian of `bearing_residuals`, normalised by effective standard deviations."""
     pose: np.ndarray
     """(m,), int: the pose from which each was made."""
     landmark: np.ndarray
