@@ -81,11 +81,12 @@ def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
         Posterior mean and variances, with the prior of `FIXED_TIME_CONSTANT_S`.
     """
     precision = 1.0 / float(variances[TIME_CONSTANT])
-    own = precision - FIXED_TIME_CONSTANT_S**-2.0
+    own = precision - 1.0 / FIXED_TIME_CONSTANT_S**2
     if own <= 0.0:
         return False
     estimate = float(calibration[TIME_CONSTANT]) * precision / own
-    return 0.5 * MEAN_S < estimate - LAG_GATE * own**-0.5 <= float(calibration[DELAY])
+    lower = estimate - LAG_GATE / math.sqrt(own)
+    return 0.5 * MEAN_S < lower <= float(calibration[DELAY])
 
 
 def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
