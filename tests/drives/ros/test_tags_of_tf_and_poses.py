@@ -19,7 +19,7 @@ from homeward.errors import InputError
 CAMERA = "camera_optical_frame"
 LEVEL_OPTICAL = (-0.5, 0.5, -0.5, 0.5)
 """Rotation of an optical frame that looks along the x axis of its parent."""
-UNTIL = 30.0
+UNTIL = 40.0
 """Duration of the logs [s]."""
 
 
