@@ -11,6 +11,7 @@ motion, so a correct map without a measured distance has the scale 1 / straight.
 import math
 
 import numpy as np
+from scipy.signal import lfilter
 
 from benchmarks import monte_carlo
 from benchmarks.mrclam import HOME, data
@@ -31,8 +32,8 @@ def followed(drive: Drive, delay: float, lag: float) -> tuple[np.ndarray, np.nda
     newest = np.maximum(np.searchsorted(odometry.t, t - delay, side="right") - 1, 0)
     rates = np.nan_to_num(np.stack([odometry.v, odometry.omega])[:, newest])
     keep = math.exp(-STEP_S / lag) if lag else 0.0
-    for k in range(1, len(t)):
-        rates[:, k] = keep * rates[:, k - 1] + (1.0 - keep) * rates[:, k]
+    begin = keep * rates[:, :1]
+    rates, _ = lfilter([1.0 - keep], [1.0, -keep], rates, axis=1, zi=begin)
     return t, np.cumsum(rates, axis=1) * STEP_S
 
 

@@ -331,7 +331,7 @@ MIN_RANGE_SIGMA, MAX_RANGE_SIGMA = 0.005, 1.0
 MIN_CALIBRATION_SIGMA = 1e-6
 """Smallest prior standard deviation of the odometry's calibration."""
 NEGLIGIBLE_CALIBRATION = 1e-4
-"""Negative slip [m] and time constant [s] that are negligible."""
+"""Negative slip [m], time constant and delay [s] that are negligible."""
 STALE_S = 0.02
 """Change of delay or time constant from which motions are integrated again [s]: at a fast turn rate
 of 1 rad/s, its second-order effect on a heading is below the noise of a bearing."""

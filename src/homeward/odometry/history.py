@@ -241,7 +241,7 @@ class TwistHistory:
         fast = abs(path - start) / STEADY_S > MOVING_SPEED
         return fast or abs(heading - before) > MOVING_TURN_RATE * STEADY_S
 
-    def mean(self, t: float, over: float = MEAN_S) -> tuple[float, float]:
+    def mean(self, t: float, over: float) -> tuple[float, float]:
         """Return the mean speed [m/s] and yaw rate [rad/s] in the last `over` [s] before `t` [s].
 
         Only time after the first twist counts. Before that, the first twist is the mean.
@@ -285,14 +285,12 @@ class TwistHistory:
 
     def stretch(self, begin: float, end: float, time_constant: float) -> Stretch:
         """Return the twists from `begin` until `end` [s], with mean rates."""
-        first = len(self._samples)
-        while first > 0 and self._samples[first - 1].t >= begin:
-            first -= 1
-        valid = (self._samples[i] for i in range(max(first - 1, 0), len(self._samples)))
+        first, last = (bisect_left(self._samples, t, key=_stamp) for t in (begin, end))
+        valid = self._samples[max(first - 1, 0) : last]
         steady = (self.path(end) - self.path(end - STEADY_S)) / STEADY_S
         known = max(begin, self._samples[0].t) if self._samples else end
         ends = self.settled(known, time_constant), self.settled(end, time_constant)
-        return Stretch([twist for twist in valid if twist.t < end], steady, ends)
+        return Stretch(valid, steady, ends)
 
     def forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""

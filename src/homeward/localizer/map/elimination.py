@@ -212,7 +212,7 @@ class Prior:
 
     Parameters
     ----------
-    information : ndarray, shape (11 + 2 n, 11 + 2 n)
+    information : ndarray, shape (12 + 2 n, 12 + 2 n)
         Initial information on oldest pose, calibration and landmarks, around zero.
     """
 
@@ -222,7 +222,7 @@ class Prior:
         self._at = np.zeros(len(information))
 
     def add_to(self, e: NormalEquations, now: np.ndarray) -> None:
-        """Add it to the normal equations around `now`, shape (11 + 2 n,)."""
+        """Add it to the normal equations around `now`, shape (12 + 2 n,)."""
         information = self._information
         downhill = self._gradient - information @ (now - self._at)
         e.own[0] += information[:3, :3]
@@ -242,7 +242,7 @@ class Prior:
         self._at = np.append(self._at, position)
 
     def drop_landmark(self, index: int, now: np.ndarray) -> None:
-        """Marginalise a landmark, linearised at `now`, shape (11 + 2 n,)."""
+        """Marginalise a landmark, linearised at `now`, shape (12 + 2 n,)."""
         out = HEAD + 2 * index + np.arange(2)
         keep = np.delete(np.arange(now.size), out)
         information = self._information

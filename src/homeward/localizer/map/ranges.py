@@ -75,7 +75,7 @@ def range_residuals(
     ----------
     rows : ndarray, shape (m, COLUMNS)
         Of the table of sightings, with ranges.
-    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 11)
+    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 12)
         The camera's poses and Jacobians; see `Frames.eyes`.
     positions : ndarray, shape (m, 2)
         Of the landmarks [m].
