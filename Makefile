@@ -111,6 +111,7 @@ bench: install
 	$(if $(QUICK),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lasting)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --lag 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         FilterSettings,
         ProportionalIntegralSettings,
     )
+    from homeward.localizer.fixed_lag import FixedLag, smooth_with_lag
     from homeward.localizer.localizer import Localizer
     from homeward.localizer.settings import LocalizerSettings
     from homeward.localizer.smoothing import smooth
@@ -41,6 +42,7 @@ _NAMES = {
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
     "lab.filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
     "geometry.frames": ("Polar", "Pose"),
+    "localizer.fixed_lag": ("FixedLag", "smooth_with_lag"),
     "localizer.localizer": ("Localizer",),
     "localizer.settings": ("LocalizerSettings",),
     "localizer.smoothing": ("smooth",),
@@ -62,6 +64,7 @@ __all__ = [
     "Estimate",
     "Estimator",
     "FilterSettings",
+    "FixedLag",
     "HomeBearing",
     "HomeScan",
     "HomewardError",
@@ -98,6 +101,7 @@ __all__ = [
     "save_place",
     "score",
     "smooth",
+    "smooth_with_lag",
 ]
 
 

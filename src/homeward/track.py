@@ -124,7 +124,10 @@ class Track:
 
 @single_threaded_blas()
 def run(
-    drive: Drive, estimator: Estimator, progress: Callable[[float], None] | None = None
+    drive: Drive,
+    estimator: Estimator,
+    progress: Callable[[float], None] | None = None,
+    on_estimate: Callable[[Estimate], object] | None = None,
 ) -> Track:
     """Feed a drive to an estimator as if it were online, and return its estimates.
 
@@ -139,6 +142,8 @@ def run(
         A new estimator; it cannot be used for another run.
     progress : callable, optional
         Receives the fraction done, in [0, 1], at most about 20 times a second.
+    on_estimate : callable, optional
+        Receives each estimate before later samples are fed.
 
     Raises
     ------
@@ -174,11 +179,13 @@ def run(
             else:
                 estimate = estimator.bearings(t, seen, sigmas or None)
             update_seconds.append(time.perf_counter() - start)
-            rows.keep(t, estimate)
         else:
             t = next(grid_points)
-            rows.keep(t, estimator.estimate(t))
+            estimate = estimator.estimate(t)
         if kind != ODOMETRY:
+            rows.keep(t, estimate)
+            if on_estimate is not None:
+                on_estimate(estimate)
             rows.keep_landmarks(t, estimator, every)
         if progress is not None and time.perf_counter() - reported > PROGRESS_S:
             reported = time.perf_counter()

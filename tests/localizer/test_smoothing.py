@@ -139,7 +139,8 @@ def test_after_a_slip_poses_are_right_or_absent(seconds, turn, blind):
     assert (off > 4.0).mean() < 0.01
     assert deviations(track, drive.truth).max() < 4.0
     assert track.has_pose[track.t > begin + 9.0].mean() > 0.85
-    assert track.has_pose.mean() > 0.75
+    lost = 0.15 if (seconds, blind) == (3.0, 2.0) else 0.01  # there, a new map begins
+    assert track.has_pose.mean() > 1.0 - lost
 
 
 def test_a_simulated_robot_on_oil_is_smoothed_right_or_not_at_all(data_dir):
@@ -150,4 +151,5 @@ def test_a_simulated_robot_on_oil_is_smoothed_right_or_not_at_all(data_dir):
     track = smooth(drive)
     assert heading_deviations(track, drive.truth).max() < 4.0
     assert deviations(track, drive.truth).max() < 4.5
-    assert track.has_pose.mean() > 0.88
+    assert track.has_pose.mean() > 0.93
+    assert track.has_pose[(track.t > 97.3) & (track.t < 100.6)].all()  # on the oil, seeing nothing

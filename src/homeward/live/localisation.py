@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -22,10 +22,13 @@ from homeward.live import messages as msg
 from homeward.live.goal_resolution import NO_PLACE, resolve_goal
 from homeward.live.home_capture import MIN_R, NOTHING_SEEN, HomeCapture
 from homeward.live.place_session import PlaceSession
+from homeward.localizer.fixed_lag import FixedLag
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.settings import LocalizerSettings
 from homeward.registry import make_estimator, settings_model
 from homeward.runs.report.words import count
 
+Kind = TypeVar("Kind", msg.Answer, msg.Smoothed)
 Homes = dict[str, dict[str, HomeBearing]]
 """Home bearings by the name of the home."""
 DEFAULT_HOME = "home"
@@ -59,6 +62,7 @@ class Localisation:
         robot: DriveSettings,
         homes: Homes,
         place: PlaceSession | None = None,
+        smoothed_lag: float | None = None,
     ) -> None:
         # The time at home applies to a recorded drive only.
         robot = robot.model_copy(update={"home": None})
@@ -81,8 +85,14 @@ class Localisation:
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
         """Last answer."""
         self._capture = HomeCapture()
+        self._lag = smoothed_lag
+        self._late: FixedLag | None = None
+        self.smoothed: list[msg.Smoothed] = []
+        """Smoothed estimates that are not sent yet."""
         if estimator is not None:
-            settings_model(estimator)  # fail now for an unknown estimator, not at each message
+            model = settings_model(estimator)  # fail now, not at each message
+            if smoothed_lag is not None and not issubclass(model, LocalizerSettings):
+                raise InputError(f"smoothed_lag: {estimator} cannot smooth; use robust")
         if place is not None and place.place is not None:
             self.homes, self.home = {}, place.place.origin
         if self.in_place or DEFAULT_HOME in homes:
@@ -200,7 +210,7 @@ class Localisation:
     def _answer(self, message: msg.BearingsIn, odom: Pose | None) -> msg.Answer:
         self._capture.bearings(message)
         if self.estimator is None:
-            return _as_message(Estimate(message.t, Status.WAITING, NO_HOME))
+            return _as_message(Estimate(message.t, Status.WAITING, NO_HOME), msg.Answer)
         sample = message.t, message.bearings, message.sigmas or None
         if message.ranges and isinstance(self.estimator, UsesRanges):
             estimate = self.estimator.bearings(*sample, message.ranges, message.range_sigmas)
@@ -210,13 +220,16 @@ class Localisation:
         if estimate.pose is not None and odom is not None:
             frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))
         self.fix = Fix(estimate, frame)
+        if self._late is not None:
+            late = self._late.add(estimate)
+            self.smoothed += [_as_message(each, msg.Smoothed) for each in late]
         if self.place is not None:
             self.place.see(message, estimate)
         follows = isinstance(self._goal_message, msg.GoToLandmark)
         if follows and abs(message.t - self._goal_updated) > GOAL_UPDATE_S:
             self._goal_updated = message.t
             self._update_goal()
-        return _as_message(estimate)
+        return _as_message(estimate, msg.Answer)
 
     def _merge(self) -> str:
         """Merge the visit into the place; return the result in words."""
@@ -282,7 +295,9 @@ class Localisation:
             drive = self.place.known_by(drive)
             self._robot = self._robot.model_copy(update={"start": None})  # valid only once
         if self._name is not None:
-            self.estimator = make_estimator(self._name, drive)
+            self.estimator = estimator = make_estimator(self._name, drive)
+            if self._lag is not None and isinstance(estimator, Localizer):
+                self._late = FixedLag(estimator, self._lag)
         self._update_goal()
         self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, NEW_MAP), None)
 
@@ -292,7 +307,7 @@ class Localisation:
         try:
             self._begin(None)
         except Exception:
-            self.drive = self.estimator = None
+            self.drive = self.estimator = self._late = None
             self.fix = Fix(Estimate(self.fix.estimate.t, Status.WAITING, NO_HOME), None)
 
     def _is_one_too_many(self, name: str) -> bool:
@@ -314,10 +329,10 @@ class Localisation:
             self.goal = goal
 
 
-def _as_message(estimate: Estimate) -> msg.Answer:
+def _as_message(estimate: Estimate, kind: type[Kind]) -> Kind:
     pose, covariance = estimate.pose, estimate.covariance
     six = None if covariance is None else tuple(covariance[np.triu_indices(3)].tolist())
-    return msg.Answer(
+    return kind(
         t=estimate.t, status=estimate.status, reason=estimate.reason, pose=pose, covariance=six
     )
 

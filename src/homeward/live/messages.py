@@ -225,10 +225,10 @@ class Reset(Strict):
     type: Literal["reset"] = "reset"
 
 
-class Answer(Strict):
-    """Answer to bearings: an `Estimate`."""
+class EstimateOut(Strict):
+    """An `Estimate`."""
 
-    type: Literal["estimate"] = "estimate"
+    type: Literal["estimate", "smoothed"]
     t: float
     status: Status
     reason: str
@@ -236,6 +236,18 @@ class Answer(Strict):
     """x [m], y [m], heading [rad] in the home frame."""
     covariance: tuple[float, ...] | None = None
     """Covariance of x, y, heading: xx, xy, xh, yy, yh, hh."""
+
+
+class Answer(EstimateOut):
+    """Answer to bearings: the causal estimate."""
+
+    type: Literal["estimate"] = "estimate"
+
+
+class Smoothed(EstimateOut):
+    """Estimate of an earlier answer, with its stamp, smoothed with later data."""
+
+    type: Literal["smoothed"] = "smoothed"
 
 
 class Command(Strict):
@@ -322,7 +334,7 @@ Input = (
 )
 GoalMessage = GoHome | GoTo | GoToLandmark | FollowRoute
 """Messages that give the robot a goal."""
-Output = Hello | Answer | Command | LandmarksOut | Diagnostics | EventOut
+Output = Hello | Answer | Smoothed | Command | LandmarksOut | Diagnostics | EventOut
 Message = TypeVar("Message")
 _IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
 _OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="type")])

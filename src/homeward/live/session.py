@@ -47,7 +47,8 @@ class Session:
     ) -> None:
         self.settings = settings = settings or LiveSettings()
         robot = robot or DriveSettings()
-        self.localisation = Localisation(settings.estimator, robot.uncorrected, homes or {}, place)
+        known = robot.uncorrected, homes or {}, place, settings.smoothed_lag
+        self.localisation = Localisation(settings.estimator, *known)
         self._late, self._corrections = robot.bearings_late or 0.0, robot.odometry
         noise = robot.odometry
         self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
@@ -167,6 +168,8 @@ class Session:
                 yield from self._call_watchers(out)
             if out is not None:
                 yield out
+            smoothed, self.localisation.smoothed = self.localisation.smoothed, []
+            yield from smoothed
 
     def _refuse(self, message: msg.Input, why: str) -> None:
         """Let the drive fail for a reason, if any, unless there is a newer goal."""

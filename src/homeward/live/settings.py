@@ -30,5 +30,8 @@ class LiveSettings(Strict):
     for cameras slower than 10 Hz."""
     largest_lag: Positive = 0.5
     """The robot stops if bearings, or their answers, are older than odometry by more [s]."""
+    smoothed_lag: Positive | None = None
+    """Each estimate is also sent as a message `smoothed`, at most this time late, smoothed with the
+    data up to then [s]; None: no such messages. Only the estimator robust can."""
     queue: Annotated[int, Field(ge=10)] = 200
     """Maximum number of samples that wait for the estimator; the oldest bearings are dropped."""

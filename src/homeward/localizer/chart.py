@@ -228,14 +228,9 @@ class Chart:
         if odometry_lost(motion, state):
             words = complaint or Reason.LOST.words
             return Estimate(t, Status.MAPPING, words, None, None, innovations)
-        may_slip = self._may_slip(t)
-        if motion is not Motion.identity() or may_slip:
-            calibration = state.covariance[3:HEAD, 3:HEAD]
-            drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
-            if may_slip:
-                drift = drift + self._slip_covariance(t)
-            moved = motion.delta, drift
-        found = self._integrity.estimate(t, moved, self._coasts(t), innovations)
+        if motion is not Motion.identity() or self._may_slip(t):
+            moved = motion.delta, self.drift(t, motion)
+        found = self._integrity.estimate(t, moved, self.coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
         doubt = self.map.registration.survey.contradiction(self._in_view)
@@ -244,6 +239,12 @@ class Chart:
         if self._contradiction.is_proved:
             return self._contradiction.applied(found, state, motion)
         return found
+
+    def drift(self, t: float, motion: Motion) -> np.ndarray:
+        """Covariance (3, 3) of a motion from the newest keyframe to `t` [s], with calibration."""
+        calibration = self.map.smoother.state.covariance[3:HEAD, 3:HEAD]
+        drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
+        return np.asarray(drift + self._slip_covariance(t) if self._may_slip(t) else drift)
 
     def landmarks(self, with_home: bool) -> list[LandmarkEstimate]:
         """Return the estimate of each landmark, by name; relative to home only if `with_home`."""
@@ -371,13 +372,17 @@ class Chart:
     def _find_home(self, now: float) -> None:
         """Update home after a change of the map, and the integrity monitor."""
         self.home.update(self.map)
-        self.share_extrinsics(self._integrity)
-        self._integrity.set_scale_variance(self.map.scale_variance)
-        solved = self.map.solved and not self._coasts(now)
+        self.share_state(self._integrity)
+        solved = self.map.solved and not self.coasts(now)
         self._integrity.update(self.home.hypotheses, solved, self.home.stayed(self.map))
 
-    def share_extrinsics(self, integrity: IntegrityMonitor) -> None:
-        """Let an integrity monitor know how uncertain the camera's position on the robot is."""
+    def share_state(self, integrity: IntegrityMonitor) -> None:
+        """Give an integrity monitor what all keyframes share.
+
+        Errors of the camera extrinsics and of the scale, and whether there was a pose to publish.
+        """
+        integrity.fixed = self._integrity.fixed
+        integrity.set_scale_variance(self.map.scale_variance)
         observed, state = self.home.observation, self.map.smoother.state
         calibration = state.calibration, state.calibration_variances
         errors = integrity.errors
@@ -415,7 +420,7 @@ class Chart:
         self.monitor.add_keyframe(motion)
         self._driven_at_keyframe = self._twists.driven(t)
 
-    def _coasts(self, t: float) -> bool:
+    def coasts(self, t: float) -> bool:
         """Return whether no bearing has been accepted recently before `t` [s]."""
         return t - self.last_accepted > (0.5 if self._may_slip(t) else 1.0) * NO_BEARINGS_S
 

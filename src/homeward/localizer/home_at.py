@@ -12,7 +12,7 @@ from homeward.drives.drive import Drive
 from homeward.drives.home.spin import JointHome
 from homeward.drives.settings import Robot
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose
+from homeward.geometry.frames import Pose, between
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.gating import predict_bearings
@@ -40,19 +40,19 @@ def predicted_home(
     if solved is None:
         return nothing
     chart = localizer.chart
-    keyframes = [Pose(*pose) for pose in solved.whole.poses.tolist()]
-    lost = [(-np.inf, chart.map.begun), *chart.monitor.spells_lost, *solved.gaps(keyframes)]
-    return nothing if within(lost, np.array([t]))[0] else _predicted(solved, keyframes, t)
+    lost = [(-np.inf, chart.map.begun), *chart.monitor.spells_lost, *solved.gaps()]
+    return nothing if within(lost, np.array([t]))[0] else _predicted(solved, drive, t)
 
 
-def _predicted(solved: SolvedDrive, keyframes: list[Pose], t: float) -> JointHome:
+def _predicted(solved: SolvedDrive, drive: Drive, t: float) -> JointHome:
     """Return the predicted bearings at a time at which the robot was not lost."""
     whole, chart = solved.whole, solved.localizer.chart
-    names = dict.fromkeys(solved.drive.sightings.landmark.tolist())
+    names = dict.fromkeys(drive.sightings.landmark.tolist())
     ids = chart.map.landmarks.ids_at(t, names)
     index = whole.index(np.array(list(ids.values()), int))
     k = max(int(np.searchsorted(whole.stamps, t, side="right")) - 1, 0)
-    shift, covariance = solved.motions(k, keyframes, [t])[0]
+    ends = [Pose(*pose) for pose in whole.poses[k : k + 2].tolist()]
+    shift, covariance = solved.motions(k, [t], between(*ends) if len(ends) > 1 else None)[0]
     moved = dataclasses.replace(Motion.identity(), delta=shift, covariance=covariance)
     states = whole.marginals()
     state = states[k].propagate(moved)
@@ -62,20 +62,20 @@ def _predicted(solved: SolvedDrive, keyframes: list[Pose], t: float) -> JointHom
     joint = expected.innovation_covariance
     kept = joint.diagonal() <= MAX_PREDICTED_SIGMA**2
     kept &= whole.p_static[index] >= MIN_P_STATIC
-    kept &= ~np.isin(list(ids), _moved(solved, states, t))
+    kept &= ~np.isin(list(ids), _moved(solved, drive, states, t))
     bearings = np.asarray(wrap(-expected.residual))
     chosen = [name for name, is_kept in zip(ids, kept.tolist(), strict=True) if is_kept]
     return JointHome(tuple(chosen), bearings[kept], joint[np.ix_(kept, kept)])
 
 
-def _moved(solved: SolvedDrive, states: Sequence[Marginal], t: float) -> list[str]:
+def _moved(solved: SolvedDrive, drive: Drive, states: Sequence[Marginal], t: float) -> list[str]:
     """Return landmarks that were elsewhere at a time [s]: their sightings next to it do not fit.
 
     The map has one position of a landmark that moved before it was established.
     """
     whole, chart = solved.whole, solved.localizer.chart
     misfits = defaultdict[str, tuple[list[bool], list[bool]]](lambda: ([], []))
-    for seen in seen_from_keyframes(solved.drive, chart, whole, t):
+    for seen in seen_from_keyframes(drive, chart, whole, t):
         wrong = seen.misfits(states[seen.keyframe - whole.first], chart.map, whole)
         for name, is_wrong in zip(seen.frame.names, wrong.tolist(), strict=True):
             misfits[name][seen.frame.t > t].append(is_wrong)

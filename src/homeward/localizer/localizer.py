@@ -88,7 +88,10 @@ class Localizer:
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
         self._notes = (SCALE_NOTE,) if self._robot.odometry.speed_scale_sigma is None else ()
-        self._twists, self._known = TwistHistory(), known_landmarks(known)
+        self.twists, self._known = TwistHistory(), known_landmarks(known)
+        """The newest twists, as accepted."""
+        self._retained = 0.0
+        """Time for which twists are kept at least [s]."""
         self._chart = self._new_chart(self._robot, self.counts)
         self._candidate_chart: Chart | None = None
         """The second chart, begun when the robot was lost in the first."""
@@ -150,19 +153,20 @@ class Localizer:
         if not self._plausibility.accepts(t, v, omega):
             if not (math.isnan(v) and math.isnan(omega)):
                 self._reject(Rejection.BAD_ODOMETRY)
-            if not self._twists:
+            if not self.twists:
                 return
             v = omega = math.nan
         self._dead.odometry(t, v, omega)
         if self._dead.is_dead:
             v = omega = math.nan
         self._advance(t)
-        if not self._twists and self._robot.start is None and not self._chart.map.landmarks.mapped:
+        if not self.twists and self._robot.start is None and not self._chart.map.landmarks.mapped:
             self._chart.begin(t)  # earlier motion is of no interest
-        self._twists.add(t, v, omega)
+        self.twists.add(t, v, omega)
         for chart in self.charts:
             chart.follow(t)
-        self._twists.forget(min(chart.needed_since for chart in self.charts))
+        needed = min(chart.needed_since for chart in self.charts)
+        self.twists.forget(min(needed, self.twists.newest - self._retained))
         self._process_due()
 
     @guarded
@@ -253,6 +257,14 @@ class Localizer:
         self._keeps = True
         self._chart.retain_marginalised()
 
+    def retain_odometry(self, seconds: float) -> None:
+        """Keep twists for a time [s], for smoothing with a fixed lag."""
+        self._retained = seconds
+
+    def drive_time(self, stamp: float) -> float:
+        """Return the time [s] on the localiser's clock, which never runs back, of a stamp [s]."""
+        return self._clock.peek(stamp)
+
     @property
     def spells_blind(self) -> list[tuple[float, float]]:
         """Intervals without an accepted bearing, after each of which a new map replaced one [s]."""
@@ -311,14 +323,14 @@ class Localizer:
     def _process_due(self) -> tuple[Innovation, ...]:
         """Process the frames that need not wait; return the innovations of the newest."""
         innovations: list[Innovation] = []
-        for frame in self._reorder.due(self._twists.newest, self._t):
+        for frame in self._reorder.due(self.twists.newest, self._t):
             with single_threaded_blas():
                 innovations = self._process(frame)
         return () if self._reorder.waiting else tuple(innovations)
 
     def _process(self, frame: BearingFrame) -> list[Innovation]:
         """Process a frame in each chart; return its innovations in the one that answers."""
-        here = self._twists.at(frame.t)
+        here = self.twists.at(frame.t)
         frozen = self._frozen.add_bearings(frame.t, frame.sightings, here)
         if frozen:
             self._reject(Rejection.FROZEN, len(frozen))
@@ -326,7 +338,7 @@ class Localizer:
             frame = frame._replace(sightings=seen)
         if not frame.sightings:
             return []
-        reckoned = self._twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
+        reckoned = self.twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
         if reckoned is not None:
             self._sign_check.bearings(frame.t, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, here, self._t)
@@ -385,7 +397,7 @@ class Localizer:
 
     def _new_chart(self, robot: DriveSettings, counts: Counts) -> Chart:
         """Return a new chart."""
-        return Chart(self._home, robot, self.settings, counts, self._twists, self._known)
+        return Chart(self._home, robot, self.settings, counts, self.twists, self._known)
 
     def _advance(self, t: float) -> None:
         """Advance the time to `t` [s], unless it is there."""

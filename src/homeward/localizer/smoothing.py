@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from bisect import bisect_left
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +21,10 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.factors import MIN_COVARIANCE
 from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.output.status import IntegrityMonitor
@@ -39,6 +43,7 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     The drive is run as by `homeward.track.run`. Then all its keyframes are solved at once, home is
     found again, and rows between keyframes follow from odometry with both ends known. Whether a row
     has a pose, and its status, depend on all hypotheses at the end, by the tests of the causal run.
+    Where odometry is contradicted, as by slip, its error is as large as the motion.
 
     Parameters
     ----------
@@ -53,25 +58,19 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
         With the rows of the causal track, which is returned itself if home is not found, or if
         bearings and turns have opposite senses. Where the robot was lost in its last map, and
         before that map began, rows are the causal ones. No row next to a keyframe has a pose whose
-        bearings contradict the solution, nor one on a motion that odometry contradicts.
+        bearings contradict the solution, nor one where a new map replaced one.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
     track, solved = solve_whole(drive, localizer)
-    if solved is None:
+    if solved is None or not localizer.chart.finalise(solved.whole):
         return track
-    chart, whole = localizer.chart, solved.whole
-    hypotheses = _at_keyframes(chart, whole) if chart.finalise(whole) else None
-    if hypotheses is None:
-        return track
-    stayed = chart.home.stayed(chart.map)
-    keyframes = [Pose(*h.best.pose) for h in hypotheses]
-    rows = _rows(track.t, hypotheses, keyframes, stayed, solved)
-    spells_lost = [(-math.inf, chart.map.begun), *chart.monitor.spells_lost]
-    for i in np.flatnonzero(within(spells_lost, track.t)).tolist():
-        rows[i] = _row(track, i)
-    for i in np.flatnonzero(within(solved.gaps(keyframes), track.t)).tolist():
-        rows[i] = Estimate(rows[i].t, Status.MAPPING, Reason.LOST.words)
+    rows = solved.estimates([_row(track, i) for i in range(track.t.size)], track.t)
+    return track if rows is None else replaced(track, localizer, rows)
+
+
+def replaced(track: Track, localizer: Localizer, rows: Sequence[Estimate]) -> Track:
+    """Return the causal track of a localiser with smoothed rows instead."""
     return dataclasses.replace(
         track_of(localizer, rows),
         innovations=track.innovations,
@@ -83,17 +82,65 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 
 @dataclass(frozen=True)
 class SolvedDrive:
-    """A drive of which all keyframes of the last map were solved at once."""
+    """Keyframes that were solved at once: all of the last map of a drive, or those in a window."""
 
-    drive: Drive
     localizer: Localizer
-    """After a run of the drive."""
+    """After a run of the drive, or of its beginning."""
     whole: Smoother
-    lost: frozenset[int]
+    twists: Callable[[float, float], TwistHistory]
+    """Returns a history with the twists of an interval [s]."""
+    since: float = -math.inf
+    """Time from which on odometry is tested [s]."""
+    lost: frozenset[int] = frozenset()
     """Numbers of the keyframes whose poses their bearings contradict."""
+    slips: Mapping[int, float] = field(default_factory=dict)
+    """Variances of slip, as shares of those of a motion without odometry, by the index of the
+    keyframe where the motion begins [1]."""
+
+    def estimates(self, rows: Sequence[Estimate], times: np.ndarray) -> list[Estimate] | None:
+        """Return smoothed estimates instead of causal ones, by the tests of the causal run.
+
+        Parameters
+        ----------
+        rows : sequence of Estimate
+            Causal estimates, which remain where the robot was lost in its map, before that map
+            began, and before the solved keyframes.
+        times : ndarray, shape (n,)
+            Their times on the localiser's clock, in order [s].
+
+        Returns
+        -------
+        list of Estimate or None
+            None where the hypotheses on home do not determine the pose of a keyframe.
+        """
+        chart, stamps = self.localizer.chart, np.array(self.whole.stamps)
+        index = np.searchsorted(stamps, times, side="right") - 1
+        lost = [(-math.inf, chart.map.begun), *chart.monitor.spells_lost]
+        causal = within(lost, times) | (index < 0) | (stamps[index] < self.since)
+        used = np.unique(index[~causal])
+        needed = np.union1d(used, np.minimum(used + 1, stamps.size - 1)).tolist()
+        states = self.whole.marginals(needed)
+        hypotheses = {k: _at_pose(chart, state) for k, state in zip(needed, states, strict=True)}
+        stayed, estimates = chart.home.stayed(chart.map), list(rows)
+        for k in used.tolist():
+            here = np.flatnonzero((index == k) & ~causal).tolist()
+            now, then = hypotheses[k], hypotheses.get(k + 1)
+            if now is None or (k + 1 < stamps.size and then is None):
+                return None
+            integrity = IntegrityMonitor(self.localizer.settings, chart.scale.rest)
+            chart.share_state(integrity)
+            integrity.update(now, solved=True, stayed=stayed)
+            end = None if then is None else between(Pose(*now.best.pose), Pose(*then.best.pose))
+            motions = self.motions(k, times[here].tolist(), end)
+            for i, moved in zip(here, motions, strict=True):
+                coasts = chart.coasts(float(times[i]))
+                estimates[i] = integrity.estimate(rows[i].t, moved, coasts)
+        for i in np.flatnonzero(within(self.gaps(), times)).tolist():
+            estimates[i] = Estimate(rows[i].t, Status.MAPPING, Reason.LOST.words)
+        return estimates
 
     def motions(
-        self, k: int, keyframes: Sequence[Pose], times: Sequence[float]
+        self, k: int, times: Sequence[float], end: Pose | None
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the motions from a keyframe to times before the next one, given both poses.
 
@@ -101,61 +148,94 @@ class SolvedDrive:
         ----------
         k : int
             Index of the keyframe in the window.
-        keyframes : sequence of Pose
-            Poses of all keyframes in one frame.
         times : sequence of float
             In order [s].
+        end : Pose or None
+            Pose of the next keyframe relative to it; None for the newest keyframe.
 
         Returns
         -------
         list of tuple of ndarray, shapes (3,) and (3, 3)
             Means [m, m, rad] and covariances.
         """
-        is_last, calibration = k + 1 == len(keyframes), self.whole.state.calibration
-        odometry = self._odometry(k, times[-1] if is_last else self.whole.stamps[k + 1])
-        found = [odometry.advance(t, calibration) for t in times]
-        if is_last:
-            return [(m.delta, m.covariance) for m in found]
-        end = odometry.advance(self.whole.stamps[k + 1], calibration)
-        off = _off(end, between(*keyframes[k : k + 2]))
-        return [bridged(m, end, off) for m in found]
+        if end is None:
+            found, drift = self._motions(k, times), self.localizer.chart.drift
+            return [(m.delta, drift(t, m)) for t, m in zip(times, found, strict=True)]
+        *found, last = self._motions(k, [*times, self.whole.stamps[k + 1]])
+        off = _off(last, end)
+        return [bridged(m, last, off) for m in found]
 
-    def gaps(self, keyframes: Sequence[Pose]) -> list[tuple[float, float]]:
-        """Return the intervals in which the robot was lost.
+    def gaps(self) -> list[tuple[float, float]]:
+        """Return the intervals in which the robot was lost [s].
 
-        Those before which a new map replaced one, and those between keyframes with sightings in
-        which odometry is contradicted: by the poses at both ends of a motion, or by the bearings
-        from a keyframe. Where in such an interval odometry failed is unknown. Poses are as in
-        `motions`.
+        Those before which a new map replaced one, and those in which odometry is contradicted, also
+        where its noise includes slip.
         """
-        whole, lost = self.whole, self.lost
-        stamps = np.array(whole.stamps)
-        seen = np.isin(whole.first + np.arange(stamps.size), whole.sightings[:, KEYFRAME])
-        seen[[k - whole.first for k in lost]] = False
-        seen[[0, -1]] = True
-        gaps = list(self.localizer.spells_blind)
-        for a, b in pairwise(np.flatnonzero(seen).tolist()):
-            motions = zip(range(a, b), pairwise(keyframes[a : b + 1]), strict=True)
-            ends = {whole.first + k for k in range(a, b + 1)}
-            if not ends.isdisjoint(lost) or any(
-                _is_denied(self._motion(k), between(*poses)) for k, poses in motions
-            ):
-                gaps.append((float(stamps[a]), float(stamps[b])))
-        return gaps
+        stamps, doubted = self.whole.stamps, self.lost or self.slips
+        denied = [(stamps[a], stamps[b]) for a, b, _ in self._denied()] if doubted else []
+        return [*self.localizer.spells_blind, *denied]
 
-    def _motion(self, k: int) -> Motion:
-        """Return the motion of the odometry from the k-th keyframe in the window to the next."""
-        end = self.whole.stamps[k + 1]
-        return self._odometry(k, end).advance(end, self.whole.state.calibration)
+    def with_slips(self) -> SolvedDrive:
+        """Return it solved again, with slip in the motions that are contradicted.
+
+        In each interval, slip is as large as in its worst motion: any of them may have slipped.
+        """
+        slips = {k: share for a, b, share in self._denied() for k in range(a, b)}
+        solved = dataclasses.replace(self, slips=slips)
+        for k in slips:
+            self.whole.replace_motion(k, solved._motions(k, [self.whole.stamps[k + 1]])[0])
+        if slips:
+            _solve(self.whole)
+        return solved
+
+    def _denied(self) -> list[tuple[int, int, float]]:
+        """Return the intervals between keyframes with sightings in which odometry is contradicted.
+
+        By the poses at both ends of a motion, or by the bearings from a keyframe. Where in such an
+        interval odometry failed is unknown. The third number is the share for `slips`.
+        """
+        whole, count = self.whole, len(self.whole.stamps)
+        seen = np.isin(whole.first + np.arange(count), whole.sightings[:, KEYFRAME])
+        lost = np.isin(whole.first + np.arange(count), list(self.lost))
+        seen[lost] = False
+        seen[[0, -1]] = True
+        poses, off = [Pose(*pose) for pose in whole.poses.tolist()], np.zeros((count, 3))
+        for k in range(bisect_left(whole.stamps, self.since), count - 1):
+            motion = self._motions(k, [whole.stamps[k + 1]])[0]
+            this = _off(motion, between(*poses[k : k + 2]))
+            if this @ np.linalg.solve(motion.covariance, this) > CONTRADICTED:
+                off[k] = this
+        denied = []
+        for a, b in pairwise(np.flatnonzero(seen).tolist()):
+            if off[a:b].any() or lost[a : b + 1].any():
+                odometry, end = self._odometry(a, whole.stamps[b]), whole.stamps[b]
+                odometry.advance(end, whole.state.calibration)
+                squares = off[a:b] @ np.linalg.inv(_slip(odometry, end)) * off[a:b]
+                share = float(squares.sum(axis=1).max()) / 3.0
+                denied.append((a, b, max(share, float(lost[a : b + 1].any()))))
+        return denied
+
+    def _motions(self, k: int, times: Sequence[float]) -> list[Motion]:
+        """Return the motions of the odometry from the k-th keyframe in the window to times [s]."""
+        odometry, calibration = self._odometry(k, times[-1]), self.whole.state.calibration
+        motions, share = [odometry.advance(t, calibration) for t in times], self.slips.get(k, 0.0)
+        return [
+            dataclasses.replace(m, covariance=m.covariance + MIN_COVARIANCE + share * slip)
+            for m, slip in zip(motions, (_slip(odometry, t) for t in times), strict=True)
+        ]
 
     def _odometry(self, k: int, end: float) -> OdometryIntegrator:
         """Return an odometry that starts at a keyframe and has the twists until `end` [s]."""
-        twists, begin, odometry = TwistHistory(), self.whole.stamps[k], self.drive.odometry
-        for i in range(*np.searchsorted(odometry.t, [begin - 2.0 * MAX_LAG_S, end]).tolist()):
-            twists.add(float(odometry.t[i]), float(odometry.v[i]), float(odometry.omega[i]))
+        begin = self.whole.stamps[k]
+        twists = self.twists(begin - 2.0 * MAX_LAG_S, end)
         integrator = OdometryIntegrator(twists, self.localizer.chart.process_noise)
         integrator.restart(begin)
         return integrator
+
+
+def _slip(odometry: OdometryIntegrator, t: float) -> np.ndarray:
+    """Covariance (3, 3) of a motion of unknown speed up to `t` [s], positive for no time, too."""
+    return odometry.dropout_motion(t + 1e-3).covariance
 
 
 def solve_whole(
@@ -176,7 +256,23 @@ def solve_whole(
     if restore(_contradicted(drive, chart, whole), chart.map, whole):
         _solve(whole)
     lost = frozenset(seen.keyframe for seen in _contradicted(drive, chart, whole))
-    return track, SolvedDrive(drive, localizer, whole, lost)
+    solved = SolvedDrive(localizer, whole, partial(_twists, drive), lost=lost).with_slips()
+    if solved.slips:
+        used = set(whole.sightings[:, KEYFRAME].astype(int).tolist())
+        for seen in seen_from_keyframes(drive, chart, whole):
+            if seen.keyframe - whole.first in solved.slips and seen.keyframe not in used:
+                seen.add_to(whole, chart.map)  # rejected by a pose that was wrong
+        _solve(whole)
+        lost = frozenset(seen.keyframe for seen in _contradicted(drive, chart, whole))
+    return track, dataclasses.replace(solved, lost=lost)
+
+
+def _twists(drive: Drive, begin: float, end: float) -> TwistHistory:
+    """Return a history with the twists of a drive in an interval [s]."""
+    twists, odometry = TwistHistory(), drive.odometry
+    for i in range(*np.searchsorted(odometry.t, [begin, end]).tolist()):
+        twists.add(float(odometry.t[i]), float(odometry.v[i]), float(odometry.omega[i]))
+    return twists
 
 
 def _solve(whole: Smoother) -> None:
@@ -223,44 +319,10 @@ def _row(track: Track, i: int) -> Estimate:
     return Estimate(t, status, reason, pose, track.covariance[i])
 
 
-def _at_keyframes(chart: Chart, whole: Smoother) -> list[Hypotheses] | None:
-    """Return the hypotheses with each keyframe's pose; None when they do not determine it."""
-    hypotheses: list[Hypotheses] = []
-    for state in whole.marginals():
-        found = chart.home.hypotheses
-        now = None if found is None else with_pose(chart.home.problem(chart.map, state), found)
-        if now is None:
-            return None
-        hypotheses.append(now)
-    return hypotheses
-
-
-def _rows(
-    times: np.ndarray,
-    hypotheses: list[Hypotheses],
-    keyframes: list[Pose],
-    stayed: np.ndarray,
-    solved: SolvedDrive,
-) -> list[Estimate]:
-    """Return the estimates at the times of all rows, by the tests of the causal run."""
-    localizer, stamps = solved.localizer, np.array(solved.whole.stamps)
-    index = np.clip(np.searchsorted(stamps, times, side="right") - 1, 0, None)
-    rows: list[Estimate] = []
-    for k in np.unique(index).tolist():
-        integrity = IntegrityMonitor(localizer.settings, localizer.chart.scale.rest)
-        localizer.chart.share_extrinsics(integrity)
-        integrity.update(hypotheses[k], solved=True, stayed=stayed)
-        now = times[index == k].tolist()
-        moved = solved.motions(k, keyframes, now)
-        # Later bearings count too, so that the robot never coasts.
-        rows += [integrity.estimate(t, m, False) for t, m in zip(now, moved, strict=True)]
-    return rows
-
-
-def _is_denied(motion: Motion, known: Pose) -> bool:
-    """Return whether the poses at both ends, `known` apart, contradict a motion of the odometry."""
-    off = _off(motion, known)
-    return float(off @ np.linalg.solve(motion.covariance + 1e-12 * np.eye(3), off)) > CONTRADICTED
+def _at_pose(chart: Chart, state: Marginal) -> Hypotheses | None:
+    """Return the hypotheses with the pose of a keyframe; None if they do not determine it."""
+    found = chart.home.hypotheses
+    return None if found is None else with_pose(chart.home.problem(chart.map, state), found)
 
 
 def _off(motion: Motion, known: Pose) -> np.ndarray:
@@ -290,5 +352,5 @@ def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, n
     swing = np.eye(3)
     swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]
     cross = motion.covariance @ swing.T
-    gain = np.linalg.solve(end.covariance + 1e-12 * np.eye(3), cross.T).T
+    gain = np.linalg.solve(end.covariance, cross.T).T
     return motion.delta + gain @ off, motion.covariance - gain @ cross.T

@@ -423,6 +423,9 @@ RESECTION_FRAMES = 30
 # Smoothing of a whole drive
 NUM_WHOLE_SOLVES = 6
 """Solutions of the whole drive, each by several Gauss-Newton steps."""
+RETAINED_S = 30.0
+"""Fixed-lag smoothing of a robot at standstill or without bearings ends this long after its newest
+keyframe: then no later bearings correct the pose [s]."""
 CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
 """Squared deviation from which poses contradict the motion between them: one false alarm at
 `FALSE_ALARM` in 5,000 keyframes, as for `FINAL_GATE` [1]."""

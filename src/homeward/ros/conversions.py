@@ -25,7 +25,15 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.io.settings import validated
 from homeward.live import messages as msg
-from homeward.live.messages import Answer, Command, Diagnostics, LandmarksOut, Output, line_of
+from homeward.live.messages import (
+    Answer,
+    Command,
+    Diagnostics,
+    EstimateOut,
+    LandmarksOut,
+    Output,
+    line_of,
+)
 from homeward.runs.report.palette import LEVELS, UNTESTED, colour
 
 JSON = "std_msgs/msg/String"
@@ -138,7 +146,7 @@ def fill_pose(target: Any, pose: Pose) -> None:
     target.orientation.w = math.cos(pose.heading / 2)
 
 
-def fill_covariance(target: Any, answer: msg.Answer) -> None:
+def fill_covariance(target: Any, answer: EstimateOut) -> None:
     """Fill the covariance of a geometry_msgs/PoseWithCovariance."""
     xx, xy, xh, yy, yh, hh = answer.covariance or (0.0,) * 6
     for row, values in zip(PLANAR, ((xx, xy, xh), (xy, yy, yh), (xh, yh, hh)), strict=True):
@@ -212,6 +220,7 @@ class Publishers:
         topics = {
             "said": (JSON, "~/said"),
             "pose": (POSE, "~/pose"),
+            "smoothed": (POSE, "~/smoothed_pose"),
             "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics"),
             "landmarks": ("visualization_msgs/msg/MarkerArray", "~/landmarks"),
             "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._parameter("cmd_vel_topic")),
@@ -238,14 +247,14 @@ class Publishers:
         Stamps of `out` are those of ROS minus an epoch [ns].
         """
         self._line(out)
-        if isinstance(out, Answer) and out.pose is not None:
+        if isinstance(out, EstimateOut) and out.pose is not None:
             message = message_class(POSE)()
             message.header.frame_id = self._parameter("map_frame")
             stamp = divmod(round(out.t * NANO) + epoch_ns, NANO)
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
             fill_pose(message.pose.pose, Pose(*out.pose))
             fill_covariance(message.pose, out)
-            self._out["pose"].publish(message)
+            self._out["pose" if isinstance(out, Answer) else "smoothed"].publish(message)
         if isinstance(out, LandmarksOut):
             markers = markers_out(out, self._now(), self._parameter("map_frame"))
             self._out["landmarks"].publish(markers)

@@ -62,6 +62,7 @@ PARAMETERS: dict[str, Any] = {
     "place_update": False,
     "robot_file": "",
     "session": "",
+    "smoothed_lag": 0.0,
     "record": "",
     "autostart": True,
 }
@@ -104,6 +105,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             settings, robot, homes = LiveSettings(), DriveSettings(), {}
             if parameter("session"):
                 settings = read_settings(Path(parameter("session")), LiveSettings)
+            if parameter("smoothed_lag"):
+                given = {"smoothed_lag": parameter("smoothed_lag")}
+                settings = validated(LiveSettings, settings.model_dump() | given)
             if parameter("robot_file"):
                 robot = read_settings(Path(parameter("robot_file")), DriveSettings)
             if parameter("home"):

@@ -15,12 +15,13 @@ from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
-from homeward.drives.settings import Finite, NonNegative, Span, Start
+from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose, to_polar
 from homeward.io.keys import Strict
 from homeward.io.settings import read_tree, validated
+from homeward.localizer.fixed_lag import smooth_with_lag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
@@ -40,6 +41,10 @@ TRUTH_NOTE = (
 SMOOTH_NOTE = (
     "The track is smoothed: each pose uses the whole drive. Run without --smooth for the poses that"
     " a robot has while it drives."
+)
+LAG_NOTE = (
+    "The track is smoothed: each pose uses the data of the next {:g} s. Run without --smoothed-lag"
+    " for the poses that a robot has at once."
 )
 PLACE_NOTE = (
     "Poses are in the frame of the place's home; home bearings of this drive are not used. Choose"
@@ -83,8 +88,15 @@ class RunSettings(DriveChoice):
     """Day of the visit [days since 1970]; None: from the drive's clock, else today."""
     smooth: bool = False
     """Whether a final pass corrects the whole track; only the robust localiser can."""
+    smoothed_lag: Positive | None = None
+    """Delay with which each pose is smoothed [s]; only the robust localiser can."""
     settings: dict[str, Any] = {}
     """Settings of the estimator by name."""
+
+    @property
+    def is_smoothed(self) -> bool:
+        """Whether the track is not causal."""
+        return self.smooth or self.smoothed_lag is not None
 
 
 def load_run(file: Path) -> RunSettings:
@@ -105,8 +117,11 @@ def finish(
     if run.place_version:
         notes = (*notes, PLACE_NOTE)
     settings = estimator_settings(run.estimator, run.settings)
-    if run.smooth and isinstance(settings, LocalizerSettings):
-        track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
+    if run.is_smoothed and isinstance(settings, LocalizerSettings):
+        if (lag := run.smoothed_lag) is not None:
+            track, notes = smooth_with_lag(drive, lag, settings), (*notes, LAG_NOTE.format(lag))
+        else:
+            track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
     else:
         track = follow(drive, estimator, progress)
     return replace(track, notes=(*track.notes, *notes))
@@ -129,7 +144,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     settings = estimator_settings(run.estimator, run.settings)
     if run.place is not None and run.estimator != DEFAULT:
         raise InputError(f"a place is for the estimator {DEFAULT}, not {run.estimator}")
-    if run.smooth and not isinstance(settings, LocalizerSettings):
+    if run.is_smoothed and not isinstance(settings, LocalizerSettings):
         raise InputError(f"{run.estimator} cannot smooth; use the estimator robust")
     drive = open_drive(
         drive_path(run),

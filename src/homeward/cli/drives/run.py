@@ -84,6 +84,10 @@ def run(
     smooth: Annotated[
         bool, typer.Option("--smooth", help="Smooth the track over the whole drive (not causal).")
     ] = False,
+    smoothed_lag: Annotated[
+        float | None,
+        typer.Option(help="Smooth each pose with data of this many seconds after it."),
+    ] = None,
     changes: shared.Changes = None,
     json: shared.AsJson = False,
 ) -> None:
@@ -108,11 +112,15 @@ def run(
         "place_home": place_home,
         "when": None if when is None else shared.day(when),
         "smooth": smooth or None,
+        "smoothed_lag": smoothed_lag,
         "settings": nested(shared.key_values(changes or [])) or None,
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    if update and (place is None or smooth):
-        raise InputError("--update needs --place, and does not work with --smooth")
+    is_smoothed = smooth or smoothed_lag is not None
+    if smooth and smoothed_lag is not None:
+        raise InputError("--smooth and --smoothed-lag exclude each other; choose one")
+    if update and (place is None or is_smoothed):
+        raise InputError("--update needs --place, and does not work with a smoothed track")
     if place is not None and update:
         check_place(place)  # fail before a run of minutes
     elif place is not None:
@@ -268,9 +276,9 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
     from homeward.runs.report.several import PAGE, table, write_several
     from homeward.runs.single_run import run_several
 
-    for option in ("settings", "smooth", "place"):
+    for option in ("settings", "smooth", "smoothed_lag", "place"):
         if option in given:
-            name = "set" if option == "settings" else option
+            name = "set" if option == "settings" else option.replace("_", "-")
             raise InputError(
                 f"--{name} works with one estimator only; a study file of homeward study takes it"
                 " for each"

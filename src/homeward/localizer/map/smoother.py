@@ -13,7 +13,7 @@ undone is marginalised.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -304,6 +304,10 @@ class Smoother:
                 motion = camera_after(between(begin, t), mount, self.state.calibration)
                 frames.replace(k, motion)
 
+    def replace_motion(self, k: int, motion: Motion) -> None:
+        """Replace the motion from the k-th keyframe in the window to the next."""
+        self._steps = np.concatenate([self._steps[:k], step_row(motion), self._steps[k + 1 :]])
+
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
         for rows in (self.sightings, *(part.sightings for part in self._closed or [])):
@@ -363,14 +367,14 @@ class Smoother:
         poses, common, covariance = eliminate(equations).solve()
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
-    def marginals(self) -> list[Marginal]:
-        """Return the state at each pose in the window, after `solve`."""
+    def marginals(self, indices: Sequence[int] | None = None) -> list[Marginal]:
+        """Return the state at poses in the window, by default at each, after `solve`."""
         own, by_common, common = marginals(self.linearised()[0])
-        found = []
-        for pose, covariance, lever in zip(self.poses, own, by_common, strict=True):
-            cross = -lever @ common
-            joint = np.block([[covariance, cross], [cross.T, common]])
-            found.append(Marginal(np.concatenate([pose, self.state.mean[3:]]), joint))
+        found, poses = [], self.poses
+        for k in range(len(poses)) if indices is None else indices:
+            cross = -by_common[k] @ common
+            joint = np.block([[own[k], cross], [cross.T, common]])
+            found.append(Marginal(np.concatenate([poses[k], self.state.mean[3:]]), joint))
         return found
 
     def marginalise(self, count: int) -> None:

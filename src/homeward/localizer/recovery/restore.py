@@ -57,6 +57,12 @@ class SeenAt:
         wrong = int(self.misfits(state, known, whole).sum()) if self.ids.size else 0
         return wrong >= 2 and 2 * wrong > self.ids.size
 
+    def add_to(self, whole: Smoother, known: Map) -> None:
+        """Add these sightings to all keyframes."""
+        rows = whole.frames.add(self.keyframe, known.camera(Motion.identity()), self.frame)
+        rows[:, LANDMARK] = self.ids
+        whole.add_sightings(rows)
+
     def lines(self, known: Map, whole: Smoother) -> SightLines:
         """Return the bearings as sight lines from the keyframe's pose."""
         positions, covariances = whole.state.places(whole.index(self.ids))
@@ -89,9 +95,7 @@ def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool
         if found is None:
             continue
         whole.move_keyframe(seen.keyframe, found[0])
-        rows = whole.frames.add(seen.keyframe, known.camera(Motion.identity()), seen.frame)
-        rows[:, LANDMARK] = seen.ids
         whole.drop_sightings_from(seen.keyframe)  # they were accepted where it was not
-        whole.add_sightings(rows)
+        seen.add_to(whole, known)
         restored = True
     return restored
