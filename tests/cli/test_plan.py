@@ -7,7 +7,7 @@ import yaml
 from commands import call, done, refused
 
 from homeward.io.reading import shipped
-from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.analysis import analyse, analyse_start
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.report.plan import plan_summary
 
@@ -49,6 +49,45 @@ def test_the_example(tmp_path, example):
     assert all(row["position_sigma"] for row in rows if row["begins"] == "yes")
     repeated = analyse(load_plan(str(out / "plan.yaml")))
     assert [k == "yes" for k in (row["begins"] for row in rows)] == repeated.begins.tolist()
+
+
+@pytest.mark.parametrize(
+    ("place", "words"),
+    [
+        ("5,3", "Homing can begin at (5, 3): "),
+        ("11.5,7", "Homing cannot begin at (11.5, 7): three landmarks in common"),
+        ("9.6,0.3", "limit 0.30 m"),
+    ],
+)
+def test_a_place_is_told_whether_homing_can_begin_there(tmp_path, monkeypatch, place, words):
+    monkeypatch.chdir(tmp_path)
+    answer = call("plan", "warehouse", "--from", place)
+    assert words in " ".join(answer.stdout.split())
+    assert answer.exit_code == ("cannot" in answer.stdout)
+    assert not list(tmp_path.iterdir())
+
+
+def test_one_place_has_the_result_of_the_map(example):
+    plan = load_plan(str(example(grid=1.0)))
+    view = analyse(plan)
+    for k in (0, len(view.score) // 2):
+        one = analyse_start(plan, tuple(view.floor.points[k].tolist()))
+        assert (one.begins, one.common) == (bool(view.begins[k]), int(view.common[k]))
+        assert one.position == pytest.approx(view.position[k])
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["warehouse", "--from", "3,1.6"], "warehouse: --from: (3, 1.6) is inside shelves.0"),
+        (["warehouse", "--from=-1,2"], "is outside the outline"),
+        (["warehouse", "--from", "5"], "two numbers separated by commas"),
+        (["warehouse", "--from", "nan,2"], "must be finite"),
+        (["--landmarks", "3", "--from", "1,2"], "--from needs PLAN"),
+    ],
+)
+def test_places_off_the_floor_are_refused(words, complaint):
+    assert complaint in refused(call("plan", *words))
 
 
 @pytest.mark.parametrize(

@@ -297,6 +297,22 @@ def test_a_stamp_from_the_future_is_left_out_and_a_clock_set_ahead_or_back_is_fo
         assert not rig.session.faults(rig.robot.t - rig.robot.period)
 
 
+def test_diagnostics_tell_whether_homing_could_begin():
+    rig = Rig(0)
+    early = rig.session.diagnostics(0.0)
+    assert (early.can_home, early.cannot_home) == (False, "no odometry yet")
+    rig.until(lambda r: r.robot.t > 1.0)
+    unknown = rig.session.diagnostics(rig.robot.t)
+    assert not unknown.can_home
+    assert unknown.cannot_home.startswith("lost, no")
+    rig.until(driving)
+    ready = rig.session.diagnostics(rig.robot.t)
+    assert (ready.can_home, ready.cannot_home) == (True, "")
+    rig.session.receive(EStop(engaged=True), rig.robot.t)
+    stopped = rig.session.diagnostics(rig.robot.t)
+    assert (stopped.can_home, stopped.cannot_home) == (False, "emergency stop")
+
+
 def test_late_repeated_and_swapped_samples_do_no_harm():
     waiting = []
 

@@ -187,11 +187,17 @@ def three_numbers(text: str, what: str) -> tuple[float, float, float]:
     return a, b, c
 
 
+def two_numbers(text: str, what: str) -> tuple[float, float]:
+    """Parse two finite numbers separated by a comma; `what` names the option in errors."""
+    a, b = _numbers(text, what, "two")
+    return a, b
+
+
 def _span(text: str | None, option: str) -> tuple[float, float] | None:
     """Parse the two times [s] of an option; errors as `three_numbers`."""
     if text is None:
         return None
-    begin, end = _numbers(text, option, "two")
+    begin, end = two_numbers(text, option)
     if not 0.0 <= begin < end:
         raise InputError(f"{option} must be FROM,TO [s] with 0 <= FROM < TO, not {text!r}")
     return begin, end

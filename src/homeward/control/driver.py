@@ -69,8 +69,9 @@ class Driver:
         if not self.active:
             over = self.state is GoalState.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
-        pose_fault = None if faults else self._pose_fault(now, belief)
-        hindrance, self.value = (faults[0] if faults else pose_fault) or ("", None)
+        fault = self.hindrance(now, belief, faults)
+        pose_fault = None if faults else fault
+        hindrance, self.value = fault or ("", None)
         if self._controller is None:
             return self._hold(hindrance, now, self._limits.patience)
         output = self._controller.step(now, belief, hindrance)
@@ -85,6 +86,10 @@ class Driver:
         self.reason = output.reason
         self._twist = self._limits.accelerated(self._twist, output.twist, dt)
         return self._twist
+
+    def hindrance(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Fault | None:
+        """Return why the robot could not drive at `now` [s]; None if it could."""
+        return faults[0] if faults else self._pose_fault(now, belief)
 
     def _pose_fault(self, now: float, belief: Belief) -> Fault | None:
         """Return why the pose is not good enough for driving; None if it is."""

@@ -291,6 +291,10 @@ class Diagnostics(Strict):
     reason: str
     homing: str
     """State and reason."""
+    can_home: bool
+    """Whether a drive home could begin now."""
+    cannot_home: str = ""
+    """Why it could not; empty if it could."""
     faults: tuple[str, ...]
     """Reasons why the robot is held."""
     values: dict[str, float] = {}

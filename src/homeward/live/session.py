@@ -275,11 +275,14 @@ class Session:
         if estimator is not None:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
         faults = self.faults(now)
+        hindrance = self.homing.hindrance(now, self.belief(now), faults + self._blind(now))
         work, self._work_s = self._work_s, 0.0
         return msg.Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
             homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
+            can_home=hindrance is None,
+            cannot_home="" if hindrance is None else hindrance.reason,
             faults=tuple(fault.reason for fault in faults),
             values={f.reason: f.value for f in faults if f.value is not None},
             counts=counts,

@@ -174,7 +174,8 @@ def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
     status.level = status.OK if is_ok else status.STALE if is_stale else status.WARN
     status.name = "homeward"
     status.message = "; ".join([f"{state.status.value}: {state.reason}", *state.faults])
-    values = {"homing": state.homing, "waiting": state.waiting, "work_ms": f"{state.work_ms:.1f}"}
+    values = {"homing": state.homing, "can_home": state.cannot_home or "yes"}
+    values |= {"waiting": str(state.waiting), "work_ms": f"{state.work_ms:.1f}"}
     status.values = [pair(key=k, value=str(v)) for k, v in (values | state.counts).items()]
     array.header.stamp, array.status = stamp, [status]
     return array

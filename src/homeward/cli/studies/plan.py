@@ -7,8 +7,16 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from homeward.cli.options import AsJson, Topics, progress, read_drive, show
-from homeward.errors import InputError
+from homeward.cli.options import (
+    AsJson,
+    Topics,
+    no_answer,
+    progress,
+    read_drive,
+    show,
+    two_numbers,
+)
+from homeward.errors import InputError, naming_file
 
 if TYPE_CHECKING:
     from homeward.lab.observability.study import ModelView
@@ -19,6 +27,15 @@ if TYPE_CHECKING:
 def plan(
     source: Annotated[
         str | None, typer.Argument(metavar="[PLAN]", help="A YAML file, or the example: warehouse.")
+    ] = None,
+    start: Annotated[
+        str | None,
+        typer.Option(
+            "--from",
+            metavar="X,Y",
+            help="With PLAN: only report whether homing can begin at this place [m]. Writes no "
+            "files; exit status 1 if it cannot begin.",
+        ),
     ] = None,
     landmarks: Annotated[
         int | None,
@@ -74,10 +91,14 @@ def plan(
     }
     of_drive = {"drive": drive, "window": window, "topics": None if topics is None else str(topics)}
     chosen = _analysis(source, of_model, of_drive)
+    if start is not None and chosen is not None:
+        raise InputError("--from needs PLAN")
     if chosen is of_model:
         observe_model(_given(of_model), out or Path("out/observe"), json)
     elif chosen is of_drive:
         observe_recording(_given(of_drive), out or Path("out/observe"), json)
+    elif start is not None:
+        _start(cast(str, source), start, json)
     else:
         _plan(cast(str, source), out or Path("out/plan"), json)
 
@@ -106,16 +127,32 @@ def _plan(source: str, out: Path, json: bool) -> None:
     from homeward.lab.report.plan import PAGE, SETTINGS_FILE, plan_summary, write_plan
 
     settings = load_plan(source)
-    try:
+    with naming_file(Path(source)):
         make_floor(settings)
-    except InputError as error:
-        raise InputError(error.what, Path(source)) from error
     check_output(out, SETTINGS_FILE)
     with progress(f"planning {settings.name}") as on_progress:
         view = analyse(settings, on_progress)
         write_plan(out, view)
     facts = {"summary": plan_summary(view), **_facts(view), "page": out / PAGE}
     show(json, facts, plan_summary(view), f"Page: {out / PAGE}")
+
+
+def _start(source: str, start: str, json: bool) -> None:
+    from homeward.lab.planning.analysis import analyse_start
+    from homeward.lab.planning.settings import load_plan
+    from homeward.lab.report.plan import start_summary
+
+    place, settings = two_numbers(start, "--from"), load_plan(source)
+    with naming_file(Path(source)):
+        view = analyse_start(settings, place)
+    facts = {
+        **{"summary": start_summary(view), "begins": view.begins, "landmarks": view.common},
+        **{"position_sigma": view.position, "heading_sigma": view.heading},
+        "not_without": view.costly if view.begins else (),
+    }
+    show(json, facts, start_summary(view))
+    if not view.begins:
+        raise no_answer()
 
 
 def _facts(view: PlanView) -> dict[str, Any]:

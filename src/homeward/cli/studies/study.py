@@ -156,6 +156,7 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     """Run Cases 1, 2 and 4 over thousands of layouts, under many interpretations of the paper."""
     from homeward.io.writing import check_output
     from homeward.lab.report.paper import layout_page as page
+    from homeward.lab.report.paper.claims import deciding_table
     from homeward.lab.studies.blocks.finish import StudyBlocks
     from homeward.lab.studies.blocks.store import MARKER
     from homeward.lab.studies.paper.layouts import open_store
@@ -167,7 +168,10 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
     with shared.resumable(), shared.progress("layouts of the paper's cases") as on_progress:
         result = study_layouts(settings, StudyBlocks(store, where, on_progress))
         page.write_layouts(out, result)
-    tables = (page.error_table, page.ratio_table, page.order_table, page.claim_table)
+    tables = (
+        *(page.error_table, page.ratio_table, page.order_table),
+        *(deciding_table, page.claim_table),
+    )
     if json:
         values = {table.__name__.removesuffix("_table"): table(result) for table in tables}
         files = {"page": str(out / page.PAGE), "results": str(out / page.DATA)}

@@ -12,7 +12,7 @@ from itertools import repeat
 import numpy as np
 
 from homeward.lab.planning.accuracy import Arcs, Information, home_sees
-from homeward.lab.planning.floor import Floor, candidate_places, make_floor
+from homeward.lab.planning.floor import Floor, candidate_places, check_place, make_floor
 from homeward.lab.planning.settings import Plan
 
 SLICE = 4000
@@ -298,6 +298,45 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     known = plan, floor, tuple(plan.landmarks), marks, home_sees(plan, floor, marks)
     best = position, heading, common, score, hidden
     return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe, advice)
+
+
+@dataclass(frozen=True)
+class StartView:
+    """Whether homing can begin at one place; errors and score as in `PlanView`."""
+
+    plan: Plan
+    place: tuple[float, float]
+    """[m]"""
+    position: float
+    heading: float
+    common: int
+    score: float
+    hidden: np.ndarray
+    """(q,)"""
+
+    @property
+    def begins(self) -> bool:
+        """Whether homing can begin."""
+        return self.score <= 1
+
+    @property
+    def costly(self) -> tuple[str, ...]:
+        """Landmarks without any one of which homing could not begin."""
+        return tuple(n for n, s in zip(self.plan.landmarks, self.hidden, strict=True) if not s <= 1)
+
+
+def analyse_start(plan: Plan, place: tuple[float, float]) -> StartView:
+    """Analyse one place of a plan.
+
+    Raises `InputError` as `make_floor`, and for a place outside the outline or in a shelf.
+    """
+    floor = make_floor(plan)
+    check_place("--from", place, floor)
+    marks = plan.marks
+    places = Places(Arcs(plan), floor, np.array([place]), marks, home_sees(plan, floor, marks))
+    position, heading, common, score, hidden = (values[0] for values in places.singles())
+    figures = float(position), float(heading), int(common), float(score)
+    return StartView(plan, place, *figures, hidden)
 
 
 def _advise(

@@ -73,7 +73,7 @@ def make_floor(plan: Plan) -> Floor:
         _on_floor(f"landmarks.{name}", place, outline, shelves, sight)
     for i, place in enumerate(plan.candidates):
         _on_floor(f"candidates.{i}", place, outline, shelves, sight)
-    _on_floor("home", (plan.home.x, plan.home.y), outline, shelves, sight)
+    _on_floor("home", (plan.home.x, plan.home.y), outline, shelves, sight, inside=False)
     free = shapely.difference(outline, shapely.union_all(list(shelves)))
     free = free.buffer(-plan.clearance) if plan.clearance else free
     west, south, east, north = outline.bounds
@@ -104,6 +104,11 @@ def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
     return np.asarray(every[shapely.covers(floor.sight, shapely.points(every))][:MAX_CANDIDATES])
 
 
+def check_place(key: str, place: tuple[float, float], floor: Floor) -> None:
+    """Raise `InputError` for a place [m] of the robot outside the outline or in a shelf."""
+    _on_floor(key, place, floor.outline, floor.shelves, floor.sight, inside=False)
+
+
 def _polygon(corners: tuple[tuple[float, float], ...], key: str) -> Polygon:
     polygon = Polygon(corners)
     if not polygon.is_valid:
@@ -120,11 +125,11 @@ def _on_floor(
     outline: Polygon,
     shelves: tuple[Polygon, ...],
     sight: BaseGeometry,
+    inside: bool = True,
 ) -> None:
+    """Raise InputError for a place off the floor; a landmark may be on the face of a shelf."""
     point = shapely.Point(place)
-    if shapely.covers(sight, point) and not (
-        key == "home" and any(s.contains(point) for s in shelves)
-    ):
+    if shapely.covers(sight, point) and (inside or not any(s.contains(point) for s in shelves)):
         return
     where = "outside the outline"
     if outline.covers(point):

@@ -19,7 +19,7 @@ from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
 from homeward.lab.planning.accuracy import Arcs
-from homeward.lab.planning.analysis import PlanView
+from homeward.lab.planning.analysis import PlanView, StartView
 from homeward.runs.report import words
 from homeward.runs.report.canvas import (
     WIDTH_IN,
@@ -230,6 +230,29 @@ def plan_summary(view: PlanView) -> str:
         f" {words.quantity(limits.position, 'm')} and {words.degrees(limits.heading)}."
     )
     return " ".join([begin, *_worst(view), *_advice(view)])
+
+
+def start_summary(view: StartView) -> str:
+    """Return in sentences whether homing can begin at a place, and why not."""
+    limits, place = view.plan.limits, "({:g}, {:g})".format(*view.place)
+    common = f"{words.count(view.common, 'landmark')} in common with home"
+    if view.common < limits.landmarks:
+        return f"Homing cannot begin at {place}: {common}, and the limit is {limits.landmarks}."
+    if not np.isfinite(view.position):
+        return f"Homing cannot begin at {place}: the pose is not observable there."
+    errors = (
+        f"{common}, and minimum errors of {words.quantity(view.position, 'm')} (limit"
+        f" {words.quantity(limits.position, 'm')}) and {words.degrees(view.heading)} (limit"
+        f" {words.degrees(limits.heading)}) after an arc of"
+        f" {words.quantity(view.plan.drive.length, 'm')}."
+    )
+    if not view.begins:
+        return f"Homing cannot begin at {place}: {errors}"
+    hidden = "Also with any one landmark hidden."
+    if view.costly:
+        names = words.listing([words.name(name) for name in view.costly])
+        hidden = f"It needs each of these landmarks: {names}."
+    return f"Homing can begin at {place}: {errors} {hidden}"
 
 
 def _trouble(view: PlanView) -> str:

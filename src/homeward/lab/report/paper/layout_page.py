@@ -17,7 +17,13 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
-from homeward.lab.report.paper.claims import claims, conclusions, reading_words, start_words
+from homeward.lab.report.paper.claims import (
+    claims,
+    conclusions,
+    deciding_table,
+    reading_words,
+    start_words,
+)
 from homeward.lab.report.paper.page import COLOURS, QUANTITIES
 from homeward.lab.report.study.page import below_bound, note_below
 from homeward.lab.studies.blocks.store import MARKER
@@ -73,7 +79,7 @@ def draw_distributions(study: LayoutStudy) -> Figure:
         for row, case in zip(panels, STUDIED, strict=True):
             for k, axes in enumerate(row):
                 for place, name in enumerate(ROWS):
-                    for j, start in enumerate(study.starts):
+                    for j, start in enumerate((study.starts[0], study.starts[-1])):
                         rmse = errors_of(study, case, name, start)[:, k]
                         colour = COLOURS.get(name, SKY if name == ROBUST else GREEN)
                         values = quantiles(rmse)
@@ -89,6 +95,7 @@ def draw_distributions(study: LayoutStudy) -> Figure:
             row[0].set_title(TITLES[case], loc="left", fontsize=9)
         for axes, quantity in zip(panels[-1], QUANTITIES, strict=True):
             axes.set_xlabel(f"RMSE of {quantity}")
+        last = start_words(study.reading("2", initial_error=study.starts[-1]))
         entries = [
             Line2D(
                 [],
@@ -99,7 +106,7 @@ def draw_distributions(study: LayoutStudy) -> Figure:
                 lw=4,
                 label="exact start: median, middle half",
             ),
-            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label="start error"),
+            Line2D([], [], color=MUTED, marker="o", ms=5, mfc="white", lw=1.2, label=last),
             Line2D([], [], color=GREEN, marker="x", ms=7, mew=1.6, ls="none", label="printed"),
         ]
         legend_below(figure, entries)
@@ -117,7 +124,7 @@ def _log_axis(axes: Axes) -> None:
 def draw_grid(study: LayoutStudy) -> Figure:
     """Draw the share of layouts with smaller errors than the EKF, under all readings.
 
-    It is the smallest share of R, theta and alpha.
+    A cell has the smallest of the three shares of R, theta and alpha.
     """
     with style():
         values = product(*(study.settings.axis(k) for k in ACROSS))
@@ -136,7 +143,8 @@ def draw_grid(study: LayoutStudy) -> Figure:
                 words = f"{100 * share:.0f}"
                 axes.text(j, i, words, ha="center", va="center", fontsize=7, color=ink)
             axes.set_yticks(range(len(rows)), [_row_words(row) for row in rows], fontsize=7)
-            axes.set_title(f"{name} < EKF [% of layouts]", loc="left", fontsize=9)
+            title = f"{name} < EKF: smallest of the shares of R, theta and alpha [% of layouts]"
+            axes.set_title(title, loc="left", fontsize=9)
             axes.grid(False)
         below = [_column_words(c, r) for c, r in columns]
         panels[-1].set_xticks(range(len(below)), below, fontsize=7)
@@ -156,7 +164,7 @@ def _columns(study: LayoutStudy) -> list[tuple[CaseName, Reading]]:
 
 def _row_words(row: dict[str, Any]) -> str:
     start, Q, noise = row.values()
-    words = ["exact" if not any(start) else f"{100 * start[0]:g} cm error"]
+    words = ["exact" if not any(start) else "{:g} m, {:g} rad".format(*start)]
     return ", ".join([*words, "2 x 2" if Q == "input" else "n x n", *["twist noise"] * any(noise)])
 
 
@@ -164,12 +172,16 @@ def _column_words(case: CaseName, reading: Reading) -> str:
     lines = [f"Case {case}"]
     lines += [] if case == "4" else [f"{100 * reading.stop_radius:g} cm"]
     lines += [f"{reading.faults} wrong"] if case == "2" else []
+    lines += [f"{reading.circle_turn_rate:g} rad/s"] if case == "4" else []
     return "\n".join(lines)
 
 
 FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
     "distributions": ("RMSE over the layouts, with the printed values", draw_distributions),
-    "grid": ("Share of layouts with smaller errors than the EKF, under all readings", draw_grid),
+    "grid": (
+        "Share of layouts with smaller errors than the EKF (smallest of R, theta and alpha)",
+        draw_grid,
+    ),
 }
 """File name to caption and figure, in the order of the page."""
 
@@ -315,6 +327,7 @@ def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
         ],
         tables=[
             ("Claims of the paper, tested", claim_table(study), 5),
+            ("Which open quantity decides: readings in which it holds", deciding_table(study), 10),
             ("RMSE: median (5 to 95 %) over the layouts", error_table(study), 3),
             ("Cramér-Rao bound, and ratios to it", ratio_table(study), 2),
             ("Shares of layouts by order of errors", order_table(study), 3),

@@ -128,7 +128,11 @@ def draw_path(result: Reproduction, case: CaseName, name: str) -> Figure:
         axes.plot(*run.pose[:, :2].T, color=INK, lw=1.0, label="ground truth")
         R, theta = run.state[:, 0], run.state[:, 1]
         axes.plot(R * np.cos(theta), R * np.sin(theta), color=COLOURS[name], label=name)
-        axes.plot(*run.pose[0, :2], "o", mfc="white", mec=INK, label="start")
+        x, y, heading = run.pose[0]
+        ahead = x + 0.15 * np.cos(heading), y + 0.15 * np.sin(heading)
+        arrow = {"arrowstyle": "-|>", "color": INK, "shrinkA": 3}
+        axes.annotate("", ahead, (x, y), arrowprops=arrow)
+        axes.plot(x, y, "o", mfc="white", mec=INK, label="start, with heading")
         axes.plot(0, 0, marker=HOUSE, ms=11, color=INK, mec="white", ls="none", label="home")
         axes.set(xlabel="x [m]", ylabel="y [m]")
         figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=5)
@@ -168,7 +172,9 @@ def draw_parameter(result: Reproduction, case: CaseName, name: str) -> Figure:
             axes.plot(run.t, error, color=COLOURS[name], label=f"{name}, with 3 sigma")
             axes.axhline(0.0, color=INK, lw=0.8, label="ground truth")
             axes.axhline(world.faults[i], color=MUTED, ls="--", label="stored at home")
-            reach = 1.6 * abs(world.faults[i]) or 0.5
+            # The band is wide at first, and must be inside the axes in the second half.
+            wide = float(np.median(band[len(band) // 2 :] + np.abs(error[len(band) // 2 :])))
+            reach = max(1.6 * abs(world.faults[i]) or 0.5, 1.2 * wide)
             axes.set(ylim=(-reach, reach), ylabel=rf"error of $\beta^*_{i + 1}$ [rad]")
         panels[-1].set_xlabel("time [s]")
         figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3)
@@ -268,7 +274,8 @@ def figures_of(result: Reproduction) -> dict[str, tuple[str, Callable[[], Figure
         caption = d.caption
         if d.filters:
             shown = result.shown[d.case]
-            where = listing([f"{filter_} {shown.percentile[filter_]:.0f}" for filter_ in d.filters])
+            ranked = [name for name in d.filters if name in shown.percentile]
+            where = listing([f"{name} {shown.percentile[name]:.0f}" for name in ranked])
             caption += f" (run {shown.number}; percentile of its error of R: {where})"
         figures[name] = caption, partial(d.draw, result, d.case, *d.filters)
     return figures

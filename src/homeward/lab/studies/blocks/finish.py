@@ -22,6 +22,7 @@ from homeward.lab.engine.batch.execution import available_threads
 from homeward.lab.studies.blocks.store import Arrays, BlockStore, our_version
 
 Argument = TypeVar("Argument")
+Result = TypeVar("Result")
 CONNECT_S = 10.0
 """Timeout of a connection to a scheduler [s]."""
 
@@ -95,10 +96,10 @@ AHEAD = 2
 
 
 def on_processes(
-    function: Callable[[Argument], Arrays],
+    function: Callable[[Argument], Result],
     arguments: Mapping[str, Argument],
     processes: int | None,
-) -> Generator[tuple[str, Arrays]]:
+) -> Generator[tuple[str, Result]]:
     """Yield (name, result) of each block as it finishes on a pool of processes.
 
     The function must be importable from a module, and arguments picklable; `processes` None: one
@@ -124,8 +125,8 @@ def on_processes(
 
 
 def _round(
-    function: Callable[[Argument], Arrays], arguments: Mapping[str, Argument], processes: int
-) -> Generator[tuple[str, Arrays]]:
+    function: Callable[[Argument], Result], arguments: Mapping[str, Argument], processes: int
+) -> Generator[tuple[str, Result]]:
     """Compute blocks with one pool, until all are done or it breaks."""
     # Spawned workers share nothing with this process, its threads and its locks.
     context = multiprocessing.get_context("spawn")
@@ -133,7 +134,7 @@ def _round(
     lifeline, ours = context.Pipe(duplex=False)
     left = iter(list(arguments.items()))
     with ProcessPoolExecutor(processes, context, _begin_worker, (lifeline,)) as pool:
-        running: dict[Future[Arrays], str] = {}
+        running: dict[Future[Result], str] = {}
         try:
             while True:
                 while len(running) < AHEAD * processes and (item := next(left, None)):
@@ -179,7 +180,7 @@ def _end_with(lifeline: Connection) -> None:
 
 
 @single_threaded_blas()
-def _compute(function: Callable[[Argument], Arrays], argument: Argument) -> Arrays:
+def _compute(function: Callable[[Argument], Result], argument: Argument) -> Result:
     """Compute a block in a worker, with one thread."""
     return function(argument)
 
@@ -213,6 +214,16 @@ class StudyBlocks:
     def part(self, begin: float, end: float) -> StudyBlocks:
         """Return the same, with progress between two fractions of the whole."""
         return replace(self, on_progress=lambda f: self.on_progress(begin + (end - begin) * f))
+
+    def compute(
+        self, function: Callable[[Argument], Result], arguments: Mapping[str, Argument]
+    ) -> dict[str, Result]:
+        """Return results by name, from processes of this machine; nothing is stored."""
+        found = {}
+        for name, result in on_processes(function, arguments, self.where.workers):
+            found[name] = result
+            self.on_progress(len(found) / len(arguments))
+        return found
 
     def finish(
         self, function: Callable[[Argument], Arrays], arguments: Mapping[str, Argument]

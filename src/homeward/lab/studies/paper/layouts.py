@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from pydantic import Field
 
-from homeward.drives.settings import NonNegative, Positive
+from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.io.keys import Strict
 from homeward.io.settings import validated
 from homeward.lab.studies.blocks.finish import StudyBlocks
@@ -41,11 +41,20 @@ BOUND, ROBUST = "bound", "robust"
 
 Start = tuple[float, float, float]
 """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]."""
-FIXED: dict[CaseName, set[str]] = {"1": {"faults"}, "4": {"faults", "stop_radius"}}
+FIXED: dict[CaseName, set[str]] = {
+    "1": {"faults", "circle_turn_rate"},
+    "2": {"circle_turn_rate"},
+    "4": {"faults", "stop_radius"},
+}
 """Settings without influence in a case."""
 
 LONG = "circle for 200 s"
-"""A variant of Case 4 only."""
+FAULTY, LONG_FAULTY = "circle, two wrong home bearings", "circle for 200 s, two wrong home bearings"
+CIRCLES = (LONG, FAULTY, LONG_FAULTY)
+"""Variants of Case 4 only."""
+CASES_3: tuple[CaseName, ...] = ("3 (one fault)", "3 (several)")
+AS_SET = "as in the settings"
+"""The variant of `CASES_3`."""
 VARIANTS: dict[str, dict[str, Any]] = {
     "bearings exact": {"assumed": {"bearing_sigma": 0.0}},
     "bearing noise 0.05 rad": {"assumed": {"bearing_sigma": 0.05}},
@@ -62,6 +71,8 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "samples every 0.1 s": {"printed": {"sample_time": 0.1}},
     "samples every 0.025 s": {"printed": {"sample_time": 0.025}},
     LONG: {"assumed": {"circle_time": 200.0}},
+    FAULTY: {"assumed": {"circle_faults": 2}},
+    LONG_FAULTY: {"assumed": {"circle_time": 200.0, "circle_faults": 2}},
 }
 """Further variants: name to changes of `PaperSettings`."""
 
@@ -78,6 +89,7 @@ class Reading(NamedTuple):
     stop_radius: float
     faults: int
     disturbance: tuple[float, float]
+    circle_turn_rate: float
 
 
 class Grid(Strict):
@@ -88,22 +100,26 @@ class Grid(Strict):
 
     initial_error: tuple[tuple[NonNegative, NonNegative, NonNegative], ...] = (
         (0.0, 0.0, 0.0),
+        (0.01, 0.1, 0.1),
+        (0.01, 1.0, 1.0),
         (0.05, 0.1, 0.1),
     )
+    """The third is the printed P(0|0) = I: 1 cm and 1 rad."""
     meaning_of_Q: tuple[Literal["input", "state"], ...] = ("input", "state")
     stop_radius: tuple[Positive, ...] = (0.05, 0.15, 0.25)
     faults: tuple[Annotated[int, Field(ge=0)], ...] = (2, 1, 3)
     disturbance: tuple[tuple[NonNegative, NonNegative], ...] = ((0.0, 0.0), (0.02, 0.2))
+    circle_turn_rate: tuple[Finite, ...] = (0.5, 0.2, 1.0, -0.5)
 
 
 class LayoutSettings(Strict):
     """Settings of `homeward study layouts`."""
 
-    layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 10_000
+    layouts: Annotated[int, Field(ge=1, le=1_000_000)] = 500
     """Number of random layouts and fault sets of every reading."""
-    varied: Annotated[int, Field(ge=1, le=1_000_000)] = 1000
-    """Number of the first layouts for each of `VARIANTS`."""
-    robust: Annotated[int, Field(ge=1, le=1_000_000)] = 200
+    varied: Annotated[int, Field(ge=1, le=1_000_000)] = 250
+    """Number of the first layouts for each of `VARIANTS`, and for Case 3."""
+    robust: Annotated[int, Field(ge=1, le=1_000_000)] = 20
     """Number of the first layouts for the robust localiser and the bound."""
     grid: Grid = Grid()
     paper: PaperSettings = PaperSettings()
@@ -254,13 +270,13 @@ def bound_questions(settings: LayoutSettings) -> dict[tuple[CaseName, Reading], 
 
 
 def varied_questions(settings: LayoutSettings) -> dict[tuple[str, CaseName, Start], Question]:
-    """Return each of `VARIANTS` in each case and from each start."""
+    """Return each of `VARIANTS` in each case, and Case 3, from each start."""
     number = min(settings.varied, settings.layouts)
     questions = {}
-    for case, start in product(STUDIED, settings.axis("initial_error")):
+    for case, start in product((*STUDIED, *CASES_3), settings.axis("initial_error")):
         paper = settings.read(settings.readings(case)[0]._replace(initial_error=start))
-        for name, change in VARIANTS.items():
-            if name == LONG and case != "4":
+        for name, change in ({AS_SET: {}} if case in CASES_3 else VARIANTS).items():
+            if name in CIRCLES and case != "4":
                 continue
             questions[name, case, start] = Question(changed(paper, change), case, FILTERS, number)
     return questions

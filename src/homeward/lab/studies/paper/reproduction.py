@@ -10,7 +10,7 @@ import numpy as np
 
 from homeward.io.settings import validated
 from homeward.lab.studies.blocks.finish import StudyBlocks
-from homeward.lab.studies.paper.cases import FILTERS, Run, draw, run_filter
+from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, Run, draw, run_filter
 from homeward.lab.studies.paper.layouts import (
     LayoutSettings,
     Outcome,
@@ -33,7 +33,7 @@ class Shown:
     number: int
     """Number of the layout, from 0 on."""
     percentile: dict[str, float]
-    """By filter: share of runs with a smaller error of R [%]."""
+    """By filter with bearings: share of runs with a smaller error of R [%]."""
     world: PaperWorld
     runs: dict[str, Run]
     """By filter."""
@@ -51,19 +51,30 @@ class Reproduction:
 def reproduce(settings: PaperSettings, work: StudyBlocks) -> Reproduction:
     """Run the paper's Cases 1 to 4 with its filters over random layouts."""
     questions = {case: Question(settings, case, FILTERS, settings.runs) for case in CASES}
-    outcomes = compute(work, questions)
-    shown = {case: _shown(case, settings, outcomes[case]) for case in CASES}
-    return Reproduction(settings, outcomes, shown)
+    imaged = settings.measurements == "images"
+    outcomes = compute(work.part(0.0, 0.8) if imaged else work, questions)
+    shown = {str(case): (case, settings, outcomes[case]) for case in CASES}
+    if imaged:
+        drawn = work.part(0.8, 1.0).compute(_shown, shown)
+    else:
+        drawn = {case: _shown(argument) for case, argument in shown.items()}
+    return Reproduction(settings, outcomes, {case: drawn[case] for case in CASES})
 
 
-def _shown(case: CaseName, settings: PaperSettings, outcome: Outcome) -> Shown:
-    """Rerun the layout whose errors of R are nearest to the median for all filters."""
-    rank = outcome.rmse[..., 0].argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
+def _shown(argument: tuple[CaseName, PaperSettings, Outcome]) -> Shown:
+    """Rerun the layout whose errors of R are nearest to the median for all filters with bearings.
+
+    From an exact start dead reckoning has the same error in all layouts, and no median run.
+    """
+    case, settings, outcome = argument
+    names = FILTERS[: FILTERS.index(DEAD_RECKONING)]
+    errors = np.array([outcome.of(name)[:, 0] for name in names])
+    rank = errors.argsort(axis=1, kind="stable").argsort(axis=1, kind="stable")
     percentile = 100 * (rank + 0.5) / rank.shape[1]
     number = int(np.argmin(np.abs(percentile - 50).max(axis=0)))
     world = draw(case, settings, number)
     runs = {name: run_filter(name, case, world, settings) for name in FILTERS}
-    named = dict(zip(FILTERS, percentile[:, number].tolist(), strict=True))
+    named = dict(zip(names, percentile[:, number].tolist(), strict=True))
     return Shown(number, named, world, runs)
 
 

@@ -68,8 +68,8 @@ class Assumed(Strict):
     disturbance: tuple[NonNegative, NonNegative] = (0.0, 0.0)
     """Standard deviations of the true twist, per sample: [m/s] and [rad/s]."""
     initial_error: tuple[NonNegative, NonNegative, NonNegative] = (0.0, 0.0, 0.0)
-    """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]; zero is the
-    start as printed."""
+    """Standard deviations of the first estimate's error: R [m], theta, alpha [rad]. The printed
+    X_r(0) is the robot's pose; no first estimate is printed. Zero: it equals the pose."""
     meaning_of_Q: Literal["input", "state"] = "input"
     """The covariance of (v [cm/s], omega [rad/s]), as in the equations, or of the n states (R in
     cm), as its printed size suggests."""
@@ -83,6 +83,8 @@ class Assumed(Strict):
     """omega of Case 4 [rad/s], for a circle of 0.25 m next to home ..."""
     circle_time: Positive = 20.0
     """... driven for this time [s]."""
+    circle_faults: Annotated[int, Field(ge=0)] = 0
+    """Number of wrong home bearings in Case 4, with errors as in Case 2."""
     guard: NonNegative = 0.01
     """Keeps the model finite at home and on the line through home and a landmark [m]."""
     integration: Integration = "rk4"

@@ -54,8 +54,10 @@ class PaperWorld:
 
 def fault_count(case: CaseName, settings: PaperSettings) -> int:
     """Return the number of moved landmarks of a case."""
-    if case == "2":
-        return min(settings.assumed.faults, settings.printed.landmarks)
+    if case in ("2", "4"):
+        assumed = settings.assumed
+        wanted = assumed.faults if case == "2" else assumed.circle_faults
+        return min(wanted, settings.printed.landmarks)
     return sum(fault != 0 for fault in _given_faults(case, settings))
 
 
@@ -101,8 +103,8 @@ def draw_world(case: CaseName, settings: PaperSettings, run: int) -> PaperWorld:
 def _faults(case: CaseName, settings: PaperSettings, rng: np.random.Generator) -> np.ndarray:
     assumed, q = settings.assumed, settings.printed.landmarks
     faults = np.zeros(q)
-    if case == "2":
-        which = rng.choice(q, size=min(assumed.faults, q), replace=False)
+    if case in ("2", "4"):
+        which = rng.choice(q, size=fault_count(case, settings), replace=False)
         faults[which] = rng.uniform(*assumed.fault, which.size) * rng.choice([-1, 1], which.size)
     given = _given_faults(case, settings)
     faults[: len(given)] = given
