@@ -172,25 +172,35 @@ def test_a_robot_file_of_other_wheels_is_refused():
 
 
 def test_a_live_session_corrects_its_twists_and_an_estimator_refuses_corrections():
-    given = OdometryNoise(speed_scale=0.9, turn_scale=1.2, turn_bias=0.01)
+    given = OdometryNoise(speed_scale=0.9, turn_scale=1.2, turn_bias=0.01, turn_slip=0.1)
     session, heard = Session(robot=DriveSettings(odometry=given)), []
     session.watch(heard.append)
     for t, v, omega in ((0.0, 1.0, 0.5), (0.1, 0.0, 0.0)):
         session.receive(OdometryIn(t=t, v=v, omega=omega), t)
     list(session.process())
-    assert [(m.v, m.omega) for m in heard] == [(0.9, pytest.approx(0.61)), (0.0, 0.0)]
+    assert [(m.v, m.omega) for m in heard] == [pytest.approx((0.839, 0.61)), (0.0, 0.0)]
     with pytest.raises(InputError, match="speed_scale"):
         Localizer({"a": HomeBearing(0.0)}, odometry=given)
 
 
-def test_ground_truth_gives_the_scales_of_speed_and_yaw_rate():
+def test_slip_slows_a_robot_in_bends_down_to_standstill_and_never_turns_its_motion_round():
+    given = OdometryNoise(turn_slip=0.1)
+    speeds, rates = np.array([1.0, -1.0, 0.02, 0.0]), np.array([-0.5, 0.5, 0.5, 0.5])
+    corrected = given.corrected(speeds, rates)
+    assert corrected[0] == pytest.approx([0.95, -0.95, 0.0, 0.0])
+    assert np.array_equal(corrected[1], rates)
+
+
+@pytest.mark.parametrize("slip", [0.0, 0.1])
+def test_ground_truth_gives_the_scales_of_speed_and_yaw_rate_and_the_slip(slip):
     """Of a robot that acts late, on motions that are not those of its odometry."""
     rng, dt = np.random.default_rng(5), 0.05
     t = dt * np.arange(12_000)
-    v = np.repeat(rng.uniform(0.0, 0.4, 120), 100)
+    v = np.repeat(rng.uniform(0.05, 0.4, 120), 100)
     omega = np.repeat(rng.uniform(-0.5, 0.5, 120), 100)
     late = 4
-    true_v = 0.95 * np.roll(v, late) + 0.02 * rng.normal(size=t.size)
+    true_v = 0.95 * np.roll(v, late) - slip * 0.9 * np.abs(np.roll(omega, late))
+    true_v = np.maximum(true_v, 0.0) + 0.02 * rng.normal(size=t.size)
     heading = dt * np.cumsum(0.9 * np.roll(omega, late) + 0.004 * (np.roll(v, late) > 0.0))
     x, y = (dt * np.cumsum(true_v * f(heading)) for f in (np.cos, np.sin))
     found = _from_truth(Odometry(t, v, omega), Truth(t, x, y, heading))
@@ -198,6 +208,8 @@ def test_ground_truth_gives_the_scales_of_speed_and_yaw_rate():
         mean, sigma = found[f"odometry.{key}"]
         assert abs(mean - value) < 3.0 * sigma, key
         assert sigma < 0.01
+    assert abs(found["odometry.turn_slip"].mean - slip) < 3.0 * found["odometry.turn_slip"].sigma
+    assert found["odometry.turn_slip"].sigma < 0.01
     assert _from_truth(Odometry(t, v, omega), Truth(t[:9], x[:9], y[:9], heading[:9])) == {}
     still = np.zeros(t.size)
     assert _from_truth(Odometry(t, still, still), Truth(t, still, still, still)) == {}

@@ -80,6 +80,10 @@ class OdometryNoise(Strict):
     """True yaw rate minus the scaled one while the robot moves [rad/s]."""
     turn_bias_sigma: NonNegative | None = None
     """Constant error of the yaw rate [rad/s]."""
+    turn_slip: NonNegative | None = None
+    """Distance lost by slip in each radian of rotation while the robot drives [m]."""
+    turn_slip_sigma: NonNegative | None = None
+    """Constant error of `turn_slip` [m]; None: 0 if `speed_scale_sigma` is given, else unknown."""
     speed_sigma: NonNegative | None = None
     """Density of the speed's white noise [m/s/sqrt(Hz)]."""
     turn_sigma: NonNegative | None = None
@@ -91,13 +95,21 @@ class OdometryNoise(Strict):
     def corrections(self) -> dict[str, float]:
         """The given corrections by key."""
         return self.model_dump(
-            include={"speed_scale", "turn_scale", "turn_bias"}, exclude_none=True
+            include={"speed_scale", "turn_scale", "turn_bias", "turn_slip"}, exclude_none=True
         )
 
     def corrected(self, v: Number, omega: Number) -> tuple[Number, Number]:
         """Return speeds [m/s] and yaw rates [rad/s], numbers or (n,), with the corrections."""
         bias = (self.turn_bias or 0.0) * ((v != 0.0) | (omega != 0.0))
-        return (self.speed_scale or 1.0) * v, (self.turn_scale or 1.0) * omega + bias
+        speed, rate = (self.speed_scale or 1.0) * v, (self.turn_scale or 1.0) * omega + bias
+        lost = np.minimum((self.turn_slip or 0.0) * np.abs(rate), np.abs(speed))
+        return speed - np.copysign(lost, speed), rate
+
+    def slip_sigma(self, unknown: float) -> float:
+        """Return the standard deviation of slip in bends, `unknown` where nothing is given [m]."""
+        if self.turn_slip_sigma is not None:
+            return self.turn_slip_sigma
+        return unknown if self.speed_scale_sigma is None else 0.0
 
 
 class Wheels(Strict):
@@ -419,7 +431,7 @@ class OdometryDefaults(Strict):
     turn_bias: Positive = 0.003
     """Constant error of the yaw rate while the robot moves [rad/s]."""
     turn_slip: Positive = 0.05
-    """Speed loss in bends, per yaw rate [m]; 0 when the drive specifies `speed_scale_sigma`."""
+    """Slip in bends, the speed lost per yaw rate [m]; see `OdometryNoise.turn_slip_sigma`."""
     speed_scale: Positive = 0.03
     """Constant relative error of the speed [1]; not observable from bearings."""
 

@@ -16,6 +16,7 @@ from homeward.drives.drive import Drive, Odometry, Truth
 from homeward.drives.settings import OdometryDefaults, RobotSettings, Wheels
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
+from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.odometry import calibration_sigmas
@@ -29,8 +30,10 @@ from homeward.localizer.motion.preintegration import (
     TIME_CONSTANT,
     TURN_BIAS,
     TURN_SCALE,
+    TURN_SLIP,
 )
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import NEGLIGIBLE_CALIBRATION
 from homeward.odometry.dead_reckoning import dead_reckoning
 
 WINDOW_S = 4.0
@@ -41,20 +44,28 @@ MAX_TURN = 2.5
 """Largest rotation in such a window, below half a turn [rad]."""
 MIN_DELAY = 2.0
 """Smallest delay that is corrected [standard deviations]."""
+PARTS = 8
+"""Parts of such a window for its path and rotation: in each, the motion is nearly an arc."""
 NUM_GROUPS = 20
 """Groups of windows of the jackknife."""
+ROBUST_STEPS, ROBUST_SCALE = 10, 3.0
+"""Steps of the robust fit of paths, whose weights converge; and its scale, as residuals of normal
+errors hardly exceed it [standard deviations]."""
+MIN_SLIP = 2.0
+"""Smallest slip in bends that is corrected [standard deviations]."""
 DEFAULT = OdometryDefaults()
 ASSUMED = {
     "odometry.speed_scale": DEFAULT.speed_scale,
     "odometry.turn_scale": DEFAULT.turn_scale,
     "odometry.turn_bias": DEFAULT.turn_bias,
+    "odometry.turn_slip": DEFAULT.turn_slip,
     "bearings_late": LocalizerSettings().lag_sigma,
     "sensor.x": math.inf,
     "sensor.y": math.inf,
     "sensor.yaw": math.inf,
 }
 """Keys of the calibration, and the standard deviations that are assumed without an estimate."""
-STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, DELAY, CAMERA_X, CAMERA_Y, CAMERA_YAW
+STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, CAMERA_X, CAMERA_Y, CAMERA_YAW
 """The state of the localiser for each of them."""
 SIGMA_KEYS = {"bearings_late": "odometry.delay_sigma"}
 """Keys of standard deviations that are not the key of the value with _sigma at its end."""
@@ -78,8 +89,11 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
     survey, measured distances, or ranges of a known scale; camera extrinsics are estimated where
     they are not given and the bearings contradict zero.
     """
-    found = _from_truth(drive.odometry, drive.truth) if drive.truth is not None else {}
-    return _from_map(drive, localizer) | found
+    found = _from_map(drive, localizer)
+    by_truth = {} if drive.truth is None else _from_truth(drive.odometry, drive.truth)
+    if by_truth:  # its scale is that next to its own slip
+        found.pop("odometry.turn_slip", None)
+    return found | by_truth
 
 
 def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
@@ -89,10 +103,14 @@ def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
     """
     chart, smoother = localizer.chart, localizer.chart.map.smoother
     state, camera = smoother.state, chart.extrinsics
-    free = {f"sensor.{name}" for name in camera.learnt(state.calibration)}
+    open_keys = {f"sensor.{name}" for name in camera.learnt(state.calibration)}
+    open_keys |= {key for key in ASSUMED if not key.startswith("sensor.")}
+    if state.calibration[TURN_SLIP] <= NEGLIGIBLE_CALIBRATION:  # fixed at its bound
+        open_keys.remove("odometry.turn_slip")
     of_odometry = calibration_sigmas(drive.settings, localizer.settings, chart.scale.state)
     priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
     priors[DELAY] += smoother.time_constant_sigma**2
+    priors[TURN_SLIP] = smoother.slip_sigma**2
     both = np.eye(NC)
     both[DELAY, TIME_CONSTANT] = 1.0
     means = both @ state.calibration
@@ -102,7 +120,7 @@ def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
     found = {}
     for key, at in zip(ASSUMED, STATES, strict=True):
         own = 1.0 / float(variances[at]) - 1.0 / float(priors[at])
-        if own > 0.0 and (key in free or not key.startswith("sensor.")):
+        if own > 0.0 and key in open_keys:
             mean = float(means[at] / variances[at]) / own
             found[key] = Value(float(key.endswith("_scale")) + mean, own**-0.5)
     return _informative(found)
@@ -111,7 +129,8 @@ def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
 def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
     """Return the corrections of the odometry by the motions of the ground truth.
 
-    Odometry may act late: the lag with which rotations fit best counts.
+    Odometry may act late: the lag with which rotations fit best counts. Slip in bends is estimated
+    together with the speed scale, and left out where it may be zero.
     """
     t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
     t = t[np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW_S)))] if t.size else t
@@ -130,19 +149,58 @@ def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
     def misfit(lag: float) -> float:
         return float(np.linalg.lstsq(turned(lag), by, rcond=None)[1].sum())
 
-    turns = turned(min(LAGS_S, key=misfit))
-    path, true_path = _arc(reckoned)[used], _arc(true)[used]
+    lag = min(LAGS_S, key=misfit)
+    turns = turned(lag)
+    path, rotation = _driven(dead_reckoning(odometry, _fine(t) - lag))[:, used]
+    true_path, _ = _driven(truth.at(_fine(t)))[:, used]
 
-    def fitted(rows: np.ndarray) -> np.ndarray:
-        along = float(np.sign(path[rows]) @ true_path[rows])
+    def fitted(rows: np.ndarray, with_slip: bool) -> np.ndarray:
         turn, *_ = np.linalg.lstsq(turns[rows], by[rows], rcond=None)
-        return np.array([along / max(float(np.abs(path[rows]).sum()), 1e-9), *turn])
+        lost = -np.sign(path) * abs(turn[0]) * rotation if with_slip else np.zeros(by.size)
+        scale, slip = _robust(np.stack([path, lost], axis=1)[rows], true_path[rows])
+        return np.array([scale, *turn, slip])
 
-    every = np.arange(by.size)
-    without = [fitted(np.delete(every, group)) for group in np.array_split(every, NUM_GROUPS)]
-    sigmas = math.sqrt(NUM_GROUPS - 1) * np.std(without, axis=0)
-    values = map(Value, fitted(every).tolist(), sigmas.tolist())
-    return _informative(dict(zip(ASSUMED, values, strict=False)))
+    def estimated(with_slip: bool) -> Estimates:
+        every = np.arange(by.size)
+        groups = np.array_split(every, NUM_GROUPS)
+        without = [fitted(np.delete(every, group), with_slip) for group in groups]
+        sigmas = math.sqrt(NUM_GROUPS - 1) * np.std(without, axis=0)
+        values = map(Value, fitted(every, with_slip).tolist(), sigmas.tolist())
+        return dict(zip(ASSUMED, values, strict=False))
+
+    found = estimated(with_slip=True)
+    slip = found["odometry.turn_slip"]
+    if slip.mean < MIN_SLIP * slip.sigma:
+        slip = Value(0.0, math.hypot(*slip))
+        found = estimated(with_slip=False)
+    return _informative(found | {"odometry.turn_slip": slip})
+
+
+def _robust(columns: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return the coefficients (k,) of a robust linear fit of columns (n, k).
+
+    A robot that collides or is carried contradicts any calibration.
+    """
+    weights = np.ones(measured.size)
+    for _ in range(ROBUST_STEPS):
+        root = np.sqrt(weights)
+        found = np.linalg.lstsq(root[:, None] * columns, root * measured, rcond=None)[0]
+        off = np.abs(measured - columns @ found)
+        scale = ROBUST_SCALE * MAD_TO_SIGMA * max(float(np.median(off)), 1e-6)
+        weights = robust_weight((off / scale) ** 2)
+    return np.asarray(found)
+
+
+def _fine(t: np.ndarray) -> np.ndarray:
+    """Return each interval of times (n,) divided into `PARTS`, (PARTS (n - 1) + 1,)."""
+    return np.asarray(np.interp(np.arange(PARTS * (t.size - 1) + 1) / PARTS, np.arange(t.size), t))
+
+
+def _driven(poses: Pose) -> np.ndarray:
+    """Return path [m] and rotation [rad] in each interval of times, by poses at `_fine` ones."""
+    step = _steps(poses)
+    parts = np.stack([_arc(step), np.abs(step.heading)]).reshape(2, -1, PARTS)
+    return np.asarray(parts.sum(axis=2))
 
 
 def _steps(pose: Pose) -> Pose:
@@ -193,7 +251,8 @@ def _weighed(found: Sequence[Estimates], key: str) -> tuple[np.ndarray, np.ndarr
 def as_keys(found: Estimates) -> dict[str, float | None]:
     """Return the keys of robot.yaml, each value to two digits of its standard deviation.
 
-    A delay that may be zero is None, and not corrected: stamps stay as recorded.
+    A delay that may be zero is None, and not corrected: stamps stay as recorded. Slip is at least
+    zero.
     """
     keys: dict[str, float | None] = {}
     for key, (mean, sigma) in found.items():

@@ -127,7 +127,7 @@ class TurnProblem:
                     max(default.turn_scale if scale is None else scale, MIN_SIGMA_RAD),
                     max(default.turn_bias if bias is None else bias, MIN_SIGMA_RAD),
                     LAG_SIGMA_S,
-                    default.turn_slip if given.speed_scale_sigma is None else MIN_NOISE_M,
+                    max(given.slip_sigma(default.turn_slip), MIN_NOISE_M),
                 ]
             ),
         )

@@ -90,6 +90,7 @@ class Map:
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
         self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
         self.smoother.range_ratio = scale.ratio
+        self.smoother.is_slip_corrected = drive.odometry.turn_slip_sigma is not None
         learnt = noise, process_noise, extrinsics, settings.time_constant_sigma
         self._learner = Learner(*learnt, self.smoother.slip_sigma)
         self.landmarks = Landmarks(self.smoother, settings.parallax)

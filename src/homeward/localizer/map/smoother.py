@@ -143,6 +143,8 @@ class Smoother:
         """... of the time constant [s] ..."""
         self.survey = SurveyFactors.none()
         """... and the survey of landmarks."""
+        self.is_slip_corrected = False
+        """Whether odometry is corrected for slip in bends, so that the rest may be negative."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
         self._older = np.zeros((0, 3))
@@ -173,6 +175,7 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
+        whole.is_slip_corrected = self.is_slip_corrected
         whole.time_constant_sigma = self.time_constant_sigma
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
@@ -483,13 +486,12 @@ class Smoother:
 
         A negative delay with a time constant would be a filter of noise without a lag.
         """
-        return (
-            [*ONE_SIDED, DELAY] if self.time_constant_sigma > FIXED_TIME_CONSTANT_S else ONE_SIDED
-        )
+        unknowns = ONE_SIDED[1:] if self.is_slip_corrected else ONE_SIDED
+        return [*unknowns, DELAY] if self.time_constant_sigma > FIXED_TIME_CONSTANT_S else unknowns
 
     @property
     def _negative(self) -> np.ndarray:
-        """(2,) or (3,), bool: which of `_one_sided` are negative."""
+        """Which of `_one_sided` are negative, bool."""
         return np.asarray(self.state.calibration[self._one_sided] < 0.0)
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
