@@ -23,7 +23,7 @@ class LocalizerSettings(Strict):
     """Standard deviation of home bearings that come without one [rad]; None: as of any other
     bearing."""
     odometry: OdometryDefaults = OdometryDefaults()
-    lag_sigma: NonNegative = 0.2
+    delay_sigma: NonNegative = 0.2
     """Prior standard deviation of the delay of odometry behind the camera, around zero [s]."""
     time_constant_sigma: NonNegative = 0.2
     """Prior standard deviation of the time constant with which the robot follows its odometry,

@@ -59,7 +59,7 @@ ASSUMED = {
     "odometry.turn_scale": DEFAULT.turn_scale,
     "odometry.turn_bias": DEFAULT.turn_bias,
     "odometry.turn_slip": DEFAULT.turn_slip,
-    "bearings_late": LocalizerSettings().lag_sigma,
+    "bearings_late": LocalizerSettings().delay_sigma,
     "sensor.x": math.inf,
     "sensor.y": math.inf,
     "sensor.yaw": math.inf,

@@ -59,7 +59,7 @@ def calibration_sigmas(
             default.turn_scale if scale is None else scale,
             default.turn_bias if bias is None else bias,
             given.slip_sigma(default.turn_slip),
-            settings.lag_sigma if given.delay_sigma is None else given.delay_sigma,
+            settings.delay_sigma if given.delay_sigma is None else given.delay_sigma,
             settings.time_constant_sigma,
             speed_scale,
         ]
