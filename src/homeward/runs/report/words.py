@@ -60,7 +60,7 @@ def describe_sightings(drive: Drive) -> str:
     at_home = len(ids & set(drive.home))
     return (
         f"{drive.sightings.t.size:,} sightings of {count(len(ids), 'landmark')} in "
-        f"{count(stamps, 'image')}; {at_home:,} of these landmarks were seen from home."
+        f"{count(stamps, 'image')}; home saw {at_home:,} of these landmarks."
     )
 
 
