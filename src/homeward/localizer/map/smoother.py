@@ -126,8 +126,8 @@ class Smoother:
         """(n,): ids of the landmarks in the state, ascending; none is reused."""
         self.p_static = np.zeros(0)
         """(n,): probability of each to be static, the weight of its sightings [1]."""
-        self.sightings = np.zeros((0, COLUMNS))
-        """Sightings of landmarks in the state from keyframes in the window."""
+        self._sightings = np.zeros((0, COLUMNS))
+        self._added: tuple[np.ndarray, ...] = ()
         self.frames = Frames()
         self.turn_variances: list[float] = []
         """Variance of turn of the motion into each keyframe but the oldest [rad^2]."""
@@ -192,6 +192,17 @@ class Smoother:
         return whole
 
     @property
+    def sightings(self) -> np.ndarray:
+        """Sightings of landmarks in the state from keyframes in the window."""
+        if self._added:  # joined when they are needed: a window may have 100,000
+            self.sightings = np.concatenate([self._sightings, *self._added])
+        return self._sightings
+
+    @sightings.setter
+    def sightings(self, rows: np.ndarray) -> None:
+        self._sightings, self._added = rows, ()
+
+    @property
     def poses(self) -> np.ndarray:
         """(w, 3): poses of the keyframes in the window, in the odometry frame."""
         return np.concatenate([self._older, self.state.mean[None, :3]])
@@ -252,7 +263,7 @@ class Smoother:
 
     def add_sightings(self, rows: np.ndarray) -> None:
         """Add rows of the table of sightings, shape (m, COLUMNS), of keyframes in the window."""
-        self.sightings = np.concatenate([self.sightings, rows])
+        self._added = (*self._added, rows)
 
     def drop_sightings_from(self, keyframe: int) -> None:
         """Drop the sightings from a keyframe, by its number."""
