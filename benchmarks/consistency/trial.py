@@ -4,18 +4,27 @@ Between two legs of a drive the world changes, or the robot is carried.
 """
 
 import math
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
 
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.settings import OdometryNoise, Sensor
+from homeward.geometry.frames import Pose, between
 from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation
 from homeward.lab.studies.study.trial import Trial, drive_bound
 
 SAME_PLACE_M = 1e-6  # maximum shift of a landmark that has not moved [m]
+
+
+@dataclass(frozen=True)
+class SurveyedTrial(Trial):
+    """A drive with the true positions of its landmarks when home was stored."""
+
+    survey: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """In the home frame [m]; for baselines that get a map."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +73,7 @@ def wandering(
     return sim.Scenario(**(given | changes))
 
 
-def trial(*legs: Leg) -> Trial:
+def trial(*legs: Leg) -> SurveyedTrial:
     """Join the legs of one drive, and compute its bound."""
     first = legs[0].simulation
     drive = _joined(legs)
@@ -85,7 +94,11 @@ def trial(*legs: Leg) -> Trial:
     carried = np.array([leg.carried for leg in legs])[leg_of[1:]] & (np.diff(leg_of) > 0)
     _, bound = drive_bound(drive, case, marks, column, ~stored, carried=carried)
     shifted = {n for n, new in zip(ids, fresh[1:].any(axis=0), strict=True) if new}
-    return Trial(drive, frozenset(shifted | set(first.world.moved)), stamps, bound)
+    moved = frozenset(shifted | set(first.world.moved))
+    x, y = first.world.places_at_home.T
+    at = between(first.world.home, Pose(x, y, 0.0))
+    survey = dict(zip(ids, zip(at.x.tolist(), at.y.tolist(), strict=True), strict=True))
+    return SurveyedTrial(drive, moved, stamps, bound, survey=survey)
 
 
 def _joined(legs: tuple[Leg, ...]) -> Drive:
@@ -100,7 +113,7 @@ def _joined(legs: tuple[Leg, ...]) -> Drive:
     return replace(drives[0], **tables)
 
 
-def scaled(whole: Trial, factor: float) -> Trial:
+def scaled(whole: SurveyedTrial, factor: float) -> Trial:
     """Return the same drive with all lengths scaled by a factor."""
     drive = whole.drive
     assert drive.truth is not None
@@ -118,6 +131,7 @@ def scaled(whole: Trial, factor: float) -> Trial:
             ),
         ),
         bound=whole.bound * size[:, None] * size,
+        survey={n: (factor * x, factor * y) for n, (x, y) in whole.survey.items()},
     )
 
 

@@ -1,11 +1,14 @@
-"""All estimators on the same drives, simulated and real; writes docs/understand/leaderboard.md.
+"""All estimators on the same drives; writes docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
-...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each
-estimator on the drives of the families of the consistency gate, and on MRCLAM set 6 if it is
-available (in HOMEWARD_DATA, else in ../shared/data). The others are compared with the first
-estimator. `--quick` means one seed. With `--keep` it can be stopped and continued, also with
-further estimators.
+...] [--seeds 10] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on drives of the
+families of the consistency gate with fresh seeds, on which no choice was made. The others are
+compared with the first estimator. `--quick` means one seed. With `--keep` it can be stopped and
+continued, also with further estimators.
+
+`--development [--real-seeds 2]` writes docs/appendix/leaderboard-development.md: the seeds on which
+the localiser was developed, and MRCLAM set 6 if it is available (in HOMEWARD_DATA, else in
+../shared/data).
 """
 
 import sys
@@ -13,17 +16,18 @@ from pathlib import Path
 
 from benchmarks import monte_carlo
 from benchmarks.leaderboard.board import page
-from benchmarks.leaderboard.families import real, simulated
+from benchmarks.leaderboard.families import numbers, real, simulated
 from benchmarks.leaderboard.runs import begin, every, everybody
 from homeward.registry import settings_model
 
-DOCS = Path(__file__).parents[2] / "docs" / "understand" / "leaderboard.md"
+DOCS = Path(__file__).parents[2] / "docs"
+PAGE, DEVELOPMENT = "understand/leaderboard.md", "appendix/leaderboard-development.md"
 QUICK_SEEDS = 1
 
 
 def main() -> None:
     families = simulated() | real()
-    harness = {"quick": False, "out": Path, **monte_carlo.HARNESS}
+    harness = {"quick": False, "development": False, "out": Path, **monte_carlo.HARNESS}
     options = monte_carlo.parsed(
         __doc__, estimator=str, family=families, seeds=10, real_seeds=2, **harness
     )
@@ -34,18 +38,22 @@ def main() -> None:
     seeds = {False: options.seeds, True: options.real_seeds}
     if options.quick:
         seeds = dict.fromkeys(seeds, QUICK_SEEDS)
+    development = options.development
     work = [
         (name, number)
         for name in options.family
-        for number in range(families[name].copies * seeds[families[name].real])
+        if development or not families[name].real
+        for number in numbers(families[name], seeds[families[name].real], development)
     ]
     work.sort(key=lambda drive: drive[1])  # so that all families have runs when stopped early
     rows = every(work, names, options.jobs, options.keep)
     words = [w for w in sys.argv[1:] if w != "--quick"]
     kept = [w for i, w in enumerate(words) if not _of_this_machine(words, i)]
     command = " ".join(["python -m benchmarks.leaderboard", *["--quick"] * options.quick, *kept])
-    text = page(rows, names, families, command)
-    (options.out or DOCS).write_text(text, encoding="utf-8")
+    text = page(rows, names, families, command, development)
+    (options.out or DOCS / (DEVELOPMENT if development else PAGE)).write_text(
+        text, encoding="utf-8"
+    )
     print(text)
 
 

@@ -1,17 +1,21 @@
 """The drives: simulated families of the consistency gate, and real ones, original and harder."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 
 from benchmarks.consistency.scenarios import SCENARIOS
-from benchmarks.mrclam import HOME, data
+from benchmarks.consistency.trial import SurveyedTrial
+from benchmarks.mrclam import HOME, data, surveyed_places
+from homeward.geometry.frames import Pose, between
 from homeward.lab.studies.study.trial import Recording, Trial, recorded_trial
 
 ROBOTS = (1, 2, 3, 4, 5)
 SET_6 = "MRCLAM_Dataset6"
 FALSIFIED = 3  # of 15 home bearings
 HOME_NOISE_DEG = 0.5
+HELD_OUT = 5000
+"""First number of the drives on which no choice was made; development uses numbers below 200."""
 
 
 @dataclass(frozen=True)
@@ -29,6 +33,12 @@ def simulated() -> dict[str, Family]:
         name: Family(named.about, lambda k, named=named: named.make(named.first + k))
         for name, named in SCENARIOS.items()
     }
+
+
+def numbers(family: Family, seeds: int, development: bool) -> range:
+    """Return the numbers of a family's drives; real drives are all for development."""
+    first = 0 if development else HELD_OUT
+    return range(first, first + family.copies * seeds)
 
 
 def real() -> dict[str, Family]:
@@ -59,4 +69,7 @@ def _recorded(change: dict[str, float], number: int) -> Trial:
         home_noise_deg=HOME_NOISE_DEG,
         **change,
     )
-    return recorded_trial(recording, seed)
+    trial = recorded_trial(recording, seed)
+    at = {n: between(HOME, Pose(x, y, 0.0)) for n, (x, y) in surveyed_places().items()}
+    parts = {f.name: getattr(trial, f.name) for f in fields(trial)}
+    return SurveyedTrial(**parts, survey={n: (float(p.x), float(p.y)) for n, p in at.items()})

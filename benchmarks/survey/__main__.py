@@ -3,9 +3,10 @@
 `python -m benchmarks.survey [--seeds 4] [--moved 0 1 3] [--bearing-deg 0.1] [--survey-mm 5]` drives
 round a hall of 20 by 12 m with 12 reflectors, some of them moved since the survey. It prints the
 scatter at a stop (static repeatability), the error while driving (dynamic accuracy), and the error
-from a single frame without a prior (first fix). `--mrclam [--robots 1 2 ...]` runs the drives of
-MRCLAM set 6 with their landmarks' survey, and with two distances only. The data are read as in
-`benchmarks.mrclam`.
+from a single frame without a prior (first fix). `--how` chooses rows; `--tune` prints the dynamic
+error of the particle filter over a grid of its settings, on other halls. `--mrclam [--robots 1 2
+...]` runs the drives of MRCLAM set 6 with their landmarks' survey, and with two distances only. The
+data are read as in `benchmarks.mrclam`.
 """
 
 import dataclasses
@@ -17,20 +18,40 @@ import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.mrclam import AFTER_S, HOME, data, map_scale, rmse_of, surveyed_places
+from benchmarks.peers import surveyed as baselines
 from benchmarks.survey.hall import DT, EVERY, SPEED_SIGMA, TURN_SIGMA, Hall, make_hall
-from benchmarks.survey.peers import ParticleFilter, Resection
-from homeward.drives.drive import Drive
+from benchmarks.survey.peers import Follower, ParticleFilter, Resection
+from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.drives.importers.mrclam import read_mrclam
-from homeward.geometry.frames import Pose
+from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.geometry.frames import Pose, to_polar
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
 from homeward.runs.scoring import errors
 from homeward.track import run
 
-PARTICLE_SIGMA = 0.02
-"""Bearing sigma of the particle filter [rad]: with a much smaller one, it loses all particles."""
+PARTICLE_SIGMA, PARTICLE_ALPHA = 0.02, 0.1
+"""Bearing sigma [rad] and odometry noise [1] of the particle filter: with a much smaller sigma, it
+loses all particles. `--tune` prints others."""
+GRID = ((0.005, 0.01, 0.02, 0.04), (0.01, 0.1))
+"""The grid: sigmas, and odometry noises."""
+TUNED_ON = (1000,)  # seeds of the halls for the grid
 RESTS = 10  # number of readings at a stop until the robot is at rest; stops with fewer do not count
-HOW = ("homeward", "homeward, odometry not given", "resection", "particles")
+HOW = (
+    "homeward",
+    "homeward, odometry not given",
+    "resection",
+    "resection-ransac",
+    "ekf",
+    "ekf-no-gate",
+    "particles",
+)
+FOLLOWERS = {
+    "resection-ransac": baselines.ransac,
+    "ekf": baselines.ekf,
+    "ekf-no-gate": baselines.ekf_no_gate,
+}
+START_SIGMAS = {"sigma_R": 0.05, "sigma_theta": 0.05, "sigma_alpha": 0.05}  # [m, rad, rad]
 Reading = tuple[int, float, float, float, Pose]
 """Number of the stop, x [m], y [m], heading [rad], ground truth."""
 
@@ -42,8 +63,10 @@ def readings(hall: Hall, how: str, sigma: float, survey_sigma: float) -> Iterato
         robust = localizer(hall, sigma, survey_sigma, how == "homeward")
     elif how == "resection":
         peer = Resection(hall.survey)
+    elif how in FOLLOWERS:
+        peer = Follower(FOLLOWERS[how], described(hall, sigma))
     else:
-        peer = ParticleFilter(hall.survey, np.array(hall.samples[0].truth), PARTICLE_SIGMA, 1)
+        peer = particles(hall, PARTICLE_SIGMA, PARTICLE_ALPHA)
     for s in hall.samples:
         if robust is not None:
             robust.odometry(s.t, *s.twist)
@@ -56,6 +79,40 @@ def readings(hall: Hall, how: str, sigma: float, survey_sigma: float) -> Iterato
     if robust is not None:
         named = {m.landmark for m in robust.landmarks() if m.moved}
         hall.survey["exact"] = (float(named == hall.moved), 0.0)
+
+
+def particles(hall: Hall, sigma: float, alpha: float) -> ParticleFilter:
+    start = np.array(hall.samples[0].truth)
+    return ParticleFilter(hall.survey, start, sigma, 1, alpha=alpha)
+
+
+def described(hall: Hall, sigma: float) -> Drive:
+    """Return a drive without samples: the survey, the true start and the noise."""
+    polar = to_polar(hall.samples[0].truth)._asdict()
+    settings = DriveSettings(
+        sensor={"bearing_sigma": sigma},
+        odometry={"speed_sigma": SPEED_SIGMA, "turn_sigma": TURN_SIGMA},
+        start={k: float(v) for k, v in polar.items()} | START_SIGMAS,
+    )
+    places = {n: {"x": x, "y": y} for n, (x, y) in hall.survey.items()}
+    known = KnownLandmarks(frame="home", landmarks=places)
+    nothing = Odometry(*np.empty((3, 0))), Sightings.of_rows([])
+    return Drive("hall", *nothing, home={}, settings=settings, known=known)
+
+
+def tune(sigma: float, survey_sigma: float) -> None:
+    """Print the dynamic RMSE of the particle filter over the grid, no reflector and one moved."""
+    print("| bearing sigma [rad] | odometry noise | dynamic RMSE [mm] |\n|---|---|---|")
+    halls = [make_hall(k, moved, sigma, survey_sigma) for k in TUNED_ON for moved in (0, 1)]
+    for own, alpha in itertools.product(*GRID):
+        square = []
+        for hall in halls:
+            peer = particles(hall, own, alpha)
+            for s in hall.samples:
+                if s.seen is not None and (found := peer.look(s.seen)) is not None and s.stop < 0:
+                    square.append(math.dist(found[:2], s.truth[:2]) ** 2)
+                peer.odometry(DT, *s.twist)
+        print(f"| {own} | {alpha} | {1e3 * math.sqrt(np.mean(square)):.0f} |", flush=True)
 
 
 def localizer(hall: Hall, sigma: float, survey_sigma: float, odometry: bool = True) -> Localizer:
@@ -93,13 +150,15 @@ def first_fixes(
     return off, looks
 
 
-def industry(seeds: int, gone: list[int], sigma: float, survey_sigma: float) -> None:
+def industry(
+    seeds: int, gone: list[int], rows_of: list[str], sigma: float, survey_sigma: float
+) -> None:
     print(
         "| moved | | static repeatability, 2 sigma [mm] | station error [mm] "
         "| dynamic RMSE, 95 % [mm] | heading RMSE [mrad] "
         "| first fix: median, 95 % [mm] | availability | exact detection |\n" + 9 * "|---" + "|"
     )
-    for moved, how in itertools.product(gone, HOW):
+    for moved, how in itertools.product(gone, rows_of):
         scatter, bias, way, turn, exact = [], [], [], [], 0
         for seed in range(seeds):
             hall = make_hall(seed, moved, sigma, survey_sigma)
@@ -194,13 +253,22 @@ def _checked(known: dict[str, object], drive: Drive) -> object:
 def main() -> None:
     noise = {"bearing_deg": 0.1, "survey_mm": 5.0}
     options = monte_carlo.parsed(
-        __doc__, seeds=4, moved=[0, 1, 3], mrclam=False, robots=[1, 2, 3, 4, 5], **noise
+        __doc__,
+        seeds=4,
+        moved=[0, 1, 3],
+        how=dict.fromkeys(HOW),
+        tune=False,
+        mrclam=False,
+        robots=[1, 2, 3, 4, 5],
+        **noise,
     )
+    sigma, survey_sigma = math.radians(options.bearing_deg), 1e-3 * options.survey_mm
     if options.mrclam:
         mrclam(options.robots)
+    elif options.tune:
+        tune(sigma, survey_sigma)
     else:
-        sigma = math.radians(options.bearing_deg)
-        industry(options.seeds, options.moved, sigma, 1e-3 * options.survey_mm)
+        industry(options.seeds, options.moved, options.how, sigma, survey_sigma)
 
 
 if __name__ == "__main__":

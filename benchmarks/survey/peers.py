@@ -1,10 +1,13 @@
-"""The peers: a plain resection from each look, and a particle filter on the surveyed map."""
+"""The peers in a surveyed map: resection, RANSAC resection with memory, gated EKF, particles."""
 
 import math
+from collections.abc import Callable
 
 import numpy as np
 
-from homeward.geometry.angles import wrap
+from benchmarks.peers.online import Baseline
+from benchmarks.peers.surveyed import residuals
+from homeward.drives.drive import Drive
 from homeward.localizer.home.resection import poses_from_triples
 
 STEPS = 8
@@ -28,15 +31,30 @@ class Resection:
         poses = poses_from_triples(places, bearings)
         if not len(poses):
             return None
-        costs = np.abs(_residuals(poses[:, None], places, bearings)).sum(axis=1)
+        costs = np.abs(residuals(poses[:, None], places, bearings)).sum(axis=1)
         pose = poses[int(np.argmin(costs))]
         for _ in range(STEPS):
             d = places - pose[:2]
             square = (d**2).sum(axis=1)
             jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
-            step = np.linalg.lstsq(jacobian, _residuals(pose, places, bearings), rcond=None)[0]
+            step = np.linalg.lstsq(jacobian, residuals(pose, places, bearings), rcond=None)[0]
             pose = pose + step
         return pose
+
+
+class Follower:
+    """A baseline of the leaderboard in this hall; `start` as its settings require."""
+
+    def __init__(self, make: Callable[[Drive], Baseline], drive: Drive) -> None:
+        self._estimator, self._t = make(drive), 0.0
+
+    def odometry(self, dt: float, v: float, omega: float) -> None:
+        self._estimator.odometry(self._t, v, omega)
+        self._t += dt
+
+    def look(self, seen: dict[str, float]) -> np.ndarray | None:
+        pose = self._estimator.bearings(self._t, seen).pose
+        return None if pose is None else np.array(pose)
 
 
 class ParticleFilter:
@@ -54,21 +72,22 @@ class ParticleFilter:
         sigma: float,
         seed: int,
         particles: int = 2000,
+        alpha: float = 0.1,
     ) -> None:
-        self._survey, self._sigma = survey, sigma
+        self._survey, self._sigma, self._alpha = survey, sigma, alpha
         self._rng = np.random.default_rng(seed)
         self._poses = start + self._rng.normal(size=(particles, 3)) * [0.2, 0.2, 0.1]
         self._weights = np.full(particles, 1.0 / particles)
 
-    def odometry(self, dt: float, v: float, omega: float, alpha: float = 0.1) -> None:
+    def odometry(self, dt: float, v: float, omega: float) -> None:
         """Process a twist; a robot at rest is not moved."""
         if not v and not omega:
             return
-        half, shift = 0.5 * omega * dt, v * dt
-        turning = math.sqrt(alpha * half**2 + 0.05 * shift**2)
+        half, shift, alpha = 0.5 * omega * dt, v * dt, self._alpha
+        turning = math.sqrt(alpha * half**2 + alpha / 2 * shift**2)
         n = len(self._poses)
         first, last = half + turning * self._rng.normal(size=(2, n))
-        moved = shift + math.sqrt(alpha * shift**2 + 0.05 * half**2) * self._rng.normal(size=n)
+        moved = shift + math.sqrt(alpha * shift**2 + alpha / 2 * half**2) * self._rng.normal(size=n)
         self._poses[:, 2] += first
         self._poses[:, 0] += moved * np.cos(self._poses[:, 2])
         self._poses[:, 1] += moved * np.sin(self._poses[:, 2])
@@ -76,7 +95,7 @@ class ParticleFilter:
 
     def look(self, seen: dict[str, float]) -> np.ndarray | None:
         places = np.array([self._survey[n] for n in seen])
-        error = _residuals(self._poses[:, None], places, np.array(list(seen.values())))
+        error = residuals(self._poses[:, None], places, np.array(list(seen.values())))
         weight = 1.0 + np.exp(-1.5 * (error / self._sigma) ** 2).sum(axis=1)
         self._weights *= weight
         self._weights /= self._weights.sum()
@@ -88,8 +107,3 @@ class ParticleFilter:
             self._poses = self._poses[chosen]
             self._weights[:] = 1.0 / len(self._weights)
         return mean
-
-
-def _residuals(pose: np.ndarray, places: np.ndarray, bearings: np.ndarray) -> np.ndarray:
-    off = places - pose[..., :2]
-    return np.asarray(wrap(bearings - np.arctan2(off[..., 1], off[..., 0]) + pose[..., 2]))
