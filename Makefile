@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test core-environment test-core test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
+.PHONY: install demo plan test core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
 
 install: $(VENV)/installed
 
@@ -34,6 +34,19 @@ core-environment: install
 
 test-core: core-environment
 	.venv-core$(OTHER)/bin/python -m pytest -m core
+
+# The oldest supported versions (lowest.txt), of Ubuntu 24.04 or, with PYTHON=python3.11, of Debian 12.
+LOWEST = .venv-lowest$(OTHER)
+LOWEST_TESTS = io/test_blas_threads.py io/test_files.py localizer/test_gating.py \
+	localizer/test_home_fit.py localizer/test_parts.py localizer/test_tails.py odometry \
+	test_core_install.py test_track.py
+lowest-environment:
+	$(PYTHON) -m venv $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check -c lowest.txt . hypothesis pytest
+
+test-lowest: lowest-environment
+	$(LOWEST)/bin/python -m pytest -o addopts=-q $(addprefix tests/,$(LOWEST_TESTS)) -k 'not which_extra'
+	$(LOWEST)/bin/homeward run sample --out out/lowest
 
 # The tests whose result can depend on the Python version, for a second Python (PYTHON=python3.13).
 test-interpreter: install
@@ -119,4 +132,4 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 clean:
-	rm -rf $(VENV) .venv-ros-* .venv-core* out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info

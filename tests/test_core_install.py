@@ -80,9 +80,9 @@ NEEDS_NONE = (
 )
 
 
-def alone(code, *words, cwd=None):
+def alone(code, *words, core=CORE, cwd=None):
     """Run Python as where nothing but the core is installed."""
-    done = [sys.executable, "-c", CORE + code, *words]
+    done = [sys.executable, "-c", core + code, *words]
     return subprocess.run(done, capture_output=True, text=True, cwd=cwd, check=False)
 
 
@@ -92,6 +92,12 @@ def test_the_localiser_and_live_sessions_need_the_core_alone():
     status, told = done.stdout.splitlines()
     assert status in ("mapping False", "localised False", "unverified False")  # it takes a second
     assert "the extra filters" in told
+
+
+def test_a_robot_needs_numpy_scipy_and_yaml_alone():
+    others = "PIL click pydantic rich threadpoolctl typer typing_extensions"
+    done = alone(LIBRARY, core=CORE.replace("PIL", others))
+    assert done.returncode == 0, done.stderr
 
 
 def test_a_command_says_in_one_line_which_extra_it_needs(tmp_path):

@@ -17,10 +17,12 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from pydantic import BaseModel, ValidationError
+
+from homeward.io.checks import ValidationError
+from homeward.io.models import Strict
 
 PACKAGE = "homeward.localizer"
-Settings = TypeVar("Settings", bound=BaseModel)
+Settings = TypeVar("Settings", bound=Strict)
 CONSTANT = re.compile(r"_?[A-Z][A-Z0-9_]*$")
 
 
@@ -153,12 +155,12 @@ def change(tunable: Tunable, factor: float) -> None:
     sys.meta_path.insert(0, _Finder(tunable, factor))
 
 
-def fields(settings: BaseModel, before: str = "") -> tuple[list[Tunable], list[str]]:
+def fields(settings: Strict, before: str = "") -> tuple[list[Tunable], list[str]]:
     """Return the numbers in settings, as `constants` for source."""
     found, left_out = [], []
     for name in type(settings).model_fields:
         value, full = getattr(settings, name), before + name
-        if isinstance(value, BaseModel):
+        if isinstance(value, Strict):
             deeper = fields(value, full + ".")
             found += deeper[0]
             left_out += deeper[1]

@@ -6,13 +6,14 @@ import sys
 
 import numpy as np
 import pytest
-from pydantic import BaseModel, Field
 
 from benchmarks.monte_carlo import Run
 from benchmarks.odometry_noise import drive_of
 from benchmarks.sensitivity.__main__ import report, rows_of
 from benchmarks.sensitivity.tunables import Tunable, changed, constants, fields, scaled
 from benchmarks.sensitivity.variant import variant
+from homeward.io.checks import Field
+from homeward.io.models import Strict
 
 PLACE = """
 from other import NAMED
@@ -47,11 +48,11 @@ def test_whole_numbers_stay_whole():
     assert np.array_equal(scaled(np.array([0.1, 0.2]), 2.0), [0.2, 0.4])
 
 
-class Inner(BaseModel):
+class Inner(Strict):
     share: float = Field(0.9, lt=1)
 
 
-class Outer(BaseModel):
+class Outer(Strict):
     inner: Inner = Inner()
     count: int = 3
     nothing: float | None = None

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from pydantic import ValidationError
 
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
+from homeward.io.checks import ValidationError
 from homeward.vision.cameras.panoramic import SECTORS, Cylindrical, Equirectangular, sector_of
 from homeward.vision.cameras.ring import BLURRED_EDGE, Ring, find_ring
 

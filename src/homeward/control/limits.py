@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from pydantic import Field
-
 from homeward.drives.settings import NonNegative, Positive
 from homeward.geometry.frames import Twist
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 
 PositiveOrInf = Annotated[float, Field(gt=0)]

@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import Annotated, Any, Literal, Self, TypedDict, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, Field, PrivateAttr, model_validator
 
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, Pose
+from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 from homeward.io.settings import validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -343,7 +344,7 @@ class KnownLandmarks(Strict):
     """Surveyed landmarks by id."""
     distances: tuple[KnownDistance, ...] = ()
     """Distances of pairs."""
-    _joint: np.ndarray | None = PrivateAttr(None)
+    _joint: np.ndarray | None = None
 
     @classmethod
     def remembered(

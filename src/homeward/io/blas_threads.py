@@ -7,12 +7,12 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from threading import Lock
+from typing import Any
 
 import scipy.linalg  # noqa: F401 (loads its BLAS, so that it is listed along with NumPy's)
-from threadpoolctl import LibController, ThreadpoolController
 
 _LOCK = Lock()
-_PREVIOUS: list[dict[LibController, int]] = []
+_PREVIOUS: list[dict[Any, int]] = []
 """For each active block, the numbers of threads before the first one."""
 
 
@@ -35,7 +35,7 @@ def single_threaded_blas() -> Iterator[None]:
                     blas.set_num_threads(threads)
 
 
-def _limit() -> dict[LibController, int]:
+def _limit() -> dict[Any, int]:
     """Limit the libraries with several threads to one; return their previous numbers."""
     before = {
         blas: threads
@@ -48,6 +48,13 @@ def _limit() -> dict[LibController, int]:
 
 
 @functools.lru_cache(maxsize=1)
-def _libraries(modules: int) -> list[LibController]:
-    """Return the loaded BLAS libraries; cached for a number of imported `modules`."""
+def _libraries(modules: int) -> list[Any]:
+    """Return the loaded BLAS libraries; cached for a number of imported `modules`.
+
+    None without threadpoolctl, on a robot with NumPy and SciPy alone: set OPENBLAS_NUM_THREADS=1.
+    """
+    try:
+        from threadpoolctl import ThreadpoolController
+    except ImportError:
+        return []
     return list(ThreadpoolController().select(user_api="blas").lib_controllers)

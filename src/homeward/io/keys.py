@@ -1,4 +1,4 @@
-"""The base of all settings models, and the keys of a model: names, defaults and meanings."""
+"""The keys of a settings model: names, defaults and meanings."""
 
 from __future__ import annotations
 
@@ -11,16 +11,9 @@ from difflib import SequenceMatcher
 from functools import cache
 from typing import Any, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict
-from pydantic.fields import FieldInfo
-from pydantic_core import PydanticUndefined, to_jsonable_python
-
-
-class Strict(BaseModel):
-    """A settings model that refuses unknown keys and cannot be changed."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
+from homeward.io.checks import REQUIRED
+from homeward.io.models import Strict as Strict
+from homeward.io.models import jsonable
 
 ANY = "*"
 """Wildcard in a key, for a name or an index."""
@@ -45,9 +38,9 @@ def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key
 
     Defaults are the values of `given` where that is an instance of the model.
     """
-    known, seen = meanings(model), set[str]()
+    known, seen = meanings(model), set[str]()  # type: ignore[arg-type]
     for name, field in model.model_fields.items():
-        own = getattr(given, name) if isinstance(given, model) else _default(field)
+        own = getattr(given, name) if isinstance(given, model) else field.make_default()
         full = head + (field.alias or name)
         inner = [k for path, m in _models(field.annotation) for k in keys(m, full + path, own)]
         for key in inner or [Key(full, _as_yaml(own), known.get(name, ""))]:
@@ -85,16 +78,10 @@ def _models(annotation: Any, path: str = ".") -> Iterator[tuple[str, type[Strict
         yield from _models(part, f".{ANY}." if several else path)
 
 
-def _default(field: FieldInfo) -> Any:
-    if field.is_required():
-        return PydanticUndefined
-    return field.get_default(call_default_factory=True, validated_data={})
-
-
 def _as_yaml(value: Any) -> str:
-    if value is PydanticUndefined:
+    if value is REQUIRED:
         return "needed"
-    return str(to_jsonable_python(value)).replace("'", "") if value is not None else "null"
+    return str(jsonable(value)).replace("'", "") if value is not None else "null"
 
 
 @cache

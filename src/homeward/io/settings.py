@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
-from pydantic import ValidationError
-from pydantic_core import to_jsonable_python
 
 from homeward.errors import InputError
+from homeward.io.checks import ValidationError
 from homeward.io.keys import Strict, meanings
+from homeward.io.models import jsonable
 from homeward.io.reading import read_small
 from homeward.io.table import quoted
 from homeward.io.validation_messages import validation_message
@@ -185,7 +185,7 @@ def validated(model: type[Model], values: Any, file: Path | None = None) -> Mode
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise InputError(validation_message(error, model, values), file) from error
+        raise InputError(validation_message(error, model), file) from error
 
 
 def nested(values: dict[str, Any]) -> dict[str, Any]:
@@ -229,7 +229,7 @@ def commented_yaml(settings: Strict) -> str:
 
 
 def _commented(settings: Strict, indent: str) -> Iterator[str]:
-    words = meanings(type(settings))
+    words = meanings(type(settings))  # type: ignore[arg-type]
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)
         is_section = isinstance(value, Strict) and field.default is not None
@@ -243,9 +243,7 @@ def _commented(settings: Strict, indent: str) -> Iterator[str]:
             continue
         is_set = name in settings.model_fields_set and value is not None
         for shown in [value] if is_set or not field.examples else field.examples:
-            yaml_value = yaml.safe_dump(
-                [to_jsonable_python(shown)], default_flow_style=True, width=math.inf
-            )
+            yaml_value = yaml.safe_dump([jsonable(shown)], default_flow_style=True, width=math.inf)
             yield f"{'' if is_set else '#'}{indent}{name}: {yaml_value.strip()[1:-1]}{meaning}"
 
 

@@ -6,16 +6,16 @@ Times are seconds on the robot's clock with any epoch; units and signs are those
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal, TypeVar
-
-from pydantic import AfterValidator, Field, TypeAdapter
+from typing import Annotated, Any, Literal
 
 from homeward.drives.settings import Mount, Surveyed
 from homeward.errors import InputError
 from homeward.estimator import Status
+from homeward.io.checks import AfterValidator, Field
+from homeward.io.json_schema import json_schema
 from homeward.io.keys import Strict
 from homeward.io.table import is_identifier
-from homeward.io.validation_messages import message
+from homeward.io.validation_messages import parsed
 
 VERSION = 1
 MAX_LINE = 2**16
@@ -339,19 +339,20 @@ Input = (
 GoalMessage = GoHome | GoTo | GoToLandmark | FollowRoute
 """Messages that give the robot a goal."""
 Output = Hello | Answer | Smoothed | Command | LandmarksOut | Diagnostics | EventOut
-Message = TypeVar("Message")
-_IN: TypeAdapter[Input] = TypeAdapter(Annotated[Input, Field(discriminator="type")])
-_OUT: TypeAdapter[Output] = TypeAdapter(Annotated[Output, Field(discriminator="type")])
+_IN = Annotated[Input, Field(discriminator="type")]
+_OUT = Annotated[Output, Field(discriminator="type")]
 
 
 def parse(line: bytes | str) -> Input:
     """Return the message in a line; `InputError` with a one-line text where it is invalid."""
-    return _parsed(_IN, line)
+    message: Input = _parsed(_IN, line)
+    return message
 
 
 def parse_output(line: bytes | str) -> Output:
     """Return the output message in a line; errors as `parse`."""
-    return _parsed(_OUT, line)
+    message: Output = _parsed(_OUT, line)
+    return message
 
 
 def line_of(message: Input | Output) -> str:
@@ -361,10 +362,10 @@ def line_of(message: Input | Output) -> str:
 
 def schema() -> dict[str, Any]:
     """Return the JSON Schema of all input and output messages."""
-    return {"version": VERSION, "in": _IN.json_schema(), "out": _OUT.json_schema()}
+    return {"version": VERSION, "in": json_schema(_IN), "out": json_schema(_OUT)}
 
 
-def _parsed(adapter: TypeAdapter[Message], line: bytes | str) -> Message:
+def _parsed(kind: Any, line: bytes | str) -> Any:
     if len(line) > MAX_LINE:
         raise InputError(f"a message of more than {MAX_LINE:,} bytes")
-    return message(adapter, line)
+    return parsed(kind, line)

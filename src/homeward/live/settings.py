@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
-
 from homeward.control.limits import Limits
 from homeward.drives.settings import Positive
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.registry import DEFAULT
 

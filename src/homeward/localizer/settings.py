@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field
-
 from homeward.drives.settings import NonNegative, OdometryDefaults, Positive
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.localizer.tunables import GATE
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Field
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import HOME_ADVICE
@@ -19,6 +18,7 @@ from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose, to_polar
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.io.settings import read_tree, validated
 from homeward.localizer.fixed_lag import smooth_with_lag

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, TypeAdapter
-
 from homeward.drives.settings import Delay
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
-from homeward.io.validation_messages import message
+from homeward.io.validation_messages import parsed
 from homeward.lab.simulation.scenario import Scenario
 
 MAX_MESSAGE = 2**20
@@ -137,9 +136,10 @@ class Adjust(Strict):
 Request = (
     Hello | Move | Add | Remove | Set | Steer | Keys | Estimators | Pace | Open | Plain | Adjust
 )
-_REQUEST: TypeAdapter[Request] = TypeAdapter(Annotated[Request, Field(discriminator="do")])
+_REQUEST = Annotated[Request, Field(discriminator="do")]
 
 
 def parse(text: str | bytes) -> Request:
     """Return the request in a message, or raise InputError."""
-    return message(_REQUEST, text)
+    request: Request = parsed(_REQUEST, text)
+    return request

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from pydantic import ValidationError
 
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.drives.cameras.lens import Lens
 from homeward.errors import InputError
+from homeward.io.checks import ValidationError
 
 K = np.array([[500.0, 0, 320], [0, 510, 240], [0, 0, 1]])
 NUMBERS = {"fx": 500, "fy": 510, "cx": 320, "cy": 240}

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
-from pydantic import Field
 
 from homeward.geometry.angles import wrap
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 
 Shape = tuple[int, int]

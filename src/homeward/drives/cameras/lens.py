@@ -20,11 +20,12 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from pydantic import Field, model_validator
 
 from homeward.drives.cameras.camera import Camera, angles, tilt_matrix, unit_vectors
 from homeward.drives.settings import Finite, Positive
 from homeward.errors import InputError
+from homeward.io.checks import Field
+from homeward.io.models import model_validator
 
 ITERATIONS = 60
 """Iterations of a bisection to double precision; Newton's method needs fewer."""

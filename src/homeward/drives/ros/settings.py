@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, field_validator, model_validator
-
 from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.camera import TagSize, Tilt
 from homeward.drives.cameras.lens import Lens
@@ -20,7 +18,9 @@ from homeward.drives.settings import (
     Positive,
     Wheels,
 )
+from homeward.io.checks import BeforeValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 
 ODOMETRY = "homeward_msgs/msg/Odometry"
 BEARINGS = "homeward_msgs/msg/Bearings"
@@ -163,24 +163,23 @@ class TruthTopic(Strict):
     """Home in the frame of these poses: x [m], y [m], heading [rad]; None: the home frame."""
 
 
+def _one_or_several(value: Any) -> Any:
+    return [value] if isinstance(value, dict) else value
+
+
 class LogSettings(Strict):
     """The keys of the topics file; absent ones are guessed."""
 
     clock: Literal["header", "receive"] = "header"
     """Source of times: header stamps, or receive times of the recorder."""
     odometry: OdometryTopic | None = None
-    bearings: tuple[BearingsTopic, ...] = ()
+    bearings: Annotated[tuple[BearingsTopic, ...], BeforeValidator(_one_or_several)] = ()
     home: HomeFrom | None = None
     truth: TruthTopic | None = None
     mount: MountFrames | None = None
     """Camera extrinsics from /tf_static; None: as `drive` specifies."""
     drive: DriveSettings | None = None
     """The keys of drive.yaml in a drive folder."""
-
-    @field_validator("bearings", mode="before")
-    @classmethod
-    def _one_or_several(cls, value: Any) -> Any:
-        return [value] if isinstance(value, dict) else value
 
 
 def calibrated(settings: LogSettings, source: Path) -> LogSettings:

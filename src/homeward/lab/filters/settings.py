@@ -5,10 +5,9 @@ from __future__ import annotations
 from statistics import NormalDist
 from typing import Annotated, Literal
 
-from pydantic import Field
-
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 
 Engine = Literal["auto", "interpreter", "native"]

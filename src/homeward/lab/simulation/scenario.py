@@ -10,12 +10,13 @@ import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
 
 from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Finite, Mount, NonNegative, Positive
 from homeward.geometry.frames import Polar, Pose, between, from_polar
+from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 
 MIN_SIDE_M = 1e-3
 """Minimum width and depth of rooms and shelves."""

@@ -126,7 +126,7 @@ def _unknown(cell: object) -> bool:
 
 
 _PACKAGES = (
-    *("homeward", "numpy", "scipy", "casadi", "opencv-python-headless", "pydantic"),
+    *("homeward", "numpy", "scipy", "casadi", "opencv-python-headless"),
     *("matplotlib", "bokeh", "rosbags"),
 )
 

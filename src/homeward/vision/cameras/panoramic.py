@@ -11,13 +11,13 @@ from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field
 
 from homeward.drives.cameras.camera import Camera, Directions, Pixels, Shape
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import Finite
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
+from homeward.io.checks import Field
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.mask import Mask
 from homeward.vision.opencv import opencv

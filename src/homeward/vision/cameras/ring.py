@@ -6,12 +6,13 @@ import math
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
 
 from homeward.drives.cameras.camera import Directions
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
+from homeward.io.checks import Field
+from homeward.io.models import model_validator
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import MAX_WIDTH, MIN_WIDTH, Panorama
 from homeward.vision.opencv import opencv

@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import yaml
-from pydantic import BaseModel
 
 from homeward.errors import InputError
+from homeward.io.models import Strict
 from homeward.io.reading import is_there, naming, opened, read_small
 from homeward.io.writing import whole_file, write_whole
 
@@ -115,7 +115,7 @@ class BlockStore:
             )
 
 
-def store_of(settings: BaseModel, folder: Path) -> BlockStore:
+def store_of(settings: Strict, folder: Path) -> BlockStore:
     """Return the store of a study in a folder, new or resumed; errors as `BlockStore`."""
     tree = settings.model_dump(mode="json", by_alias=True, exclude_none=True)
     return BlockStore(folder, tree, MARKER)

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from pydantic import Field
 
 from homeward.drives.settings import Finite, NonNegative, Positive
+from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.io.settings import validated
 from homeward.lab.studies.blocks.finish import StudyBlocks

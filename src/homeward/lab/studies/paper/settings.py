@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
-
 from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
+from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 from homeward.lab.simulation.scenario import ascending
 
 Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]

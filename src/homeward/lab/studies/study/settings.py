@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
-
-from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Positive
 from homeward.errors import InputError
+from homeward.io.checks import AfterValidator, BeforeValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 from homeward.io.reading import is_there, shipped_or_file
 from homeward.io.settings import read_tree, validated
 from homeward.lab.simulation.simulate import PRESETS, load_scenario
@@ -25,10 +26,25 @@ Axis = list[Any] | dict[str, dict[str, Any]]
 """Values of one key, or names of points to the keys that they set."""
 
 
+def _known(name: str) -> str:
+    try:
+        settings_model(name)
+    except InputError as error:
+        raise ValueError(str(error)) from None
+    return name
+
+
+def _entries(key: str, entries: Any) -> Any:
+    """Convert bare names to entries with defaults."""
+    if not isinstance(entries, (list, tuple)):
+        return entries
+    return [{key: e} if isinstance(e, str) else e for e in entries]
+
+
 class EstimatorEntry(Strict):
     """An estimator of a study, with one or several settings."""
 
-    estimator: str
+    estimator: Annotated[str, AfterValidator(_known)]
     """As in `homeward run --estimator`."""
     label: str | None = None
     """Its name in figures; None: the estimator's."""
@@ -36,15 +52,6 @@ class EstimatorEntry(Strict):
     """As in `homeward run --set`; keys may be dotted."""
     grid: dict[str, Annotated[list[Any], Field(min_length=1)]] = {}
     """Key to values; every combination is an estimator of the study."""
-
-    @field_validator("estimator")
-    @classmethod
-    def _known(cls, name: str) -> str:
-        try:
-            settings_model(name)
-        except InputError as error:
-            raise ValueError(str(error)) from None
-        return name
 
 
 class DriveEntry(Recording):
@@ -73,22 +80,17 @@ class StudySettings(Strict):
     """Dotted keys of the scenario to new values."""
     grid: dict[str, Axis] = {}
     """Axes of scenarios: a key of the scenario to values, or a name to points that set keys."""
-    drives: tuple[DriveEntry, ...] = ()
+    drives: Annotated[tuple[DriveEntry, ...], BeforeValidator(partial(_entries, "drive"))] = ()
     """Recorded drives with ground truth, in the open loop, in addition to simulated ones."""
-    estimators: Annotated[tuple[EstimatorEntry, ...], Field(min_length=1)]
+    estimators: Annotated[
+        tuple[EstimatorEntry, ...],
+        Field(min_length=1),
+        BeforeValidator(partial(_entries, "estimator")),
+    ]
     interval: Positive = 0.5
     """Interval of the stored errors over time [s]."""
     home_radius: Positive = 2 * STOP_RADIUS
     """A run reached home if its true end is within this distance of it [m]."""
-
-    @field_validator("estimators", "drives", mode="before")
-    @classmethod
-    def _bare_names(cls, entries: Any, info: ValidationInfo) -> Any:
-        """Convert names to entries with defaults."""
-        if not isinstance(entries, (list, tuple)):
-            return entries
-        key = str(info.field_name).removesuffix("s")
-        return [{key: e} if isinstance(e, str) else e for e in entries]
 
     @model_validator(mode="after")
     def _fits_together(self) -> Self:

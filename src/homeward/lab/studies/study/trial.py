@@ -9,7 +9,6 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 import numpy as np
-from pydantic import Field
 
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.importers.mrclam import read_mrclam
@@ -17,6 +16,7 @@ from homeward.drives.settings import Finite, NonNegative
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose, polar_covariance_to_pose, to_polar
+from homeward.io.checks import Field
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.simulation.scenario import Interval, Scenario
 from homeward.lab.simulation.simulate import Simulation

@@ -6,12 +6,13 @@ import math
 from typing import Annotated, Literal, Self
 
 import numpy as np
-from pydantic import AfterValidator, Field, model_validator
 from shapely import LinearRing, Polygon, contains_xy
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import Finite, NonNegative, Positive
+from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.models import model_validator
 from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, Rates
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
