@@ -17,6 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 DISTRIBUTIONS = {"jazzy": "7.1.6", "kilted": "9.1.2"}
 """With their rclpy; the other packages follow from it."""
 CYCLONE = "11.0.1"
+COLCON = ("colcon-core==0.21.3", "colcon-ros==0.5.0", "setuptools<80")
 MESSAGES = ("nav", "sensor", "geometry", "visualization", "diagnostic", "std", "lifecycle")
 PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
 GENERATORS = {
@@ -59,6 +60,16 @@ def cyclone():
     return place
 
 
+def colcon():
+    """Return the program colcon, in an environment of its own: it needs nothing of ROS."""
+    place = _place("colcon")
+    if not (place / "installed").exists():
+        subprocess.run([sys.executable, "-m", "venv", str(place)], check=True)
+        _install(str(place / "bin" / "python"), *PIP, *COLCON)
+        (place / "installed").touch()
+    return place / "bin" / "colcon"
+
+
 def _place(name):
     if "HOMEWARD_ROS" not in os.environ:
         pytest.skip("real nodes of ROS 2: make test-ros")
@@ -97,7 +108,7 @@ def _make_tf2_msgs(place, python):
 
 
 if __name__ == "__main__":
-    for make, *name in ((environment, "jazzy"), (environment, "kilted"), (cyclone,)):
+    for make, *name in ((environment, "jazzy"), (environment, "kilted"), (cyclone,), (colcon,)):
         try:
             make(*name)
         except pytest.skip.Exception as reason:

@@ -15,6 +15,7 @@ from homeward.lab.simulation.simulate import load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
 HERE = Path(__file__).parent
+PARAMETERS = ROOT / "ros" / "homeward_ros" / "config" / "homeward.yaml"
 DOMAIN = os.getpid() % 90 + 1
 """DDS domain, so that parallel runs are separate."""
 
@@ -98,7 +99,7 @@ class Stage:
         result = [
             word for k, v in parameters.items() if v is not None for word in ("-p", f"{k}:={v}")
         ]
-        result = ["--params-file", str(ROOT / "docs" / "do" / "ros" / "homeward.yaml"), *result]
+        result = ["--params-file", str(PARAMETERS), *result]
         since = len(self.witness.lines)
         self.node = Running(self.python, "-m", "homeward.ros", "--ros-args", *result, quiet=True)
         self.hear("/diagnostics", longest=120.0, since=since)  # a busy machine takes long to start

@@ -9,7 +9,7 @@ BAD_INPUT = 2
 HELP = """usage: python -m homeward.ros [--ros-args -p NAME:=VALUE ... --params-file FILE]
 
 The lifecycle node of homeward, configured and activated at once. docs/do/live.md describes its
-topics, docs/do/ros/homeward.yaml every parameter."""
+topics, ros/homeward_ros/config/homeward.yaml every parameter."""
 SHUTDOWN_S = 0.5
 """Time within which rclpy's thread reports the shutdown after such an error [s]."""
 

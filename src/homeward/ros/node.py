@@ -66,7 +66,7 @@ PARAMETERS: dict[str, Any] = {
     "record": "",
     "autostart": True,
 }
-"""Parameters and their defaults, described in docs/do/ros/homeward.yaml."""
+"""Parameters and their defaults, described in ros/homeward_ros/config/homeward.yaml."""
 NAMED: dict[str, Any] = {
     "store_home": msg.StoreHome,
     "turn_home": msg.TurnHome,

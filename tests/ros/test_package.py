@@ -1,0 +1,97 @@
+"""The ROS package: colcon installs it, its node starts, its launch files name what exists."""
+
+import ast
+import importlib.util
+import json
+import os
+import shutil
+import subprocess
+import sys
+import types
+from pathlib import Path
+
+import pytest
+import yaml
+from ros.environments import colcon
+from ros.stage import PARAMETERS, ROOT
+
+PACKAGE = ROOT / "ros" / "homeward_ros"
+NODE = ROOT / "src" / "homeward" / "ros" / "node.py"
+
+
+def node_parameters():
+    """The parameters of the node, read from its source: rclpy is not installed here."""
+    for line in ast.parse(NODE.read_text()).body:
+        if isinstance(line, ast.AnnAssign) and line.target.id == "PARAMETERS":
+            return ast.literal_eval(line.value)
+    raise AssertionError("no PARAMETERS")
+
+
+def described(file, monkeypatch):
+    """The names and defaults of a launch file's arguments, and the keywords of its node."""
+
+    def module(name, **members):
+        monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(**members))
+
+    module("launch", LaunchDescription=list)
+    module("launch.actions", DeclareLaunchArgument=lambda name, **more: (name, more))
+    module("launch.substitutions", LaunchConfiguration=lambda name: f"<{name}>")
+    module("launch_ros", actions=None)
+    module("launch_ros.actions", LifecycleNode=lambda **words: ("node", words))
+    spec = importlib.util.spec_from_file_location("launched", file)
+    launched = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(launched)
+    found = dict(launched.generate_launch_description())
+    return found.pop("node"), found
+
+
+@pytest.mark.parametrize("name", ["homeward.launch.py", "cameras.launch.py"])
+def test_a_launch_file_sets_parameters_that_the_node_has(name, monkeypatch):
+    node, arguments = described(PACKAGE / "launch" / name, monkeypatch)
+    params_file, given = node["parameters"]
+    assert params_file == "<params_file>"
+    assert set(given) <= {*node_parameters(), "use_sim_time"}
+    for argument in ("params_file", "topics"):
+        assert argument not in arguments or Path(arguments[argument]["default_value"]).exists()
+
+
+def test_the_parameter_file_lists_every_parameter_with_its_default():
+    listed = yaml.safe_load(PARAMETERS.read_text())["homeward"]["ros__parameters"]
+    known = node_parameters()
+    assert listed == {name: known[name] for name in listed}
+    assert set(known) - set(listed) <= {"home"}
+
+
+def test_displays_show_topics_that_the_node_publishes():
+    source = (NODE.with_name("conversions.py")).read_text()
+    rviz = yaml.safe_load((PACKAGE / "displays" / "homeward.rviz").read_text())
+    shown = [d["Topic"]["Value"] for d in rviz["Visualization Manager"]["Displays"] if "Topic" in d]
+    layout = json.loads((PACKAGE / "displays" / "homeward.foxglove.json").read_text())
+    shown += layout["configById"]["3D!homeward"]["topics"]
+    for topic in shown:
+        assert topic == "/map" or f'"~/{topic.removeprefix("/homeward/")}"' in source
+
+
+def test_colcon_builds_it_and_its_program_starts_the_node(tmp_path):
+    source = tmp_path / "src" / "homeward_ros"
+    shutil.copytree(PACKAGE, source)
+    built = subprocess.run(
+        [colcon(), "build", "--base-paths", str(source)],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+    )
+    assert built.returncode == 0, built.stderr
+    installed = tmp_path / "install" / "homeward_ros"
+    for file in ("launch/homeward.launch.py", "config/homeward.yaml", "displays/homeward.rviz"):
+        assert (installed / "share" / "homeward_ros" / file).is_file()
+    packages = next(installed.glob("lib/python3*/site-packages"))
+    program = installed / "lib" / "homeward_ros" / "homeward"
+    paths = os.pathsep.join((str(packages), str(ROOT / "src")))
+    helped = subprocess.run(
+        [sys.executable, str(program), "--help"],
+        env={**os.environ, "PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+    )
+    assert "lifecycle node of homeward" in helped.stdout, helped.stderr
