@@ -9,7 +9,10 @@ from launch_ros.actions import LifecycleNode
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
 ARGUMENTS = {
-    "params_file": (str(CONFIG / "homeward.yaml"), "parameters of the node"),
+    "params_file": (
+        str(CONFIG / "homeward.yaml"),
+        "parameters of the node; the arguments below override them",
+    ),
     "topics": (str(CONFIG / "cameras.yaml"), "topics file: a topic for each camera"),
     "bearings_type": ("apriltag_msgs/msg/AprilTagDetectionArray", "type of all these topics"),
     "odometry_topic": ("odom", "nav_msgs/Odometry"),

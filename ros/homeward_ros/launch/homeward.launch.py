@@ -9,7 +9,7 @@ from launch_ros.actions import LifecycleNode
 
 PARAMETERS = Path(__file__).resolve().parents[1] / "config" / "homeward.yaml"
 ARGUMENTS = {
-    "params_file": (str(PARAMETERS), "parameters of the node"),
+    "params_file": (str(PARAMETERS), "parameters of the node; the arguments below override them"),
     "namespace": ("", "namespace of the node"),
     "odometry_topic": ("odom", "nav_msgs/Odometry"),
     "bearings_topic": ("detections", "detections of landmarks"),
