@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench clean
+.PHONY: install demo plan test core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
 
 install: $(VENV)/installed
 
@@ -130,6 +130,10 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.render --pairs 60 --homings 50 --width 1024)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
+
+# Re-run the cheap commands of docs/figures.json, and report figures of the pages that differ.
+figures: install
+	$(BIN)/python -m benchmarks.figures
 
 clean:
 	rm -rf $(VENV) .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info

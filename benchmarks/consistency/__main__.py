@@ -5,7 +5,8 @@ the localiser on simulated drives, and compares their figures with the bands of 
 `--sabotage` shows on the same drives that wrong estimators are detected. `--save FILE` writes the
 figures of each run as JSON, and `--against FILE` prints their ratio to those of an earlier file.
 `--update-baseline` replaces the baseline of these scenarios; if a figure became worse, it needs
-`--reason TEXT`. `--quick` means 2 drives of each scenario.
+`--reason TEXT`. `--quick` means 2 drives of each scenario. `--baseline` runs nothing and prints the
+baseline with its bands.
 """
 
 import json
@@ -100,7 +101,8 @@ def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
 
 
 def main() -> int:
-    flags = {"quick": False, "sabotage": False, "update_baseline": False, "reason": str}
+    flags = {"quick": False, "sabotage": False, "baseline": False, "update_baseline": False}
+    flags |= {"reason": str}
     files = {"save": Path, "against": Path, **monte_carlo.HARNESS}
     parser = monte_carlo.parser(__doc__, scenario=SCENARIOS, seeds=50, **flags, **files)
     options = parser.parse_args()
@@ -109,6 +111,9 @@ def main() -> int:
         parser.error("--seeds and --jobs must be at least 1")
     if options.update_baseline and seeds < bands.MIN_DRIVES:
         parser.error(f"a baseline needs at least {bands.MIN_DRIVES} drives of each scenario")
+    if options.baseline:
+        baseline = bands.read()
+        return table({s: bands.drives(baseline[s]) for s in options.scenario}, baseline)
     sabotages = list(SABOTAGES) if options.sabotage else []
     results = every(options.scenario, seeds, sabotages, options.jobs, options.keep)
     good = results[AS_IT_IS]

@@ -108,6 +108,15 @@ def read(file: Path = BASELINE) -> Baseline:
     return scenarios
 
 
+def drives(entries: Mapping[str, Values]) -> list[Figures]:
+    """Return the figures of each drive of a scenario in the baseline."""
+    count = len(next(iter(entries.values())))
+    return [
+        {name: entries[name][k] if name in entries else None for name in FIGURES}
+        for k in range(count)
+    ]
+
+
 def measure(results: Mapping[str, Sequence[Figures]]) -> Baseline:
     """Return a baseline of some drives of each scenario, to four digits."""
     names = [name for name in FIGURES if name != "rmse"]

@@ -147,7 +147,7 @@ def draw_grid(study: LayoutStudy) -> Figure:
             axes.set_title(title, loc="left", fontsize=9)
             axes.grid(False)
         below = [_column_words(c, r) for c, r in columns]
-        panels[-1].set_xticks(range(len(below)), below, fontsize=7)
+        panels[-1].set_xticks(range(len(below)), below, fontsize=7, rotation=90)
     return figure
 
 
@@ -173,7 +173,7 @@ def _column_words(case: CaseName, reading: Reading) -> str:
     lines += [] if case == "4" else [f"{100 * reading.stop_radius:g} cm"]
     lines += [f"{reading.faults} wrong"] if case == "2" else []
     lines += [f"{reading.circle_turn_rate:g} rad/s"] if case == "4" else []
-    return "\n".join(lines)
+    return ", ".join(lines)
 
 
 FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
