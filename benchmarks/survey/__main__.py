@@ -31,8 +31,7 @@ from homeward.runs.scoring import errors
 from homeward.track import run
 
 PARTICLE_SIGMA, PARTICLE_ALPHA = 0.02, 0.1
-"""Bearing sigma [rad] and odometry noise [1] of the particle filter: with a much smaller sigma, it
-loses all particles. `--tune` prints others."""
+"""Bearing sigma [rad] and odometry noise [1] of the particle filter, the best of `--tune`."""
 GRID = ((0.005, 0.01, 0.02, 0.04), (0.01, 0.1))
 """The grid: sigmas, and odometry noises."""
 TUNED_ON = (1000,)  # seeds of the halls for the grid
