@@ -132,7 +132,8 @@ def many() -> None:
     cost, _ = milliseconds(make_drive(500, 100, far=20.0, rate=20.0))
     medians = ", ".join(f"{np.median(part):.1f}" for part in np.array_split(cost, 5))
     print(
-        f"500 landmarks at 20 Hz: median {medians} ms in each fifth of 100 s, mean {cost.mean():.1f}"
+        f"500 landmarks at 20 Hz: median {medians} ms in each fifth of 100 s, "
+        f"mean {cost.mean():.1f}"
     )
 
 
