@@ -84,10 +84,10 @@ def test_several_estimators(drive, tmp_path):
 
 def test_what_bearings_determine(drive, tmp_path):
     result = said("plan", "--landmarks", "2", "--out", tmp_path / "model")
-    assert set(result) == documented("plan", 1)
+    assert set(result) == documented("plan", 2)
     assert (result["rank"], result["unknowns"]) == (4, 5)
     result = said("plan", "--drive", drive, "--window", "40", "--out", tmp_path / "observed")
-    assert set(result) == documented("plan", 2)
+    assert set(result) == documented("plan", 3)
     assert result["whole"]["position_sigma_m"] > 0
 
 

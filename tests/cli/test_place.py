@@ -182,7 +182,7 @@ def test_view_writes_a_page(hall, tmp_path):
     ("words", "refusal"),
     [
         (["run", "sample", "--update"], "--update needs --place"),
-        (["run", "sample", "--place", "{hall}", "--update", "--smooth"], "with --smooth"),
+        (["run", "sample", "--place", "{hall}", "--update", "--smooth"], "with a smoothed track"),
         (["run", "sample", "--place", "{hall}", "--store-home", "x"], "needs --update"),
         (["run", "sample", "--place", "{hall}", "--store-route", "x"], "needs --update"),
         (["run", "sample", "--place-home", "x"], "need --place"),

@@ -1,5 +1,6 @@
 """Flat things drawn exactly as a lens shows them: each part of a pixel is traced to the plane."""
 
+import json
 from functools import cache
 
 import cv2
@@ -15,7 +16,7 @@ PARTS = 3
 @cache
 def rays_of(json_lens, shape):
     """Rays (n, 3) of parts of pixels of a lens, given as JSON."""
-    lens = Lens.model_validate_json(json_lens)
+    lens = Lens.model_validate(json.loads(json_lens))
     rows, columns = ((np.arange(n * PARTS) + 0.5) / PARTS - 0.5 for n in shape)
     u, v = np.meshgrid(columns, rows)
     return unit_vectors(*lens.directions(u.ravel(), v.ravel(), shape))
