@@ -99,6 +99,9 @@ def test_a_plan(tmp_path):
     assert set(result) == documented("plan")
     assert 0 <= result["safe_share"] <= result["share"] <= 1
     assert all(m["share_without"] <= result["share"] for m in result["landmarks"])
+    result = said("plan", coarse, "--from", "5,3")
+    assert set(result) == documented("plan", 1)
+    assert result["begins"]
 
 
 def test_settings():

@@ -195,7 +195,7 @@ def observe_model(given: dict[str, Any], out: Path, json: bool) -> None:
         "summary": page.model_summary(view),
         "rank": view.drive.found.value if model is None else model.rank,
         "unknowns": view.drive.unknowns if model is None else model.n,
-        "not_told": [freedom.words for freedom in view.freedoms],
+        "undetermined": [freedom.words for freedom in view.freedoms],
         "page": out / page.PAGE,
     }
     lines = [page.model_summary(view), _numbers(view)]
