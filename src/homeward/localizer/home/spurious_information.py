@@ -91,19 +91,18 @@ def _own_errors(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the variances xx + yy and xx - yy + 2i xy (r,) of the landmarks' individual errors.
 
-    Errors that translate, rotate or scale all landmarks move home with them, and are projected out.
+    Errors that translate or rotate all landmarks move home with them, and are projected out.
     Landmarks are at `away` (r,) from home, complex, and have the indices `of_set` (r,) among pairs
     of the state.
     """
     centred = away - away.sum() / len(away)
-    similar = np.zeros((4, len(covariance) // 2), complex)
-    motions = np.empty((4, len(away)), complex)
+    rigid = np.zeros((3, len(covariance) // 2), complex)
+    motions = np.empty((3, len(away)), complex)
     motions[0], motions[1] = 1.0 / math.sqrt(len(away)), 1j / math.sqrt(len(away))
-    motions[3] = centred / max(math.sqrt(np.vdot(centred, centred).real), 1e-6)
-    motions[2] = 1j * motions[3]
-    similar[:, of_set] = motions
+    motions[2] = 1j / max(math.sqrt(np.vdot(centred, centred).real), 1e-6) * centred
+    rigid[:, of_set] = motions
     # With B an orthonormal basis of those, individual errors have (I - B B^T) C (I - B B^T).
-    basis = similar.view(float)
+    basis = rigid.view(float)
     shared = basis @ covariance
     shared -= 0.5 * (shared @ basis.T) @ basis
     without = shared.view(complex)[:, of_set]
