@@ -146,8 +146,11 @@ def _start(source: str, start: str, json: bool) -> None:
     with naming_file(Path(source)):
         view = analyse_start(settings, place)
     facts = {
-        **{"summary": start_summary(view), "begins": view.begins, "landmarks": view.common},
-        **{"position_sigma": view.position, "heading_sigma": view.heading},
+        "summary": start_summary(view),
+        "begins": view.begins,
+        "landmarks": view.common,
+        "position_sigma": view.position,
+        "heading_sigma": view.heading,
         "not_without": view.costly if view.begins else (),
     }
     show(json, facts, start_summary(view))

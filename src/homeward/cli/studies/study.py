@@ -169,8 +169,11 @@ def layouts(out: Path, where: Where, values: dict[str, Any], json: bool) -> None
         result = study_layouts(settings, StudyBlocks(store, where, on_progress))
         page.write_layouts(out, result)
     tables = (
-        *(page.error_table, page.ratio_table, page.order_table),
-        *(deciding_table, page.claim_table),
+        page.error_table,
+        page.ratio_table,
+        page.order_table,
+        deciding_table,
+        page.claim_table,
     )
     if json:
         values = {table.__name__.removesuffix("_table"): table(result) for table in tables}
