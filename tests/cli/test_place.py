@@ -83,6 +83,23 @@ def test_a_home_is_stored_where_the_drive_was_at_any_time(hall, tmp_path):
     assert abs(there.heading - truth[2]) < 0.05
 
 
+def test_two_clicked_landmarks_align_a_place_with_a_map(hall, tmp_path):
+    here = load_place(hall).map
+    clicked = tmp_path / "clicked.yaml"
+    rows = [
+        f'  "{name}": {{x: {-y + 10.0}, y: {x + 5.0}}}'  # home is at (10, 5) and looks along y
+        for name, (x, y) in zip(here.names, here.positions[:2], strict=False)
+    ]
+    clicked.write_text("\n".join(["sigma: 0.1", "landmarks:", *rows]))
+    said = done(call("place", "align", hall, clicked)).output
+    assert "home_in_map: [10.0000, 5.0000, 1.5708]" in said
+    answer = json.loads(done(call("place", "align", hall, clicked, "--json")).stdout)
+    assert set(answer) == {"home_in_map", "sigma_m", "sigma_heading", "residuals_m"}
+    assert list(answer["residuals_m"]) == list(here.names[:2])
+    clicked.write_text(clicked.read_text().replace(rows[1], '  "post": {x: 1.0, y: 2.0}'))
+    assert "at least 2 are needed" in refused(call("place", "align", hall, clicked))
+
+
 def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
     drive = first_seconds(tmp_path / "drive", 10.0)
     assert call("run", drive, "--place", hall, "--out", tmp_path / "out").exit_code == 0

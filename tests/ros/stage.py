@@ -96,10 +96,12 @@ class Stage:
 
     def start(self, **parameters):
         parameters = {"home": self.tmp_path / "home.csv", **parameters}
+        remap = parameters.pop("remap", None)
         result = [
             word for k, v in parameters.items() if v is not None for word in ("-p", f"{k}:={v}")
         ]
         result = ["--params-file", str(PARAMETERS), *result]
+        result += [] if remap is None else ["-r", remap]
         since = len(self.witness.lines)
         self.node = Running(self.python, "-m", "homeward.ros", "--ros-args", *result, quiet=True)
         self.hear("/diagnostics", longest=120.0, since=since)  # a busy machine takes long to start

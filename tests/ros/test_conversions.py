@@ -6,7 +6,15 @@ from types import SimpleNamespace as Message
 import pytest
 
 from homeward.errors import InputError
-from homeward.ros.conversions import StampConverter, obstacle_in, odometry_in
+from homeward.geometry.frames import Pose, compose
+from homeward.live.messages import Answer
+from homeward.ros.conversions import (
+    StampConverter,
+    fill_covariance,
+    obstacle_in,
+    odometry_in,
+    start_in,
+)
 
 
 def scan(ranges, angle_min, farthest=8.0):
@@ -51,3 +59,35 @@ def test_stamps_are_from_the_first_ones_second_whoever_comes_first():
     clock = StampConverter()
     assert clock.of_unix(1_700_000_000.25) == 0.25
     assert clock.seconds(Message(sec=1_700_000_001, nanosec=500_000_000)) == 1.5
+
+
+HOME = Pose(10.0, 5.0, math.pi / 2)
+
+
+def initial_pose(x, y, heading, frame):
+    turn = Message(x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))
+    pose = Message(position=Message(x=x, y=y, z=0.0), orientation=turn)
+    covariance = [0.0] * 36
+    covariance[0], covariance[35] = 0.25, 0.04
+    return Message(header=Message(frame_id=frame), pose=Message(pose=pose, covariance=covariance))
+
+
+@pytest.mark.parametrize("frame", ["map", "/map", ""])
+def test_an_initial_pose_in_the_map_is_a_start_in_the_home_frame(frame):
+    start = start_in(initial_pose(*compose(HOME, Pose(1.0, 0.5, 0.3)), frame), "map", HOME)
+    assert (start.x, start.y, start.heading) == pytest.approx((1.0, 0.5, 0.3))
+    assert (start.sigma, start.sigma_heading) == (0.5, 0.2)
+
+
+def test_an_initial_pose_in_another_frame_is_refused():
+    with pytest.raises(InputError, match="its frame is 'odom', not 'map'"):
+        start_in(initial_pose(0.0, 0.0, 0.0, "odom"), "map", HOME)
+
+
+def test_the_covariance_turns_with_the_map():
+    known = {"t": 0.0, "status": "localised", "reason": "", "pose": (0.0, 0.0, 0.0)}
+    answer = Answer(**known, covariance=(4.0, 0.0, 1.0, 9.0, 0.0, 2.0))
+    target = Message(covariance=[0.0] * 36)
+    fill_covariance(target, answer, HOME)  # ahead of home is to the left in the map
+    found = [target.covariance[k] for k in (0, 7, 35, 5, 11)]
+    assert found == pytest.approx([9.0, 4.0, 2.0, 0.0, 1.0])

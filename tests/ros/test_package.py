@@ -28,21 +28,32 @@ def node_parameters():
 
 
 def described(file, monkeypatch):
-    """The names and defaults of a launch file's arguments, and the keywords of its node."""
+    """The keywords of homeward's node in a launch file, and its arguments and others by name."""
 
     def module(name, **members):
         monkeypatch.setitem(sys.modules, name, types.SimpleNamespace(**members))
 
     module("launch", LaunchDescription=list)
-    module("launch.actions", DeclareLaunchArgument=lambda name, **more: (name, more))
+    module(
+        "launch.actions",
+        DeclareLaunchArgument=lambda name, **more: (name, more),
+        GroupAction=lambda actions: ("group", actions),
+        IncludeLaunchDescription=lambda source, launch_arguments: (source, launch_arguments),
+    )
+    module("launch.launch_description_sources", PythonLaunchDescriptionSource=str)
     module("launch.substitutions", LaunchConfiguration=lambda name: f"<{name}>")
     module("launch_ros", actions=None)
-    module("launch_ros.actions", LifecycleNode=lambda **words: ("node", words))
+    module(
+        "launch_ros.actions",
+        LifecycleNode=lambda **words: ("node", words),
+        Node=lambda **words: (words["name"], words),
+        SetRemap=lambda src, dst: (src, dst),
+    )
     spec = importlib.util.spec_from_file_location("launched", file)
     launched = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(launched)
     found = dict(launched.generate_launch_description())
-    return found.pop("node"), found
+    return found.pop("node", None), found
 
 
 @pytest.mark.parametrize("name", ["homeward.launch.py", "cameras.launch.py"])
@@ -53,6 +64,21 @@ def test_a_launch_file_sets_parameters_that_the_node_has(name, monkeypatch):
     assert set(given) <= {*node_parameters(), "use_sim_time"}
     for argument in ("params_file", "topics"):
         assert argument not in arguments or Path(arguments[argument]["default_value"]).exists()
+
+
+def test_nav2_starts_homeward_as_a_managed_node_with_amcls_topic(monkeypatch):
+    launch = PACKAGE / "launch"
+    _, arguments = described(launch / "homeward.launch.py", monkeypatch)
+    _, found = described(launch / "nav2.launch.py", monkeypatch)
+    managed = found.pop("lifecycle_manager_localization")["parameters"][0]
+    *remaps, (included, given) = found.pop("group")
+    server = found.pop("map_server")
+    assert Path(included) == launch / "homeward.launch.py"
+    assert dict(given) == {"autostart": "false"}
+    assert dict(remaps)["~/pose"] == "amcl_pose"
+    assert managed["node_names"] == [server["name"], "homeward"]
+    assert managed["bond_timeout"] == 0.0
+    assert set(found) - set(arguments) == {"map"}
 
 
 def test_the_parameter_file_lists_every_parameter_with_its_default():

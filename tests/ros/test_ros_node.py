@@ -11,6 +11,7 @@ import pytest
 from ros.stage import Stage, has_tf
 
 from homeward.drives.folder import read_folder
+from homeward.geometry.frames import Pose, compose
 from homeward.live.recording import replay
 from homeward.places.files import load_place, newest
 
@@ -149,11 +150,28 @@ def test_services_and_lifecycle(stage):
     assert math.hypot(x, y) < 0.02
 
 
-def test_a_start_is_taken_and_an_obstacle_stops_the_robot(stage):
+def test_in_amcls_place_the_pose_is_in_the_map_and_its_topics_and_services_work(stage):
     stage.node.end()
-    stage.node = stage.start(scan_topic="scan")
-    stage.send(start=[1.0, 0.5, 0.3])
-    stage.hear("/homeward/said", lambda s: s.get("pose") is not None, 30.0)  # it is at rest
+    stage.node = stage.start(
+        home_in_map="[10.0, 5.0, 1.5]", transform_tolerance=5.0, remap="~/pose:=amcl_pose"
+    )
+    home, start = Pose(10.0, 5.0, 1.5), Pose(1.0, 0.5, 0.3)
+    stage.send(start=list(compose(home, start)))
+    said = stage.hear("/homeward/said", lambda s: s.get("pose") is not None, 30.0)["value"]
+    assert math.hypot(said["pose"][0] - start.x, said["pose"][1] - start.y) < 0.5  # at rest
+    x, y, _ = compose(home, Pose(*said["pose"]))
+    stage.hear("amcl_pose", lambda p: math.hypot(p[0] - x, p[1] - y) < 1e-6, since=0)
+    frame = stage.hear("/homeward/map_to_odom")
+    assert 1e-9 * frame["value"][-1] - time.time() == pytest.approx(5.0, abs=1.0)
+    since = len(stage.witness.lines)
+    stage.send(reinitialize=None)
+    stage.hear("reinitialize_global_localization", since=since)
+    stage.hear(  # without the start, at rest
+        "/homeward/said", lambda s: s.get("type") == "estimate" and s.get("pose") is None
+    )
+
+
+def test_an_obstacle_stops_the_robot(stage):
     stage.node.end()
     stage.node = stage.start(scan_topic="scan")
     stage.send(scan=8.0)

@@ -9,6 +9,8 @@ from ros.stage import ROOT
 @pytest.mark.parametrize(
     ("result", "words"),
     [
+        ("home_in_map:=[1, 2, 0]", "home_in_map"),
+        ("home_in_map:=[1.0, 2.0]", "home_in_map: must be [x, y, heading] in m and rad"),
         ("home:=/there/is/no/home.csv", "cannot be read: No such file"),
         (
             "bearings_type:=apriltag_msgs/msg/AprilTagDetectionArray",

@@ -2,7 +2,7 @@
 
 In: {"twist": [v, omega]} until the next one, {"twist": null}, {"call": "go_home"},
 {"estop": true}, {"transition": "deactivate"}, {"scan": m} until the next one,
-{"start": [x, y, h]}, {"name": ["store_home", "dock 3"]}.
+{"start": [x, y, h]}, {"reinitialize": null}, {"name": ["store_home", "dock 3"]}.
 """
 
 import json
@@ -17,9 +17,10 @@ from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped, TransformSta
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import Empty, SetBool, Trigger
 from visualization_msgs.msg import MarkerArray
 
 
@@ -57,6 +58,10 @@ class Witness(Node):
         for topic, (kind, read) in topics.items():
             heard = self.heard(topic, read)
             self.create_subscription(kind, topic, heard, 100)
+        # As Nav2's commander subscribes to the pose of AMCL.
+        latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        heard = self.heard("amcl_pose", self.pose)
+        self.create_subscription(PoseWithCovarianceStamped, "amcl_pose", heard, latched)
         threading.Thread(target=self.listen, daemon=True).start()
 
     @staticmethod
@@ -101,6 +106,8 @@ class Witness(Node):
                     self.free = value
                 elif what == "start":
                     self.start(*value)
+                elif what == "reinitialize":
+                    self.call(Empty, "reinitialize_global_localization", Empty.Request())
                 elif what == "call":
                     self.call(Trigger, f"/homeward/{value}", Trigger.Request())
                 elif what == "name":
@@ -123,7 +130,7 @@ class Witness(Node):
         client = self.create_client(kind, name)
         client.wait_for_service(5.0)
         future = client.call_async(request)
-        future.add_done_callback(lambda f: self.send(name, f.result().success))
+        future.add_done_callback(lambda f: self.send(name, getattr(f.result(), "success", True)))
 
 
 rclpy.init()

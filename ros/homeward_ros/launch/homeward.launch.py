@@ -17,6 +17,8 @@ ARGUMENTS = {
     "camera_info_topic": ("camera_info", "sensor_msgs/CameraInfo of the camera"),
     "camera_frame": ("", "frame of the camera, for its extrinsics from /tf_static"),
     "place": ("", "folder of a map that is kept between sessions"),
+    "home_in_map": ("[0.0, 0.0, 0.0]", "pose of home in the map frame, from homeward place align"),
+    "transform_tolerance": ("0.0", "map -> odom is stamped this much later [s]"),
     "use_sim_time": ("false", "use the clock of a simulator"),
     "autostart": ("true", "false: a lifecycle manager configures and activates the node"),
 }

@@ -78,6 +78,32 @@ def view(
 
 
 @place.command()
+def align(
+    folder: Folder,
+    survey: Annotated[
+        Path, typer.Argument(help="landmarks.yaml with their positions in the other map.")
+    ],
+    json: AsJson = False,
+) -> None:
+    """Print the pose of a place's first home in another map, such as an occupancy map."""
+    from homeward.drives.settings import KnownLandmarks
+    from homeward.io.settings import read_settings
+    from homeward.places.alignment import align_place
+    from homeward.places.files import load_place
+    from homeward.runs.report.words import alignment_lines
+
+    found = align_place(load_place(folder), read_settings(survey, KnownLandmarks), survey)
+    position, heading = found.sigmas
+    facts = {
+        "home_in_map": found.home,
+        "sigma_m": position,
+        "sigma_heading": heading,
+        "residuals_m": found.residuals,
+    }
+    show(json, facts, *alignment_lines(found))
+
+
+@place.command()
 def merge(
     folder: Folder,
     other: Annotated[Path, typer.Argument(help="Another robot's place of the same room.")],

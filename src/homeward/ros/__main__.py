@@ -21,6 +21,7 @@ def main() -> None:
         return
     try:
         import rclpy
+        from rclpy.exceptions import ParameterException
         from rclpy.executors import ExternalShutdownException
 
         from homeward.ros.node import DONE, HomewardNode
@@ -29,7 +30,12 @@ def main() -> None:
         sys.stderr.write(f"homeward.ros: {error}: {remedy}\n")
         raise SystemExit(BAD_INPUT) from None
     rclpy.init()
-    node = HomewardNode()
+    try:
+        node = HomewardNode()
+    except ParameterException as error:  # a value of another type
+        sys.stderr.write(f"homeward.ros: {error}\n")
+        rclpy.try_shutdown()
+        raise SystemExit(BAD_INPUT) from None
     try:
         starts = node.get_parameter("autostart").value
         if starts and not (node.trigger_configure() == DONE == node.trigger_activate()):

@@ -20,10 +20,13 @@ from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
+from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose
+from homeward.geometry.frames import Pose, between, compose
+from homeward.geometry.se2 import rotation
 from homeward.io.settings import validated
+from homeward.io.table import quoted
 from homeward.live import messages as msg
 from homeward.live.messages import (
     Answer,
@@ -114,9 +117,17 @@ def bearings_in(
     return validated(msg.BearingsIn, known)
 
 
-def start_in(message: Any) -> msg.SetStart:
-    """Return the start from a geometry_msgs/PoseWithCovarianceStamped."""
-    x, y, heading = pose_of(message)
+def start_in(message: Any, map_frame: str, home: Pose) -> msg.SetStart:
+    """Return the start from a geometry_msgs/PoseWithCovarianceStamped in the map frame.
+
+    `home` is the pose of home in that frame. A message without a frame counts as in it; another
+    frame is an `InputError`.
+    """
+    if (frame := message.header.frame_id.lstrip("/")) not in ("", map_frame.lstrip("/")):
+        raise InputError(
+            f"initial pose ignored: its frame is {quoted(frame)}, not {quoted(map_frame)}"
+        )
+    x, y, heading = map(float, between(home, Pose(*pose_of(message))))
     c = message.pose.covariance
     sigmas = {}
     if (var := max(c[0], c[7])) > 0:
@@ -146,10 +157,12 @@ def fill_pose(target: Any, pose: Pose) -> None:
     target.orientation.w = math.cos(pose.heading / 2)
 
 
-def fill_covariance(target: Any, answer: EstimateOut) -> None:
-    """Fill the covariance of a geometry_msgs/PoseWithCovariance."""
+def fill_covariance(target: Any, answer: EstimateOut, home: Pose) -> None:
+    """Fill the covariance of a geometry_msgs/PoseWithCovariance; `home` is home in the map."""
     xx, xy, xh, yy, yh, hh = answer.covariance or (0.0,) * 6
-    for row, values in zip(PLANAR, ((xx, xy, xh), (xy, yy, yh), (xh, yh, hh)), strict=True):
+    rotate = rotation(float(home.heading))
+    turned = rotate @ np.array([(xx, xy, xh), (xy, yy, yh), (xh, yh, hh)]) @ rotate.T
+    for row, values in zip(PLANAR, turned.tolist(), strict=True):
         for column, value in zip(PLANAR, values, strict=True):
             target.covariance[6 * row + column] = value
 
@@ -181,8 +194,11 @@ def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
     return array
 
 
-def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str) -> Any:
-    """Return a visualization_msgs/MarkerArray, coloured by the probability of having moved."""
+def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str, home: Pose) -> Any:
+    """Return a visualization_msgs/MarkerArray, coloured by the probability of having moved.
+
+    `home` is the pose of home in the frame of the markers.
+    """
     array = message_class("visualization_msgs/msg/MarkerArray")()
     make = message_class("visualization_msgs/msg/Marker")
     for number, landmark in enumerate(known.landmarks):
@@ -193,7 +209,7 @@ def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str) -> Any:
         for kind, space in ((_SPHERE, "landmarks"), (_TEXT, "names")):
             marker = make(ns=space, id=number, type=kind)
             marker.header.stamp, marker.header.frame_id = stamp, frame
-            fill_pose(marker.pose, Pose(landmark.x, landmark.y, 0.0))
+            fill_pose(marker.pose, compose(home, Pose(landmark.x, landmark.y, 0.0)))
             marker.scale.x = marker.scale.y = marker.scale.z = 0.2
             for channel, at in (("r", 1), ("g", 3), ("b", 5)):
                 setattr(marker.color, channel, int(shade[at : at + 2], 16) / 255)
@@ -213,10 +229,23 @@ class Publishers:
     def __init__(self, node: Any) -> None:
         self._node = node
         self._out: dict[str, Any] = {}
+        self.home = Pose(0.0, 0.0, 0.0)
+        """Home in the map frame."""
 
     def make(self) -> None:
-        """Create the publishers; `ImportError` where the package of a message is missing."""
+        """Create the publishers; `ImportError` where the package of a message is missing.
+
+        `InputError` where the pose of home in the map is not three finite numbers.
+        """
+        given = list(self._parameter("home_in_map"))
+        if len(given) != 3 or not all(map(math.isfinite, given)):
+            raise InputError(f"home_in_map: must be [x, y, heading] in m and rad, not {given}")
+        self.home = Pose(*given)
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+
         make = self._node.create_lifecycle_publisher
+        # Subscriptions to AMCL's pose, as Nav2's commander has one, require this durability.
+        latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         stamped = "Stamped" if self._parameter("cmd_vel_stamped") else ""
         topics = {
             "said": (JSON, "~/said"),
@@ -228,7 +257,8 @@ class Publishers:
             "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
         }
         self._out = {
-            key: make(message_class(kind), topic, 10) for key, (kind, topic) in topics.items()
+            key: make(message_class(kind), topic, latched if key == "pose" else 10)
+            for key, (kind, topic) in topics.items()
         }
         try:
             self._out["tf"] = make(message_class(TFS), "/tf", 10)
@@ -253,11 +283,12 @@ class Publishers:
             message.header.frame_id = self._parameter("map_frame")
             stamp = divmod(round(out.t * NANO) + epoch_ns, NANO)
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
-            fill_pose(message.pose.pose, Pose(*out.pose))
-            fill_covariance(message.pose, out)
+            fill_pose(message.pose.pose, compose(self.home, Pose(*out.pose)))
+            fill_covariance(message.pose, out, self.home)
             self._out["pose" if isinstance(out, Answer) else "smoothed"].publish(message)
         if isinstance(out, LandmarksOut):
-            markers = markers_out(out, self._now(), self._parameter("map_frame"))
+            frame = self._parameter("map_frame")
+            markers = markers_out(out, self._now(), frame, self.home)
             self._out["landmarks"].publish(markers)
 
     def command(self, command: Command) -> None:
@@ -272,9 +303,12 @@ class Publishers:
         self._line(command)
 
     def transform(self, map_to_odom: Pose) -> None:
-        """Publish the odometry frame in the map frame."""
+        """Publish the odometry frame in the map frame, from its pose in the home frame."""
         frames = self._parameter("map_frame"), self._parameter("odom_frame")
-        message = transform(self._now(), *frames, map_to_odom)
+        stamp = self._now()
+        later = round(self._parameter("transform_tolerance") * NANO)
+        stamp.sec, stamp.nanosec = divmod(stamp.sec * NANO + stamp.nanosec + later, NANO)
+        message = transform(stamp, *frames, compose(self.home, map_to_odom))
         self._out["transform"].publish(message)
         if "tf" in self._out:
             self._out["tf"].publish(message_class(TFS)(transforms=[message]))

@@ -57,6 +57,8 @@ PARAMETERS: dict[str, Any] = {
     "cmd_vel_stamped": False,
     "map_frame": "map",
     "odom_frame": "odom",
+    "home_in_map": [0.0, 0.0, 0.0],
+    "transform_tolerance": 0.0,
     "home": "",
     "place": "",
     "place_update": False,
@@ -184,7 +186,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._pictures, hear = Newest(seen.trigger), self._picture
         topics: list[tuple[str, str, Callable[[Any], None]]] = [
             ("nav_msgs/msg/Odometry", parameter("odometry_topic"), self._odometry),
-            ("geometry_msgs/msg/PoseWithCovarianceStamped", "/initialpose", self._start),
+            ("geometry_msgs/msg/PoseWithCovarianceStamped", "initialpose", self._start),
             (JSON, "~/request", self._line),
         ]
         for number, given in enumerate(cameras.topics):
@@ -207,6 +209,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         try:
             trigger = convert.message_class("std_srvs/srv/Trigger")
             switch = convert.message_class("std_srvs/srv/SetBool")
+            empty = convert.message_class("std_srvs/srv/Empty")
         except ImportError:
             self.get_logger().warning("std_srvs is not installed: no services, use ~/request")
             return
@@ -218,6 +221,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         for kind, name, serve in (*services, (switch, "estop", stop)):
             made = self.create_service(kind, f"~/{name}", serve)
             self._parts.append((self.destroy_service, made))
+        made = self.create_service(empty, "reinitialize_global_localization", self._reinitialize)
+        self._parts.append((self.destroy_service, made))
 
     def _guarded(self, callback: Any) -> Any:
         """Return a callback that logs each error once."""
@@ -242,6 +247,11 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             return response
 
         return serve
+
+    def _reinitialize(self, request: Any, response: Any) -> Any:
+        """Begin the map again, as AMCL's service of this name spreads its particles."""
+        self._take(msg.Reset())
+        return response
 
     def _named(self, kind: Any) -> Callable[[Any], None]:
         """Return a callback that sends a message of a kind, named by the data of a String."""
@@ -297,7 +307,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._take(request)
 
     def _start(self, message: Any) -> None:
-        self._take(convert.start_in(message))
+        frame = self._parameter("map_frame")
+        self._take(convert.start_in(message, frame, self._publish.home))
 
     def _scan(self, message: Any) -> None:
         self._take(convert.obstacle_in(message, self._parameter("scan_half_angle")))

@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.io.naming import listing as listing
+from homeward.places.alignment import Alignment
 from homeward.places.persistence import GONE
 from homeward.places.place import DAY_S, Place
 
@@ -112,6 +113,17 @@ def route_words(place: Place, route: str) -> str:
         f"Route {name(route)}, taught {date(way.taught)}: {way.length:.1f} m{by}, position"
         f" uncertainty up to {max(n.sigma for n in way.nodes):.3f} m."
     )
+
+
+def alignment_lines(found: Alignment) -> list[str]:
+    """Describe an alignment, first as the parameter `home_in_map` of the ROS node."""
+    position, heading = found.sigmas
+    residuals = ", ".join(f"{name} {size:.2f} m" for name, size in found.residuals.items())
+    return [
+        f"home_in_map: [{', '.join(f'{value:.4f}' for value in found.home)}]",
+        f"Standard deviation {position:.2f} m and {math.degrees(heading):.1f} deg."
+        f" Residuals: {residuals}.",
+    ]
 
 
 def forget_words(place: Place) -> str:
