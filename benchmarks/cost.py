@@ -1,26 +1,35 @@
 """Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; plain iSAM2.
 
-`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer ...]` prints milliseconds of
-processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one core). The peer is
-a plain GTSAM script that keeps the pose of every sample, on the samples of the first part.
+`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer|ekf ...]` prints milliseconds
+of processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one core). The peer
+is a plain GTSAM script that keeps the pose of every sample, on the samples of the first part. `ekf`
+is 20 landmarks at 20 Hz next to an EKF that is given the map and the start.
 """
 
 import resource
 import time
+from dataclasses import replace
 
-import gtsam
 import numpy as np
 
 from benchmarks import monte_carlo
+from benchmarks.peers import surveyed
 from homeward.drives.drive import Drive
+from homeward.drives.settings import KnownLandmarks, Start
+from homeward.estimator import Estimator
+from homeward.geometry.frames import to_polar
 from homeward.lab.simulation import scenario as sim
-from homeward.lab.simulation.simulate import simulate
+from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
 
 RATE = 2.0  # bearing stamps, and so keyframes, per second [Hz]
 
 
 def make_drive(landmarks: int, seconds: float, far: float = 6.0, rate: float = RATE) -> Drive:
+    return simulated(landmarks, seconds, far, rate).drive
+
+
+def simulated(landmarks: int, seconds: float, far: float = 6.0, rate: float = RATE) -> Simulation:
     """Return a drive in circles, each landmark visible with probability one half."""
     scenario = sim.Scenario(
         name=f"{landmarks} landmarks",
@@ -33,12 +42,12 @@ def make_drive(landmarks: int, seconds: float, far: float = 6.0, rate: float = R
         start=sim.StartPose(R=1.0, theta=0.3, alpha=1.8, prior=False),
         trajectory=sim.Circle(speed=0.3, omega=0.25, duration=seconds),
     )
-    return simulate(scenario).drive
+    return simulate(scenario)
 
 
-def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
+def milliseconds(drive: Drive, localizer: Estimator | None = None) -> tuple[np.ndarray, np.ndarray]:
     """Return the runtime of each call of `bearings` [ms], and whether home was found by then."""
-    localizer = Localizer(drive.home, **drive.settings.robot)
+    localizer = localizer or Localizer(drive.home, **drive.settings.robot)
     o = drive.odometry
     twists = zip(o.t.tolist(), o.v.tolist(), o.omega.tolist(), strict=True)
     twist = next(twists, None)
@@ -56,6 +65,8 @@ def milliseconds(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
 
 def plain_isam2(drive: Drive, most: int) -> np.ndarray:
     """Return the runtime of each stamp [ms] of a plain iSAM2 that keeps all poses."""
+    import gtsam
+
     isam, x, mark = gtsam.ISAM2(), gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
@@ -146,8 +157,26 @@ def peer() -> None:
         print(f"plain iSAM2, {name}: {b:.2f} ms against {a:.2f} ms, ratio {b / a:.1f}")
 
 
+def ekf() -> None:
+    scene = simulated(20, 120, rate=20.0)
+    drive, world = scene.drive, scene.world
+    there = zip(world.ids, world.in_home_frame.tolist(), strict=True)
+    places = {name: {"x": x, "y": y} for name, (x, y) in there}
+    known = KnownLandmarks(frame="home", landmarks=places)
+    start = Start.about(to_polar(drive.truth.at(drive.odometry.t[0])), 0.05, 0.1, 0.1)
+    settings = drive.settings.model_copy(update={"start": start})
+    given = surveyed.ekf(replace(drive, known=known, settings=settings))
+    for name, estimator in (("homeward", None), ("EKF with map and start", given)):
+        cost, _ = milliseconds(drive, estimator)
+        print(
+            f"{name}, 20 landmarks at 20 Hz: median {np.median(cost):.2f} ms, 99 % "
+            f"{np.quantile(cost, 0.99):.1f} ms, {cost.sum() / 10 / 120:.1f} % of a core"
+        )
+
+
 def main() -> None:
     parts = {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}
+    parts["ekf"] = ekf
     options = monte_carlo.parsed(__doc__, hours=8.0, part=parts)
     for part in options.part:
         parts[part]()

@@ -10,7 +10,6 @@ import sys
 import types
 from pathlib import Path
 
-import pytest
 import yaml
 from ros.environments import colcon
 from ros.stage import PARAMETERS, ROOT
@@ -27,7 +26,14 @@ def node_parameters():
     raise AssertionError("no PARAMETERS")
 
 
-def described(file, monkeypatch):
+class Configuration(str):
+    """The name of an argument, as launch's substitution of its value."""
+
+    def perform(self, context):
+        return context.get(str(self), "")
+
+
+def described(file, monkeypatch, **given):
     """The keywords of homeward's node in a launch file, and its arguments and others by name."""
 
     def module(name, **members):
@@ -39,9 +45,10 @@ def described(file, monkeypatch):
         DeclareLaunchArgument=lambda name, **more: (name, more),
         GroupAction=lambda actions: ("group", actions),
         IncludeLaunchDescription=lambda source, launch_arguments: (source, launch_arguments),
+        OpaqueFunction=lambda function: ("function", function),
     )
     module("launch.launch_description_sources", PythonLaunchDescriptionSource=str)
-    module("launch.substitutions", LaunchConfiguration=lambda name: f"<{name}>")
+    module("launch.substitutions", LaunchConfiguration=Configuration)
     module("launch_ros", actions=None)
     module(
         "launch_ros.actions",
@@ -53,17 +60,20 @@ def described(file, monkeypatch):
     launched = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(launched)
     found = dict(launched.generate_launch_description())
+    for part in found.pop("function")(given):
+        found |= dict([part])
     return found.pop("node", None), found
 
 
-@pytest.mark.parametrize("name", ["homeward.launch.py", "cameras.launch.py"])
-def test_a_launch_file_sets_parameters_that_the_node_has(name, monkeypatch):
-    node, arguments = described(PACKAGE / "launch" / name, monkeypatch)
-    params_file, given = node["parameters"]
-    assert params_file == "<params_file>"
-    assert set(given) <= {*node_parameters(), "use_sim_time"}
-    for argument in ("params_file", "topics"):
-        assert argument not in arguments or Path(arguments[argument]["default_value"]).exists()
+def test_only_given_arguments_override_the_file_of_parameters(monkeypatch):
+    launch = PACKAGE / "launch" / "homeward.launch.py"
+    (defaults,) = described(launch, monkeypatch)[0]["parameters"]
+    given = {"params_file": "my.yaml", "place": "hall", "autostart": "false"}
+    node, arguments = described(launch, monkeypatch, **given)
+    assert node["parameters"] == [defaults, "params_file", {n: n for n in ("place", "autostart")}]
+    known = {*node_parameters(), "use_sim_time"}
+    assert set(arguments) - {"params_file", "namespace"} <= known
+    assert set(yaml.safe_load(Path(defaults).read_text())["/**"]["ros__parameters"]) <= known
 
 
 def test_nav2_starts_homeward_as_a_managed_node_with_amcls_topic(monkeypatch):

@@ -21,7 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile
 from sensor_msgs.msg import LaserScan
 from std_msgs.msg import String
 from std_srvs.srv import Empty, SetBool, Trigger
-from visualization_msgs.msg import MarkerArray
+from visualization_msgs.msg import Marker, MarkerArray
 
 
 def stamp(message):
@@ -44,6 +44,7 @@ class Witness(Node):
             "/homeward/said": (String, lambda m: json.loads(m.data)),
             "/homeward/pose": (PoseWithCovarianceStamped, self.pose),
             "/homeward/map_to_odom": (TransformStamped, self.transform),
+            "/homeward/sightings": (Marker, self.rays),
             "/homeward/landmarks": (MarkerArray, lambda m: len(m.markers)),
             "/diagnostics": (DiagnosticArray, lambda m: m.status[0].message),
             "bearings": (PoseArray, stamp),
@@ -68,6 +69,11 @@ class Witness(Node):
     def pose(message):
         p = message.pose.pose.position
         return [p.x, p.y, message.pose.covariance[0], stamp(message)]
+
+    @staticmethod
+    def rays(message):
+        p = message.pose.position
+        return [p.x, p.y, len(message.points) // 2, message.header.frame_id]
 
     @staticmethod
     def transform(message):

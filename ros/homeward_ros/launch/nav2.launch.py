@@ -6,7 +6,12 @@ The arguments of homeward.launch.py apply too. Nav2 itself is started by its nav
 from pathlib import Path
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, GroupAction, IncludeLaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    GroupAction,
+    IncludeLaunchDescription,
+    OpaqueFunction,
+)
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node, SetRemap
@@ -15,12 +20,7 @@ HOMEWARD = Path(__file__).resolve().with_name("homeward.launch.py")
 ARGUMENTS = {
     "map": {"description": "YAML file of the occupancy map"},
     "namespace": {"default_value": "", "description": "namespace of all nodes"},
-    # Five periods of map -> odom: lookups of the present time find it.
-    "transform_tolerance": {
-        "default_value": "0.1",
-        "description": "map -> odom is stamped this much later [s]",
-    },
-    "use_sim_time": {"default_value": "false", "description": "use the clock of a simulator"},
+    "use_sim_time": {"default_value": "", "description": "true: use the clock of a simulator"},
 }
 TOPICS = {"~/pose": "amcl_pose", "/tf": "tf", "/tf_static": "tf_static"}
 MANAGER = {
@@ -31,9 +31,16 @@ MANAGER = {
 
 
 def generate_launch_description():
+    """Return the nodes and their arguments."""
+    arguments = [DeclareLaunchArgument(name, **words) for name, words in ARGUMENTS.items()]
+    return LaunchDescription([*arguments, OpaqueFunction(function=nodes)])
+
+
+def nodes(context):
     """Return homeward, the map server and their lifecycle manager."""
-    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    namespace, clock = given["namespace"], {"use_sim_time": given["use_sim_time"]}
+    namespace, clock = LaunchConfiguration("namespace"), {}
+    if (given := LaunchConfiguration("use_sim_time")).perform(context):
+        clock["use_sim_time"] = given
     homeward = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(HOMEWARD)),
         launch_arguments=[("autostart", "false")],  # the manager activates it
@@ -44,7 +51,7 @@ def generate_launch_description():
         executable="map_server",
         name="map_server",
         namespace=namespace,
-        parameters=[{"yaml_filename": given["map"], **clock}],
+        parameters=[{"yaml_filename": LaunchConfiguration("map"), **clock}],
         output="screen",
     )
     manager = Node(
@@ -55,6 +62,4 @@ def generate_launch_description():
         parameters=[MANAGER | clock],
         output="screen",
     )
-    arguments = [DeclareLaunchArgument(name, **words) for name, words in ARGUMENTS.items()]
-    parts = [GroupAction([*remaps, homeward]), map_server, manager]
-    return LaunchDescription([*arguments, *parts])
+    return [GroupAction([*remaps, homeward]), map_server, manager]

@@ -103,6 +103,11 @@ class Localisation:
         """Whether the homes are those of an existing place."""
         return self.place is not None and self.place.place is not None
 
+    @property
+    def camera(self) -> Pose:
+        """The given pose of the camera on the robot."""
+        return self._robot.sensor.pose
+
     def do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
         """Process a message and return the answer; `odom` is the odometry pose at its stamp.
 

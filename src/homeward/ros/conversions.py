@@ -46,7 +46,9 @@ PLANAR = (0, 1, 5)
 """Indices of x, y and the rotation about z in ROS's 6 x 6 covariances."""
 MAX_RANGE_M = 1e4
 """Free distance for scanners with infinite range, such as simulated ones [m]."""
-_SPHERE, _TEXT = 2, 9
+_SPHERE, _LINES, _TEXT = 2, 5, 9
+RAY_M = 5.0
+"""Length at which a sighting without a range is drawn [m]."""
 
 
 @cache
@@ -220,6 +222,24 @@ def markers_out(known: msg.LandmarksOut, stamp: Any, frame: str, home: Pose) -> 
     return array
 
 
+def rays_out(seen: msg.BearingsIn, camera: Pose, stamp: Any, frame: str) -> Any:
+    """Return a visualization_msgs/Marker: a line from the camera along each bearing.
+
+    `camera` is the pose of the camera in the frame of the marker; lines last 1 s.
+    """
+    marker = message_class("visualization_msgs/msg/Marker")(ns="sightings", type=_LINES)
+    point = message_class("geometry_msgs/msg/Point")
+    marker.header.stamp, marker.header.frame_id = stamp, frame
+    fill_pose(marker.pose, camera)
+    marker.scale.x, marker.lifetime.sec = 0.02, 1
+    marker.color.g = marker.color.a = 1.0
+    for landmark, bearing in seen.bearings.items():
+        length = seen.ranges.get(landmark, RAY_M)
+        end = point(x=length * math.cos(bearing), y=length * math.sin(bearing))
+        marker.points += [point(), end]
+    return marker
+
+
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
@@ -231,6 +251,7 @@ class Publishers:
         self._out: dict[str, Any] = {}
         self.home = Pose(0.0, 0.0, 0.0)
         """Home in the map frame."""
+        self._seen: msg.BearingsIn | None = None
 
     def make(self) -> None:
         """Create the publishers; `ImportError` where the package of a message is missing.
@@ -253,6 +274,7 @@ class Publishers:
             "smoothed": (POSE, "~/smoothed_pose"),
             "diagnostics": ("diagnostic_msgs/msg/DiagnosticArray", "/diagnostics"),
             "landmarks": ("visualization_msgs/msg/MarkerArray", "~/landmarks"),
+            "sightings": ("visualization_msgs/msg/Marker", "~/sightings"),
             "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._parameter("cmd_vel_topic")),
             "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
         }
@@ -272,10 +294,15 @@ class Publishers:
             self._node.destroy_publisher(publisher)
         self._out = {}
 
-    def output(self, out: Output, epoch_ns: int) -> None:
+    def keep(self, message: msg.Input | msg.Output) -> None:
+        """Keep the bearings that a session processes, for the answer to them."""
+        if isinstance(message, msg.BearingsIn):
+            self._seen = message
+
+    def output(self, out: Output, epoch_ns: int, camera: Pose) -> None:
         """Publish output of a session; poses and landmarks also as their ROS messages.
 
-        Stamps of `out` are those of ROS minus an epoch [ns].
+        Stamps of `out` are those of ROS minus an epoch [ns]; `camera` is its pose on the robot.
         """
         self._line(out)
         if isinstance(out, EstimateOut) and out.pose is not None:
@@ -283,9 +310,14 @@ class Publishers:
             message.header.frame_id = self._parameter("map_frame")
             stamp = divmod(round(out.t * NANO) + epoch_ns, NANO)
             message.header.stamp.sec, message.header.stamp.nanosec = stamp
-            fill_pose(message.pose.pose, compose(self.home, Pose(*out.pose)))
+            robot, header = compose(self.home, Pose(*out.pose)), message.header
+            fill_pose(message.pose.pose, robot)
             fill_covariance(message.pose, out, self.home)
             self._out["pose" if isinstance(out, Answer) else "smoothed"].publish(message)
+            if isinstance(out, Answer) and self._seen is not None:
+                at = compose(robot, camera)
+                rays = rays_out(self._seen, at, header.stamp, header.frame_id)
+                self._out["sightings"].publish(rays)
         if isinstance(out, LandmarksOut):
             frame = self._parameter("map_frame")
             markers = markers_out(out, self._now(), frame, self.home)

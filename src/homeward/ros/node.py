@@ -58,7 +58,7 @@ PARAMETERS: dict[str, Any] = {
     "map_frame": "map",
     "odom_frame": "odom",
     "home_in_map": [0.0, 0.0, 0.0],
-    "transform_tolerance": 0.0,
+    "transform_tolerance": 0.1,
     "home": "",
     "place": "",
     "place_update": False,
@@ -124,6 +124,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                     Path(parameter("place")), parameter("place_update"), settings.estimator
                 )
             self._session = Session(settings, robot, homes, place)
+            self._session.watch(self._publish.keep)
             if parameter("record"):
                 self._recorder = Recorder(Path(parameter("record")), settings, robot, homes, place)
                 self._session.watch(self._recorder.keep)
@@ -330,7 +331,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _output(self, out: msg.Output) -> None:
         """Publish output of the session, or log the error."""
         try:
-            self._publish.output(out, (self._stamps.epoch or 0) * NANO)
+            camera = self._live.localisation.camera
+            self._publish.output(out, (self._stamps.epoch or 0) * NANO, camera)
         except Exception as error:
             if not self.context.ok():
                 raise
