@@ -100,6 +100,14 @@ def test_two_clicked_landmarks_align_a_place_with_a_map(hall, tmp_path):
     assert "at least 2 are needed" in refused(call("place", "align", hall, clicked))
 
 
+def test_a_run_notes_that_its_drive_made_the_map(hall, visited, tmp_path):
+    note = "This drive is already in the place's map"
+    again = done(call("run", visited / "day", "--place", hall, "--out", tmp_path / "out"))
+    other = first_seconds(tmp_path / "drive", 10.0)
+    others = done(call("run", other, "--place", hall, "--out", tmp_path / "other"))
+    assert (note in again.output, note in others.output) == (True, False)
+
+
 def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
     drive = first_seconds(tmp_path / "drive", 10.0)
     assert call("run", drive, "--place", hall, "--out", tmp_path / "out").exit_code == 0

@@ -28,7 +28,7 @@ from homeward.localizer.smoothing import smooth
 from homeward.places.files import is_place
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.runs.scoring import Metrics, score
-from homeward.runs.visits import in_place, place_used
+from homeward.runs.visits import in_place, place_notes, place_used
 from homeward.track import Track
 from homeward.track import run as follow
 
@@ -45,10 +45,6 @@ SMOOTH_NOTE = (
 LAG_NOTE = (
     "The track is smoothed: each pose uses the data of the next {:g} s. Run without --smoothed-lag"
     " for the poses that a robot has at once."
-)
-PLACE_NOTE = (
-    "Poses are in the frame of the place's home; home bearings of this drive are not used. Choose"
-    " another home of the place with --place-home."
 )
 MAX_TRUTH_GAP_S = 1.0
 """Ground truth must begin within this time of the start [s]."""
@@ -113,9 +109,7 @@ def finish(
     progress: Callable[[float], None] | None = None,
 ) -> Track:
     """Run an estimator on a drive, both from `prepare`, and return the track."""
-    notes = (TRUTH_NOTE,) if run.start == "truth" else ()
-    if run.place_version:
-        notes = (*notes, PLACE_NOTE)
+    notes = ((TRUTH_NOTE,) if run.start == "truth" else ()) + place_notes(run, drive)
     settings = estimator_settings(run.estimator, run.settings)
     if run.is_smoothed and isinstance(settings, LocalizerSettings):
         if (lag := run.smoothed_lag) is not None:

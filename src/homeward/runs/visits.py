@@ -25,6 +25,14 @@ from homeward.track import Track
 if TYPE_CHECKING:
     from homeward.runs.single_run import RunSettings
 
+PLACE_NOTE = (
+    "Poses are in the frame of the place's home; home bearings of this drive are not used. Choose"
+    " another home of the place with --place-home."
+)
+SAME_DRIVE_NOTE = (
+    "This drive is already in the place's map, so its errors are smaller than those of a new drive."
+)
+
 
 @dataclass(frozen=True)
 class ToStore:
@@ -55,6 +63,14 @@ def place_used(run: RunSettings, drive: Drive) -> dict[str, Any]:
     if version is None:
         version = newest(run.place) if is_place(Path(run.place)) else 0
     return {"place_version": version, "when": day_of(run, drive)}
+
+
+def place_notes(run: RunSettings, drive: Drive) -> tuple[str, ...]:
+    """Return the notes on the place that a run uses."""
+    if run.place is None or not run.place_version:
+        return ()
+    known = load_place(run.place, run.place_version).evidence
+    return (PLACE_NOTE, SAME_DRIVE_NOTE) if fingerprint(drive) in known else (PLACE_NOTE,)
 
 
 def check_update(run: RunSettings, drive: Drive, store: ToStore = NOTHING) -> None:
