@@ -7,7 +7,7 @@ import pytest
 from rig import START, Wheels, ring
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import DriveSettings, Sensor
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing
 from homeward.localizer.localizer import Localizer
@@ -16,6 +16,7 @@ from homeward.odometry.history import TwistHistory
 
 DT = 0.01
 SIGMA = 0.01
+NOTHING = OdometryNoise()
 
 
 def commands(seconds, seed=0):
@@ -48,14 +49,14 @@ def path(twists, start):
     return poses
 
 
-def drive(delay, time_constant, seconds=90.0):
+def drive(delay, time_constant, seconds=90.0, given=NOTHING):
     """Drive a robot among landmarks; return its localiser and the errors of its positions [m]."""
     marks, rng = ring(10), np.random.default_rng(1)
     home = {
         n: HomeBearing(math.atan2(y, x) + 0.005 * rng.normal(), 0.005)
         for n, (x, y) in marks.items()
     }
-    settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA))
+    settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA), odometry=given)
     localizer, twists = Localizer(home, **settings.robot), commands(seconds)
     poses, off = path(followed(twists, delay, time_constant), START), []
     for k, (v, omega) in enumerate(twists.tolist()):
@@ -80,6 +81,19 @@ def test_delay_and_time_constant_of_a_robot_are_estimated(delay, time_constant):
     assert found.sum() == pytest.approx(delay + time_constant, abs=0.02)
     assert found == pytest.approx([delay, time_constant], abs=0.07)
     assert np.sqrt(np.mean(off[len(off) // 2 :] ** 2)) < 0.04
+
+
+def test_a_given_time_constant_is_corrected_where_the_map_contradicts_it():
+    given = OdometryNoise(time_constant=0.4, time_constant_sigma=0.2)
+    localizer, _ = drive(0.0, 0.2, 40.0, given)
+    estimate = localizer.chart.map.smoother.state.calibration[TIME_CONSTANT]
+    assert estimate == pytest.approx(0.2, abs=0.05)
+
+
+def test_with_a_given_time_constant_the_map_is_right_from_the_start():
+    given = OdometryNoise(time_constant=0.3, time_constant_sigma=0.02, delay_sigma=0.02)
+    (_, known), (_, unknown) = drive(0.0, 0.3, 25.0, given), drive(0.0, 0.3, 25.0)
+    assert np.median(known[:20]) < 0.8 * np.median(unknown[:20])
 
 
 @pytest.mark.parametrize("time_constant", [0.05, 0.2, 0.4])

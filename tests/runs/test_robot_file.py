@@ -215,6 +215,19 @@ def test_ground_truth_gives_the_scales_of_speed_and_yaw_rate_and_the_slip(slip):
     assert _from_truth(Odometry(t, still, still), Truth(t, still, still, still)) == {}
 
 
+def test_the_delay_of_a_robot_that_follows_as_a_lag_is_that_without_the_lag():
+    late, lag = Value(0.31, 0.004), Value(0.2, 0.03)
+    keys = as_keys({"bearings_late": late, "odometry.time_constant": lag})
+    assert keys == {
+        "bearings_late": 0.11,
+        "odometry.delay_sigma": 0.03,
+        "odometry.time_constant": 0.2,
+        "odometry.time_constant_sigma": 0.03,
+    }
+    doubtful = as_keys({"bearings_late": late, "odometry.time_constant": Value(0.05, 0.03)})
+    assert doubtful == {"bearings_late": 0.31, "odometry.delay_sigma": 0.004}
+
+
 def test_the_deviation_of_a_robot_covers_drives_that_differ():
     same = [{"sensor.x": Value(0.2, 0.01)}, {"sensor.x": Value(0.21, 0.01)}]
     other = [{"sensor.x": Value(0.2, 0.001)}, {"sensor.x": Value(0.3, 0.001)}, {}]

@@ -89,6 +89,11 @@ class OdometryNoise(Strict):
     """Density of the speed's white noise [m/s/sqrt(Hz)]."""
     turn_sigma: NonNegative | None = None
     """Density of the yaw rate's white noise [rad/s/sqrt(Hz)]."""
+    time_constant: NonNegative | None = None
+    """Time constant with which the robot follows its odometry as a first-order lag, as it does
+    where odometry is the commanded twist [s]. Estimators include it; readers do not."""
+    time_constant_sigma: NonNegative | None = None
+    """Constant error of `time_constant` [s]."""
     delay_sigma: NonNegative | None = None
     """Error of `bearings_late` [s]."""
 
@@ -105,6 +110,13 @@ class OdometryNoise(Strict):
         speed, rate = (self.speed_scale or 1.0) * v, (self.turn_scale or 1.0) * omega + bias
         lost = np.minimum((self.turn_slip or 0.0) * np.abs(rate), np.abs(speed))
         return speed - np.copysign(lost, speed), rate
+
+    @property
+    def lag(self) -> tuple[float, float] | None:
+        """`time_constant` and its standard deviation [s]; None where neither is given."""
+        if self.time_constant is None and self.time_constant_sigma is None:
+            return None
+        return self.time_constant or 0.0, self.time_constant_sigma or 0.0
 
     def slip_sigma(self, unknown: float) -> float:
         """Return the standard deviation of slip in bends, `unknown` where nothing is given [m]."""

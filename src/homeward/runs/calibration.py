@@ -33,7 +33,7 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import NEGLIGIBLE_CALIBRATION
+from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
 from homeward.odometry.dead_reckoning import dead_reckoning
 
 WINDOW_S = 4.0
@@ -43,7 +43,7 @@ LAGS_S = sorted((0.05 * k for k in range(-10, 11)), key=abs)
 MAX_TURN = 2.5
 """Largest rotation in such a window, below half a turn [rad]."""
 MIN_DELAY = 2.0
-"""Smallest delay that is corrected [standard deviations]."""
+"""Smallest delay or time constant that is corrected [standard deviations]."""
 PARTS = 8
 """Parts of such a window for its path and rotation: in each, the motion is nearly an arc."""
 NUM_GROUPS = 20
@@ -53,21 +53,25 @@ ROBUST_STEPS, ROBUST_SCALE = 10, 3.0
 errors hardly exceed it [standard deviations]."""
 MIN_SLIP = 2.0
 """Smallest slip in bends that is corrected [standard deviations]."""
+LAG, LATE = "odometry.time_constant", "bearings_late"
+"""Keys of the time constant and of the delay."""
 DEFAULT = OdometryDefaults()
 ASSUMED = {
     "odometry.speed_scale": DEFAULT.speed_scale,
     "odometry.turn_scale": DEFAULT.turn_scale,
     "odometry.turn_bias": DEFAULT.turn_bias,
     "odometry.turn_slip": DEFAULT.turn_slip,
-    "bearings_late": LocalizerSettings().delay_sigma,
+    LATE: LocalizerSettings().delay_sigma,
+    LAG: LocalizerSettings().time_constant_sigma,
     "sensor.x": math.inf,
     "sensor.y": math.inf,
     "sensor.yaw": math.inf,
 }
 """Keys of the calibration, and the standard deviations that are assumed without an estimate."""
-STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, CAMERA_X, CAMERA_Y, CAMERA_YAW
+STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT
+STATES += CAMERA_X, CAMERA_Y, CAMERA_YAW
 """The state of the localiser for each of them."""
-SIGMA_KEYS = {"bearings_late": "odometry.delay_sigma"}
+SIGMA_KEYS = {LATE: "odometry.delay_sigma"}
 """Keys of standard deviations that are not the key of the value with _sigma at its end."""
 
 
@@ -99,7 +103,8 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
 def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
     """Return the estimates of a map; the information of the prior is removed from them.
 
-    Delay and time constant of the odometry count as one delay.
+    The delay is that of odometry with its time constant: of all twists in the mean, which is known
+    better than either.
     """
     chart, smoother = localizer.chart, localizer.chart.map.smoother
     state, camera = smoother.state, chart.extrinsics
@@ -107,9 +112,13 @@ def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
     open_keys |= {key for key in ASSUMED if not key.startswith("sensor.")}
     if state.calibration[TURN_SLIP] <= NEGLIGIBLE_CALIBRATION:  # fixed at its bound
         open_keys.remove("odometry.turn_slip")
+    lag_sigma = smoother.time_constant_prior[1]
+    if lag_sigma <= FIXED_TIME_CONSTANT_S:  # the map does not contradict zero
+        open_keys.remove(LAG)
     of_odometry = calibration_sigmas(drive.settings, localizer.settings, chart.scale.state)
     priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
-    priors[DELAY] += smoother.time_constant_sigma**2
+    priors[TIME_CONSTANT] = lag_sigma**2
+    priors[DELAY] += priors[TIME_CONSTANT]
     priors[TURN_SLIP] = smoother.slip_sigma**2
     both = np.eye(NC)
     both[DELAY, TIME_CONSTANT] = 1.0
@@ -251,12 +260,19 @@ def _weighed(found: Sequence[Estimates], key: str) -> tuple[np.ndarray, np.ndarr
 def as_keys(found: Estimates) -> dict[str, float | None]:
     """Return the keys of robot.yaml, each value to two digits of its standard deviation.
 
-    A delay that may be zero is None, and not corrected: stamps stay as recorded. Slip is at least
-    zero.
+    A delay that may be zero is None, and not corrected: stamps stay as recorded. A time constant
+    that may be zero is left out; the delay is that without it. Slip is at least zero.
     """
     keys: dict[str, float | None] = {}
+    lag = found.get(LAG)
+    if lag is not None and lag.mean < MIN_DELAY * lag.sigma:
+        found = {key: value for key, value in found.items() if key != LAG}
+    elif lag is not None and LATE in found:
+        both = found[LATE]
+        sigma = math.hypot(both.sigma, lag.sigma)
+        found = found | {LATE: Value(both.mean - lag.mean, sigma)}
     for key, (mean, sigma) in found.items():
-        if key == "bearings_late" and abs(mean) < MIN_DELAY * sigma:
+        if key == LATE and abs(mean) < MIN_DELAY * sigma:
             keys |= {key: None, SIGMA_KEYS[key]: float(f"{math.hypot(mean, sigma):.2g}")}
             continue
         digits = 1 - math.floor(math.log10(max(sigma, 1e-9)))

@@ -29,7 +29,13 @@ from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.preintegration import Motion, camera_after, camera_on_robot
+from homeward.localizer.motion.preintegration import (
+    DELAY,
+    TURN_SLIP,
+    Motion,
+    camera_after,
+    camera_on_robot,
+)
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
@@ -88,11 +94,18 @@ class Map:
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, scale.state)
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
-        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t)
+        given, lag = drive.odometry, drive.odometry.lag or (0.0, 0.0)
+        self.smoother = Smoother(sigmas, drift**2, extrinsics.sigmas, noise.correlated, t, lag)
         self.smoother.range_ratio = scale.ratio
-        self.smoother.is_slip_corrected = drive.odometry.turn_slip_sigma is not None
-        learnt = noise, process_noise, extrinsics, settings.time_constant_sigma
-        self._learner = Learner(*learnt, self.smoother.slip_sigma)
+        if given.turn_slip_sigma is not None:
+            self.smoother.one_sided.remove(TURN_SLIP)
+        is_lag_known = given.lag is not None
+        if is_lag_known and given.delay_sigma is None:
+            self.smoother.one_sided.append(DELAY)
+        lag_sigma = None if is_lag_known else settings.time_constant_sigma
+        self._learner = Learner(
+            noise, process_noise, extrinsics, lag_sigma, self.smoother.slip_sigma
+        )
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         survey = Survey(known, settings, drive.together)
         self.registration = Registration(survey, self.landmarks)

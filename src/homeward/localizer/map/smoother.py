@@ -104,10 +104,12 @@ class Smoother:
         Variances by which the calibration drifts, per second.
     mount_sigmas : ndarray, shape (3,)
         Prior standard deviations of the extrinsics, around zero.
-    lasting : CorrelatedErrors
+    correlated : CorrelatedErrors
         Present model of time-correlated bearing errors.
     t : float
         Time of the first keyframe, the origin [s].
+    time_constant : tuple of float, optional
+        Prior mean and standard deviation of the time constant [s].
     """
 
     def __init__(
@@ -117,6 +119,7 @@ class Smoother:
         mount_sigmas: np.ndarray,
         correlated: CorrelatedErrors,
         t: float,
+        time_constant: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.first = 0
         """Number of the oldest keyframe in the window."""
@@ -139,12 +142,13 @@ class Smoother:
         """Priors that may change are never marginalised: of the extrinsics ..."""
         self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_CALIBRATION_SIGMA)
         """... of slip in bends [m] ..."""
-        self.time_constant_sigma = FIXED_TIME_CONSTANT_S
-        """... of the time constant [s] ..."""
+        mean, sigma = time_constant
+        self.time_constant_prior = mean, max(sigma, FIXED_TIME_CONSTANT_S)
+        """... of the time constant: its mean and standard deviation [s] ..."""
         self.survey = SurveyFactors.none()
         """... and the survey of landmarks."""
-        self.is_slip_corrected = False
-        """Whether odometry is corrected for slip in bends, so that the rest may be negative."""
+        self.one_sided = list(ONE_SIDED)
+        """Unknowns that cannot be negative, as long as odometry is not corrected for them."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
         self._older = np.zeros((0, 3))
@@ -154,7 +158,7 @@ class Smoother:
         self._next_id = 0
         self._closed: list[Closed] | None = None
         self._drift, self._correlated = drift, correlated
-        self._integrated_at = np.zeros(2)
+        self._integrated_at = np.array([0.0, mean])
         """Delay and time constant [s] of the motions in the window."""
         of_odometry = 1.0 / np.maximum(odometry_sigmas, MIN_CALIBRATION_SIGMA) ** 2
         of_odometry[ONE_SIDED] = 0.0
@@ -175,8 +179,8 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
-        whole.is_slip_corrected = self.is_slip_corrected
-        whole.time_constant_sigma = self.time_constant_sigma
+        whole.one_sided = self.one_sided
+        whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
@@ -367,7 +371,7 @@ class Smoother:
                 raise np.linalg.LinAlgError("a step is not finite")
             bounded = self._negative
             small = self._move(poses, common, covariance) < SOLVE_CONVERGED
-            now = self.state.calibration[self._one_sided]
+            now = self.state.calibration[self.one_sided]
             right = np.where(bounded, now <= 0.0, now > -NEGLIGIBLE_CALIBRATION)
             self.converged = small and bool(right.all())
             if self.converged:
@@ -492,28 +496,20 @@ class Smoother:
         return equations
 
     @property
-    def _one_sided(self) -> list[int]:
-        """Unknowns that cannot be negative.
-
-        A negative delay with a time constant would be a filter of noise without a lag.
-        """
-        unknowns = ONE_SIDED[1:] if self.is_slip_corrected else ONE_SIDED
-        return [*unknowns, DELAY] if self.time_constant_sigma > FIXED_TIME_CONSTANT_S else unknowns
-
-    @property
     def _negative(self) -> np.ndarray:
-        """Which of `_one_sided` are negative, bool."""
-        return np.asarray(self.state.calibration[self._one_sided] < 0.0)
+        """Which of `one_sided` are negative, bool."""
+        return np.asarray(self.state.calibration[self.one_sided] < 0.0)
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
         equations = self._normal_equations(len(self.poses), self.sightings, seen)
         at = np.array([*ONE_SIDED, *range(NC)[MOUNT]])
-        sigmas = [self.slip_sigma, self.time_constant_sigma, *self.mount_sigmas]
-        information = np.array(sigmas) ** -2.0
+        time_constant, sigma = self.time_constant_prior
+        means = np.array([0.0, time_constant, 0.0, 0.0, 0.0])
+        information = np.array([self.slip_sigma, sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information
-        equations.common_slope[at] -= information * self.state.calibration[at]
-        bounded = np.array(self._one_sided)[self._negative]
+        equations.common_slope[at] -= information * (self.state.calibration[at] - means)
+        bounded = np.array(self.one_sided)[self._negative]
         equations.common[bounded, bounded] += NEGLIGIBLE_CALIBRATION**-2.0
         equations.common_slope[bounded] -= (
             NEGLIGIBLE_CALIBRATION**-2.0 * self.state.calibration[bounded]

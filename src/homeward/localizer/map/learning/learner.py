@@ -13,6 +13,7 @@ from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import shows_lag
+from homeward.localizer.motion.preintegration import DELAY
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 
@@ -28,8 +29,9 @@ class Learner:
         Noise of motions.
     extrinsics : Extrinsics
         Prior on the camera's pose on the robot.
-    time_constant_sigma : float
-        Prior standard deviation of the odometry's time constant once it is free [s].
+    time_constant_sigma : float or None
+        Prior standard deviation of the odometry's time constant once it is free [s]; None: its
+        prior is given.
     slip_sigma : float
         Prior standard deviation of slip in bends, of robots in a room [m].
     """
@@ -39,7 +41,7 @@ class Learner:
         noise: BearingNoise,
         process_noise: ProcessNoise,
         extrinsics: Extrinsics,
-        time_constant_sigma: float,
+        time_constant_sigma: float | None,
         slip_sigma: float,
     ) -> None:
         self._noise, self._process_noise, self._extrinsics = noise, process_noise, extrinsics
@@ -91,11 +93,13 @@ class Learner:
         extrinsics = self._extrinsics.test(calibration, variances, now.scale)
         if extrinsics:
             smoother.mount_sigmas = self._extrinsics.sigmas
-        is_fixed = smoother.time_constant_sigma < self._time_constant_sigma
-        lag = is_fixed and shows_lag(calibration, variances)
-        if lag:
-            smoother.time_constant_sigma = self._time_constant_sigma
-        return extrinsics or lag
+        sigma = self._time_constant_sigma
+        if sigma is None or not shows_lag(calibration, variances):
+            return extrinsics
+        smoother.time_constant_prior, self._time_constant_sigma = (0.0, sigma), None
+        # A negative delay with a time constant would be a filter of noise without a lag.
+        smoother.one_sided.append(DELAY)
+        return True
 
 
 def _odometry_misfit(smoother: Smoother) -> Misfit:
