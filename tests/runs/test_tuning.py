@@ -130,10 +130,11 @@ def test_deviations_that_sightings_bring_are_left_alone():
     assert calls[-2] < 1.0
 
 
-def tuned(monkeypatch, before, after, has_scale=True):
+def tuned(monkeypatch, before, after, has_scale=True, coverage=None, covariance_scale=None):
     """Stand in for the tuning of a drive."""
     settings = RobotSettings(sensor=Sensor(bearing_sigma=0.01))
-    found = Tuning(settings, has_scale, ["sample"], [before], [after])
+    of_covariance = coverage, covariance_scale
+    found = Tuning(settings, has_scale, ["sample"], [before], [after], *of_covariance)
     monkeypatch.setattr("homeward.runs.tuning.tune", lambda drives, on_progress: found)
     return settings
 
@@ -150,6 +151,21 @@ def test_the_command_writes_and_prints_the_settings(monkeypatch, tmp_path):
     facts = json.loads(call("tune", "sample", "--json", "--out", other).stdout)
     assert facts["settings"]["sensor"] == {"bearing_sigma": 0.01}
     assert facts["held_out"][0]["after"]["rmse_m"] is None
+
+
+def test_the_scale_of_the_covariance_is_written_on_demand_only(monkeypatch, tmp_path):
+    check = Check(nis=1.0, log_likelihood=3.0, pose_share=0.5, rmse_m=0.1, nees=6.0)
+    tuned(monkeypatch, check, check, coverage=(0.3, 0.7, 0.9), covariance_scale=2.04)
+    plain, scaled = tmp_path / "plain.yaml", tmp_path / "scaled.yaml"
+    assert "0.30, 0.70, 0.90" in call("tune", "sample", "--out", plain).output
+    assert "covariance_scale" not in plain.read_text()
+    call("tune", "sample", "--scale-covariance", "--out", scaled)
+    assert parse_settings(scaled.read_text(), RobotSettings, scaled).covariance_scale == 2.0
+    tuned(monkeypatch, check, check)
+    none = tmp_path / "none.yaml"
+    said = call("tune", "sample", "--scale-covariance", "--out", none).output
+    assert "too few independent errors" in said
+    assert not none.exists()
 
 
 def test_values_that_make_answers_less_consistent_are_reported(monkeypatch, tmp_path):

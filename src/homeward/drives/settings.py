@@ -167,6 +167,9 @@ class RobotSettings(Strict):
     bearings_late: Delay | None = None
     """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
     drive that was read has None."""
+    covariance_scale: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    """Factor of the covariances of poses, fitted to errors on other drives of the robot [1]; None:
+    1. The robust localiser uses it."""
     wheels: Wheels | None = Field(None, examples=[{"wheel_radius": 0.1, "track_width": 0.4}])
     """Geometry with which the odometry was computed, which the corrections refer to."""
 
@@ -220,6 +223,8 @@ class Robot(TypedDict, total=False):
     """Prior of the initial pose."""
     together: Sequence[Sequence[str]]
     """Groups of landmarks that move together."""
+    covariance_scale: float | None
+    """Factor of the covariances of poses [1]."""
 
 
 def _in_order(span: tuple[float, float]) -> tuple[float, float]:
@@ -310,6 +315,7 @@ class DriveSettings(RobotSettings):
             "odometry": self.odometry,
             "start": self.start,
             "together": self.together,
+            "covariance_scale": self.covariance_scale,
         }
 
     @property

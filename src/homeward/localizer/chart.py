@@ -388,6 +388,7 @@ class Chart:
         errors = integrity.errors
         errors.same_camera, errors.mount = observed.same_camera, observed.mount_covariance(state)
         errors.assumed_mount = self.extrinsics.assumed_covariance(*calibration, state.scale)
+        errors.covariance_scale = self._drive.covariance_scale or 1.0
 
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""

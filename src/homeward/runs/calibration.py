@@ -68,8 +68,10 @@ ASSUMED = {
     "sensor.yaw": math.inf,
 }
 """Keys of the calibration, and the standard deviations that are assumed without an estimate."""
-STATES = SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT
-STATES += CAMERA_X, CAMERA_Y, CAMERA_YAW
+STATES = (
+    *(SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT),
+    *(CAMERA_X, CAMERA_Y, CAMERA_YAW),
+)
 """The state of the localiser for each of them."""
 SIGMA_KEYS = {LATE: "odometry.delay_sigma"}
 """Keys of standard deviations that are not the key of the value with _sigma at its end."""

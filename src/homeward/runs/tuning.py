@@ -24,7 +24,9 @@ from homeward.errors import HomewardError, InputError
 from homeward.io.settings import nested, validated
 from homeward.localizer.localizer import Localizer
 from homeward.runs.calibration import Estimates, as_keys, combined, estimates
+from homeward.runs.coverage import covariance_scale, coverage
 from homeward.runs.held_out import CONSISTENT, Check, checks, evaluated, log_likelihoods, stamps
+from homeward.runs.scoring import Errors
 from homeward.track import Track, run
 
 Table = TypeVar("Table", Odometry, Sightings, Truth)
@@ -76,6 +78,11 @@ class Tuning:
     """Scores with the drives' own settings."""
     after: list[Check]
     """Scores with noise and calibration from the first halves."""
+    coverage: tuple[float, ...] | None
+    """Shares of the time inside the ellipsoids of `homeward.runs.coverage.LEVELS` in these runs
+    [1]; None without ground truth."""
+    covariance_scale: float | None
+    """Factor of the covariance by the errors in these runs; see `covariance_scale`."""
 
     @property
     def less_consistent(self) -> list[str]:
@@ -92,7 +99,7 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
 
     `progress` receives the fraction done, in [0, 1]. `HomewardError` where a drive is too short.
     """
-    drives = [as_recorded(drive) for drive in drives]
+    drives = [_without_covariance_scale(as_recorded(drive)) for drive in drives]
     shared = _shared_keys(drives)
     halves = [_halves(drive) for drive in drives]
     first, held_out = [a for a, _ in halves], [b for _, b in halves]
@@ -134,7 +141,30 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     before, after = zip(*map(checks, as_is, improved), strict=True)
     has_scale = any("odometry.speed_scale" in e for e in found)
     names = [drive.name for drive in drives]
-    return Tuning(settings(found), has_scale, names, list(before), list(after))
+    errors = [run.errors for run in improved if run.errors is not None and run.errors.t.size]
+    return Tuning(
+        settings(found),
+        has_scale,
+        names,
+        list(before),
+        list(after),
+        _coverage(errors),
+        covariance_scale(errors),
+    )
+
+
+def _coverage(errors: Sequence[Errors]) -> tuple[float, ...] | None:
+    """Return the coverage over the drives together."""
+    if not errors:
+        return None
+    nees, weight = (np.concatenate([getattr(e, key) for e in errors]) for key in ("nees", "weight"))
+    return coverage(nees, weight)
+
+
+def _without_covariance_scale(drive: Drive) -> Drive:
+    """Return a drive whose covariances are not scaled."""
+    settings = drive.settings.model_copy(update={"covariance_scale": None})
+    return dataclasses.replace(drive, settings=settings)
 
 
 def _shared_keys(drives: Sequence[Drive]) -> dict[str, float]:

@@ -11,7 +11,7 @@ import typer
 
 from homeward.cli.drives.run import run_settings
 from homeward.cli.options import AsJson, Topics, answer, progress, say, table, warn
-from homeward.errors import InputError
+from homeward.errors import HomewardError, InputError
 from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
@@ -31,6 +31,13 @@ def tune(
     ],
     topics: Topics = None,
     out: Annotated[Path, typer.Option(help="The new file to write.")] = Path("robot.yaml"),
+    scale_covariance: Annotated[
+        bool,
+        typer.Option(
+            "--scale-covariance",
+            help="Fit covariance_scale to the errors in the second halves (needs ground truth).",
+        ),
+    ] = False,
     json: AsJson = False,
 ) -> None:
     """Calibrate a robot from its drives; write robot.yaml for --robot-file of run and live.
@@ -52,7 +59,12 @@ def tune(
         raise InputError("exists already; choose another file with --out", out)
     given = {} if topics is None else {"topics": str(topics)}
     with progress(count(len(drives), "drive")) as on_progress:
-        found = identify([opened(run_settings(drive, given)) for drive in drives], on_progress)
+        read = [opened(run_settings(drive, given)) for drive in drives]
+        if scale_covariance and all(drive.truth is None for drive in read):
+            raise InputError("no drive has ground truth, which --scale-covariance needs")
+        found = identify(read, on_progress)
+    if scale_covariance:
+        found = _scaled(found)
     others = for_other_tools(found.settings)
     head = f"# Calibration of a robot by homeward tune from {listing(found.names)}\n"
     notes = "".join(f"# {tool}: {text}\n" for tool, text in others.items())
@@ -66,6 +78,11 @@ def tune(
         "Each held-out half starts without a map, so its pose share is below that of the whole "
         "drive. Compare whole drives with `homeward run`, with and without --robot-file."
     )
+    if found.coverage is not None:
+        say(
+            "Share of the time with the true pose inside its 50, 90 and 99 % ellipsoid, in the "
+            f"second halves after: {', '.join(f'{share:.2f}' for share in found.coverage)}."
+        )
     for line in text.splitlines():
         typer.echo(line)
     if not found.has_scale:
@@ -74,6 +91,18 @@ def tune(
         worse = listing(found.less_consistent)
         warn(f"{worse} got worse with these values. Do not use them where you rely on covariances.")
     say(f"Robot file: {out}. Use it with `homeward run DRIVE --robot-file {out}`.")
+
+
+def _scaled(found: Tuning) -> Tuning:
+    """Return the result with `covariance_scale` among its settings."""
+    if found.covariance_scale is None:
+        raise HomewardError(
+            "too few independent errors for --scale-covariance: give more or longer drives with "
+            "ground truth, or leave it out"
+        )
+    scale = float(f"{found.covariance_scale:.2g}")
+    given = found.settings.model_dump(exclude_unset=True) | {"covariance_scale": scale}
+    return dataclasses.replace(found, settings=type(found.settings)(**given))
 
 
 def _rows(found: Tuning) -> list[tuple[str, ...]]:
@@ -104,4 +133,8 @@ def _facts(found: Tuning) -> dict[str, object]:
         {"drive": name, "before": dataclasses.asdict(before), "after": dataclasses.asdict(after)}
         for name, before, after in zip(found.names, found.before, found.after, strict=True)
     ]
-    return {"settings": found.settings.model_dump(exclude_unset=True), "held_out": checks}
+    return {
+        "settings": found.settings.model_dump(exclude_unset=True),
+        "held_out": checks,
+        "coverage": found.coverage,
+    }

@@ -83,6 +83,8 @@ class CommonErrors:
     """Whether the camera sits now as it did at home."""
     scale_sigma: float = 0.0
     """Standard deviation of the map's scale [1]."""
+    covariance_scale: float = 1.0
+    """Factor of published covariances, for errors that no model contains [1]."""
 
 
 def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None:

@@ -150,7 +150,7 @@ class IntegrityMonitor:
             return Estimate(t, Status.MAPPING, Reason.NOT_FIXED.words, None, None, innovations)
         estimate, tails = self._estimate.after(moved, self.errors, self._others.tails)
         status, reason = self._status(estimate, self._best, coasting)
-        covariance = estimate.covariance + tails
+        covariance = self.errors.covariance_scale * (estimate.covariance + tails)
         return Estimate(t, status, reason, estimate.pose, covariance, innovations)
 
     def home_is_found(self, best: HomeFit) -> bool:
