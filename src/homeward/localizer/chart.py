@@ -50,16 +50,7 @@ from homeward.reasons import Reason, Rejection
 class Chart:
     """A map, home in it, and the estimators and monitors of both.
 
-    Parameters
-    ----------
-    home, drive, settings
-        As given to the `Localizer`, and validated.
-    counts : Counts
-        Where to count sightings.
-    twists : TwistHistory
-        History of odometry.
-    known : KnownLandmarks
-        Surveyed landmarks and distances.
+    `home`, `drive` and `settings` are those of the `Localizer`, validated.
     """
 
     def __init__(
@@ -125,14 +116,8 @@ class Chart:
     def add_bearings(self, frame: BearingFrame, reckoned: Reckoned, now: float) -> list[Innovation]:
         """Process all bearings of one stamp; return their innovations.
 
-        Parameters
-        ----------
-        frame : BearingFrame
-            Not before the last one.
-        reckoned : Reckoned
-            Dead reckoning at its stamp.
-        now : float
-            The newest stamp of all [s].
+        The frame is not before the last one, `reckoned` is dead reckoning at its stamp, and `now`
+        the newest stamp of all [s].
         """
         if reckoned.age == math.inf and not self._known.landmarks:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
@@ -203,16 +188,9 @@ class Chart:
     def estimate(
         self, t: float, innovations: tuple[Innovation, ...] = (), complaint: str | None = None
     ) -> Estimate:
-        """Return the estimate at `t` [s].
+        """Return the estimate at `t` [s], not before the newest keyframe, with its innovations.
 
-        Parameters
-        ----------
-        t : float
-            Not before the newest keyframe.
-        innovations : tuple of Innovation
-            Innovations to go with it.
-        complaint : str, optional
-            The reason to give where there is no pose.
+        `complaint` is the reason to give where there is no pose.
         """
         if self.home.hypotheses is None:
             surveyed = self._known.landmarks if self._is_surveyed_from_home else ()

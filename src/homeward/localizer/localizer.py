@@ -353,21 +353,8 @@ class Localizer:
     ) -> list[Innovation]:
         """Process a frame in the second chart; drop one chart once the other is proven.
 
-        Parameters
-        ----------
-        candidate : Chart
-            The second chart.
-        frame : BearingFrame
-            The frame.
-        here : Reckoned
-            Dead reckoning at its stamp.
-        before : list of Innovation
-            Its innovations in the first chart.
-
-        Returns
-        -------
-        list of Innovation
-            Those in the chart that answers.
+        `here` is dead reckoning at its stamp, `before` its innovations in the first chart. Return
+        the innovations in the chart that answers.
         """
         innovations = candidate.add_bearings(frame, here, self._t)
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)

@@ -100,18 +100,10 @@ class SolvedDrive:
     def estimates(self, rows: Sequence[Estimate], times: np.ndarray) -> list[Estimate] | None:
         """Return smoothed estimates instead of causal ones, by the tests of the causal run.
 
-        Parameters
-        ----------
-        rows : sequence of Estimate
-            Causal estimates, which remain where the robot was lost in its map, before that map
-            began, and before the solved keyframes.
-        times : ndarray, shape (n,)
-            Their times on the localiser's clock, in order [s].
-
-        Returns
-        -------
-        list of Estimate or None
-            None where the hypotheses on home do not determine the pose of a keyframe.
+        `rows` are causal estimates, which remain where the robot was lost in its map, before that
+        map began, and before the solved keyframes; `times` (n,) are theirs on the localiser's
+        clock, in order [s]. None where the hypotheses on home do not determine the pose of a
+        keyframe.
         """
         chart, stamps = self.localizer.chart, np.array(self.whole.stamps)
         index = np.searchsorted(stamps, times, side="right") - 1
@@ -144,19 +136,9 @@ class SolvedDrive:
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the motions from a keyframe to times before the next one, given both poses.
 
-        Parameters
-        ----------
-        k : int
-            Index of the keyframe in the window.
-        times : sequence of float
-            In order [s].
-        end : Pose or None
-            Pose of the next keyframe relative to it; None for the newest keyframe.
-
-        Returns
-        -------
-        list of tuple of ndarray, shapes (3,) and (3, 3)
-            Means [m, m, rad] and covariances.
+        `k` is the index of the keyframe in the window, `times` are in order [s], and `end` is the
+        pose of the next keyframe relative to it; None for the newest keyframe. Means (3,) [m, m,
+        rad] and covariances (3, 3).
         """
         if end is None:
             found, drift = self._motions(k, times), self.localizer.chart.drift
@@ -333,21 +315,10 @@ def _off(motion: Motion, known: Pose) -> np.ndarray:
 
 
 def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the Brownian bridge of a motion: mean and covariance given its end.
+    """Return the Brownian bridge of a motion: mean (3,) and covariance (3, 3) given its end.
 
-    Parameters
-    ----------
-    motion : Motion
-        Up to the time of interest, by odometry alone.
-    end : Motion
-        Up to the end, by odometry alone.
-    off : ndarray, shape (3,)
-        By how much the known end differs from that [m, m, rad].
-
-    Returns
-    -------
-    tuple of ndarray, shapes (3,) and (3, 3)
-        Conditioned on the known end, by the joint covariance of both motions.
+    `motion` is up to the time of interest and `end` up to the end, by odometry alone; the known end
+    differs from that by `off` (3,) [m, m, rad].
     """
     swing = np.eye(3)
     swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]

@@ -187,12 +187,9 @@ class HomeFit:
     ) -> np.ndarray:
         """Return the log odds of further home bearings to be inliers, shape (k,).
 
-        Parameters
-        ----------
-        places, covariances : ndarray, shape (k, 2), (k, 2, 2)
-            Positions of their landmarks in the odometry frame [m], [m^2].
-        bearings, sigmas : ndarray, shape (k,)
-            Stored home bearings, and standard deviations [rad].
+        `places` (k, 2) [m] and `covariances` (k, 2, 2) are of their landmarks in the odometry
+        frame, `bearings` and `sigmas` (k,) the stored home bearings and their standard deviations
+        [rad].
         """
         bearing, by_place, by_home = expected(self.problem, self.home, places, self.state[YAW])
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)

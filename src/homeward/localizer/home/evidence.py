@@ -46,12 +46,8 @@ def log_outlier(off: np.ndarray, variance: np.ndarray) -> np.ndarray:
 def log_odds(off: np.ndarray, variance: np.ndarray, share: np.ndarray | float) -> np.ndarray:
     """Return the log odds of inlier against outlier.
 
-    Parameters
-    ----------
-    off, variance : ndarray
-        Stored minus predicted bearing [rad], and its variance for an inlier.
-    share : ndarray or float
-        Prior probability of an outlier.
+    `off` is the stored minus the predicted bearing [rad], `variance` its variance for an inlier,
+    and `share` the prior probability of an outlier.
     """
     prior = np.log1p(-share) - np.log(share)
     return np.asarray(prior + log_inlier(off, variance) - log_outlier(off, variance))

@@ -16,18 +16,9 @@ from homeward.localizer.tunables import FIT_CONVERGED, MAX_FIT_STEPS
 def fit(
     problem: HomeProblem, home: np.ndarray, inliers: np.ndarray, steps: int = MAX_FIT_STEPS
 ) -> HomeFit | None:
-    """Fit home to a set of inlier home bearings; None when they do not determine it.
+    """Fit home (3,) to inlier home bearings (q,); None when they do not determine it.
 
-    Parameters
-    ----------
-    problem : HomeProblem
-        The resection problem.
-    home : ndarray, shape (3,)
-        Where to start.
-    inliers : ndarray, shape (q,), bool
-        The set.
-    steps : int
-        Gauss-Newton steps at most.
+    At most `steps` Gauss-Newton steps from `home`.
     """
     if np.count_nonzero(inliers) < problem.min_inliers:
         return None
@@ -49,16 +40,9 @@ def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
 def solved(
     linear: Linear, inliers: np.ndarray, inflation: np.ndarray | None = None
 ) -> HomeFit | None:
-    """Solve the linearised problem; None when the set does not determine home.
+    """Solve the linearised problem for inliers (q,); None when they do not determine home.
 
-    Parameters
-    ----------
-    linear : Linear
-        The home bearings.
-    inliers : ndarray, shape (q,), bool
-        The set of inliers.
-    inflation : ndarray, shape (3, 3), optional
-        See `HomeFit.inflation`; evaluated lazily unless given.
+    `inflation` (3, 3) is that of `HomeFit`; evaluated lazily unless given.
     """
     problem, of_set = linear.problem, whitened(linear, inliers)
     if of_set is None:

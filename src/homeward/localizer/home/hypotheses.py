@@ -101,12 +101,7 @@ class Hypotheses:
 def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:
     """Return the most probable sets, or None when home cannot be determined.
 
-    Parameters
-    ----------
-    problem : HomeProblem
-        The resection problem.
-    also : sequence of tuples
-        Seeds in addition to those of the problem itself.
+    `also` are seeds in addition to those of the problem itself.
     """
     found: dict[Key, HomeFit] = {}
     for home, inliers, assumed in [*also, *seeds(problem)]:
@@ -221,12 +216,7 @@ def propagate(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None
 def with_pose(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Return the hypotheses with the pose of another keyframe of the same map.
 
-    Parameters
-    ----------
-    problem : HomeProblem
-        With the other pose in place of the newest one.
-    hypotheses : Hypotheses
-        Their probabilities do not change.
+    The problem has that pose in place of the newest one; probabilities do not change.
     """
     fits = [propagated(f, problem) for f in hypotheses.fits]
     kept = tuple(f for f in fits if f is not None)

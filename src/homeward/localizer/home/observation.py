@@ -20,14 +20,7 @@ from homeward.localizer.settings import LocalizerSettings
 class HomeObservation:
     """Home observation: home bearings, the camera's pose on the robot, perhaps a start prior.
 
-    Parameters
-    ----------
-    home : dict of str to HomeBearing
-        What the camera saw at home; bearings that are not finite are left out.
-    drive : DriveSettings
-        Camera and start prior as far as known.
-    settings : LocalizerSettings
-        Everything else.
+    Home bearings that are not finite are left out.
     """
 
     def __init__(
@@ -147,14 +140,8 @@ def averaged_covariance(
 ) -> np.ndarray:
     """Return the covariances of landmarks that may walk, shape (q, 2, 2).
 
-    Their information is the mean of that of both cases, weighted by probability.
-
-    Parameters
-    ----------
-    static : ndarray, shape (q, 2, 2)
-        Covariances of the positions, if all are static.
-    walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
-        Probability that each walks, and what that adds to its covariance.
+    Their information is the mean of that of both cases, weighted by probability: `static` (q, 2, 2)
+    if all are static; each walks with probability `walks` (q,), which adds `walk_moment` (q, 2, 2).
     """
     either = static + (1.0 - walks)[:, None, None] * walk_moment
     return np.asarray((static + walk_moment) @ np.linalg.solve(either, static))

@@ -22,17 +22,8 @@ from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES
 def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
     """Return the pose from each triple of landmarks (Pierlot and Van Droogenbroeck, 2014, ToTal).
 
-    Parameters
-    ----------
-    points : ndarray, shape (q, 2)
-        Landmarks [m].
-    bearings : ndarray, shape (q,)
-        Seen from the unknown pose [rad].
-
-    Returns
-    -------
-    ndarray, shape (k, 3)
-        Finite poses x [m], y [m], heading [rad] of the camera.
+    From landmarks `points` (q, 2) [m] and their bearings (q,) [rad] seen from the unknown pose: the
+    finite poses of the camera (k, 3), x [m], y [m], heading [rad].
     """
     a, b, c = _triples(len(bearings)).T
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -58,23 +49,10 @@ def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
 def innovations_from(
     poses: np.ndarray, points: np.ndarray, covariances: np.ndarray, bearings: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the innovations of bearings at each pose, and their variance by the map.
+    """Return innovations (k, q) [rad] of bearings at each pose, and their variance by the map.
 
-    Parameters
-    ----------
-    poses : ndarray, shape (k, 3)
-        Of the camera.
-    points : ndarray, shape (q, 2)
-        Landmarks [m].
-    covariances : ndarray, shape (q, 2, 2)
-        Of the landmarks [m^2].
-    bearings : ndarray, shape (q,)
-        [rad]
-
-    Returns
-    -------
-    off, variance : ndarray, shape (k, q)
-        [rad], [rad^2]
+    From camera poses (k, 3), landmarks `points` (q, 2) [m] with covariances (q, 2, 2), and bearings
+    (q,) [rad].
     """
     bearing, by_place, _ = sight(poses[:, None], points)
     gx, gy = by_place[..., 0], by_place[..., 1]
@@ -85,21 +63,10 @@ def innovations_from(
 def mixture_scores(
     off: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, moved_prior: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the log likelihood of each pose, and its inlier bearings.
+    """Return the log likelihood of each pose (k,), and its inlier bearings (k, q), bool.
 
-    Parameters
-    ----------
-    off, variance : ndarray, shape (k, q)
-        Of `innovations_from`.
-    sigmas : ndarray, shape (q,)
-        Standard deviations of the bearings [rad].
-    moved_prior : float
-        Prior probability that a landmark moved.
-
-    Returns
-    -------
-    scores : ndarray, shape (k,)
-    inliers : ndarray, shape (k, q), bool
+    `off` and `variance` are of `innovations_from`, `sigmas` (q,) of the bearings [rad];
+    `moved_prior` is the prior probability that a landmark moved.
     """
     variance, q = variance + sigmas**2, sigmas.size
     exponent = -0.5 * off**2 / variance

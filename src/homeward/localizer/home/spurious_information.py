@@ -20,23 +20,10 @@ from homeward.localizer.tunables import MIN_INFORMATION_SHARE
 def spurious_covariance(
     linear: Linear, members: np.ndarray, landmarks: np.ndarray, information: np.ndarray
 ) -> np.ndarray:
-    """Return the covariance (3, 3) of home beyond the inverse of its information.
+    """Return the covariance (3, 3) of home beyond the inverse of its information (3, 3).
 
-    Parameters
-    ----------
-    linear : Linear
-        The home bearings.
-    members : ndarray, shape (r,), int
-        The set.
-    landmarks : ndarray, shape (q, 2)
-        Corrected by the set [m].
-    information : ndarray, shape (3, 3)
-        On home.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If home is not determined.
+    `members` (r,) are the indices of the set, and `landmarks` (q, 2) [m] are corrected by it.
+    `numpy.linalg.LinAlgError` if home is not determined.
     """
     whole = information + linear.problem.weak_prior
     reduced = whole.copy()

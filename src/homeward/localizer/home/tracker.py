@@ -43,19 +43,7 @@ START_NOTE = (
 
 
 class HomeTracker:
-    """Tracks the hypotheses on home.
-
-    Parameters
-    ----------
-    home : dict of str to HomeBearing
-        What the camera saw at home.
-    drive : DriveSettings
-        Camera and start prior as far as known.
-    settings : LocalizerSettings
-        Everything else.
-    noise : BearingNoise
-        Bearing noise, also of home bearings.
-    """
+    """Tracks the hypotheses on home; `noise` is also that of home bearings."""
 
     def __init__(
         self,

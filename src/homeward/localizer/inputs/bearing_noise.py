@@ -61,12 +61,8 @@ class WeighedFrame(NamedTuple):
 class BearingNoise:
     """Measurement noise: the standard deviations of bearings, estimated where none were given.
 
-    Parameters
-    ----------
-    given : float or None
-        Standard deviation that the drive gives for bearings without their own [rad].
-    default : float
-        Initial value if it gives none [rad].
+    `given` is the drive's for bearings without their own [rad]; if None, the estimate begins at
+    `default`.
     """
 
     def __init__(self, given: float | None, default: float) -> None:
@@ -151,23 +147,12 @@ class BearingNoise:
         landmarks: np.ndarray,
         keyframes: int,
     ) -> float:
-        """Update the noise by the residuals of a solved map.
+        """Update the noise by the residuals (m,) of a solved map, measured minus expected [rad].
 
-        Parameters
-        ----------
-        residuals : ndarray, shape (m,)
-            Measured minus expected [rad].
-        own, total : ndarray, shape (m,)
-            Standard deviations without, and with, the odometry noise since the keyframe [rad].
-        gaps, landmarks : ndarray, shape (m,)
-            See `CorrelatedErrors.update`.
-        keyframes : int
-            Keyframes since the last update.
-
-        Returns
-        -------
-        float
-            Factor by which the stored standard deviations must be inflated [1].
+        `own` and `total` (m,) are standard deviations without, and with, the odometry noise since
+        the keyframe [rad]; `gaps` and `landmarks` (m,) are those of `CorrelatedErrors.update`, and
+        `keyframes` the number since the last update. Return the factor by which the stored standard
+        deviations must be inflated.
         """
         if len(residuals) < MIN_RESIDUALS:
             return 1.0

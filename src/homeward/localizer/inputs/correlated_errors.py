@@ -37,12 +37,8 @@ class CorrelatedErrors:
         """Return the excess variance of correlated sightings, over that of a single one [1].
 
         The mean of n samples, a gap apart, of a process of variance s has the variance s / n
-        coth(gap / 2 time): so each counts as one of white noise with n times that.
-
-        Parameters
-        ----------
-        gaps : ndarray, shape (m,)
-            Time since the last sighting of the same landmark [s]; infinite for the first.
+        coth(gap / 2 time): so each counts as one of white noise with n times that. `gaps` (m,) are
+        times since the last sighting of the same landmark [s], infinite for the first.
         """
         gaps = np.maximum(gaps, MIN_GAP_S)
         return np.asarray(self.share * (1.0 / np.tanh(gaps / (2.0 * self.correlation_time)) - 1.0))
@@ -60,18 +56,11 @@ class CorrelatedErrors:
     def update(
         self, errors: np.ndarray, gaps: np.ndarray, landmarks: np.ndarray, weight: float
     ) -> None:
-        """Update the autocorrelation of the errors.
+        """Update the autocorrelation of the errors (m,), normalised residuals in order of time.
 
-        Parameters
-        ----------
-        errors : ndarray, shape (m,)
-            Normalised residuals of sightings in order of time [1]; NaN: unknown.
-        gaps : ndarray, shape (m,)
-            As for `excess`, since the one before it in `errors`.
-        landmarks : ndarray, shape (m,)
-            The landmark of each.
-        weight : float
-            Weight of these against the present estimate [1].
+        NaN: unknown. `gaps` (m,) are those of `excess`, since the one before it in `errors`;
+        `landmarks` (m,) the landmark of each; `weight` is that of these against the present
+        estimate.
         """
         order = np.argsort(landmarks, kind="stable")
         errors, landmarks = np.clip(errors, -GATE, GATE)[order], landmarks[order]

@@ -41,13 +41,7 @@ class _First(NamedTuple):
 
 
 class FrozenCamera:
-    """Frozen-camera detector, by landmark.
-
-    Parameters
-    ----------
-    yaw : float
-        Of the camera's axis on the robot [rad].
-    """
+    """Frozen-camera detector, by landmark; `yaw` is that of the camera's axis [rad]."""
 
     def __init__(self, yaw: float = 0.0) -> None:
         self._yaw = yaw

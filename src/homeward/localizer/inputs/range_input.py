@@ -20,12 +20,8 @@ SURVEYED_NOTE = (
 class RangeInput:
     """Validation of ranges.
 
-    Parameters
-    ----------
-    sigma : float or None
-        Relative standard deviation of a range without its own [1]; None: ranges are not used.
-    surveyed : bool
-        Whether landmarks or distances are known: then ranges are not used.
+    `sigma` is the relative standard deviation of a range without its own. With None, or if
+    landmarks or distances are `surveyed`, ranges are not used.
     """
 
     def __init__(self, sigma: float | None, surveyed: bool) -> None:
@@ -59,12 +55,7 @@ class RangeInput:
     def notes(self, used: int, rejected: int, scale: float, sigma: float) -> tuple[str, ...]:
         """Return a note for the user if any ranges came.
 
-        Parameters
-        ----------
-        used, rejected : int
-            Number of ranges.
-        scale, sigma : float
-            Ranges over distances from odometry, and the standard deviation of that [1].
+        `scale` is that of ranges over distances from odometry, `sigma` its standard deviation [1].
         """
         if self._unused:
             note = SURVEYED_NOTE if self._surveyed else UNUSED_NOTE

@@ -58,12 +58,7 @@ class ReorderBuffer:
     def due(self, last_odometry_t: float, now: float) -> list[BearingFrame]:
         """Remove and return the frames that need not wait any longer, in order of time.
 
-        Parameters
-        ----------
-        last_odometry_t : float
-            The newest stamp of odometry [s].
-        now : float
-            The newest stamp of all [s].
+        Given the newest stamps of odometry, and of all [s].
         """
         due = []
         while self.waiting:

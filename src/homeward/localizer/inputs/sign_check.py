@@ -43,12 +43,8 @@ class SignCheck:
 
     In each window, every landmark has a direction and an inverse distance that is not negative,
     fitted to its bearings by least squares. The likelihood of a hypothesis follows from the
-    residuals. It is mixed with a uniform one, so that no window alone decides.
-
-    Parameters
-    ----------
-    sensor : Mount
-        Pose of the camera on the robot, as given or assumed.
+    residuals. It is mixed with a uniform one, so that no window alone decides. `sensor` is the pose
+    of the camera on the robot, as given or assumed.
     """
 
     def __init__(self, sensor: Mount) -> None:
@@ -196,14 +192,9 @@ def _log_likelihood(
 ) -> np.ndarray:
     """Return the log-likelihood (k,) of each yaw error, from all landmarks of a window.
 
-    Parameters
-    ----------
-    index : ndarray, shape (n,), int
-        Landmark of each sighting, from 0 on.
-    beta, heading : ndarray, shape (n,)
-        Its bearing from the robot's axis, and the robot's heading since the first [rad].
-    camera : ndarray, shape (n,), complex
-        Position of the camera, in the robot's frame at the first sighting [m].
+    Of each sighting (n,): `index` of its landmark, from 0 on; bearing `beta` from the robot's axis,
+    and the robot's `heading` since the first [rad]; position of the `camera` in the robot's frame
+    at the first, complex [m].
     """
     # Least squares of angle = direction + inverse distance * lever(direction, position).
     num = np.bincount(index)

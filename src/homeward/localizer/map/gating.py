@@ -69,23 +69,12 @@ class Prediction:
 def bearing_residuals(
     bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of bearings, and the Jacobian of the expected ones.
+    """Return residuals of bearings (m,), and the Jacobian of the expected ones (m, 14).
 
-    Parameters
-    ----------
-    bearings : ndarray, shape (m,)
-        Measured from the camera's axis [rad].
-    eyes, by_head : ndarray, shape (m, 3), (m, 3, 12), or (3,), (3, 12)
-        The camera's pose and its Jacobian; see `Frames.eyes`.
-    positions : ndarray, shape (m, 2)
-        Of the landmarks [m].
-
-    Returns
-    -------
-    residual : ndarray, shape (m,)
-        Measured minus expected [rad], wrapped.
-    jacobian : ndarray, shape (m, 14)
-        Jacobian by keyframe's pose, calibration and landmark.
+    Bearings are from the camera's axis [rad], `eyes` (m, 3) the camera's poses and `by_head` (m, 3,
+    12) their Jacobians (`Frames.eyes`), or one of each for all, `positions` (m, 2) those of the
+    landmarks [m]. Residuals are measured minus expected [rad], wrapped; the Jacobian is by
+    keyframe's pose, calibration and landmark.
     """
     seen = sight(eyes, positions)
     by_eye = np.empty((len(bearings), 1, 3))
@@ -106,16 +95,8 @@ def predict_bearings(
 ) -> Prediction:
     """Predict bearings from the newest pose: innovations and their covariance.
 
-    Parameters
-    ----------
-    state : Marginal
-        With the newest pose.
-    bearings, sigmas : ndarray, shape (m,)
-        Measured from the camera's axis, and their standard deviations [rad].
-    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 12), or (3,) and (3, 12)
-        The camera's poses and Jacobians; see `Frames.eyes`, `pose_after`.
-    index : ndarray, shape (m,), int
-        Indices of the landmarks.
+    `bearings` and `sigmas` (m,) are from the camera's axis [rad], `cameras` its poses and Jacobians
+    as in `bearing_residuals` (`pose_after`), and `index` (m,) that of each landmark.
     """
     at = HEAD + 2 * index
     residual, jacobian = bearing_residuals(bearings, *cameras, state.positions[index])
@@ -157,26 +138,11 @@ class Gated:
 def gate_bearings(
     prediction: Prediction, motion: Motion, new_keyframe: bool, heading: float, gate: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Gate the innovations: which bearings fit the prediction.
+    """Return which of m bearings fit the prediction, and the sigmas of their innovations [rad].
 
-    Parameters
-    ----------
-    prediction : Prediction
-        Of m mapped landmarks.
-    motion : Motion
-        The motion that led to the frame.
-    new_keyframe : bool
-        Whether the newest keyframe is at the end of `motion`, not at its start.
-    heading : float
-        Heading at the start of `motion` [rad].
-    gate : float
-        Largest innovation [standard deviations].
-
-    Returns
-    -------
-    accepted : ndarray, shape (m,), bool
-    sigmas : ndarray, shape (m,)
-        Standard deviations of the innovations [rad].
+    The motion led to the frame; with `new_keyframe`, the newest keyframe is at its end, not at its
+    start, where the robot has a `heading` [rad]. `gate` is the largest innovation in standard
+    deviations.
     """
     (along, _, _), (_, across, _), (_, _, turn) = motion.covariance.tolist()
     drift = turn + (along + across) * (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
@@ -196,20 +162,10 @@ def gate_bearings(
 def contradicts_motion(
     prediction: Prediction, accepted: np.ndarray, motion: Motion, heading: float
 ) -> bool:
-    """Test accepted bearings jointly against the motion (chi-square); return whether it fails.
+    """Test accepted bearings (m,) jointly against the motion (chi-square); return whether it fails.
 
     Each may pass the gate although the motion is wrong: wheels slip, or stand while it moves.
-
-    Parameters
-    ----------
-    prediction : Prediction
-        Of m bearings, from the newest keyframe.
-    accepted : ndarray, shape (m,), bool
-        Which of them were accepted.
-    motion : Motion
-        Since then.
-    heading : float
-        At the start of it [rad].
+    Prediction and motion are from the newest keyframe, where the robot has a `heading` [rad].
     """
     prediction = prediction.only(accepted)
     count = prediction.residual.size
@@ -232,24 +188,10 @@ def inflate_by_odometry(
     that the first alone would have. Otherwise noisy odometry makes the map too large and the pose
     overconfident.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings, with the standard deviations of the bearings alone. Landmarks
-        that are not mapped are taken to be at the median distance of the mapped ones.
-    motion : Motion
-        From the newest keyframe to the stamp.
-    stamp : int
-        Number k of the frame since then, from 1.
-    prediction : Prediction
-        Of those of mapped landmarks.
-    marginal : Marginal
-        The state.
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        [rad]; None where the motion is so uncertain that the bearings are useless.
+    `rows` (m, COLUMNS) are of the table of sightings; landmarks that are not mapped are taken to be
+    at the median distance of the mapped ones, which `prediction` has. `stamp` is k, from 1. Return
+    the standard deviations (m,) [rad]; None where the motion is so uncertain that the bearings are
+    useless.
     """
     sigmas, known = rows[:, SIGMA], rows[:, LANDMARK] >= 0
     if not known.size:
@@ -269,26 +211,12 @@ def inflate_by_odometry(
 def consistent_subset(
     residual: np.ndarray, innovation_covariance: np.ndarray, gate: float, likely: np.ndarray
 ) -> np.ndarray:
-    """Return the largest consistent subset of residuals, by data snooping.
+    """Return the largest consistent subset of residuals (m,) [rad] by data snooping, (m,) bool.
 
-    The residual farthest from its prediction by the others is removed, one after the other (Baarda,
-    "A testing procedure for use in geodetic networks", 1968).
-
-    Parameters
-    ----------
-    residual : ndarray, shape (m,)
-        [rad]
-    innovation_covariance : ndarray, shape (m, m)
-        Their covariance.
-    gate : float
-        Largest distance from that prediction [standard deviations].
-    likely : ndarray, shape (m,), bool
-        Which ones the gate would accept without its inflation of odometry noise.
-
-    Returns
-    -------
-    ndarray, shape (m,), bool
-        Where too many would be removed: the likely ones, or all if these are too few.
+    The residual farthest from its prediction by the others, in standard deviations, is removed
+    while beyond the gate, one after the other (Baarda, "A testing procedure for use in geodetic
+    networks", 1968). Where too many would be removed, return those `likely` (which the gate accepts
+    without its inflation of odometry noise), or all if these are too few.
     """
     m, kept = residual.size, np.ones(residual.size, bool)
     innovation_covariance = innovation_covariance.copy()

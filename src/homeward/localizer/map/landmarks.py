@@ -98,14 +98,9 @@ class Candidate:
 
 
 class Landmarks:
-    """The landmarks of the map: their initialisation, rejection and removal.
+    """The landmarks of a smoother's map: their initialisation, rejection and removal.
 
-    Parameters
-    ----------
-    smoother : Smoother
-        The map that they are part of.
-    parallax : float
-        Smallest angle between two sight lines for triangulation [rad].
+    `parallax` is the smallest angle between two sight lines for triangulation [rad].
     """
 
     def __init__(self, smoother: Smoother, parallax: float) -> None:
@@ -365,10 +360,7 @@ class Landmarks:
     def drop_misfits(self, residuals: np.ndarray) -> int:
         """Remove landmarks on which the sightings do not agree; return how many.
 
-        Parameters
-        ----------
-        residuals : ndarray, shape (m,)
-            Of all sightings in the window [rad].
+        `residuals` (m,) are those of all sightings in the window [rad].
         """
         rows, n = self.smoother.sightings, len(self.smoother.state.positions)
         index = self.smoother.index(rows[:, LANDMARK])

@@ -53,28 +53,11 @@ from homeward.reasons import Rejection
 
 
 class Map:
-    """The map in the odometry frame, whose origin is the robot's pose at the start.
+    """The map in the odometry frame, whose origin is the robot's pose at the start, time `t` [s].
 
-    Parameters
-    ----------
-    drive : DriveSettings
-        Camera and odometry as the drive describes them.
-    settings : LocalizerSettings
-        Everything else.
-    noise : BearingNoise
-        Bearing noise, updated by the residuals.
-    process_noise : ProcessNoise
-        Odometry noise, updated by the residuals.
-    extrinsics : Extrinsics
-        Prior on the camera's pose on the robot.
-    counts : Counts
-        Where to count sightings.
-    t : float
-        Time of the start [s].
-    known : KnownLandmarks
-        Surveyed landmarks and distances.
-    scale : ScaleErrors
-        Scale of speeds and ranges.
+    The residuals update `noise` and `process_noise`; `extrinsics` is the prior on the camera's pose
+    on the robot, `known` has surveyed landmarks and distances, and `scale` the scale of speeds and
+    ranges.
     """
 
     def __init__(
@@ -153,14 +136,10 @@ class Map:
         return View(camera, *self.smoother.state.pose_after(camera))
 
     def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return positions of landmarks when home saw them, as far as known.
+        """Return positions of q landmarks when home saw them, as far as known.
 
-        Returns
-        -------
-        index : ndarray, shape (q,), int
-            Their indices in the state.
-        walks, walk_moment : ndarray, shape (q,), (q, 2, 2)
-            Probability that each walks, and second moment of its offset if so [m^2].
+        Their indices in the state (q,); the probability that each walks (q,), and the second moment
+        of its offset if so (q, 2, 2) [m^2].
         """
         known = self.landmarks
         landmarks = [known.former.get(n) or known.mapped[n] for n in names]
@@ -224,15 +203,8 @@ class Map:
     def gate(self, frame: WeighedFrame, motion: Motion, view: View | None) -> Gated:
         """Gate the bearings of a frame: innovations, and which of them are accepted.
 
-        Parameters
-        ----------
-        frame : WeighedFrame
-            The bearings.
-        motion : Motion
-            The motion that led to the frame.
-        view : View or None
-            The view after it; None: the newest keyframe is at the end of the motion, not at its
-            start.
+        The motion led to the frame, and `view` is the view after it; None: the newest keyframe is
+        at the end of the motion, not at its start.
         """
         new_keyframe, state = view is None, self.smoother.state
         since = Motion.identity() if view is None else motion
@@ -277,17 +249,8 @@ class Map:
     def update(self, gated: Gated, moved: list[str]) -> bool:
         """Update the map by accepted bearings; return whether there is a new solution.
 
-        Parameters
-        ----------
-        gated : Gated
-            The gated frame.
-        moved : list of str
-            Landmarks that are not where they were mapped; they are reinitialised.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the map has become singular.
+        Landmarks in `moved` are not where they were mapped, and are reinitialised.
+        `numpy.linalg.LinAlgError` when the map has become singular.
         """
         if self.solved and gated.new_keyframe:  # one later: a solution takes long enough
             self._marginalise_old()

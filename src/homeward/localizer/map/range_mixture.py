@@ -47,16 +47,9 @@ def range_mixture(
 ) -> RangeMixture | None:
     """Return the range mixture of a landmark; None when its sight lines agree on no ray.
 
-    Parameters
-    ----------
-    cameras : ndarray, shape (m, 3)
-        Poses of the camera, the newest last: x [m], y [m], heading of its axis [rad].
-    bearings, sigmas : ndarray, shape (m,)
-        Measured from the axis, and standard deviations [rad].
-    covariance : ndarray, shape (3, 3)
-        Of the newest pose.
-    scale : float
-        Median distance of mapped landmarks [m].
+    Of camera poses (m, 3), the newest last: x [m], y [m], heading of its axis [rad]; bearings from
+    the axis and their sigmas (m,) [rad]. `covariance` (3, 3) is of the newest pose, `scale` the
+    median distance of mapped landmarks [m].
     """
     if len(bearings) < MIN_SIGHTINGS or not (math.isfinite(scale) and scale > 0):
         return None

@@ -69,25 +69,13 @@ def range_residuals(
     scale: float,
     ratio: float,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of ranges, and the Jacobian of the expected ones.
+    """Return residuals of ranges (m,), and the Jacobian of the expected ones (m, 13).
 
-    Parameters
-    ----------
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings, with ranges.
-    cameras : tuple of ndarray, shapes (m, 3) and (m, 3, 12)
-        The camera's poses and Jacobians; see `Frames.eyes`.
-    positions : ndarray, shape (m, 2)
-        Of the landmarks [m].
-    scale, ratio : float
-        Logarithm of the scale of ranges, and its derivative by the speed scale; see `ScaleErrors`.
-
-    Returns
-    -------
-    residual : ndarray, shape (m,)
-        Logarithm of the measured over the expected range [1].
-    jacobian : ndarray, shape (m, 13)
-        Jacobian by keyframe's pose, calibration and landmark.
+    `rows` (m, COLUMNS) are of the table of sightings, `cameras` the camera's poses (m, 3) and
+    Jacobians (m, 3, 12) (`Frames.eyes`), `positions` (m, 2) of the landmarks [m]; `scale` is the
+    logarithm of the scale of ranges, and `ratio` its derivative by the speed scale (`ScaleErrors`).
+    A residual is the logarithm of the measured over the expected range; the Jacobian is by
+    keyframe's pose, calibration and landmark.
     """
     eyes, by_head = cameras
     seen = sight(eyes, positions)
@@ -114,16 +102,8 @@ def weigh_ranges(
 ) -> WeighedSightings:
     """Normalise range factors, with the M-estimator of bearings against large residuals.
 
-    Parameters
-    ----------
-    rows : ndarray, shape (m, COLUMNS)
-        Of the table of sightings.
-    seen : tuple of ndarray
-        See `range_residuals`.
-    p_static : ndarray, shape (m,)
-        Probability that the landmark is static [1].
-    pose, landmark : ndarray, shape (m,), int
-        As for `weigh_sightings`.
+    `seen` is of `range_residuals`, `p_static` (m,) the probability that the landmark is static;
+    `pose` and `landmark` as for `weigh_sightings`.
     """
     odometry, sigma = _odometry_variance(rows), range_sigmas(rows)
     gaps = np.maximum(rows[:, GAP], MIN_GAP_S)
@@ -145,23 +125,11 @@ def _odometry_variance(rows: np.ndarray) -> np.ndarray:
 def place_by_ranges(
     cameras: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray, ranges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the position on which most sightings of a landmark agree, and which of them do.
+    """Return the position on which most sightings of a landmark agree (2,) [m], and which do (m,).
 
-    Parameters
-    ----------
-    cameras : ndarray, shape (m, 3)
-        Poses of the camera: x [m], y [m], heading of its axis [rad].
-    bearings, sigmas : ndarray, shape (m,)
-        Measured from the axis, and standard deviations of the sight lines [rad].
-    ranges : ndarray, shape (m, 2)
-        Logarithms of ranges [m], their standard deviations; NaN where there is none.
-
-    Returns
-    -------
-    position : ndarray, shape (2,)
-        [m]
-    agree : ndarray, shape (m,), bool
-        None instead of both if too few have a range, or too few agree.
+    Arguments as for `triangulate`; `ranges` (m, 2) are logarithms of ranges [m] and their standard
+    deviations, NaN where there is none. None instead of both if too few have a range, or too few
+    agree.
     """
     (known,) = (ranges[:, 1] < LINEAR).nonzero()
     if known.size < MIN_LINES:

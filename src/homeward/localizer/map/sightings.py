@@ -44,10 +44,7 @@ class Frames:
     def add(self, keyframe: int, camera: Motion, frame: WeighedFrame) -> np.ndarray:
         """Add a frame, `camera` being the motion from its keyframe.
 
-        Returns
-        -------
-        ndarray, shape (m, COLUMNS)
-            Its rows in the table of sightings, with landmarks still open (-1).
+        Return its rows in the table of sightings (m, COLUMNS), with landmarks still open (-1).
         """
         rows = np.empty((len(frame.names), COLUMNS))
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
@@ -101,20 +98,9 @@ class Frames:
         return whole
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses in the odometry frame, and their Jacobians.
+        """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 12).
 
-        Parameters
-        ----------
-        poses : ndarray, shape (f, 3) or (3,)
-            Poses of the keyframes.
-        calibration : ndarray, shape (9,)
-            The present estimate.
-
-        Returns
-        -------
-        eyes : ndarray, shape (f, 3)
-        by_head : ndarray, shape (f, 3, 12)
-            Jacobian by keyframe's pose and calibration.
+        From keyframe poses (f, 3) or (3,) and the present calibration (9,); Jacobians are by both.
         """
         eyes, by_pose, by_camera = composition(poses, self.free + self.jacobians @ calibration)
         return eyes, np.concatenate([by_pose, by_camera @ self.jacobians], axis=2)

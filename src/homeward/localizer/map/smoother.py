@@ -96,20 +96,10 @@ class Closed(NamedTuple):
 class Smoother:
     """Keyframes, calibration and landmarks, and the factors between them.
 
-    Parameters
-    ----------
-    odometry_sigmas : ndarray, shape (6,)
-        Prior standard deviations of the odometry's calibration, around zero.
-    drift : ndarray, shape (9,)
-        Variances by which the calibration drifts, per second.
-    mount_sigmas : ndarray, shape (3,)
-        Prior standard deviations of the extrinsics, around zero.
-    correlated : CorrelatedErrors
-        Present model of time-correlated bearing errors.
-    t : float
-        Time of the first keyframe, the origin [s].
-    time_constant : tuple of float, optional
-        Prior mean and standard deviation of the time constant [s].
+    Prior standard deviations, around zero: `odometry_sigmas` (6,) of the odometry's calibration,
+    `mount_sigmas` (3,) of the extrinsics. `drift` (9,) are the variances by which the calibration
+    drifts, per second; `lasting` is the present model of time-correlated bearing errors, and `t`
+    the time of the first keyframe, the origin [s].
     """
 
     def __init__(
@@ -300,14 +290,9 @@ class Smoother:
     ) -> None:
         """Replace the motions in the window: delay and time constant act nonlinearly.
 
-        Parameters
-        ----------
-        since : float
-            Time of the oldest one that can be integrated again [s].
-        between : callable
-            Returns the motion between two times [s] at the present calibration.
-        mount : ndarray, shape (3,)
-            The given pose of the camera on the robot.
+        `since` is the time of the oldest one that can be integrated again [s]; `between` returns
+        the motion between two times [s] at the present calibration; `mount` (3,) is the given pose
+        of the camera on the robot.
         """
         self._integrated_at = self.state.calibration[[DELAY, TIME_CONSTANT]]
         known = np.array(self.stamps[:-1]) >= since

@@ -23,27 +23,16 @@ from homeward.localizer.tunables import (
 def triangulate(
     cameras: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray, parallax: float
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the position on which most sight lines agree, and which of them do.
+    """Return the position on which most sight lines agree (2,) [m], and which do (m,), bool.
 
     Pairs of at most `MAX_LINES` lines are intersected; the point of least truncated squares is
     refined by Gauss-Newton on its inliers. An outlier crosses nearly parallel lines close to the
     robot and makes a position by itself; so where there may be outliers, no single line may decide.
 
-    Parameters
-    ----------
-    cameras : ndarray, shape (m, 3)
-        Poses of the camera: x [m], y [m], heading of its axis [rad].
-    bearings, sigmas : ndarray, shape (m,)
-        Measured from the axis, and standard deviations [rad].
-    parallax : float
-        Smallest angle between two of the lines that agree [rad].
-
-    Returns
-    -------
-    position : ndarray, shape (2,)
-        [m]
-    agree : ndarray, shape (m,), bool
-        None instead of both if the lines do not (yet) determine the position.
+    `cameras` (m, 3) are poses of the camera: x [m], y [m], heading of its axis [rad]; `bearings`
+    and `sigmas` (m,) are from the axis [rad], and `parallax` is the smallest angle between two of
+    the lines that agree [rad]. None instead of both if the lines do not (yet) determine the
+    position.
     """
     if len(bearings) < MIN_LINES:
         return None

@@ -34,15 +34,7 @@ CONTRADICTION = (
 
 
 class Extrinsics:
-    """Prior on the extrinsics: the camera's yaw, x and y on the robot.
-
-    Parameters
-    ----------
-    drive : DriveSettings
-        The camera as far as it is described.
-    settings : LocalizerSettings
-        Everything else.
-    """
+    """Prior on the extrinsics: the camera's yaw, x and y on the robot, as far as described."""
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
         camera, usual = drive.sensor, settings.camera_yaw_sigma
@@ -91,14 +83,8 @@ class Extrinsics:
         """Test the assumed values against the map; return whether it contradicts them now.
 
         If so, they are free from now on. The information of the prior is known, and so what the map
-        alone would estimate follows from its posterior.
-
-        Parameters
-        ----------
-        calibration, variances : ndarray, shape (9,)
-            Posterior mean and variances in the map.
-        scale : float
-            Median distance of the landmarks [m].
+        alone would estimate follows from its posterior: mean and variances (9,) in the map. `scale`
+        is the median distance of the landmarks [m].
         """
         if self.contradicted or not self._not_given.any():
             return False

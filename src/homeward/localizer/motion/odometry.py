@@ -70,15 +70,11 @@ def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
     """Return whether a map shows that the robot follows its odometry as a first-order lag.
 
     The time constant is fixed at zero until then. The information of that prior is known, and so
-    what the map alone would estimate follows from its posterior. A filter also takes noise from the
-    motions between keyframes, so the noise of measured twists looks like a time constant: of up to
-    half the averaging time of a twist, or more if a negative delay makes up for it. So the lower
-    bound of the estimate must exceed the first, and not the delay found without a time constant.
-
-    Parameters
-    ----------
-    calibration, variances : ndarray, shape (9,)
-        Posterior mean and variances, with the prior of `FIXED_TIME_CONSTANT_S`.
+    what the map alone would estimate follows from its posterior, mean and variances (9,) with the
+    prior of `FIXED_TIME_CONSTANT_S`. A filter also takes noise from the motions between keyframes,
+    so the noise of measured twists looks like a time constant: of up to half the averaging time of
+    a twist, or more if a negative delay makes up for it. So the lower bound of the estimate must
+    exceed the first, and not the delay found without a time constant.
     """
     precision = 1.0 / float(variances[TIME_CONSTANT])
     own = precision - 1.0 / FIXED_TIME_CONSTANT_S**2
@@ -126,10 +122,7 @@ class MotionPrior:
     def variance_growth(self, silent: float, time: float) -> tuple[float, float]:
         """Return the growth of the variances of shift [m^2] and turn [rad^2] during a dropout.
 
-        Parameters
-        ----------
-        silent, time : float
-            How long odometry was silent before, and for how much longer [s].
+        Odometry was `silent` before, and is for `time` more [s].
         """
         moving = max(self._moving, 1e-9)
         wide = 1.0 if self._moving else INFLATION  # where odometry never moved, nothing is usual
@@ -149,15 +142,7 @@ class _Checkpoint(NamedTuple):
 
 
 class OdometryIntegrator:
-    """Preintegrates the twists since the newest keyframe.
-
-    Parameters
-    ----------
-    twists : TwistHistory
-        Their history, shared with others.
-    noise : ProcessNoise
-        Their noise.
-    """
+    """Preintegrates the twists since the newest keyframe; their history is shared with others."""
 
     def __init__(self, twists: TwistHistory, noise: ProcessNoise) -> None:
         self._twists, self._noise = twists, noise
@@ -186,12 +171,7 @@ class OdometryIntegrator:
     def motion(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion since the newest keyframe up to `t` [s]; nothing changes.
 
-        Parameters
-        ----------
-        t : float
-            A time before `end` counts as `end`.
-        calibration : ndarray, shape (9,)
-            Where to linearise.
+        A time before `end` counts as `end`. It is linearised at the calibration (9,).
         """
         if t <= self.end:
             return self._motion

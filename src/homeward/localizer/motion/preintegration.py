@@ -148,28 +148,14 @@ def integrate(
     rates: np.ndarray,
     straightest: float,
 ) -> tuple[Motion, np.ndarray]:
-    """Preintegrate the twists of consecutive intervals.
+    """Preintegrate the twists of consecutive intervals; return the motion, and its length by bend.
 
-    Parameters
-    ----------
-    pieces : sequence of Piece
-        At least one.
-    ends : tuple of SettledTwist
-        The robot's twists at the start and at the end. The noise of single samples there would
-        count as information on the delay.
-    calibration : ndarray, shape (9,)
-        Linearisation point; the delay is already in the times of the pieces.
-    rates : ndarray, shape (3, 3)
-        Growth of the variances; see `homeward.drives.settings.noise_rates`.
-    straightest : float
-        Turn per metre where the robot drives straightest, r above [rad/m].
-
-    Returns
-    -------
-    motion : Motion
-        From start to end.
-    by_bend : ndarray, shape (NUM_BENDS,)
-        Its length by class of turn per metre [m].
+    `ends` are the robot's twists at the start and at the end: the noise of single samples there
+    would count as information on the delay. `calibration` (9,) is the linearisation point; the
+    delay is already in the times of the pieces, of which there is at least one. `rates` (3, 3) is
+    the growth of the variances (`homeward.drives.settings.noise_rates`), and `straightest` the turn
+    per metre where the robot drives straightest, r above [rad/m]. The length (NUM_BENDS,) is by
+    class of turn per metre [m].
     """
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = 1.0 + float(calibration[SPEED_SCALE])

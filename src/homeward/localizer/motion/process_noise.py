@@ -24,12 +24,7 @@ from homeward.localizer.tunables import (
 class ProcessNoise:
     """Process noise: the rates at which the variances of the robot's motion grow.
 
-    Parameters
-    ----------
-    given : OdometryNoise
-        As given by the drive.
-    default : OdometryDefaults
-        Initial values where the drive gives none.
+    The estimate begins at `default` where the drive gives none.
     """
 
     def __init__(self, given: OdometryNoise, default: OdometryDefaults) -> None:
@@ -79,19 +74,8 @@ class ProcessNoise:
     ) -> np.ndarray:
         """Update the scales by the residuals of motions.
 
-        Parameters
-        ----------
-        squares, redundancies : ndarray, shape (2, 2)
-            Sums over the motions; see `Misfit`.
-        motions : int
-            Their number.
-        keyframes : int
-            How many of them are new.
-
-        Returns
-        -------
-        ndarray, shape (2, 2)
-            Factors by which the stored variances must be inflated [1].
+        `squares` and `redundancies` (2, 2) are sums over the motions (`Misfit`); `keyframes` of
+        these are new. Return the factors (2, 2) by which the stored variances must be inflated.
         """
         share, kept = keyframes / motions, np.exp(-keyframes / NOISE_MEMORY)
         self._squares = kept * self._squares + share * squares * self.scales[0]

@@ -60,12 +60,8 @@ def carried_since(landmarks: Landmarks) -> int | None:
 def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> int | None:
     """Return the keyframe after which the robot was carried, or None if it was not.
 
-    Parameters
-    ----------
-    displaced : Displaced
-        Landmarks that were declared moved.
-    entered, last : ndarray, shape (m,)
-        Keyframes at which the others were initialised, and at which they last fitted.
+    `displaced` are landmarks that were declared moved; the others (m,) were initialised at the
+    keyframes `entered`, and last fitted at `last`.
     """
     together = moved_together(displaced)
     if together.sum() < MIN_TOGETHER:

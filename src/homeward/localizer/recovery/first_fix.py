@@ -29,10 +29,7 @@ from homeward.localizer.tunables import (
 class FirstFix:
     """First fix: collects frames of surveyed landmarks until they determine the survey's pose.
 
-    Parameters
-    ----------
-    survey : Survey
-        Surveyed landmarks, some of which may have moved.
+    Some of the landmarks may have moved.
     """
 
     def __init__(self, survey: Survey) -> None:
@@ -45,19 +42,9 @@ class FirstFix:
     def add_frame(
         self, frame: WeighedFrame, eye: np.ndarray, variances: np.ndarray
     ) -> tuple[np.ndarray, list[str]] | None:
-        """Add a frame; return the survey's pose in the map and the inliers, once they are found.
+        """Add a frame; return the survey's pose in the map (3,) and the inliers, once found.
 
-        Parameters
-        ----------
-        frame : WeighedFrame
-            The new frame.
-        eye, variances : ndarray, shape (3,)
-            The camera's pose in the map, and the variances of the robot's pose there.
-
-        Returns
-        -------
-        tuple of ndarray, shape (3,), and list of str, or None
-            None while the frames do not determine it.
+        `eye` (3,) is the camera's pose in the map, `variances` (3,) are of the robot's pose there.
         """
         for name, bearing, sigma in zip(frame.names, frame.bearings, frame.sigmas, strict=True):
             if name in self._survey.places:

@@ -78,12 +78,7 @@ class SlipDetector:
     def suspects(self, innovations: list[Innovation], motion: Motion) -> bool:
         """Return whether the robot may have been displaced.
 
-        Parameters
-        ----------
-        innovations : list of Innovation
-            Innovations of a frame ...
-        motion : Motion
-            ... and the motion to it from the newest keyframe.
+        Given the innovations of a frame, and the motion to it from the newest keyframe.
         """
         fits = [abs(i.value) <= INLIER * i.sigma for i in innovations]
         if self.search is None:
@@ -119,18 +114,10 @@ class SceneChangeDetector:
         state: Marginal,
         motion: Motion,
     ) -> bool:
-        """Return whether all landmarks in sight have been replaced by others.
+        """Return whether all landmarks in sight (`names`) have been replaced by others.
 
-        Parameters
-        ----------
-        names : collection of str
-            All landmarks in sight.
-        fits : dict of str to bool
-            Whether the bearing of each mapped landmark was accepted.
-        state : Marginal
-            The state of the map at the newest keyframe ...
-        motion : Motion
-            ... and the motion since then, by odometry.
+        `fits` has whether the bearing of each mapped landmark was accepted; `state` is at the
+        newest keyframe, `motion` since then, by odometry.
         """
         fitting = sum(fits.values())
         if fitting >= MIN_AGREEING:
@@ -150,12 +137,7 @@ class SceneChangeDetector:
 def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
     """Return whether odometry is lost: its covariance is too large to predict bearings with.
 
-    Parameters
-    ----------
-    motion : Motion
-        Since the newest keyframe.
-    marginal : Marginal
-        The state at that keyframe.
+    Given the motion since the newest keyframe, and the state there.
     """
     shift = max(motion.covariance[0, 0], motion.covariance[1, 1])
     return bool(max(shift / marginal.scale**2, motion.covariance[2, 2]) > VAGUE**2)
@@ -185,10 +167,7 @@ class Health(Enum):
 class Monitor:
     """Monitor of one map: tests whether its pose is right.
 
-    Parameters
-    ----------
-    origin_given : bool
-        Whether a start prior determines the map's origin, not only odometry.
+    With `origin_given`, a start prior determines the map's origin, not only odometry.
     """
 
     def __init__(self, origin_given: bool) -> None:
@@ -207,12 +186,7 @@ class Monitor:
     def assess_odometry(self, motion: Motion, known: Map) -> Health:
         """Assess odometry: whether bearings can be predicted from where the map has the robot.
 
-        Parameters
-        ----------
-        motion : Motion
-            Since the newest keyframe, or since the robot was lost.
-        known : Map
-            The map.
+        The motion is since the newest keyframe, or since the robot was lost.
         """
         marginal = known.smoother.state
         dropped_out = not self.is_lost and odometry_lost(motion, marginal)
@@ -225,15 +199,7 @@ class Monitor:
         return Health.ODOMETRY_LOST if dropped_out or self.is_lost else Health.OK
 
     def assess_innovations(self, gated: Gated, known: Map) -> Health:
-        """Assess the innovations: whether the bearings fit the map.
-
-        Parameters
-        ----------
-        gated : Gated
-            The newest frame.
-        known : Map
-            The map.
-        """
+        """Assess the innovations of the newest frame: whether the bearings fit the map."""
         innovations, motion = gated.innovations, gated.motion
         if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED

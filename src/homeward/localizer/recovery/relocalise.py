@@ -83,24 +83,12 @@ def relocalise(
     expected: tuple[np.ndarray, np.ndarray] | None = None,
     near: Sequence[tuple[np.ndarray, np.ndarray]] = (),
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the pose in the map where the search began, and its covariance.
+    """Return the pose (3,) in the map where the search began, and its covariance (3, 3).
 
-    Parameters
-    ----------
-    lines : SightLines
-        Its sight lines since then.
-    expected : tuple of ndarray, shapes (3,) and (3, 3), optional
-        The pose by odometry and its covariance, if the robot may still be there.
-    near : sequence of tuples of ndarray, shapes (3,) and (3, 3), optional
-        Means and covariances of the pose if the robot was only displaced; each is as probable as
-        that the robot is anywhere.
-
-    Returns
-    -------
-    pose : ndarray, shape (3,)
-        x [m], y [m], heading [rad].
-    covariance : ndarray, shape (3, 3)
-        None instead of both if the pose is undetermined or ambiguous, or may be the expected one.
+    By the sight lines since then. `expected` is the pose by odometry and its covariance, if the
+    robot may still be there; `near` are means and covariances of the pose if the robot was only
+    displaced: each is as probable as that the robot is anywhere. None instead of both if the pose
+    is undetermined or ambiguous, or may be the expected one.
     """
     if np.unique(lines.names).size < MINIMAL:
         return None

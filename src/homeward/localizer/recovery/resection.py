@@ -47,16 +47,8 @@ class Resection:
     ) -> Resected | None:
         """Return the survey's pose; None if the frame does not determine it.
 
-        Parameters
-        ----------
-        frame : WeighedFrame
-            The frame.
-        camera : ndarray, shape (3,)
-            The camera's pose on the robot.
-        survey : Survey
-            The survey.
-        moved : ndarray, shape (3, 3)
-            Covariance of an unknown motion since the last frame that determined it.
+        `camera` (3,) is the camera's pose on the robot, `moved` (3, 3) the covariance of an unknown
+        motion since the last frame that determined it.
         """
         rows = [row for row, name in enumerate(frame.names) if name in survey.places]
         names = [frame.names[row] for row in rows]

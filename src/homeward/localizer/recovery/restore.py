@@ -37,14 +37,7 @@ class SeenAt:
     def misfits(self, state: Marginal, known: Map, whole: Smoother) -> np.ndarray:
         """Return which bearings contradict the keyframe's pose and the map, shape (m,), bool.
 
-        Parameters
-        ----------
-        state : Marginal
-            The state at that keyframe, by the solution of the whole drive.
-        known : Map
-            The map.
-        whole : Smoother
-            All keyframes.
+        `state` is at that keyframe, by the solution of the whole drive.
         """
         eye = state.pose_after(known.camera(Motion.identity()))
         seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
@@ -80,14 +73,8 @@ class SeenAt:
 def restore(contradicted: Iterable[SeenAt], known: Map, whole: Smoother) -> bool:
     """Restore bearings to keyframes whose pose they prove; return whether there are any.
 
-    Parameters
-    ----------
-    contradicted : iterable of SeenAt
-        Sightings from keyframes whose pose they contradict.
-    known : Map
-        The map.
-    whole : Smoother
-        All keyframes. It gains the bearings, and is to be solved again.
+    `contradicted` are sightings from keyframes whose pose they contradict. `whole`, all keyframes,
+    gains the bearings, and is to be solved again.
     """
     restored = False
     for seen in contradicted:

@@ -23,10 +23,7 @@ Sighting: TypeAlias = tuple[str, float, float, Motion]
 class Search:
     """Relocalisation search in the map, by bearings since the search began.
 
-    Parameters
-    ----------
-    begin : Motion
-        From the newest keyframe to the start of the search; None if unknown.
+    `begin` is the motion from the newest keyframe to there; None if unknown.
     """
 
     def __init__(self, begin: Motion | None = None) -> None:
@@ -75,23 +72,10 @@ def find_by_frame(
     """Return the pose in the map at one frame, (3,), and its covariance, (3, 3), without odometry.
 
     Where wheels slip, odometry connects frames wrongly, and no pose fits several of them. The robot
-    is probably stationary, or moved less than its wheels.
-
-    Parameters
-    ----------
-    frame : WeighedFrame
-        At least four mapped landmarks: any three fit some pose.
-    camera : Motion
-        The camera's pose on the robot.
-    landmarks, state
-        The map; its newest keyframe is before the robot was lost.
-    driven : Driven
-        Motion of the wheels since that keyframe.
-
-    Returns
-    -------
-    tuple of ndarray, or None
-        None if the frame alone does not determine the pose.
+    is probably stationary, or moved less than its wheels. `camera` is the camera's pose on the
+    robot; the frame has at least four mapped landmarks, of which any three fit some pose; the
+    newest keyframe of `state` is before the robot was lost, and `driven` is the motion of the
+    wheels since then. None if the frame alone does not determine the pose.
     """
     each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
     lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)

@@ -21,19 +21,8 @@ from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 class Learner:
     """Learns from the residuals of bearings and motions in solutions of a map.
 
-    Parameters
-    ----------
-    noise : BearingNoise
-        Noise of bearings.
-    process_noise : ProcessNoise
-        Noise of motions.
-    extrinsics : Extrinsics
-        Prior on the camera's pose on the robot.
-    time_constant_sigma : float or None
-        Prior standard deviation of the odometry's time constant once it is free [s]; None: its
-        prior is given.
-    slip_sigma : float
-        Prior standard deviation of slip in bends, of robots in a room [m].
+    Prior standard deviations: `time_constant_sigma` of the odometry's time constant once it is free
+    [s], `slip_sigma` of slip in bends, of robots in a room [m].
     """
 
     def __init__(

@@ -85,16 +85,8 @@ def misfit(
 ) -> Misfit:
     """Compare the residuals of motions with their expectation.
 
-    Parameters
-    ----------
-    eliminated : Elimination
-        Elimination of all normal equations, at the solution.
-    steps : OdometryErrors
-        The motions between all its poses.
-    seen : BearingErrors
-        The bearings.
-    rng : numpy.random.Generator
-        Source of the signs.
+    `eliminated` is the elimination of all normal equations at the solution, `steps` the motions
+    between all its poses, and `rng` the source of the signs.
     """
     covariance = np.linalg.inv(steps.information)
     squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))

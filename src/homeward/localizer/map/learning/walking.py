@@ -41,13 +41,8 @@ class Walks(NamedTuple):
     def conditional_on(self, walking: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Compare walking with standing still for each, given which others walk, (n,) bool.
 
-        Returns
-        -------
-        log_factor : ndarray, shape (n,)
-            Log Bayes factor of walking against standing still.
-        moment : ndarray, shape (n, 2, 2)
-            Second moment of the initial offset of each from its estimated position, if it walks
-            [m^2].
+        Return the log Bayes factors (n,), and the second moments (n, 2, 2) of the initial offset of
+        each from its estimated position, if it walks [m^2].
         """
         n, known = walking.size, np.repeat(walking, 2)
         inverse = np.linalg.inv(self.information[known][:, known])
@@ -80,19 +75,8 @@ def update_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     """Update the probabilities of landmarks to be static, after a solution.
 
     A typical walk is as fast as the robot. Landmarks whose first sightings have been marginalised
-    keep their probability; surveyed ones are static.
-
-    Parameters
-    ----------
-    smoother : Smoother
-        The map.
-    landmarks : sequence of Landmark
-        Of the map.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the normal equations are singular.
+    keep their probability; surveyed ones are static. `numpy.linalg.LinAlgError` when the normal
+    equations are singular.
     """
     open_since, surveyed = smoother.first, set(smoother.survey.ids.tolist())
     tested = [m for m in landmarks if m.first >= open_since and m.number not in surveyed]
@@ -160,24 +144,10 @@ def walks(
     """Return the information on constant velocities of some landmarks, the others being static.
 
     Poses, calibration and positions are unknown, too; if they were taken as known, their errors
-    would be mistaken for walks.
-
-    Parameters
-    ----------
-    everything : NormalEquations
-        Those of all unknowns, if all landmarks are static, at the solution.
-    seen : WeighedSightings
-        The sightings among it.
-    displacement : ndarray, shape (m,)
-        Standard deviation of each component of a walk at each sighting, since the landmark's
-        first one [m].
-    which : ndarray, shape (k,), int
-        Landmarks that may walk.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the normal equations are singular.
+    would be mistaken for walks. `everything` is at the solution with all landmarks static,
+    `displacement` (m,) the standard deviation of each component of a walk at each sighting, since
+    the landmark's first one [m], and `which` (k,) are the landmarks that may walk.
+    `numpy.linalg.LinAlgError` when the normal equations are singular.
     """
     k, n = which.size, (len(everything.common) - NC) // 2
     number = np.full(n, -1)

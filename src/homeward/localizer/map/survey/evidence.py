@@ -59,25 +59,9 @@ def tested(
     and map being uncertain as they are. A local search from the set of all flips the one, or the
     body, that gains most, as long as any does; then it exchanges two, as long as that gains.
 
-    Parameters
-    ----------
-    factors : SurveyFactors
-        The places and distances.
-    free : Marginal
-        The map without the survey.
-    ids : ndarray, shape (n,)
-        Of the map's landmarks, ascending.
-    prior : ndarray, shape (k + m,)
-        Prior probability of each to be an outlier.
-    size : float
-        Of the site [m].
-    bodies : Bodies
-        Among the places.
-
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If the map is too uncertain for the test.
+    `free` is the map without the survey, `ids` (n,) those of its landmarks, ascending, `prior` (k +
+    m,) the prior probability of each to be an outlier, and `size` that of the site [m].
+    `numpy.linalg.LinAlgError` if the map is too uncertain for the test.
     """
     index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
     k, m, mapped = index.size, len(pairs), free.positions[index]

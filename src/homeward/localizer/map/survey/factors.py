@@ -41,13 +41,8 @@ def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> D
     """Align a survey with the map by the rigid motion that fits best.
 
     In closed form for independent coordinates, then by Gauss-Newton with their full covariance.
-
-    Parameters
-    ----------
-    mapped, surveyed : ndarray, shape (k, 2)
-        Positions of the same landmarks, at least two, in the map and in the survey's frame [m].
-    covariance : ndarray, shape (2 k, 2 k)
-        Of the surveyed coordinates, in the survey's frame [m^2].
+    `mapped` and `surveyed` (k, 2) [m] are positions of the same landmarks, at least two, in the map
+    and in the survey's frame; `covariance` (2 k, 2 k) is of the latter.
     """
     weight = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
     p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
@@ -100,14 +95,9 @@ class SurveyFactors:
         return align(positions[index], self.places, self.covariance)
 
     def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> None:
-        """Add them to the normal equations.
+        """Add them to normal equations of poses, calibration and n landmarks.
 
-        Parameters
-        ----------
-        e : NormalEquations
-            Of poses, and the calibration and n landmarks that they share.
-        positions, ids : ndarray, shape (n, 2), (n,)
-            Of the landmarks, the ids ascending.
+        `positions` (n, 2) and `ids` (n,), ascending, are of the landmarks.
         """
         if self.ids.size:
             index = np.searchsorted(ids, self.ids)
@@ -140,14 +130,7 @@ class SurveyFactors:
 def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) -> Marginal:
     """Return a state of the map in the frame of the survey, with the uncertainty of the datum.
 
-    Parameters
-    ----------
-    state : Marginal
-        In the odometry frame.
-    factors : SurveyFactors
-        With at least two surveyed landmarks.
-    ids : ndarray, shape (n,)
-        Of the state's landmarks, ascending.
+    At least two landmarks are surveyed; `ids` (n,) are those of the state's, ascending.
     """
     index = np.searchsorted(ids, factors.ids)
     datum = factors.datum(state.positions, index)

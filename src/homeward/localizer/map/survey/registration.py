@@ -16,15 +16,7 @@ from homeward.localizer.tunables import MINIMAL
 
 
 class Registration:
-    """Registers a survey with the map.
-
-    Parameters
-    ----------
-    survey : Survey
-        Surveyed landmarks and distances.
-    landmarks : Landmarks
-        Landmarks of the map.
-    """
+    """Registers a survey with the landmarks of a map."""
 
     def __init__(self, survey: Survey, landmarks: Landmarks) -> None:
         self.survey, self._landmarks = survey, landmarks

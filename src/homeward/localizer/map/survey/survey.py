@@ -22,15 +22,9 @@ from homeward.localizer.tunables import MAX_TESTED
 class Survey:
     """Prior knowledge of landmarks, and which of it agrees with the map.
 
-    Parameters
-    ----------
-    known : KnownLandmarks
-        As given by the user.
-    settings : LocalizerSettings
-        `moved_prior` is the prior probability of an outlier, `sure` the posterior probability
-        that an inlier needs.
-    together : sequence of sequences of str
-        Groups of landmarks that move together, as given by the user.
+    Of the settings, `moved_prior` is the prior probability of an outlier, and `sure` the posterior
+    probability that an inlier needs. `together` are groups of landmarks that move together, as
+    given by the user.
     """
 
     def __init__(
@@ -75,19 +69,9 @@ class Survey:
     ) -> SurveyFactors:
         """Test the survey against the map without it; return the factors of certain inliers.
 
-        Parameters
-        ----------
-        free : Marginal
-            The map without it.
-        numbers : mapping of str to int
-            Ids of the mapped landmarks by name, at their first positions.
-        ids : ndarray, shape (n,)
-            All ids of the map, ascending.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the map is too uncertain for a test; then nothing is changed.
+        `numbers` are the ids of the mapped landmarks by name, at their first positions, and `ids`
+        (n,) all ids of the map, ascending. `numpy.linalg.LinAlgError` when the map is too uncertain
+        for a test; then nothing is changed.
         """
         names = [n for n in self.places if n in numbers][:MAX_TESTED]  # the oldest ones
         names = names if len(names) >= 2 else []
