@@ -68,13 +68,9 @@ class Stop(NamedTuple):
 class Path:
     """Polyline to follow, with stops.
 
-    Parameters
-    ----------
-    points : ndarray, shape (n, 2)
-        Corners [m], one or more.
-    stops : sequence of (int, float or None, float, str)
-        Index of the corner, heading to turn to [rad], duration [s] and name, in order. Stops are
-        added at the end and at corners sharper than 90 degrees.
+    `points` (n, 2) are its corners [m], one or more. A stop has the index of a corner, the heading
+    to turn to [rad] or None, a duration [s] and a name; stops are in order, and are added at the
+    end and at corners sharper than 90 degrees.
     """
 
     def __init__(
@@ -138,14 +134,9 @@ class PathState(enum.Enum):
 
 
 class Follower:
-    """Follows a path once, from any pose.
+    """Follows a path in the frame of the poses once, from any pose.
 
-    Parameters
-    ----------
-    path : Path
-        In the frame of the poses.
-    speed, turn_rate : float
-        Limits [m/s, rad/s].
+    `speed` and `turn_rate` are limits [m/s, rad/s].
     """
 
     def __init__(self, path: Path, speed: float, turn_rate: float) -> None:
@@ -184,18 +175,10 @@ class Follower:
     def twist(
         self, t: float, pose: Pose | None, sure: bool = True, blocked: bool | str = False
     ) -> Twist:
-        """Return the command.
+        """Return the command at `t` [s], which never decreases.
 
-        Parameters
-        ----------
-        t : float
-            Time [s]; never decreases.
-        pose : Pose or None
-            Estimated pose.
-        sure : bool
-            Whether the robot is localised.
-        blocked : bool or str
-            Whether an obstacle is detected, or the reason not to drive.
+        `sure` is whether the robot is localised, `blocked` whether an obstacle is detected, or the
+        reason not to drive.
         """
         if self.is_over:
             return STAND

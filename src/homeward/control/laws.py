@@ -81,28 +81,10 @@ def home_vector(
     """Return the approximate vector from the robot to home, x, y [m] in the home frame.
 
     Its direction is that of the law. Its length is that of a Gauss-Newton step with all landmarks
-    at one distance, which is accurate near home for any subset of the landmarks.
-
-    Parameters
-    ----------
-    law : callable
-        From `LAWS`.
-    seen : mapping of str to float
-        Direction of each landmark in the home frame [rad]: bearing plus heading.
-    home : mapping of str to float
-        Home bearing of each landmark [rad].
-    distance : float
-        Approximate distance of landmarks [m].
-
-    Returns
-    -------
-    (float, float) or None
-        None if fewer than two landmarks with a home bearing are in view.
-
-    Raises
-    ------
-    InputError
-        If `law` raises, or does not return two finite numbers.
+    at one `distance` [m], which is accurate near home for any subset of the landmarks. `seen` has
+    the direction of each landmark in the home frame, bearing plus heading, and `home` its home
+    bearing [rad]. None if fewer than two landmarks with a home bearing are in view; `InputError` if
+    `law` raises, or does not return two finite numbers.
     """
     both = [i for i in seen if i in home]
     if len(both) < 2:
@@ -146,20 +128,11 @@ def homing(polar: Polar, speed: Any) -> Twist:
 def steer(x: float, y: float, heading: float, speed: float, max_turn_rate: float) -> Twist:
     """Return the command that drives a unicycle down a cost, with limited speed and turn rate.
 
-    With e the bearing of the home vector (x, y), turn at clip(e / 1 s) and drive at
-    min(speed, |(x, y)| / 1 s) max(cos e, 0). The cost never increases, as its rate is minus its
-    slope times v cos e. It decreases except while the robot turns on the spot towards a constant
-    vector, for at most pi / 2 divided by the turn rate. So the robot reaches the only point of
-    zero slope from any pose, for any limits.
-
-    Parameters
-    ----------
-    x, y : float
-        Home vector, in the home frame [m].
-    heading : float
-        Heading of the robot [rad].
-    speed, max_turn_rate : float
-        Limits [m/s, rad/s].
+    With e the bearing of the home vector (x, y) [m] from the robot's heading [rad], turn at clip(e
+    / 1 s) and drive at min(speed, |(x, y)| / 1 s) max(cos e, 0). The cost never increases, as its
+    rate is minus its slope times v cos e. It decreases except while the robot turns on the spot
+    towards a constant vector, for at most pi / 2 divided by the turn rate. So the robot reaches the
+    only point of zero slope from any pose, for any limits [m/s, rad/s].
     """
     e = wrap(math.atan2(y, x) - heading)
     turn = max(-max_turn_rate, min(max_turn_rate, e))

@@ -64,14 +64,8 @@ class StampGate:
 class Watchdog:
     """Detects that samples of one kind are missing, or repeat an old stamp.
 
-    Parameters
-    ----------
-    what : str
-        Name of the samples, in the plural.
-    timeout : float
-        Maximum time without a newer stamp [s].
-    clock : Clock
-        Common clock of all kinds of samples, which handles stamps that are set back.
+    `what` is their name in the plural, `timeout` the maximum time without a newer stamp [s], and
+    `clock` the common clock of all kinds of samples, which handles stamps that are set back.
     """
 
     def __init__(self, what: str, timeout: float, clock: Clock) -> None:

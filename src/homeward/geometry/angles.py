@@ -13,12 +13,7 @@ TWO_PI = 2.0 * math.pi
 def apply(name: str, *values: Any) -> Any:
     """Apply an elementary function to floats, arrays or CasADi symbols.
 
-    Parameters
-    ----------
-    name : str
-        NumPy's name of the function: ``"sin"``, ``"hypot"``, ``"arctan2"`` and so on.
-    *values : float, ndarray or casadi.SX
-        Its arguments.
+    `name` is NumPy's: ``"sin"``, ``"hypot"``, ``"arctan2"`` and so on.
     """
     if any(hasattr(value, "is_symbolic") for value in values):
         # Imported here only: symbols exist only where CasADi is loaded already.
@@ -47,20 +42,8 @@ def guarded_inverse(x: Any, guard: float) -> Any:
 
 
 def interpolate(t: Any, stamps: np.ndarray, angles: np.ndarray) -> np.ndarray:
-    """Interpolate angles linearly along their shorter arcs.
+    """Interpolate angles (n,) [rad] linearly along their shorter arcs; return them wrapped, (m,).
 
-    Parameters
-    ----------
-    t : array_like, shape (m,)
-        Query times [s], within `stamps`.
-    stamps : ndarray, shape (n,)
-        Increasing times [s].
-    angles : ndarray, shape (n,)
-        Angles at those times [rad].
-
-    Returns
-    -------
-    ndarray, shape (m,)
-        Wrapped angles [rad].
+    The query times `t` (m,) are within the increasing `stamps` (n,) [s].
     """
     return np.asarray(wrap(np.interp(t, stamps, np.unwrap(angles))))

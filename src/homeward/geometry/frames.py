@@ -103,15 +103,8 @@ def bearing(pose: Pose, x: Any, y: Any) -> Any:
 def position_sigma(covariance: np.ndarray) -> Any:
     """Return the standard deviation of a position along its worst direction [m].
 
-    Parameters
-    ----------
-    covariance : ndarray, shape (..., k, k)
-        Covariance of x, y [m] and any further components; NaN gives NaN.
-
-    Returns
-    -------
-    ndarray, shape (...)
-        Semi-major axis of the 1-sigma ellipse; a float for a single covariance.
+    The semi-major axis of the 1-sigma ellipse of a covariance (..., k, k) of x, y [m] and any
+    further components; NaN gives NaN, and a single covariance a float.
     """
     xx, xy, yy = covariance[..., 0, 0], covariance[..., 0, 1], covariance[..., 1, 1]
     largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
@@ -119,19 +112,9 @@ def position_sigma(covariance: np.ndarray) -> Any:
 
 
 def polar_covariance_to_pose(polar: Polar, covariance: np.ndarray) -> np.ndarray:
-    """Transform a covariance of (R, theta, alpha) to (x, y, heading), to first order.
+    """Transform a covariance (..., 3, 3) of (R, theta, alpha) to (x, y, heading), to first order.
 
-    Parameters
-    ----------
-    polar : Polar
-        Point of linearisation: numbers, or arrays of one shape.
-    covariance : ndarray, shape (..., 3, 3)
-        Covariance of (R [m], theta [rad], alpha [rad]).
-
-    Returns
-    -------
-    ndarray, shape (..., 3, 3)
-        Covariance of (x [m], y [m], heading [rad]).
+    In m and rad; `polar` is the point of linearisation: numbers, or arrays of one shape.
     """
     c, s = np.cos(polar.theta), np.sin(polar.theta)
     jacobian = np.zeros((*np.shape(c), 3, 3))

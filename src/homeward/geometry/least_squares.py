@@ -21,16 +21,10 @@ class LeastSquares:
         weights: np.ndarray,
         *terms: tuple[np.ndarray | int, np.ndarray | float],
     ) -> None:
-        """Add m rows.
+        """Add m rows: residuals, measured minus expected, and the inverse of their sigmas.
 
-        Parameters
-        ----------
-        residuals : ndarray, shape (m,)
-            Measured minus expected.
-        weights : ndarray, shape (m,)
-            Inverse of their standard deviations.
-        *terms : (columns, slopes), each (m,) or one for all
-            Unknowns, and the derivatives of the expected values with respect to them.
+        Each term has columns and slopes, (m,) or one for all: unknowns, and the derivatives of the
+        expected values with respect to them.
         """
         rows = self._count + np.arange(residuals.size)
         self._residuals.append(residuals * weights)

@@ -32,20 +32,10 @@ class RecordedTwists(Protocol):
 
 
 def dead_reckoning(odometry: RecordedTwists, t: np.ndarray) -> Pose:
-    """Integrate twists along arcs, from the origin at the first twist.
+    """Integrate twists along arcs from the origin to poses (n,) at `t` [s].
 
-    Parameters
-    ----------
-    odometry : RecordedTwists
-        At least one twist; each is valid for `validities`. Where the motion is unknown, the last
-        known twist is used.
-    t : ndarray, shape (n,)
-        Times [s].
-
-    Returns
-    -------
-    Pose
-        x [m], y [m], heading [rad], each of shape (n,).
+    The first twist is at the origin. Each of one or more twists is valid for `validities`. Where
+    the motion is unknown, the last known twist is used.
     """
     end = dead_reckoning_unwrapped(odometry, t)
     return end._replace(heading=wrap(end.heading))

@@ -72,14 +72,8 @@ def home_name(row: int) -> str:
 class FrontEnd:
     """Turns the panoramas of one drive into bearings of landmarks.
 
-    Parameters
-    ----------
-    home : Features
-        Of the home image; its mask applies to all frames.
-    camera : Panorama
-        The camera of the panoramas.
-    max_landmarks : int
-        Maximum number of landmarks that are passed on from one frame.
+    `home` has the features of the home image, whose mask applies to all frames; at most
+    `max_landmarks` are passed on from one frame.
     """
 
     def __init__(self, home: Features, camera: Panorama, max_landmarks: int = 30) -> None:

@@ -141,22 +141,10 @@ def tag_ranges(
     """Return the horizontal distances (n,) of tags on vertical surfaces [m], from their size.
 
     The ends of a vertical side are at the same distance d, so its length is d times the difference
-    of the tangents of their elevations, however the tag is turned about the vertical.
-
-    Parameters
-    ----------
-    corners : ndarray, shape (n, 4, 2)
-        Columns and rows [px], in order round each tag.
-    sizes : ndarray, shape (n,)
-        Lengths of the sides of the tags [m]; NaN: unknown.
-    camera : Camera
-    shape : (int, int)
-        Height and width of the image [px].
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Mean of the two sides that are more vertical; NaN without a size or a ray.
+    of the tangents of their elevations, however the tag is turned about the vertical. The mean of
+    the two sides that are more vertical counts; NaN without a size or a ray. `corners` (n, 4, 2)
+    are columns and rows [px] in order round each tag, `sizes` (n,) lengths of the sides [m], NaN if
+    unknown, and `shape` is height and width of the image [px].
     """
     _, elevation = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
     height = np.tan(elevation).reshape(-1, 4)

@@ -41,16 +41,9 @@ class Bodies(NamedTuple):
         """Return the log prior of labels, and the gain in density of bodies that moved, (f,).
 
         As a rule each item has its own probability to be moved; after an upheaval, or at another
-        place, any share of them may be.
-
-        Parameters
-        ----------
-        right : ndarray, shape (f, k), bool
-            Labels: the items in place.
-        wrong : ndarray, shape (k,), or float
-            Prior probability of each to be moved.
-        more : ndarray, shape (b,)
-            Log density of a body that moved, less that of its members moved independently.
+        place, any share of them may be. `right` (f, k) are the labels: the items in place; `wrong`
+        (k,), or one for all, is the prior probability of each to be moved; `more` (b,) is the log
+        density of a body that moved, less that of its members moved independently.
         """
         number, wrong = right.sum(axis=1), np.broadcast_to(wrong, right.shape[1:])
         rule = np.where(right, np.log1p(-wrong), np.log(wrong)).sum(axis=1)
@@ -81,16 +74,8 @@ def find_bodies(
 ) -> Bodies:
     """Return the bodies among landmarks: those given, and others near each other.
 
-    Parameters
-    ----------
-    names : sequence of str
-        The k landmarks.
-    places : ndarray, shape (k, 2)
-        Their positions [m].
-    together : sequence of sequences of str
-        Groups that are given; one landmark alone is on no body.
-    size : float
-        Size of the site [m].
+    Of k landmarks by name, with `places` (k, 2) [m]; one landmark alone is on no body of the groups
+    `together`. `size` is that of the site [m].
     """
     if len(names) < 2:
         return Bodies.none(len(names))

@@ -70,19 +70,9 @@ class Elimination:
     def solve(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the normal equations.
 
-        Returns
-        -------
-        poses : ndarray, shape (w, 3)
-            Step of the poses.
-        common : ndarray, shape (a,)
-            Step of the shared unknowns.
-        covariance : ndarray, shape (3 + a, 3 + a)
-            Of the newest pose and the shared unknowns.
-
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When they are singular.
+        Return the steps of the poses (w, 3) and of the shared unknowns (a,), and the covariance of
+        the newest pose and the shared unknowns (3 + a, 3 + a). `numpy.linalg.LinAlgError` when they
+        are singular.
         """
         covariance = positive_inverse(self.information)
         tail = covariance @ self.gradient
@@ -157,14 +147,8 @@ def _substitute(eliminated: Elimination, whitened: np.ndarray) -> np.ndarray:
 def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the marginal covariances of all poses, for smoothing a whole drive.
 
-    Returns
-    -------
-    own : ndarray, shape (w, 3, 3)
-        Of each pose.
-    lever : ndarray, shape (w, 3, a)
-        Minus the derivative of each pose by the shared unknowns.
-    common : ndarray, shape (a, a)
-        Covariance of the shared unknowns.
+    Of each pose (w, 3, 3), minus the derivative of each pose by the shared unknowns (w, 3, a), and
+    the covariance of these (a, a).
     """
     eliminated = eliminate(e)
     newest = np.linalg.inv(eliminated.information[:3, :3])
@@ -206,14 +190,9 @@ def positive_inverse(matrix: np.ndarray) -> np.ndarray:
 
 
 class Prior:
-    """Marginalisation prior on oldest pose, calibration and landmarks.
+    """Marginalisation prior on oldest pose, calibration and landmarks, around zero.
 
-    A Gaussian in information form, with a fixed linearisation point.
-
-    Parameters
-    ----------
-    information : ndarray, shape (12 + 2 n, 12 + 2 n)
-        Initial information on oldest pose, calibration and landmarks, around zero.
+    A Gaussian in information form (12 + 2 n, 12 + 2 n), with a fixed linearisation point.
     """
 
     def __init__(self, information: np.ndarray) -> None:

@@ -130,14 +130,9 @@ def weigh_sightings(
 ) -> WeighedSightings:
     """Normalise bearing factors, with a redescending M-estimator against large residuals.
 
-    Parameters
-    ----------
-    residual, jacobian : ndarray, shape (m,), (m, 14)
-        See `bearing_residuals`.
-    sigma, effective : ndarray, shape (m,)
-        Standard deviations, and effective ones given earlier sightings [rad].
-    pose, landmark : ndarray, shape (m,), int
-        Indices of the pose and of the landmark of each.
+    `residual` (m,) and `jacobian` (m, 14) are of `bearing_residuals`, `sigma` and `effective` (m,)
+    the standard deviations, and those given earlier sightings [rad], `pose` and `landmark` (m,) the
+    indices of each.
     """
     scale = 1.0 / (effective * np.maximum(np.abs(residual) / (GATE * sigma), 1.0))
     return WeighedSightings(scale * residual, scale[:, None] * jacobian, pose, landmark)

@@ -17,16 +17,10 @@ MAX_PIXELS = 64_000_000
 def as_grey(image: ArrayLike) -> np.ndarray:
     """Return a picture in 8-bit grey, uint8 (height, width); not copied if it is that already.
 
-    Parameters
-    ----------
-    image : array of integers, shape (height, width), or (height, width, 1, 3 or 4)
-        Grey, or colour in OpenCV's order (BGR, or BGRA, whose alpha is ignored). 16-bit values are
-        scaled by the smallest power of two that fits the brightest pixel into 8 bits.
-
-    Raises
-    ------
-    InputError
-        If it is no such array, or its size is not that of a panorama.
+    From integers (height, width), or (height, width, 1, 3 or 4): grey, or colour in OpenCV's order
+    (BGR, or BGRA, whose alpha is ignored). 16-bit values are scaled by the smallest power of two
+    that fits the brightest pixel into 8 bits. `InputError` if it is no such array, or its size is
+    not that of a panorama.
     """
     if image is None:
         raise InputError("not a picture but None: check that its file exists")

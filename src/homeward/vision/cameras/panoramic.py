@@ -61,15 +61,8 @@ class Panorama(Camera):
     def panorama(self, image: np.ndarray) -> np.ndarray:
         """Return the panorama, uint8 (height, width), that `directions` refers to.
 
-        Parameters
-        ----------
-        image : ndarray
-            As the camera delivers it, in any format of `as_grey`.
-
-        Raises
-        ------
-        InputError
-            If it is no picture, or its size does not suit the camera.
+        From an image as the camera delivers it, in any format of `as_grey`; `InputError` if it is
+        no picture, or its size does not suit the camera.
         """
         grey = as_grey(image)
         height, width = grey.shape

@@ -165,17 +165,8 @@ def find_ring(image: np.ndarray) -> FoundRing:
 
     Circles are fitted to the points with half the contrast to the dark surround, and to the dark
     middle if there is one. `BLURRED_EDGE` is cut off at both: a rim in the panorama turns with the
-    camera, and would match the rim in the home image.
-
-    Parameters
-    ----------
-    image : ndarray
-        In any format of `as_grey`, dark outside the ring.
-
-    Raises
-    ------
-    InputError
-        If it is no picture, or has no dark surround.
+    camera, and would match the rim in the home image. The image has any format of `as_grey`;
+    `InputError` if it is no picture, or has no dark surround.
     """
     image, cv2 = as_grey(image), opencv()
     blur = max(image.shape) / 250

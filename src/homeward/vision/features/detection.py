@@ -65,12 +65,8 @@ class Features:
     def patches(self) -> tuple[np.ndarray, np.ndarray]:
         """Patches that can be aligned: features and corners, one at each position.
 
-        Returns
-        -------
-        patches : ndarray, shape (k, 3)
-            Column, row and diameter [px].
-        of : ndarray of int, shape (n,)
-            Index of the patch at the position of each feature.
+        Column, row and diameter of each (k, 3) [px], and the index of the patch of each feature
+        (n,).
         """
         every = np.vstack([np.column_stack([self.column, self.row, self.size]), self.corners()])
         place = every[:, :2].round() @ [1, 1j]
@@ -100,21 +96,10 @@ class Features:
 
 
 def extract(image: np.ndarray, camera: Panorama, mask: Mask | None = None) -> Features:
-    """Find the features of a panorama.
+    """Find the features of a panorama, an image in any format of `as_grey`.
 
-    Parameters
-    ----------
-    image : ndarray
-        In any format of `as_grey`: 8 or 16 bits, grey, or colour in OpenCV's order (BGR).
-    camera : Panorama
-        Camera model of the panorama.
-    mask : Mask, optional
-        Excludes pixels that show the robot.
-
-    Raises
-    ------
-    InputError
-        If it is no picture, or the mask has another shape.
+    `mask` excludes pixels that show the robot. `InputError` if it is no picture, or the mask has
+    another shape.
     """
     image = as_grey(image)
     height, width = image.shape

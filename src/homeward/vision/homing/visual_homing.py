@@ -65,14 +65,9 @@ REFUSALS = 3
 
 
 class VisualHoming:
-    """Adds visual homing to an estimator; itself an `Estimator`.
+    """Adds visual homing to an estimator, which maps the landmarks; itself an `Estimator`.
 
-    Parameters
-    ----------
-    estimator : Estimator
-        Maps the landmarks.
-    **robot : Robot
-        As given to the estimator: camera extrinsics, now and at home.
+    `robot` is as given to it: camera extrinsics, now and at home.
     """
 
     def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:

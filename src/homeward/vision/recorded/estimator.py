@@ -90,13 +90,6 @@ class RecordedVisualHoming(VisualHoming):
     No robot is driven by its estimates. So a direction home without a distance is reported in the
     reason, not as a pose. Where map and picture contradict each other, the one with the smaller
     covariance is reported; the map is then unverified until a picture agrees with it.
-
-    Parameters
-    ----------
-    estimator : Estimator
-        Maps the landmarks.
-    drive : ImageDrive
-        The drive it will run on; later pictures are not used before their stamps.
     """
 
     def __init__(self, estimator: Estimator, drive: ImageDrive) -> None:

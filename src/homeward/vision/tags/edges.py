@@ -33,25 +33,12 @@ SYSTEMATIC = 0.03
 def refine_corners(
     image: np.ndarray, corners: np.ndarray, cells: int, camera: Camera
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Refine the corners of tags; return them with their standard deviations.
+    """Refine the corners of tags; return them with the standard deviations of their coordinates.
 
-    Parameters
-    ----------
-    image : ndarray of uint8, shape (height, width)
-        The image, or panorama, of `camera`.
-    corners : ndarray, shape (n, 4, 2)
-        Columns and rows, to a pixel or two, clockwise in the image [px].
-    cells : int
-        Number of cells along a tag's edge, with its border.
-    camera : Camera
-        The camera of the image.
-
-    Returns
-    -------
-    corners : ndarray, shape (n, 4, 2)
-        [px]; NaN where an edge has no contrast.
-    sigma : ndarray, shape (n,)
-        Of each of their coordinates [px].
+    Of a grey image, or panorama, of `camera`: corners (n, 4, 2), columns and rows [px], to a pixel
+    or two and clockwise in the image; `cells` is the number of cells along a tag's edge, with its
+    border. Refined corners are NaN where an edge has no contrast; standard deviations are (n,)
+    [px].
     """
     shape = image.shape[0], image.shape[1]
     rays = _rays(corners, camera, shape)
