@@ -3,17 +3,22 @@
 import math
 from types import SimpleNamespace as Message
 
+import numpy as np
 import pytest
 
+from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.tag_pose import tag_poses
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.live.messages import Answer
+from homeward.ros import conversions
 from homeward.ros.conversions import (
     StampConverter,
     fill_covariance,
     obstacle_in,
     odometry_in,
     start_in,
+    tag_out,
 )
 
 
@@ -82,6 +87,21 @@ def test_an_initial_pose_in_the_map_is_a_start_in_the_home_frame(frame):
 def test_an_initial_pose_in_another_frame_is_refused():
     with pytest.raises(InputError, match="its frame is 'odom', not 'map'"):
         start_in(initial_pose(0.0, 0.0, 0.0, "odom"), "map", HOME)
+
+
+def test_a_tag_is_in_the_optical_frame_of_its_camera(monkeypatch):
+    blank = lambda: Message(**dict.fromkeys("xyzw"))  # noqa: E731
+    inner = Message(pose=Message(position=blank(), orientation=blank()), covariance=None)
+    monkeypatch.setattr(conversions, "message_class", lambda _: lambda: Message(pose=inner))
+    sheet = np.array([[600.0, 320], [680, 320], [680, 400], [600, 400]])  # 80 px: 1 m away
+    lens = Lens(fx=500, fy=500, cx=600, cy=360)
+    (tag,) = tag_poses(sheet[None], 0.3, np.array([0.16]), lens, (0, 0))
+    found = tag_out(tag, "header")
+    place, turn = found.pose.pose.position, found.pose.pose.orientation
+    assert (place.x, place.y, place.z) == pytest.approx((0.08, 0.0, 1.0), abs=1e-6)
+    assert (turn.x, turn.y, turn.z, abs(turn.w)) == pytest.approx((0.0, 0.0, 0.0, 1.0), abs=1e-6)
+    along, aside = found.pose.covariance[14], found.pose.covariance[0]
+    assert along > 3 * aside  # the distance is the least accurate
 
 
 def test_the_covariance_turns_with_the_map():

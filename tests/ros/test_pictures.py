@@ -1,10 +1,12 @@
 """A robot that sends its images to the node, which detects the tags."""
 
+import math
 import statistics
 import sys
 import time
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from ros.stage import Stage
 
@@ -22,6 +24,7 @@ def stage(ros, tmp_path):
         bearings_topic="image",
         bearings_type=f"sensor_msgs/msg/{'Compressed' * packed}Image",
         camera_info_topic="camera_info",
+        tag_size=0.2,
     )
     yield stage
     stage.end()
@@ -39,6 +42,11 @@ def drive_about(stage):
 
 def test_home_by_a_turn_and_back_again_by_pictures(stage):
     stage.hear("/homeward/said", lambda s: "no home yet" in s.get("reason", ""), 30.0, 0)
+    x, y, z, sigma, frame = stage.hear("/homeward/tag_0", since=0)["value"]
+    away = np.random.default_rng(0).uniform(1.6, 2.6)  # of the first tag in picture_node.py
+    assert frame == "camera_optical_frame"
+    assert abs(math.hypot(x, y, z) - away) < 0.03
+    assert 0.0 < sigma < 0.1
     stage.send(call="turn_home")
     stored = stage.hear("/homeward/said", lambda s: "is stored" in s.get("text", ""), 40.0)
     number, _, rest = stored["value"]["text"].partition("stored: ")[2].partition(" ")

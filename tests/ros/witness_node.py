@@ -44,6 +44,7 @@ class Witness(Node):
             "/homeward/said": (String, lambda m: json.loads(m.data)),
             "/homeward/pose": (PoseWithCovarianceStamped, self.pose),
             "/homeward/map_to_odom": (TransformStamped, self.transform),
+            "/homeward/tag_0": (PoseWithCovarianceStamped, self.tag),
             "/homeward/sightings": (Marker, self.rays),
             "/homeward/landmarks": (MarkerArray, lambda m: len(m.markers)),
             "/diagnostics": (DiagnosticArray, lambda m: m.status[0].message),
@@ -69,6 +70,11 @@ class Witness(Node):
     def pose(message):
         p = message.pose.pose.position
         return [p.x, p.y, message.pose.covariance[0], stamp(message)]
+
+    @staticmethod
+    def tag(message):
+        p, covariance = message.pose.pose.position, message.pose.covariance
+        return [p.x, p.y, p.z, math.sqrt(covariance[14]), message.header.frame_id]
 
     @staticmethod
     def rays(message):

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
+from homeward.drives.cameras.tag_pose import TagPose
 from homeward.drives.ros.measurements.bearings import (
     ALL_READERS,
+    CORNERS,
     IN_IMAGE,
     TRANSFORMS,
     frame_of,
@@ -134,9 +136,15 @@ class MessageCameras:
 
     `parameters` are those of the node: `InputError` where they are invalid, `ImportError` where the
     package of a message is missing. Bearings are those of the first camera, as in logs.
+    `on_tags` gets the poses of tags of known size, and the header of their message.
     """
 
-    def __init__(self, parameters: Mapping[str, Any]) -> None:
+    def __init__(
+        self,
+        parameters: Mapping[str, Any],
+        on_tags: Callable[[dict[str, TagPose], Any], None] | None = None,
+    ) -> None:
+        self._on_tags = on_tags
         self.kind: str = parameters["bearings_type"]
         """The type of the messages."""
         convert.message_class(self.kind)  # fail now if its package is missing
@@ -183,6 +191,7 @@ class MessageCameras:
             "axes": parameters["bearings_axes"] or None,
             "sigma": parameters["bearing_sigma"] or None,
             "rectified": parameters["rectified"],
+            "tag_size": parameters["tag_size"] or None,
             "camera": read_calibration(file.parent, file.name) if parameters["camera"] else info,
         }
         return [validated(BearingsTopic, {k: v for k, v in given.items() if v is not None})]
@@ -268,6 +277,7 @@ class MessageCameras:
                 [p for p, s in zip(parts, times, strict=True) if s == t],
                 t,
                 *known,
+                self._on_tags if given.tag_size and self.kind in CORNERS else None,
             )
             for t in sorted(set(times))
         ]

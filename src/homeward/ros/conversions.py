@@ -6,14 +6,17 @@ Message classes are imported when used, because a robot has only the packages th
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+import re
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.tag_pose import TagPose
 from homeward.drives.ros.measurements.bearings import TagDetector
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
@@ -47,6 +50,8 @@ PLANAR = (0, 1, 5)
 MAX_RANGE_M = 1e4
 """Free distance for scanners with infinite range, such as simulated ones [m]."""
 _SPHERE, _LINES, _TEXT = 2, 5, 9
+OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+"""From a camera's frame, x ahead and y to the left, to its optical frame (REP 103)."""
 RAY_M = 5.0
 """Length at which a sighting without a range is drawn [m]."""
 
@@ -97,18 +102,21 @@ def bearings_in(
     camera: Lens | None,
     place: Pose,
     eye: TagDetector | None = None,
+    on_tags: Callable[[dict[str, TagPose], Any], None] | None = None,
 ) -> msg.BearingsIn:
     """Return the bearings of the parts of a message (`parts_of`), read like those of logs.
 
     `place` is the pose of their camera in the frame of the first one [m, m, rad].
 
-    In images (`PICTURES`) the `eye` detects tags. `InputError` where there are none, or a camera
-    model is missing.
+    In images (`PICTURES`) the `eye` detects tags. `on_tags` gets the poses of tags and the header
+    of the message. `InputError` where there are none, or a camera model is missing.
     """
     rows = SightingRows(topic, kind, Remarks(), lambda: camera, eye)
     rows.in_reference = place
     for part in parts:
         rows.add(t, part)
+    if on_tags is not None:
+        on_tags(rows.tag_poses(), parts[0].header)
     columns = rows.columns()
     ids = [str(i) for i in columns["landmark"]]
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
@@ -240,6 +248,21 @@ def rays_out(seen: msg.BearingsIn, camera: Pose, stamp: Any, frame: str) -> Any:
     return marker
 
 
+def tag_out(tag: TagPose, header: Any) -> Any:
+    """Return a geometry_msgs/PoseWithCovarianceStamped in the optical frame of the camera."""
+    message = message_class(POSE)()
+    message.header = header
+    turn = OPTICAL @ tag.rotation
+    place, quaternion = OPTICAL @ tag.position, Rotation.from_matrix(turn).as_quat()
+    for axis, value in zip("xyz", place.tolist(), strict=True):
+        setattr(message.pose.pose.position, axis, value)
+    for axis, value in zip("xyzw", quaternion.tolist(), strict=True):
+        setattr(message.pose.pose.orientation, axis, value)
+    both = np.kron(np.eye(2), OPTICAL)
+    message.pose.covariance = (both @ tag.covariance @ both.T).ravel().tolist()
+    return message
+
+
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
 
 
@@ -322,6 +345,17 @@ class Publishers:
             frame = self._parameter("map_frame")
             markers = markers_out(out, self._now(), frame, self.home)
             self._out["landmarks"].publish(markers)
+
+    def tags(self, found: Mapping[str, TagPose], header: Any) -> None:
+        """Publish the pose of each tag in the optical frame of its camera, on a topic of its own.
+
+        Stamp and frame are those of a message's `header`.
+        """
+        for name, tag in found.items():
+            topic = "~/tag_" + re.sub(r"\W", "_", name, flags=re.ASCII)
+            if topic not in self._out:  # created by an active node: no lifecycle publisher
+                self._out[topic] = self._node.create_publisher(message_class(POSE), topic, 10)
+            self._out[topic].publish(tag_out(tag, header))
 
     def command(self, command: Command) -> None:
         """Publish a command, with or without a stamp."""

@@ -46,6 +46,7 @@ PARAMETERS: dict[str, Any] = {
     "bearings_axes": "",
     "bearing_sigma": 0.0,
     "tags": "36h11",
+    "tag_size": 0.0,
     "camera": "",
     "camera_info_topic": "",
     "rectified": False,
@@ -114,7 +115,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 robot = read_settings(Path(parameter("robot_file")), DriveSettings)
             if parameter("home"):
                 homes["home"] = read_home(Path(parameter("home")), {})
-            self._cameras = MessageCameras({name: parameter(name) for name in PARAMETERS})
+            given = {name: parameter(name) for name in PARAMETERS}
+            self._cameras = MessageCameras(given, self._publish.tags)
             self._frames = FrameOrder(self._cameras.number)
             place = None
             if parameter("place_update") and not parameter("place"):

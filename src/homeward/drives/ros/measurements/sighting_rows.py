@@ -10,6 +10,7 @@ import numpy as np
 
 from homeward.drives.cameras.camera import sizes_of, tag_bearings, tag_ranges, tilt_matrix
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.importers.positions import axes_by_spread
 from homeward.drives.ros.measurements.bearings import (
     ALVAR,
@@ -127,6 +128,13 @@ class SightingRows:
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
         return {name: values[is_valid] for name, values in columns.items()}
 
+    def tag_poses(self) -> dict[str, TagPose]:
+        """Return the poses of tags by id, in the frame of their camera without its tilt."""
+        names, level = [seen.landmark for seen in self._kept], {"roll": 0.0, "pitch": 0.0}
+        camera, sizes = self._model().model_copy(update=level), sizes_of(names, self.given.tag_size)
+        found = tag_poses(self._corners(), self._corner_sigmas(), sizes, camera, (0, 0))
+        return {name: pose for name, pose in zip(names, found, strict=True) if pose is not None}
+
     def _ranges(self) -> np.ndarray:
         """Return the horizontal distances [m] from the reference camera, (n,); NaN: unknown."""
         if self.kind in CORNERS and self.given.tag_size is not None:
@@ -159,8 +167,12 @@ class SightingRows:
         camera = self._model()
         if self.kind == DETECTIONS:
             return camera.directions(a, b)[0], sigma
-        each = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
-        return tag_bearings(self._corners(), each, camera, (0, 0))
+        return tag_bearings(self._corners(), self._corner_sigmas(), camera, (0, 0))
+
+    def _corner_sigmas(self) -> np.ndarray:
+        """Return the standard deviations of the corners of tags, (n,) [px]."""
+        sigma = np.array([seen.sigma for seen in self._kept], float)
+        return np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
 
     def _corners(self) -> np.ndarray:
         """Return the corners of tags, (n, 4, 2) [px]."""
