@@ -5,7 +5,7 @@ VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
 
-.PHONY: install demo plan test core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
+.PHONY: install demo plan test demo-physics core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
 
 install: $(VENV)/installed
 
@@ -21,6 +21,13 @@ demo: install
 
 plan: install
 	$(BIN)/homeward plan warehouse --out out/plan
+
+# A robot in a warehouse with physics and rendered images: a film and a report. It renders by EGL,
+# without a screen (Debian: libegl1); MUJOCO_GL=osmesa by OSMesa.
+demo-physics: install
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[demo-physics]'
+	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m examples.warehouse.demo --out out/demo-physics
+	$(BIN)/homeward run out/demo-physics/drive --out out/demo-physics/run
 
 # MARK='not core': without the tests of test-core, where that has run.
 test: install

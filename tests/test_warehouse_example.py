@@ -1,0 +1,76 @@
+"""The warehouse in physics is repeatable, and its rendered tags are read where they are."""
+
+import math
+import os
+
+import numpy as np
+import pytest
+
+pytest.importorskip("cv2", reason="needs the extra vision")
+pytest.importorskip("mujoco", reason="needs the extra demo-physics")
+os.environ.setdefault("MUJOCO_GL", "egl")
+
+from examples.warehouse.detections import Camera, Simulated, corners_in_view
+from examples.warehouse.robot import Base
+from examples.warehouse.world import Box, World
+
+
+def driven(seed: int) -> tuple[np.ndarray, tuple[float, ...], tuple[float, float]]:
+    world = World(seed)
+    base, measured = Base(world), []
+    for _ in range(50):
+        base.drive(0.4, 0.3)
+        world.advance(0.02)
+        measured.append(base.measure())
+    world.move(world.present[0])
+    return world.tags()[1], world.pose, tuple(np.mean(measured[25:], axis=0))
+
+
+def test_a_seed_gives_the_same_warehouse_and_the_same_drive():
+    first, second, other = driven(3), driven(3), driven(4)
+    np.testing.assert_array_equal(first[0], second[0])
+    assert first[1:] == second[1:]
+    assert first[1] != other[1] or not np.array_equal(first[0], other[0])
+
+
+def test_the_robot_drives_as_commanded_and_its_wheels_measure_it():
+    _, (x, y, heading), (v, omega) = driven(3)
+    assert v == pytest.approx(0.4, abs=0.03)
+    assert omega == pytest.approx(0.3, abs=0.05)
+    assert math.hypot(x - 1.5, y - 4.0) == pytest.approx(0.36, abs=0.08)
+    assert 0.15 < heading < 0.35
+
+
+def facing_one_box() -> tuple[World, Box]:
+    """Return a hall whose only box stands 3 m in front of the robot."""
+    world = World(0, boxes=1, people=0)
+    (box,) = world.boxes
+    world.place(box, 4.7 + box.half[0], 4.0, 0.3, math.pi)
+    world.advance(0.2)
+    return world, box
+
+
+def test_a_rendered_tag_is_detected_at_3_m_with_its_true_bearing():
+    world, box = facing_one_box()
+    try:
+        camera = Camera(world)
+    except Exception as error:
+        pytest.skip(f"no offscreen rendering here: {error}")
+    seen = camera.see()
+    camera.close()
+    assert list(seen.bearings) == [str(box.tags[0])]
+    _, _, heading = world.pose
+    assert seen.bearings[str(box.tags[0])] == pytest.approx(-heading, abs=0.005)
+    (names, corners) = corners_in_view(world)
+    assert names == list(seen.bearings)
+    np.testing.assert_allclose(seen.tags.corners, corners, atol=0.5)
+
+
+def test_a_simulated_detection_is_hidden_by_a_box_in_front():
+    world, box = facing_one_box()
+    assert list(Simulated(world).see().bearings) == [str(box.tags[0])]
+    front = World(0, boxes=2, people=0)
+    for near, one in zip((3.0, 1.2), front.boxes, strict=True):
+        front.place(one, 1.7 + near + one.half[0], 4.0, 0.3, math.pi)
+    front.advance(0.2)
+    assert list(Simulated(front).see().bearings) == [str(front.boxes[1].tags[0])]
