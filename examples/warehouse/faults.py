@@ -20,7 +20,7 @@ import numpy as np
 
 from examples.warehouse.demo import HOME
 from examples.warehouse.detections import Simulated
-from examples.warehouse.robot import SETTINGS, Robot
+from examples.warehouse.robot import SETTINGS, TICK_S, Robot
 from examples.warehouse.world import World
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose
@@ -74,7 +74,7 @@ class FaultyRobot(Robot):
         if self.world.t - self._cut_at > 0.2:
             self.base.drive(0.0, 0.0)
         self.truth.append((self.world.t, self.true_pose()))
-        self.world.advance(0.02)
+        self.world.advance(TICK_S)
 
     def cut(self, is_cut_off: bool) -> None:
         """Kill the session, or start a new one, which has only the home bearings."""
@@ -92,7 +92,7 @@ def oil(robot: FaultyRobot, on: bool) -> None:
 def blocked_wheel(robot: FaultyRobot, on: bool) -> None:
     """The left wheel is blocked."""
     wheel = robot.world.model.joint("left").dofadr[0]
-    robot.world.model.dof_frictionloss[wheel] = 50.0 if on else 0.0
+    robot.world.model.dof_damping[wheel] = 200.0 if on else 0.02
 
 
 def dead(robot: FaultyRobot, on: bool) -> None:
@@ -205,7 +205,8 @@ def effect(name: str, seed: int) -> Effect:
             here = robot.true_pose()
             step, last = math.dist(here[:2], last[:2]), here
             driven += step
-            if math.isnan(rest) and step < AT_REST * 0.02:
+            on_the_way = math.dist(here[:2], GOAL) > 0.5
+            if math.isnan(rest) and on_the_way and step < AT_REST * TICK_S:
                 rest = driven
             words = [robot.doing]
             words += [text for _, text in robot.events[events:]]

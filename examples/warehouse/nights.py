@@ -46,6 +46,8 @@ EDGES = ("w m", "m e", "w sw", "w nw", "sw s", "s se", "se e", "nw n", "n ne", "
 MOVE, LEAVE = 0.10, 0.05
 """Shares of the boxes that move, and that leave and arrive, each night."""
 REACHED_M, MAX_ERROR_M = 0.05, 0.3
+PEER_MAX_M = 10.0
+"""Larger errors of peers count as this [m]."""
 DAY_S = 900.0
 """A day ends after this time, also if goals are left [s]."""
 FIRST_DAY = 20000.0
@@ -69,7 +71,7 @@ class Day:
     largest: float
     """Largest position error while localised [m]."""
     moved: frozenset[str]
-    """Boxes that moved since the place last had them, seen often enough today."""
+    """Boxes that moved since the place last had them, seen often enough before and today."""
     named: frozenset[str]
     wrong: frozenset[str]
     """Named boxes that did not move."""
@@ -89,8 +91,8 @@ class Warehouse:
         self.eye: Eye = Camera(self.world, seed) if rendered else Simulated(self.world, seed)
         self.rng = np.random.default_rng([seed, 5])
         self.folder = folder
-        self.mapped: dict[str, Pose] = {}
-        """Pose of each box when it was last merged into the place."""
+        self.mapped: dict[str, tuple[Pose, int]] = {}
+        """Pose of each box when it was last merged into the place, and its sightings there."""
         self.survey = {
             name: SurveyedLandmark(x=float(x), y=float(y)) for name, (x, y) in self._tags().items()
         }
@@ -185,16 +187,15 @@ class Warehouse:
         for o in robot.outcomes:
             if isinstance(o.task, msg.GoTo) and o.state == "arrived" and o.at is not None:
                 reached += math.dist(o.at[:2], (o.task.x, o.task.y)) < REACHED_M
-        often = {
-            box.name
-            for box in self.world.present
-            if max(seen[str(t)] for t in box.tags) >= MIN_SIGHTINGS
-        }
+        times = {b.name: max(seen[str(t)] for t in b.tags) for b in self.world.present}
         here = {box.name: Pose(box.x, box.y, box.yaw) for box in self.world.boxes}
-        moved = {n for n in self.mapped if here[n] != self.mapped[n]}
-        found = named(robot) & often
+        moved = {n for n, (pose, _) in self.mapped.items() if here[n] != pose}
+        often = {n for n in moved if min(times.get(n, 0), self.mapped[n][1]) >= MIN_SIGHTINGS}
+        found = named(robot)
         if is_merged:
-            self.mapped |= {n: here[n] for n in often}
+            for name in [n for n, count in times.items() if count]:
+                before = 0 if name in moved else self.mapped.get(name, (None, 0))[1]
+                self.mapped[name] = here[name], before + times[name]
         return Day(
             localised[0].t - began if localised else math.inf,
             goals,
@@ -203,7 +204,7 @@ class Warehouse:
             tuple(sorted({name for _, name in robot.collisions})),
             float(np.sqrt(np.mean(error**2))) if len(error) else math.nan,
             float(error.max()) if len(error) else math.nan,
-            frozenset(moved & often),
+            frozenset(often),
             frozenset(found),
             frozenset(found - moved),
             self.world.t - began,
@@ -230,7 +231,8 @@ class Warehouse:
         found = {}
         for name, peer in (("EKF", SurveyedEkf), ("resection", Resection)):
             off = errors(run(drive, peer(drive)), drive.truth)
-            found[name] = float(np.sqrt(np.mean(off.position**2))) if off.t.size else math.nan
+            capped = np.minimum(off.position, PEER_MAX_M)
+            found[name] = float(np.sqrt(np.mean(capped**2))) if off.t.size else math.nan
         return found
 
 
