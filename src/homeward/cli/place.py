@@ -139,3 +139,27 @@ def undo(folder: Folder) -> None:
     from homeward.places.files import undo as go_back
 
     say(f"The place is version {go_back(folder)} again.")
+
+
+@place.command()
+def serve(
+    folder: Folder,
+    tcp: Annotated[
+        str, typer.Option(metavar="[HOST:]PORT", help="TCP port for sessions; 0: any port.")
+    ] = "7710",
+) -> None:
+    """Share a place between live sessions, and merge their visits while they drive.
+
+    They join with homeward live --place tcp://HOST:PORT. Without HOST, only this machine can
+    connect; with HOST, sessions need the same token in the environment variable HOMEWARD_TOKEN.
+    Ends with Ctrl-C or SIGTERM.
+    """
+    import asyncio
+
+    from homeward.live.server import address, given_token
+    from homeward.live.shared.merging import SharedPlace
+    from homeward.live.shared.server import PlaceServer
+
+    where = address(tcp)
+    server = PlaceServer(SharedPlace(folder), given_token(), say)
+    asyncio.run(server.serve(where, lambda port: say(f"listening on port {port}")))

@@ -108,7 +108,7 @@ class Localisation:
         """The given pose of the camera on the robot."""
         return self._robot.sensor.pose
 
-    def do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
+    def do(self, message: msg.Input | msg.PlaceChanged, odom: Pose | None) -> msg.Output | None:
         """Process a message and return the answer; `odom` is the odometry pose at its stamp.
 
         `InputError` where the message cannot be processed; nothing changes then. `InternalError` at
@@ -122,7 +122,7 @@ class Localisation:
             self._restart()
             raise InternalError(error, "the map was begun again") from error
 
-    def _do(self, message: msg.Input, odom: Pose | None) -> msg.Output | None:
+    def _do(self, message: msg.Input | msg.PlaceChanged, odom: Pose | None) -> msg.Output | None:
         if isinstance(message, msg.Cancel | msg.EStop | msg.GoalMessage):
             self._capture.end()
         match message:
@@ -179,6 +179,9 @@ class Localisation:
                     self._begin(None)
             case msg.Reset():
                 self._begin(None)
+            case msg.PlaceChanged(text=text, is_error=is_error):
+                self._adopt_place()
+                return msg.EventOut(type="error" if is_error else "event", text=text)
         return None
 
     def finalise(self) -> str | None:
@@ -191,7 +194,7 @@ class Localisation:
         try:
             if not self.place.has_poses:
                 raise HomewardError("the robot was never localised")
-            return self._merge()
+            return self._merge(is_last=True)
         except HomewardError as error:
             text = f"the last visit was not merged into the place: {error}"
             if self.place.saved:
@@ -230,18 +233,28 @@ class Localisation:
             self.smoothed += [_as_message(each, msg.Smoothed) for each in late]
         if self.place is not None:
             self.place.see(message, estimate)
+            if isinstance(self.estimator, Localizer) and self.drive is not None:
+                self.place.share(self.estimator, self.drive, self.home, estimate)
         follows = isinstance(self._goal_message, msg.GoToLandmark)
         if follows and abs(message.t - self._goal_updated) > GOAL_UPDATE_S:
             self._goal_updated = message.t
             self._update_goal()
         return _as_message(estimate, msg.Answer)
 
-    def _merge(self) -> str:
+    def _adopt_place(self) -> None:
+        """Use the place as other robots changed it."""
+        place = self._required_place()
+        before, now = place.place, place.adopt()
+        if now is not None and now is not before and isinstance(self.estimator, Localizer):
+            self.estimator.replace_known(now.known(place.when))
+            self._update_goal()
+
+    def _merge(self, is_last: bool = False) -> str:
         """Merge the visit into the place; return the result in words."""
         place = self._required_place()
         if self.drive is None or not isinstance(self.estimator, Localizer):
             raise InputError(NO_HOME)
-        return place.merge(self.estimator, self.drive, self.home)
+        return place.merge(self.estimator, self.drive, self.home, is_last)
 
     def _required_place(self) -> PlaceSession:
         if self.place is None:

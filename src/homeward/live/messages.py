@@ -307,6 +307,14 @@ class Diagnostics(Strict):
     """Maximum time of the estimator for one sample in the last second [ms]."""
 
 
+class PlaceChanged(Strict):
+    """Not a message of a client: other robots changed the place, or its server is lost."""
+
+    type: Literal["place_changed"] = "place_changed"
+    text: str
+    is_error: bool = False
+
+
 class EventOut(Strict):
     """Report of an action, or of an error."""
 
@@ -355,7 +363,7 @@ def parse_output(line: bytes | str) -> Output:
     return message
 
 
-def line_of(message: Input | Output) -> str:
+def line_of(message: Strict) -> str:
     """Return a message as a line; floats are exact."""
     return message.model_dump_json(exclude_none=True) + "\n"
 

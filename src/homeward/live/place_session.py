@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -22,7 +22,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, position_sigma
 from homeward.io.table import quoted
-from homeward.live.messages import BearingsIn
+from homeward.live.messages import BearingsIn, PlaceChanged
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import VERIFIED
 from homeward.places import files
@@ -181,12 +181,28 @@ class PlaceSession:
         stops = count(len(route.waypoints), "way point")
         return f"route {name} is taught: {route.length:.1f} m, {stops}"
 
-    def merge(self, localizer: Localizer, drive: Drive, home: str) -> str:
+    def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
+        """Call `on_change`, on any thread, when other robots changed the place."""
+
+    def adopt(self) -> Place | None:
+        """Use the place as other robots changed it, and return it."""
+        return self.place
+
+    def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
+        """Send the visit so far to the server of the place, if there is one and it is time."""
+
+    def _with_stored(self, visit: VisitData) -> VisitData:
+        """Return a visit with the homes and routes that were stored on it."""
+        for name, (answer, seen) in self._stored.items():
+            visit = visit.store_home(name, answer, seen)
+        return replace(visit, routes=dict(self._routes))
+
+    def merge(self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False) -> str:
         """Merge the current visit into the place, and write it; return the result in words.
 
         `localizer` received the visit; `drive` has its home and settings; answers are in the frame
-        of `home`. `HomewardError` where there is too little to keep, or the place cannot be
-        written; nothing is changed then.
+        of `home`; `is_last` at the end of the session. `HomewardError` where there is too little
+        to keep, or the place cannot be written; nothing is changed then.
         """
         if not self.update:
             raise InputError(READ_ONLY)
@@ -195,14 +211,8 @@ class PlaceSession:
         poses = np.full((stamps.size, 3), np.nan)
         poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
         visit = collect_visit_along(localizer, drive, poses, self.when, home)
-        if len(visit.map.names) < VERIFIED:
-            raise HomewardError(
-                f"{count(len(visit.map.names), 'landmark')} mapped on this visit, {VERIFIED} are "
-                "needed: drive further"
-            )
-        for name, (answer, seen) in self._stored.items():
-            visit = visit.store_home(name, answer, seen)
-        visit = replace(visit, routes=dict(self._routes))
+        require_enough(visit.map)
+        visit = self._with_stored(visit)
         after = self._save(localizer, visit, home)
         lost = [f" Home {name} was not stored." for name in self._stored if name not in after.homes]
         lost += [f" Route {n} was not stored." for n in self._routes if n not in after.routes]
@@ -254,8 +264,7 @@ def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSes
 
     `InputError` where there is no place, it is damaged, or the estimator cannot use places.
     """
-    if estimator != DEFAULT:
-        raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")
+    require_default(estimator)
     when = time.time() / DAY_S
     if update:
         files.check_place(folder)
@@ -263,3 +272,18 @@ def open_place(folder: Path, update: bool, estimator: str = DEFAULT) -> PlaceSes
             return PlaceSession(folder.resolve().name, when, update, folder)
     version = files.newest(folder)
     return PlaceSession(files.load_place(folder, version), when, update, folder, version)
+
+
+def require_default(estimator: str) -> None:
+    """Raise `InputError` if an estimator cannot use places."""
+    if estimator != DEFAULT:
+        raise InputError(f"a place is for the estimator {DEFAULT}, not {estimator}")
+
+
+def require_enough(own: JointMap) -> None:
+    """Raise `HomewardError` if the map of a visit has too few landmarks to be merged."""
+    if len(own.names) < VERIFIED:
+        raise HomewardError(
+            f"{count(len(own.names), 'landmark')} mapped on this visit, {VERIFIED} are "
+            "needed: drive further"
+        )

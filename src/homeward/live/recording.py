@@ -33,6 +33,8 @@ MAX_HEAD = 2**22
 """Maximum length of the first line [characters]."""
 NO_ANSWER = "none"
 _ANSWER = '{"type":"estimate"'
+_PLACE_CHANGED = '{"type":"place_changed"'
+"""Begin of a line from which on answers depend on other robots, and cannot be repeated."""
 
 
 class _Visit(Strict):
@@ -89,7 +91,7 @@ class Recorder:
             save_place(known, folder / PLACE)
         self._folder, self._lines, self._failure = folder, 0, ""
 
-    def keep(self, message: msg.Input | msg.Output) -> None:
+    def keep(self, message: Strict) -> None:
         """Write a message; an `InputError` ends the recording."""
         try:
             with naming(self._folder / SESSION, "cannot be written"):
@@ -129,6 +131,8 @@ def replay(file: Path) -> tuple[int, str | None]:
     with single_threaded_blas():
         for line in lines:
             is_answer = line.startswith(_ANSWER)
+            if line.startswith(_PLACE_CHANGED):
+                break
             if expected != (line if is_answer else None):
                 return same, (expected or NO_ANSWER).rstrip()
             if is_answer:
@@ -145,7 +149,7 @@ def read_drive(file: Path) -> Drive | None:
     localisation, lines = _opened(file, whole=False)
     samples = Samples()
     for line in lines:
-        if line.startswith(_ANSWER):
+        if line.startswith((_ANSWER, _PLACE_CHANGED)):
             continue
         message, before = msg.parse(line), localisation.drive
         _done(localisation, message)

@@ -45,6 +45,11 @@ SWITCH_S = 0.001
 WRONG_TOKEN = "wrong token"
 
 
+def given_token() -> str | None:
+    """Return the token of servers that other machines can connect to, if there is one."""
+    return os.environ.get("HOMEWARD_TOKEN") or None
+
+
 @dataclass(frozen=True)
 class Address:
     """Host and port to listen at."""
@@ -311,7 +316,7 @@ class Server:
         try:
             server = await asyncio.start_server(serve, where.host, where.port, limit=MAX_LINE)
         except OSError as error:
-            raise _cannot_listen(where, error) from error
+            raise cannot_listen(where, error) from error
         try:
             yield server.sockets[0].getsockname()[1]
         finally:
@@ -373,8 +378,9 @@ class Server:
             ) as server:
                 yield server.sockets[0].getsockname()[1]
         except OSError as error:
-            raise _cannot_listen(where, error) from error
+            raise cannot_listen(where, error) from error
 
 
-def _cannot_listen(where: Address, error: OSError) -> InputError:
+def cannot_listen(where: Address, error: OSError) -> InputError:
+    """Return the error of an address that cannot be opened."""
     return InputError(f"cannot listen at {where.host}:{where.port}: {error.strerror or error}")

@@ -34,6 +34,9 @@ from homeward.reasons import Reason
 MEMORY_S = 3.0
 """Odometry is kept for this time, for late bearings [s]."""
 
+_Queued = msg.Input | msg.PlaceChanged
+"""Messages in the queue of `process`."""
+
 
 class Session:
     """Live session of a robot; `robot` is as in drive.yaml, `homes` are home bearings by name."""
@@ -58,7 +61,7 @@ class Session:
         self._store_after_turn = msg.StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not reach the estimator, by reason in words."""
-        self._watchers = list[Callable[[msg.Input | msg.Output], None]]()
+        self._watchers = list[Callable[[_Queued | msg.Output], None]]()
         clock = Clock()
         self._gate, self._twists = StampGate(), TwistHistory()
         self._odometry = Watchdog("odometry", settings.odometry_timeout, clock)
@@ -71,7 +74,7 @@ class Session:
         self._last_odometry = -math.inf
         self._obstacle: tuple[float, float] | None = None
         self._stopped = False
-        self._queue: deque[tuple[msg.Input, Pose | None, float, object]] = deque()
+        self._queue: deque[tuple[_Queued, Pose | None, float, object]] = deque()
         self._lock = threading.Lock()
         self._answered = -math.inf
         self._work_s = 0.0
@@ -80,13 +83,15 @@ class Session:
         self._refused = ""
         """Reason why the goal cannot be reached."""
         self._landmarks_requested = False
+        if place is not None:
+            place.subscribe(lambda message: self._enqueue(message, None, math.nan))
 
     @property
     def waiting(self) -> int:
         """Number of messages that wait for `process`."""
         return len(self._queue)
 
-    def watch(self, watcher: Callable[[msg.Input | msg.Output], None]) -> None:
+    def watch(self, watcher: Callable[[_Queued | msg.Output], None]) -> None:
         """Call `watcher` with each message in the order of processing, and with each answer."""
         self._watchers.append(watcher)
 
@@ -171,13 +176,13 @@ class Session:
             smoothed, self.localisation.smoothed = self.localisation.smoothed, []
             yield from smoothed
 
-    def _refuse(self, message: msg.Input, why: str) -> None:
+    def _refuse(self, message: _Queued, why: str) -> None:
         """Let the drive fail for a reason, if any, unless there is a newer goal."""
         with self._lock:
             if why and (self._goal_message is None or self._goal_message is message):
                 self._refused = why
 
-    def _call_watchers(self, message: msg.Input | msg.Output) -> Iterator[msg.EventOut]:
+    def _call_watchers(self, message: _Queued | msg.Output) -> Iterator[msg.EventOut]:
         """Pass a message to all watchers; remove those that fail."""
         for watcher in list(self._watchers):
             try:
@@ -314,7 +319,7 @@ class Session:
         return twist
 
     def _enqueue(
-        self, message: msg.Input, odom: Pose | None, t: float, sender: object = None
+        self, message: _Queued, odom: Pose | None, t: float, sender: object = None
     ) -> None:
         """Queue a message for `process`."""
         with self._lock:

@@ -97,6 +97,15 @@ class Chart:
         self._keeps = True
         self.map.smoother.retain_marginalised()
 
+    def replace_known(self, known: KnownLandmarks, t: float) -> None:
+        """Replace the surveyed landmarks by newer ones in the same frame, at `t` [s]."""
+        self._known = known
+        try:
+            self.map.replace_survey(known)
+        except np.linalg.LinAlgError:
+            self._give_up_map()
+        self._find_home(t)
+
     def follow(self, t: float) -> None:
         """Integrate the odometry after a twist of `t` [s] has arrived."""
         self.odometry.rewind(t)

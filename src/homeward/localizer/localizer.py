@@ -17,7 +17,15 @@ import numpy as np
 
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
-from homeward.estimator import Counts, Estimate, Innovation, LandmarkEstimate, Status, guarded
+from homeward.estimator import (
+    Counts,
+    Estimate,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+    guarded,
+    synchronised,
+)
 from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
@@ -209,6 +217,18 @@ class Localizer:
         self._dead.bearings(t, usable, valid, self.chart.noise)
         innovations = self._process_due()
         return self._estimate(t, innovations, stamp)
+
+    @synchronised
+    @single_threaded_blas()
+    def replace_known(self, known: KnownLandmarks) -> None:
+        """Replace the known landmarks by newer ones in the same frame.
+
+        For a place that other robots changed. It must not contain measurements of this drive,
+        which would count twice.
+        """
+        self._known = known
+        for chart in self.charts:
+            chart.replace_known(known, self._t)
 
     @guarded
     def estimate(self, t: float) -> Estimate:

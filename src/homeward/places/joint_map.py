@@ -124,6 +124,13 @@ class JointMap:
         vague = np.square([VAGUE_SHARE * size, VAGUE_SHARE * size, VAGUE_SHARE])
         return replace(self, covariance=self.covariance + (by_motion * vague) @ by_motion.T)
 
+    def with_vague_scale(self, sigma: float) -> JointMap:
+        """Return a map without homes with an additional error of its scale."""
+        if not (sigma and self.names):
+            return self
+        off = (self.positions - self.positions.mean(axis=0)).ravel()
+        return replace(self, covariance=self.covariance + sigma**2 * np.outer(off, off))
+
     def _by_rigid_motion(self) -> np.ndarray:
         """Return the derivative of the mean by a rigid motion about the map's centre, (m, 3)."""
         middle = np.append(self.positions.mean(axis=0), 0.0)

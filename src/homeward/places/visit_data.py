@@ -62,6 +62,19 @@ class VisitFrames:
 
 
 @dataclass(frozen=True)
+class VisitCounts:
+    """Result of `VisitFrames.counts`, by landmark."""
+
+    by_landmark: Mapping[str, tuple[int, int]]
+
+    def counts(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
+        """Return the numbers (n,) as `VisitFrames.counts`; `origin` is not used."""
+        rows = [self.by_landmark.get(name, (0, 0)) for name in places.names]
+        in_view, seen = np.array(rows, int).reshape(-1, 2).T
+        return in_view, seen
+
+
+@dataclass(frozen=True)
 class VisitData:
     """Data of one visit to a place."""
 
@@ -72,7 +85,7 @@ class VisitData:
     """[days since 1970]"""
     map: JointMap
     """Map from this drive alone, in any frame."""
-    frames: VisitFrames | None = None
+    frames: VisitFrames | VisitCounts | None = None
     """None: landmarks that were not seen are not tested."""
     home: str | None = None
     """The home whose frame the estimates are in; None: the first."""
@@ -82,6 +95,8 @@ class VisitData:
     """Routes taught by the drive, with the map of landmarks in the same frame."""
     together: tuple[tuple[str, ...], ...] = ()
     """Groups of landmarks that move together, as the drive gives them."""
+    scale_sigma: float = 0.0
+    """Standard deviation of an additional error of the scale of `map` [1]."""
 
     def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
         """Return the data with a home at the pose of an estimate, and the bearings seen there.

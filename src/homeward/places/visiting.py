@@ -70,6 +70,8 @@ def merged(place: Place, data: VisitData) -> Place:
     already in the place, or stores a home or route whose name exists.
     """
     place.require_new(data.drive, data.evidence)
+    placed = _well_placed(data.map)
+    data = replace(data, map=data.map.with_vague_scale(data.scale_sigma))
     tested, stayed = _moved_probabilities(place, data)
     stays = place.stays(data.when)
     expected = sum(stays[n] for n in tested)
@@ -78,7 +80,6 @@ def merged(place: Place, data: VisitData) -> Place:
     if len(stayed) < max(VERIFIED, MIN_STAYED_SHARE * expected):
         return kept_apart
     theirs = data.map
-    placed = _well_placed(theirs)
     moved = [n for n, wrong in tested.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.persistence]
     there = _with_map(place, data.when, theirs.marginal({*stayed, *moved, *new}), stayed)

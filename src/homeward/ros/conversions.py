@@ -317,7 +317,7 @@ class Publishers:
             self._node.destroy_publisher(publisher)
         self._out = {}
 
-    def keep(self, message: msg.Input | msg.Output) -> None:
+    def keep(self, message: msg.Input | msg.PlaceChanged | msg.Output) -> None:
         """Keep the bearings that a session processes, for the answer to them."""
         if isinstance(message, msg.BearingsIn):
             self._seen = message

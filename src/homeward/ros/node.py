@@ -27,10 +27,10 @@ from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
-from homeward.live.place_session import open_place
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
+from homeward.live.shared.client import join_place
 from homeward.ros import conversions as convert
 from homeward.ros.camera import FrameOrder, MessageCameras, Newest
 from homeward.ros.conversions import JSON, TFS, Publishers
@@ -122,8 +122,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             if parameter("place_update") and not parameter("place"):
                 raise InputError("place_update needs the parameter place")
             if parameter("place"):
-                place = open_place(
-                    Path(parameter("place")), parameter("place_update"), settings.estimator
+                place = join_place(
+                    parameter("place"), parameter("place_update"), settings.estimator
                 )
             self._session = Session(settings, robot, homes, place)
             self._session.watch(self._publish.keep)

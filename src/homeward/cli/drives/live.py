@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import asyncio
 import json
-import os
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Changes, KnownPlace, key_values, no_answer, refuse, say
+from homeward.cli.options import Changes, key_values, no_answer, refuse, say
 from homeward.errors import InputError
-
-TOKEN = "HOMEWARD_TOKEN"
 
 
 def live(
@@ -29,7 +26,13 @@ def live(
         Path | None,
         typer.Option(help="The robot.yaml of homeward tune, or a drive.yaml with a start prior."),
     ] = None,
-    place: KnownPlace = None,
+    place: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER|tcp://HOST:PORT",
+            help="Saved map (place), which may be new with --update, or its place server.",
+        ),
+    ] = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the session into the place at its end.")
     ] = False,
@@ -55,12 +58,12 @@ def live(
     from homeward.drives.settings import DriveSettings
     from homeward.io.settings import nested, read_settings, validated
     from homeward.live.messages import schema as everything
-    from homeward.live.place_session import open_place
     from homeward.live.recording import Recorder
     from homeward.live.recording import replay as repeat
-    from homeward.live.server import Server, address
+    from homeward.live.server import Server, address, given_token
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
+    from homeward.live.shared.client import join_place
 
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
@@ -78,13 +81,13 @@ def live(
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
     if update and place is None:
         raise InputError("--update needs --place")
-    visited = None if place is None else open_place(place, update, settings.estimator)
+    visited = None if place is None else join_place(place, update, settings.estimator)
     session = Session(settings, known, homes, visited)
     # After the session: a session that cannot begin must leave no folder.
     recorder = None if record is None else Recorder(record, settings, known, homes, visited)
     if recorder is not None:
         session.watch(recorder.keep)
-    server = Server(session, os.environ.get(TOKEN) or None)
+    server = Server(session, given_token())
 
     def opened(ports: list[int]) -> None:
         typer.echo(f"listening on port {' and '.join(map(str, ports))}", err=True)

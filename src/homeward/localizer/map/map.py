@@ -393,6 +393,12 @@ class Map:
         if len(smoother.stamps) < self._settings.window:  # takes no time
             self.learn()
 
+    def replace_survey(self, known: KnownLandmarks) -> None:
+        """Replace the survey by a newer one in the same frame, and solve the window with it."""
+        self.registration.survey.replace(known)
+        if self.landmarks.mapped:
+            self._solve()
+
     def _marginalise_old(self) -> None:
         """Marginalise the oldest keyframes that are not needed any more."""
         settings, smoother = self._settings, self.smoother

@@ -33,17 +33,8 @@ class Survey:
         settings: LocalizerSettings,
         together: Sequence[Sequence[str]] = (),
     ) -> None:
-        self.known, self._prior, self._sure = known, settings.moved_prior, settings.sure
-        self._index = {name: i for i, name in enumerate(known.landmarks)}
-        self._covariance = known.joint_covariance
-        places = np.array([(s.x, s.y) for s in known.landmarks.values()]).reshape(-1, 2)
-        if known.frame == "own" and places.size:
-            places = places - places.mean(axis=0)  # large grid coordinates would cost precision
-        self._places = places
-        apart = [d.distance for d in known.distances]
-        self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
-        """Size of the site [m]."""
-        self._together = given_bodies(together, known.landmarks)
+        self._prior, self._sure, self._groups = settings.moved_prior, settings.sure, together
+        self._set(known)
         self.wrong: dict[str, float] = {}
         """Probability that a landmark is not at its surveyed position, if tested ..."""
         self.wrong_distances: dict[int, float] = {}
@@ -54,6 +45,26 @@ class Survey:
         """Pairs of landmarks that cannot both be right, and either of which may be."""
         self.exchanged: dict[str, str] = {}
         """The other landmark, of each that is exchanged with another one."""
+
+    def _set(self, known: KnownLandmarks) -> None:
+        self.known = known
+        self._index = {name: i for i, name in enumerate(known.landmarks)}
+        self._covariance = known.joint_covariance
+        places = np.array([(s.x, s.y) for s in known.landmarks.values()]).reshape(-1, 2)
+        if known.frame == "own" and places.size:
+            places = places - places.mean(axis=0)  # large grid coordinates would cost precision
+        self._places = places
+        apart = [d.distance for d in known.distances]
+        self.size = float(max(np.ptp(places, axis=0).max() if places.size else 0.0, *apart, 1e-3))
+        """Size of the site [m]."""
+        self._together = given_bodies(self._groups, known.landmarks)
+
+    def replace(self, known: KnownLandmarks) -> None:
+        """Replace the survey by a newer one in the same frame; `evaluate` tests it again."""
+        self._set(known)
+        self.used = [n for n in self.used if n in self._index]
+        self.wrong = {n: p for n, p in self.wrong.items() if n in self._index}
+        self.wrong_distances, self.contradicting, self.exchanged = {}, [], {}
 
     @property
     def places(self) -> dict[str, np.ndarray]:

@@ -1,0 +1,327 @@
+"""A place server with ten robots, in real time.
+
+`python -m benchmarks.places.shared [--robots 10] [--seconds 75]`: robots drive in the warehouse of
+`benchmarks.places`, of which the server has the map of one drive on the day before; each is a
+process of `homeward live` on one core, together with the server. One robot has mirrored bearings,
+and one a wheel scale of 1.15. A landmark is pushed by 1 m at 40 % of the time, and the server is
+killed (SIGKILL) at 70 %, and started again 2 s later.
+"""
+
+import argparse
+import json
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.places.__main__ import visit
+from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
+from homeward.drives.drive import Drive
+from homeward.drives.folder import write_folder
+from homeward.geometry.frames import Pose, bearing, between
+from homeward.live.messages import BearingsIn, OdometryIn, line_of
+from homeward.live.shared.merging import LIVE
+from homeward.places.files import load_place, save_place
+from homeward.places.place import DAY_S, Place
+
+STAGGER_S = 1.0  # between the starts of two robots
+PUSH = (0.6, -0.8)
+NEAR = 0.25  # distance from the landmark at which its position is known [m]
+FIVE = 5
+MIRRORED, SCALED, SCALE = 1, 2, 1.15
+Timed = list[tuple[float, str]]
+"""Messages with their time since the robot started [s]."""
+
+
+@dataclass
+class Robot:
+    """A process of `homeward live`, and its answers."""
+
+    process: subprocess.Popen[str]
+    messages: Timed
+    ready: threading.Event = field(default_factory=threading.Event)
+    five_at: float = math.inf
+    localised_at: float = math.inf
+    known_at: float = math.inf
+    status: str = ""
+    events: list[tuple[float, str]] = field(default_factory=list)
+
+
+def messages(drive: Drive, landmark: str, new: tuple[float, float], since: float) -> Timed:
+    """Return the messages of a drive, in which a landmark is at a new position later."""
+    assert drive.truth is not None
+    truth, rng = drive.truth, np.random.default_rng(0)
+    found: Timed = []
+    for row in zip(drive.odometry.t, drive.odometry.v, drive.odometry.omega, strict=True):
+        t, v, omega = map(float, row)
+        found.append((t, line_of(OdometryIn(t=t, v=v, omega=omega))))
+    for t, seen, _ in drive.sightings.stamps():
+        frame = dict(seen)
+        if t >= since:
+            frame.pop(landmark, None)
+            i = int(np.searchsorted(truth.t, t).clip(0, len(truth.t) - 1))
+            pose = Pose(float(truth.x[i]), float(truth.y[i]), float(truth.heading[i]))
+            angle = float(bearing(pose, *new))
+            near = math.dist(pose[:2], new) < 6.0 and abs(angle) < math.radians(120)
+            if near and rng.random() < 0.9:
+                frame[landmark] = angle + float(rng.normal(0.0, BEARING_SIGMA))
+        found.append((float(t), line_of(BearingsIn(t=float(t), bearings=frame))))
+    return sorted(found, key=lambda m: m[0])
+
+
+def spoilt(timed: Timed, mirrored: bool, scale: float) -> Timed:
+    """Return the messages of a robot with mirrored bearings, or a wrong wheel scale."""
+    found = []
+    for t, line in timed:
+        message = json.loads(line)
+        if mirrored and message["type"] == "bearings":
+            message["bearings"] = {n: -b for n, b in message["bearings"].items()}
+        elif message["type"] == "odometry":
+            message["v"] *= scale
+        found.append((t, json.dumps(message) + "\n"))
+    return found
+
+
+def shape_error(place: Place, truth: dict[str, np.ndarray]) -> tuple[float, float]:
+    """Return RMSE and worst error of the landmarks after a rigid alignment [m]."""
+    names = [n for n in place.map.names if n in truth]
+    at = place.map.positions[[place.map.names.index(n) for n in names]]
+    there = np.array([truth[n] for n in names])
+    a, b = (p - p.mean(axis=0) for p in (at, there))
+    a, b = a @ [1.0, 1.0j], b @ [1.0, 1.0j]
+    turn = np.vdot(a, b)
+    off = np.abs(a * turn / abs(turn) - b)
+    return float(np.sqrt(np.mean(off**2))), float(off.max())
+
+
+def cpu(process: subprocess.Popen[str]) -> float:
+    """Return the CPU time of a process [s]."""
+    fields = Path(f"/proc/{process.pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+class Run:
+    """One run of the benchmark."""
+
+    def __init__(self, number: int, seconds: float, work: Path) -> None:
+        self.number, self.seconds, self.work = number, seconds, work
+        self.core = max(os.sched_getaffinity(0))
+        self.folder = work / "hall"
+        hall = Warehouse(0)
+        _, place = visit(hall.drive(), None, time.time() / DAY_S - 1.0)
+        save_place(place, self.folder)
+        home = Pose(HOME.x, HOME.y, HOME.heading)
+        own = {n: between(home, Pose(*p, 0.0)) for n, p in hall.places.items()}
+        self.truth = {n: np.array(p[:2]) for n, p in own.items()}
+        self.moves_at = 0.4 * seconds
+        drives = []
+        for i in range(number):
+            hall.day = i + 1
+            drives.append(hall.drive())
+        self.landmark = self._often_seen(drives)
+        new = tuple((self.truth[self.landmark] + PUSH).tolist())
+        self.before = shape_error(place, self.truth)
+        self.truth[self.landmark] = np.array(new)
+        self.server, self.port = self._serve(0)
+        self.began, self.robots = time.monotonic(), list[Robot]()
+        self.first_seen = math.inf
+        for i, drive in enumerate(drives):
+            began = i * STAGGER_S
+            timed = messages(drive, self.landmark, new, self.moves_at - began)
+            timed = spoilt(timed, i == MIRRORED, SCALE if i == SCALED else 1.0)
+            write_folder(drive, work / f"robot{i}")
+            self.robots.append(Robot(self._live(i), timed))
+
+    def _often_seen(self, drives: list[Drive]) -> str:
+        """Return the landmark that robots see most after the move, mapped before."""
+        seen = list[str]()
+        for i, drive in enumerate(drives):
+            t = drive.sightings.t - self.moves_at + i * STAGGER_S
+            if i not in (MIRRORED, SCALED):
+                seen += set(drive.sightings.landmark[(t > 0.0) & (t < 6.0)].tolist())
+        known = {*load_place(self.folder).map.names}
+        return max(sorted(known & {*seen}), key=lambda n: (seen.count(n), n))
+
+    def _pinned(self) -> None:
+        os.sched_setaffinity(0, {self.core})
+
+    def _serve(self, port: int) -> tuple["subprocess.Popen[str]", int]:
+        arguments = ["place", "serve", str(self.folder), "--tcp", str(port)]
+        server = self._start(arguments, stdout=subprocess.PIPE)
+        assert server.stdout is not None
+        words = server.stdout.readline().split()
+        threading.Thread(target=server.stdout.read, daemon=True).start()
+        return server, int(words[-1])
+
+    def _live(self, i: int) -> "subprocess.Popen[str]":
+        robot = self.work / f"robot{i}" / "drive.yaml"
+        where = f"tcp://127.0.0.1:{self.port}"
+        arguments = ["live", "--place", where, "--update", "--robot-file", str(robot)]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        return self._start(arguments, **pipes)
+
+    def _start(self, arguments: list[str], **pipes: int) -> "subprocess.Popen[str]":
+        return subprocess.Popen(
+            [sys.executable, "-u", "-m", "homeward", *arguments],
+            text=True,
+            preexec_fn=self._pinned,
+            env=os.environ | {"XDG_STATE_HOME": str(self.work / "state")},
+            **pipes,  # type: ignore[call-overload]
+        )
+
+    @property
+    def now(self) -> float:
+        return time.monotonic() - self.began
+
+    def _feed(self, i: int) -> None:
+        robot = self.robots[i]
+        assert robot.process.stdin is not None
+        seen = set[str]()
+        for t, line in robot.messages:
+            at = t + i * STAGGER_S
+            if at > self.seconds:
+                break
+            time.sleep(max(at - self.now, 0.0))
+            robot.process.stdin.write(line)
+            robot.process.stdin.flush()
+            if '"bearings"' in line[:20]:
+                seen |= json.loads(line)["bearings"].keys()
+            if len(seen) >= FIVE:
+                robot.five_at = min(robot.five_at, self.now)
+            if at >= self.moves_at and f'"{self.landmark}"' in line and i not in (MIRRORED, SCALED):
+                self.first_seen = min(self.first_seen, self.now)
+
+    def _listen(self, i: int) -> None:
+        robot = self.robots[i]
+        assert robot.process.stdout is not None
+        for line in robot.process.stdout:
+            robot.ready.set()
+            message = json.loads(line)
+            match message["type"]:
+                case "estimate":
+                    robot.status = message["status"]
+                    if robot.status == "localised":
+                        robot.localised_at = min(robot.localised_at, self.now)
+                case "event" | "error":
+                    robot.events.append((self.now, message["text"]))
+                    self._note(robot, message["text"])
+                case "landmarks":
+                    for m in message["landmarks"]:
+                        if m["landmark"] == self.landmark and self.now > self.moves_at:
+                            at = m.get("x"), m.get("y")
+                            if None not in at and math.dist(at, self.truth[self.landmark]) < NEAR:
+                                robot.known_at = min(robot.known_at, self.now)
+
+    def _note(self, robot: Robot, text: str) -> None:
+        """Note whether an update of the place has the new position of the landmark."""
+        if self.now > self.moves_at and "updated" in text:
+            parts = text.replace(" and ", ", ").split("), ")
+            if any(
+                self.landmark in p.replace("(", " ").replace(")", " ").replace(",", " ").split()
+                for p in parts
+                if " moved (" in p or " new (" in p
+            ):
+                robot.known_at = min(robot.known_at, self.now)
+
+    def run(self) -> None:
+        """Drive, and print the figures."""
+        hearing = [threading.Thread(target=self._listen, args=(i,)) for i in range(self.number)]
+        for thread in hearing:
+            thread.start()
+        for robot in self.robots:
+            robot.ready.wait(120.0)
+        self.began = time.monotonic()
+        feeding = [threading.Thread(target=self._feed, args=(i,)) for i in range(self.number)]
+        for thread in feeding:
+            thread.start()
+        time.sleep(max(15.0 - self.now, 0.0))
+        began = self.now, [cpu(r.process) for r in self.robots], cpu(self.server)
+        time.sleep(max(0.7 * self.seconds - self.now, 0.0))
+        over = self.now - began[0]
+        robots = [(cpu(r.process) - c) / over for r, c in zip(self.robots, began[1], strict=True)]
+        server = (cpu(self.server) - began[2]) / over
+        self.server.send_signal(signal.SIGKILL)
+        self.server.wait()
+        killed = self.now
+        time.sleep(2.0)
+        self.server, _ = self._serve(self.port)
+        for thread in feeding:
+            thread.join()
+        ends = list[str]()
+        for robot in self.robots:
+            assert robot.process.stdin is not None
+            assert robot.process.stderr is not None
+            robot.process.stdin.close()
+            ends.append(robot.process.stderr.read().strip())
+            robot.process.wait()
+        for thread in hearing:
+            thread.join()
+        self.server.send_signal(signal.SIGTERM)
+        self.server.wait()
+        self._print(robots, server, killed, ends)
+
+    def _print(self, robots: list[float], server: float, killed: float, ends: list[str]) -> None:
+        good = [r for i, r in enumerate(self.robots) if i not in (MIRRORED, SCALED)]
+        fix = [r.localised_at - r.five_at for r in good]
+        print(
+            f"fifth landmark to localised: median {np.median(fix):.1f} s, worst {max(fix):.1f} s "
+            f"({len(good)} robots)"
+        )
+        known = [r.known_at - self.moves_at for r in good]
+        print(
+            f"{self.landmark} moved by 1 m: seen by a robot after "
+            f"{self.first_seen - self.moves_at:.1f} s, known to all {len(good)} after "
+            f"{max(known):.1f} s (median {np.median(known):.1f} s)"
+        )
+        print(
+            f"CPU on one core: {self.number} robots {100 * sum(robots):.0f} %, "
+            f"server {100 * server:.0f} %"
+        )
+        back = [
+            min((t for t, text in r.events if t > killed and "again" in text), default=math.inf)
+            for r in self.robots
+        ]
+        localised = sum(r.status == "localised" for r in good)
+        print(
+            f"server killed at {killed:.0f} s, started 2 s later: all robots connected again "
+            f"{max(back) - killed:.1f} s after the kill; {localised} of"
+            f" {len(good)} localised at the end"
+        )
+        for i, end in enumerate(ends):
+            kind = {MIRRORED: "mirrored bearings", SCALED: f"wheel scale {SCALE}"}.get(i, "right")
+            print(f"  robot {i} ({kind}, {self.robots[i].status}): {end}")
+        place = load_place(self.folder)
+        left = list((self.folder / LIVE).glob("*.json"))
+        print(
+            f"visits merged: {sum(v.verdict == 'merged' for v in place.visits)}, left: {len(left)}"
+        )
+        for words, (rmse, worst) in (
+            ("before", self.before),
+            ("after", shape_error(place, self.truth)),
+        ):
+            print(f"map {words}: RMSE {100 * rmse:.1f} cm, worst landmark {100 * worst:.1f} cm")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, default=10)
+    parser.add_argument("--seconds", type=float, default=75.0)
+    given = parser.parse_args()
+    work = Path(tempfile.mkdtemp())
+    try:
+        Run(given.robots, given.seconds, work).run()
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()

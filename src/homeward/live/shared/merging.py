@@ -1,0 +1,223 @@
+"""The place of a server: visits on disk, and their merge with the place.
+
+The folder of the place contains all visits that ended. Each visit in progress is a file in its
+subfolder `live`, and is merged again whenever it grows, so that nothing counts twice.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from homeward.errors import HomewardError, InputError
+from homeward.io.reading import naming
+from homeward.io.writing import write_whole
+from homeward.live.messages import line_of
+from homeward.live.shared.messages import VisitMessage, parse_request, visit_of
+from homeward.places import files
+from homeward.places.place import DAY_S, Place
+from homeward.places.visit_data import VisitData
+from homeward.places.visiting import merged
+from homeward.runs.report.words import visit_words
+
+LIVE = "live"
+"""Subfolder of a place with the visits in progress."""
+ABANDONED_S = 3600.0
+"""A visit without a message for this time has ended [s]."""
+SCALE_SIGMA = 0.3
+"""Standard deviation of the scale of a visit, large enough to ignore it: one robot with a wrong
+wheel radius would scale the place of all [1]."""
+QUARANTINED = "this visit contradicts the place and is not merged: other robots do not use it"
+
+RESET = "reset the map to begin another visit"
+
+
+@dataclass(frozen=True)
+class LiveVisit:
+    """Newest version of a visit in progress."""
+
+    data: VisitData
+    seen: Mapping[str, float]
+    """When each landmark was last seen, on the server's clock [s since 1970]."""
+    received: float
+    """[s since 1970]"""
+    changes: frozenset[tuple[str, str]] | None
+    """Its changes of the place, such as (moved, landmark); None if it contradicts the place."""
+    unconfirmed: frozenset[str]
+    """Landmarks that its earlier version did not change in this way: a landmark seen from few
+    places may be mapped wrongly for some seconds. They are ignored."""
+
+
+class SharedPlace:
+    """A place in a folder, and the visits in progress; `InputError` where there is no place."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.place = folder, files.load_place(folder)
+        self.visits: dict[str, LiveVisit] = {}
+        self._began = time.time()
+        with naming(folder / LIVE, "cannot be read"):
+            (folder / LIVE).mkdir(exist_ok=True)
+            saved = sorted((folder / LIVE).glob("*.json"), key=lambda f: f.stat().st_mtime)
+        for file in saved:
+            with naming(file, "cannot be read"):
+                message, when = parse_request(file.read_bytes()), file.stat().st_mtime
+            assert isinstance(message, VisitMessage)
+            if self._is_merged(message.visit):  # the server was killed before it deleted the file
+                file.unlink()
+            else:
+                self._set(message, when, is_confirmed=True)
+                if message.ended:
+                    self.end(message.visit)
+
+    @property
+    def state(self) -> object:
+        """Value that changes when robots need the place again."""
+        visits = {name: v for name, v in self.visits.items() if v.changes is not None}
+        about = {
+            n: frozenset(c for c in v.changes or () if c[1] not in v.unconfirmed)
+            for n, v in visits.items()
+        }
+        return self.place.next_visit, about
+
+    def add(self, message: VisitMessage, now: float) -> str:
+        """Replace the version of a visit, on disk, too; return the result if it ended.
+
+        `now` [s since 1970]. `InputError` where the visit is damaged or cannot be written.
+        """
+        if self._is_merged(message.visit):
+            return "the visit has ended, and the place contains it up to then; " + RESET
+        visit_of(message, now / DAY_S)
+        write_whole(self._file(message.visit), line_of(message).encode())
+        self._set(message, now, message.ended and message.visit not in self.visits)
+        return self.end(message.visit) if message.ended else ""
+
+    def end_abandoned(self, now: float) -> list[str]:
+        """Merge the visits that send nothing any more; return the results in words."""
+        late = [n for n, v in self.visits.items() if now - v.received > ABANDONED_S]
+        return [f"visit {name} is silent, and ended: {self.end(name)}" for name in late]
+
+    def end(self, name: str) -> str:
+        """Merge a visit into the place, on disk; return the result in words.
+
+        `HomewardError` where the place cannot be written; the visit is kept then.
+        """
+        visit = self.visits[name]
+        data = self._without_older_sightings().get(name, visit.data)
+        try:
+            self.place, _ = files.update_place(self.folder, lambda place: _with(place, data))
+        except (InputError, np.linalg.LinAlgError) as error:
+            if isinstance(error, InputError) and error.file is not None:
+                raise  # the disk
+            result = f"the visit was not merged into the place: {error}"
+        else:
+            result = visit_words(self.place)
+            lost = {**data.homes, **data.routes}.keys() - {*self.place.homes, *self.place.routes}
+            result += "".join(f" {n} was not stored." for n in sorted(lost))
+        del self.visits[name]
+        self._file(name).unlink(missing_ok=True)
+        return result
+
+    def without_each(self) -> tuple[Place, dict[str, Place]]:
+        """Return the place with all visits, and for each visit the place without it."""
+        visits = self._without_older_sightings()
+        return _with_all(self.place, visits), _without_each(self.place, visits)
+
+    def _without_older_sightings(self) -> dict[str, VisitData]:
+        """Return the visits that agree with the place, without changes that are not confirmed.
+
+        A landmark of the place that moved is only in the visit that saw it last.
+        """
+        agreeing = {name: v for name, v in self.visits.items() if v.changes is not None}
+        moved = {
+            n
+            for v in agreeing.values()
+            for what, n in v.changes or ()
+            if what != "new" and n not in v.unconfirmed
+        }
+        last = {n: self._seen_in_place(n) for n in moved}
+        for visit in agreeing.values():
+            for n in moved & visit.seen.keys():
+                last[n] = max(last[n], visit.seen[n])
+        found = {}
+        for name, visit in agreeing.items():
+            older = {n for n in moved if visit.seen.get(n, 0.0) < last[n]}
+            own = visit.data.map.marginal({*visit.data.map.names} - older - visit.unconfirmed)
+            found[name] = replace(visit.data, map=own)
+        return found
+
+    def _seen_in_place(self, landmark: str) -> float:
+        """Return when a visit that ended since the server began tested a landmark [s]."""
+        persistence = self.place.persistence.get(landmark)
+        t = 0.0 if persistence is None else persistence.last * DAY_S
+        return t if self._began < t <= time.time() else 0.0
+
+    def _set(self, message: VisitMessage, now: float, is_confirmed: bool) -> None:
+        """Replace the version of a visit, and compare it with the place."""
+        data = replace(visit_of(message, now / DAY_S), scale_sigma=SCALE_SIGMA)
+        seen, changes = {n: now - age for n, age in message.ages.items()}, None
+        with suppress(HomewardError, np.linalg.LinAlgError):
+            after = _with(self.place, data)
+            if after.visits[-1].verdict != "apart":
+                changes = _changes(self.place, after)
+        before = self.visits.get(message.visit)
+        earlier = (before.changes if before is not None else None) or frozenset()
+        new = (
+            frozenset() if is_confirmed else frozenset(n for _, n in (changes or earlier) - earlier)
+        )
+        self.visits[message.visit] = LiveVisit(data, seen, now, changes, new)
+
+    def _is_merged(self, visit: str) -> bool:
+        return any(v.drive == visit for v in self.place.visits)
+
+    def _file(self, visit: str) -> Path:
+        return self.folder / LIVE / f"{visit}.json"
+
+
+def is_same(before: Place, now: Place) -> bool:
+    """Return whether two places have the same landmarks at the same positions, homes and routes."""
+    if before.map.names != now.map.names or {*before.homes} != {*now.homes}:
+        return False
+    if {*before.routes} != {*now.routes}:
+        return False
+    off = np.hypot(*(now.map.positions - before.map.positions).T)
+    return bool((off <= before.map.sigmas).all()) and _gone(before) == _gone(now)
+
+
+def _gone(place: Place) -> set[str]:
+    return {name for name, p in place.persistence.items() if p.stands < 0.5}
+
+
+def _changes(before: Place, after: Place) -> frozenset[tuple[str, str]]:
+    return frozenset((e.what, e.landmark) for e in after.events if e.visit >= before.next_visit)
+
+
+def _with(place: Place, data: VisitData) -> Place:
+    """Return a place with a visit, without its homes and routes whose names are taken."""
+    homes = {n: home for n, home in data.homes.items() if n not in place.homes}
+    routes = {n: route for n, route in data.routes.items() if n not in place.routes}
+    return merged(place, replace(data, homes=homes, routes=routes))
+
+
+def _with_all(place: Place, visits: Mapping[str, VisitData]) -> Place:
+    for data in visits.values():
+        with suppress(HomewardError, np.linalg.LinAlgError):
+            after = _with(place, data)
+            place = after if after.visits[-1].verdict != "apart" else place
+    return place
+
+
+def _without_each(place: Place, visits: Mapping[str, VisitData]) -> dict[str, Place]:
+    """Return a place with all visits but one, for each; n log n merges."""
+    names = list(visits)
+    if len(names) < 2:
+        return dict.fromkeys(names, place)
+    halves = [{n: visits[n] for n in some} for some in (names[::2], names[1::2])]
+    found = dict[str, Place]()
+    for mine, others in (halves, halves[::-1]):
+        found |= _without_each(_with_all(place, others), mine)
+    return found
