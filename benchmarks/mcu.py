@@ -92,7 +92,7 @@ class Samples(NamedTuple):
     python: np.ndarray  # (samples, q + 3 + 3 + 6): state, pose and lower triangle of its covariance
 
 
-def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Samples:
+def samples(drive: Drive, every_s: float = math.inf) -> Samples:
     """Return a drive, with a resection each `every_s` that restarts the EKF."""
     estimator = make_estimator("ekf", drive)
     tuning, ids = estimator._backend.tuning, list(drive.home)
@@ -116,11 +116,11 @@ def samples(drive: Drive, every_s: float = math.inf, restart: bool = True) -> Sa
             lines.append(f"b {round(t * 1e6)} {len(seen)} {' '.join(seen)}")
             if t - solved >= every_s:
                 solved = t
-                lines.append(f"s {int(restart)}")
+                lines.append("s 1")
         at = estimator.estimate(t)
         python.append([*estimator._belief.state, *at.pose, *at.covariance[np.tril_indices(3)]])
     if not math.isinf(every_s):
-        lines.append(f"s {int(restart)}")
+        lines.append("s 1")
     return Samples("\n".join(lines) + "\n", np.array(python))
 
 

@@ -246,14 +246,14 @@ def print_homings(first: int, number: int, width: int) -> None:
     )
 
 
-def print_speed(width: int, repeats: int = 30) -> None:
+def print_speed(width: int) -> None:
     opencv().setNumThreads(1)
     each = []
     for number in range(len(PLANS)):
         eye = Eye(scenario(number, width, (1.0, 4.0), moved=3))
         robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
         times: list[float] = []
-        for k in range(repeats):
+        for k in range(30):
             timed(times.append, eye.look, 0.0, robot, k + 1)
         each.append((1000 * min(times), 1000 * float(np.median(times))))
     best, median = np.median(each, axis=0)

@@ -31,15 +31,8 @@ def installed(group: str) -> tuple[str, ...]:
 def load(group: str, name: str, known: Iterable[str]) -> Callable[..., Any]:
     """Return the callable of that name; `InputError` where it cannot be imported or called.
 
-    Parameters
-    ----------
-    group : str
-        Group of entry points.
-    name : str
-        An entry point of the group, or ``package.module:attribute``; modules in the current folder
-        are found, too.
-    known : iterable of str
-        Built-in names, for the error message.
+    A name is an entry point of the group, or ``package.module:attribute``; modules in the current
+    folder are found, too. `known` are built-in names, for the error message.
     """
     found = entry_points(group=group, name=name)
     module, _, attribute = next(iter(found)).value.partition(":") if found else name.partition(":")

@@ -86,25 +86,20 @@ def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
     assert "columns" not in said  # no table of nothing
 
 
-def test_a_log_without_home_names_the_way_out(tmp_path):
-    folder = tmp_path / "drive"
+@pytest.mark.parametrize(
+    ("file", "head", "advice", "advice_for_folder"),
+    [
+        ("home.csv", "landmark,bearing", "a file or topic under home", "--home-during"),
+        ("bearings.csv", "t,landmark,bearing", "its topics under bearings", "no sightings"),
+    ],
+)
+def test_a_log_without_a_part_names_the_way_out(file, head, advice, advice_for_folder, tmp_path):
+    folder, log, out = tmp_path / "drive", tmp_path / "log.mcap", tmp_path / "out"
     shutil.copytree(sample_drive(), folder)
-    (folder / "home.csv").write_text("landmark,bearing\n")
-    log = tmp_path / "homeless.mcap"
+    (folder / file).write_text(f"{head}\n")
     done(call("convert", folder, log))
-    line = refused(call("run", log, "--out", tmp_path / "out"))
-    assert "name a file or topic under home in a topics file" in line
-    assert "--home-during" in refused(call("run", folder, "--out", tmp_path / "out"))
-
-
-def test_a_log_without_bearings_names_the_way_out(tmp_path):
-    folder = tmp_path / "blind"
-    shutil.copytree(sample_drive(), folder)
-    (folder / "bearings.csv").write_text("t,landmark,bearing\n")
-    log = tmp_path / "blind.mcap"
-    done(call("convert", folder, log))
-    line = refused(call("run", log, "--out", tmp_path / "out"))
-    assert "name its topics under bearings in a topics file" in line
+    assert f"name {advice} in a topics file" in refused(call("run", log, "--out", out))
+    assert advice_for_folder in refused(call("run", folder, "--out", out))
 
 
 def test_info_reports_why_a_drive_would_be_refused(tmp_path):

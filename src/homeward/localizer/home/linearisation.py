@@ -169,10 +169,7 @@ def _columns_of(inliers: bytes) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.
 def inverted(information: np.ndarray) -> tuple[np.ndarray, float]:
     """Return the inverse of the information (3, 3) on home, and the latter's log determinant.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        If home is not determined.
+    `numpy.linalg.LinAlgError` if home is not determined.
     """
     root, inverse, failed = dposv(information, IDENTITY)
     if failed:

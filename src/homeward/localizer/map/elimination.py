@@ -84,10 +84,7 @@ class Elimination:
 
         Or for c of them at once: then of shapes (w, 3, c) and (a, c).
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When they are singular.
+        `numpy.linalg.LinAlgError` when they are singular.
         """
         older, couplings = slope[:-1].reshape(-1, *slope.shape[2:]), self.couplings[:, :-1]
         if older.size:
@@ -103,10 +100,7 @@ class Elimination:
 def eliminate(e: NormalEquations) -> Elimination:
     """Eliminate all poses but the newest.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When a pose is not determined.
+    `numpy.linalg.LinAlgError` when a pose is not determined.
     """
     a, n = len(e.common), 3 * (len(e.own) - 1)
     information = np.empty((3 + a, 3 + a))
@@ -178,10 +172,7 @@ def _diagonal_of_inverse(own: np.ndarray, following: np.ndarray, newest: np.ndar
 def positive_inverse(matrix: np.ndarray) -> np.ndarray:
     """Return the inverse of a symmetric positive definite matrix, exactly symmetric.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When it is not positive definite.
+    `numpy.linalg.LinAlgError` when it is not positive definite.
     """
     _, inverse, failed = lapack.dposv(matrix, np.eye(len(matrix)), overwrite_b=1)
     if failed:

@@ -151,10 +151,7 @@ class Map:
 
         A solution of the whole window takes long; then learning waits for the next frame.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the map has become singular.
+        `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self.busy = self._unlearnt_solution
         if self._unlearnt_solution:
@@ -269,10 +266,7 @@ class Map:
     def reset_pose(self, frame: WeighedFrame, motion: Motion) -> None:
         """Reset the pose to a motion from the newest keyframe, and add the frame seen there.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the map has become singular.
+        `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self._add_keyframe(frame.t, motion, NO_TAIL)
         view = self.view(Motion.identity())
@@ -283,10 +277,7 @@ class Map:
     def revert_to(self, keyframe: int) -> None:
         """Revert the landmarks to those of a keyframe, undoing later initialisations and moves.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the map has become singular.
+        `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self.landmarks.revert_to(keyframe)
         self._pending_rows = []

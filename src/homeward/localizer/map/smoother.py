@@ -345,10 +345,7 @@ class Smoother:
     def solve(self) -> None:
         """Solve the whole window by Gauss-Newton.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the normal equations are singular.
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
         for _ in range(MAX_SOLVE_STEPS):
             poses, common, covariance = eliminate(self.linearised()[0]).solve()

@@ -94,10 +94,7 @@ class Marginal:
     def update(self, seen: Prediction) -> Marginal:
         """EKF update by sightings, with a redescending M-estimator against large innovations.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the innovation covariance is singular.
+        `numpy.linalg.LinAlgError` when the innovation covariance is singular.
         """
         if not seen.residual.size:
             return self

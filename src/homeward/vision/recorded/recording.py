@@ -113,21 +113,9 @@ def see_recording(
 ) -> Drive:
     """Return the drive from a folder of images, a video, or a log that contains pictures.
 
-    Parameters
-    ----------
-    path : Path
-        Videos and logs need tags.
-    on_progress, on_ready, force
-        As in `see_folder`.
-    tags : str, optional
-        Family of the tags to detect, instead of natural features; None: that in images.yaml.
-    topics : Path, optional
-        For a log, as in `read_log`.
-
-    Raises
-    ------
-    InputError
-        If it is none of these, or as in `see_folder` and `see_tags`.
+    Videos and logs need `tags`, the family to detect instead of natural features; None: that in
+    images.yaml. `topics` is for a log, as in `read_log`; the others are as in `see_folder`.
+    `InputError` if it is none of these, or as in `see_folder` and `see_tags`.
     """
     video = path.suffix.lower() in VIDEOS
     if not video and is_log(path):
@@ -151,26 +139,12 @@ def see_tags(
 ) -> Drive:
     """Turn a folder of pictures, or a video in such a folder, into a drive.
 
-    Parameters
-    ----------
-    path : Path
-        A folder with images.csv, or a video; next to it odometry.csv, images.yaml with the camera,
-        and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
-        may specify when the robot was at home, or a place may contain its home.
-    family : str, optional
-        Family of the tags; None: that in images.yaml.
-    on_progress : callable, optional
-        Called with the fraction done, in [0, 1].
-
-    Returns
-    -------
-    Drive
-        Its landmarks are the numbers of the tags.
-
-    Raises
-    ------
-    InputError
-        If a file is missing or cannot be used, or pictures and odometry do not overlap.
+    A folder has images.csv; next to it, or to a video, are odometry.csv, images.yaml with the
+    camera, and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
+    may specify when the robot was at home, or a place may contain its home. `family` is that of the
+    tags; None: that in images.yaml. Landmarks are the numbers of the tags; `on_progress` receives
+    the fraction done, in [0, 1]. `InputError` if a file is missing or cannot be used, or pictures
+    and odometry do not overlap.
     """
     video = path.suffix.lower() in VIDEOS
     folder = path.parent if video else path

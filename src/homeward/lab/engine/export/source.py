@@ -119,24 +119,16 @@ def _pose() -> ca.Function:
     """Return the pose and its covariance to first order, from those of the polar state."""
     x, covariance = ca.SX.sym("x", POLAR), ca.SX.sym("covariance", 6)
     pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
-    carried = _propagated(pose, x, covariance)
-    return named_function(
-        "block",
-        {"x": x, "state_covariance": covariance},
-        {"pose": pose, "pose_covariance": carried},
-    )
+    out = {"pose": pose, "pose_covariance": _propagated(pose, x, covariance)}
+    return named_function("block", {"x": x, "state_covariance": covariance}, out)
 
 
 def _restart() -> ca.Function:
     """Return the polar state and its covariance to first order, from those of the pose."""
     pose, covariance = ca.SX.sym("pose", 3), ca.SX.sym("covariance", 6)
     polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
-    carried = _propagated(polar, pose, covariance)
-    return named_function(
-        "block",
-        {"pose": pose, "pose_covariance": covariance},
-        {"x": polar, "state_covariance": carried},
-    )
+    out = {"x": polar, "state_covariance": _propagated(polar, pose, covariance)}
+    return named_function("block", {"pose": pose, "pose_covariance": covariance}, out)
 
 
 def _bearing() -> ca.Function:

@@ -50,10 +50,7 @@ class Learner:
     def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
         """Update the noise of bearings, then the walking landmarks, then the noise of odometry.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When the normal equations are singular.
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
         newest, residuals = smoother.newest, smoother.residuals()
         own, total, gaps, numbers = smoother.sightings[:, [OWN, SIGMA, GAP, LANDMARK]].T

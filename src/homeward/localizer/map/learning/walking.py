@@ -107,10 +107,7 @@ def walking_probabilities(found: Walks) -> tuple[np.ndarray, np.ndarray]:
     no single change improves it; each landmark is then evaluated given the others in that set. The
     moments are those of `Walks.conditional_on`.
 
-    Raises
-    ------
-    numpy.linalg.LinAlgError
-        When the evidence is not finite.
+    `numpy.linalg.LinAlgError` when the evidence is not finite.
     """
     walking, log_prior = np.zeros(len(found.lever), bool), log_prior_of_walkers(len(found.lever))
     while True:

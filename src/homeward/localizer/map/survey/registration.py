@@ -35,10 +35,7 @@ class Registration:
     def without_survey(self) -> Marginal:
         """Return the state by this drive's measurements alone, without the survey.
 
-        Raises
-        ------
-        numpy.linalg.LinAlgError
-            When there is too little of it.
+        `numpy.linalg.LinAlgError` when there is too little of it.
         """
         if not self.survey.known.is_given:
             return self._smoother.state
