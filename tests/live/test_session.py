@@ -301,13 +301,16 @@ def test_diagnostics_tell_whether_homing_could_begin():
     rig = Rig(0)
     early = rig.session.diagnostics(0.0)
     assert (early.can_home, early.cannot_home) == (False, "no odometry yet")
+    assert early.advice == ""
     rig.until(lambda r: r.robot.t > 1.0)
     unknown = rig.session.diagnostics(rig.robot.t)
     assert not unknown.can_home
+    assert "drive" in unknown.advice or "turn" in unknown.advice
     assert unknown.cannot_home.startswith("lost, no")
     rig.until(driving)
     ready = rig.session.diagnostics(rig.robot.t)
     assert (ready.can_home, ready.cannot_home) == (True, "")
+    assert ready.advice == ""
     rig.session.receive(EStop(engaged=True), rig.robot.t)
     stopped = rig.session.diagnostics(rig.robot.t)
     assert (stopped.can_home, stopped.cannot_home) == (False, "emergency stop")

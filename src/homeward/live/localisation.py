@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from homeward.control.goals import Goal, RouteGoal
+from homeward.control.start_guide import StartGuide
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import HomewardError, InputError, InternalError
@@ -84,6 +85,7 @@ class Localisation:
         self.estimator: Estimator | None = None
         self.fix = Fix(Estimate(0.0, Status.WAITING, NO_HOME), None)
         """Last answer."""
+        self._guide: StartGuide | None = None
         self._capture = HomeCapture()
         self._lag = smoothed_lag
         self._late: FixedLag | None = None
@@ -107,6 +109,14 @@ class Localisation:
     def camera(self) -> Pose:
         """The given pose of the camera on the robot."""
         return self._robot.sensor.pose
+
+    @property
+    def advice(self) -> str:
+        """The motion that brings a pose soonest, in words; empty where there is a pose."""
+        if self._guide is None or self.estimator is None or self.fix.estimate.pose is not None:
+            return ""
+        manoeuvre = self._guide.advice()
+        return "" if manoeuvre is None else manoeuvre.words
 
     def do(self, message: msg.Input | msg.PlaceChanged, odom: Pose | None) -> msg.Output | None:
         """Process a message and return the answer; `odom` is the odometry pose at its stamp.
@@ -224,6 +234,8 @@ class Localisation:
             estimate = self.estimator.bearings(*sample, message.ranges, message.range_sigmas)
         else:
             estimate = self.estimator.bearings(*sample)
+        if self._guide is not None and odom is not None:
+            self._guide.add(odom, message.bearings)
         frame = None
         if estimate.pose is not None and odom is not None:
             frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))
@@ -309,6 +321,7 @@ class Localisation:
         odometry = Odometry(none, none, none)
         home = {} if self.in_place else self.homes[self.home]
         self.drive = drive = Drive("live", odometry, sightings, home, robot)
+        self._guide = StartGuide(home, self.camera) if home else None  # a place has its own map
         if self.place is not None:
             drive = self.place.known_by(drive)
             self._robot = self._robot.model_copy(update={"start": None})  # valid only once

@@ -295,6 +295,8 @@ class Diagnostics(Strict):
     """Whether a drive home could begin now."""
     cannot_home: str = ""
     """Why it could not; empty if it could."""
+    advice: str = ""
+    """Motion that brings a pose soonest, for the driver; empty where there is a pose."""
     faults: tuple[str, ...]
     """Reasons why the robot is held."""
     values: dict[str, float] = {}

@@ -288,6 +288,7 @@ class Session:
             homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
             can_home=hindrance is None,
             cannot_home="" if hindrance is None else hindrance.reason,
+            advice=self.localisation.advice,
             faults=tuple(fault.reason for fault in faults),
             values={f.reason: f.value for f in faults if f.value is not None},
             counts=counts,

@@ -198,6 +198,7 @@ def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
     status.name = "homeward"
     status.message = "; ".join([f"{state.status.value}: {state.reason}", *state.faults])
     values = {"homing": state.homing, "can_home": state.cannot_home or "yes"}
+    values |= {"advice": state.advice} if state.advice else {}
     values |= {"waiting": str(state.waiting), "work_ms": f"{state.work_ms:.1f}"}
     status.values = [pair(key=k, value=str(v)) for k, v in (values | state.counts).items()]
     array.header.stamp, array.status = stamp, [status]

@@ -36,7 +36,8 @@ def coverage(nees: np.ndarray, weight: np.ndarray) -> tuple[float, ...]:
 def covariance_scale(drives: Sequence[Errors]) -> float | None:
     """Return the factor of the covariance with a coverage of `LEVEL` on further drives.
 
-    None if the drives have too few independent poses, fewer than 9.
+    It is at least 1, since drives differ by more than the times of one drive: a factor below 1 of
+    three drives is no evidence for the fourth. None if they have fewer than 9 independent poses.
     """
     number = sum(independent(drive.nees) for drive in drives)
     level = LEVEL * (number + 1.0) / number if number > 0.0 else math.inf
@@ -47,7 +48,7 @@ def covariance_scale(drives: Sequence[Errors]) -> float | None:
     order = np.argsort(nees)
     share = np.cumsum(weight[order]) / weight.sum()
     at = min(int(np.searchsorted(share, level - 1e-9)), nees.size - 1)
-    return float(nees[order[at]] / (2.0 * gammaincinv(1.5, LEVEL)))
+    return max(1.0, float(nees[order[at]] / (2.0 * gammaincinv(1.5, LEVEL))))
 
 
 def independent(nees: np.ndarray) -> float:

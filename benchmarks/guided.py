@@ -1,0 +1,110 @@
+"""Time and distance to the first pose: a robot that follows the advice, and two that do not.
+
+Rooms of 8 x 8 m with 12 landmarks, 2 of them moved after home was stored; the robot starts within
+1.5 m of home, does not know where, and drives 0.2 m/s, turns 0.6 rad/s. Run:
+
+    python -m benchmarks.guided --rooms 20
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from homeward.control.start_guide import StartGuide
+from homeward.drives.drive import HomeBearing
+from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, advance, bearing
+from homeward.localizer.localizer import Localizer
+
+DT, MAX_S = 0.1, 240.0
+SPEED, TURN_RATE = 0.2, 0.6
+SIGMA, NOISE = 0.01, 0.01
+"""Standard deviation of bearings [rad]; densities of odometry [m/s/sqrt(Hz), rad/s/sqrt(Hz)]."""
+ARC = Twist(SPEED, SPEED)
+"""An arc of 1 m radius."""
+POLICIES = "guided", "arc", "straight"
+
+
+def followed(guide: StartGuide) -> Iterator[Twist]:
+    """Yield the twists of a robot that follows the advice."""
+    while True:
+        advice = guide.advice()
+        if advice is None:
+            yield Twist(0.0, 0.0)
+            continue
+        for amount, twist in (
+            (advice.turn, Twist(0.0, TURN_RATE)),
+            (advice.distance, Twist(SPEED, 0.0)),
+            (advice.turn_after, Twist(0.0, TURN_RATE)),
+        ):
+            speed = math.hypot(*twist)
+            sign = math.copysign(1.0, amount)
+            for _ in range(round(abs(amount) / speed / DT)):
+                yield Twist(sign * twist.v, sign * twist.omega)
+
+
+def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float]:
+    """Return time [s], distance [m] and position error [m] of the first pose; NaN: none came."""
+    rng = np.random.default_rng(seed)
+    places = rng.uniform(-4.0, 4.0, (12, 2))
+    home = {
+        f"L{i}": HomeBearing(float(np.arctan2(y, x) + 0.005 * rng.normal()), 0.005)
+        for i, (x, y) in enumerate(places)
+    }
+    places[:2] = rng.uniform(-4.0, 4.0, (2, 2))
+    robot = Pose(*rng.uniform(-1.5, 1.5, 2).tolist(), float(rng.uniform(-math.pi, math.pi)))
+    odometry = OdometryNoise(speed_sigma=NOISE, turn_sigma=NOISE, turn_slip_sigma=0.0)
+    settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA), odometry=odometry)
+    localizer = Localizer(home, **settings.robot)
+    guide, reckoned, path = StartGuide(home, Pose(0.0, 0.0, 0.0)), Pose(0.0, 0.0, 0.0), 0.0
+    steps = followed(guide) if policy == "guided" else None
+    straight = ARC if policy == "arc" else Twist(SPEED, 0.0)
+    for k in range(round(MAX_S / DT)):
+        t = k * DT
+        bearings = {}
+        for i, (x, y) in enumerate(places.tolist()):
+            seen = float(wrap(bearing(robot, x, y)))
+            if abs(seen) <= 0.5 * view and math.hypot(x - robot.x, y - robot.y) > 0.3:
+                bearings[f"L{i}"] = seen + SIGMA * rng.normal()
+        guide.add(reckoned, bearings)
+        estimate = localizer.bearings(t, bearings)
+        if estimate.pose is not None:
+            off = math.hypot(estimate.pose.x - robot.x, estimate.pose.y - robot.y)
+            return t, path, off
+        twist = straight if steps is None else next(steps)
+        localizer.odometry(t, *twist)
+        reckoned = advance(reckoned, twist, DT)
+        noise = (np.array(twist) != 0.0) * rng.normal(0.0, NOISE / math.sqrt(DT), 2)
+        true = Twist(*(np.array(twist) + noise).tolist())
+        robot, path = advance(robot, true, DT), path + abs(twist.v) * DT
+    return math.nan, math.nan, math.nan
+
+
+def main() -> None:
+    """Print a table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rooms", type=int, default=20, help="number of rooms")
+    parser.add_argument("--first-seed", type=int, default=0)
+    given = parser.parse_args()
+    print("camera  policy    poses  time [s]  distance [m]  error [m] (medians over all rooms)")
+    for view in (60.0, 360.0):
+        for policy in POLICIES:
+            seeds = range(given.first_seed, given.first_seed + given.rooms)
+            rows = np.array([first_pose(seed, policy, math.radians(view)) for seed in seeds])
+            some = np.isfinite(rows[:, 0])
+            late = np.where(some[:, None], rows, math.inf)
+            time, path, off = np.median(late, axis=0)
+            print(
+                f"{view:4.0f}°   {policy:9} {some.sum():2}/{len(rows)}"
+                f"{time:9.0f} {path:11.1f} {off:13.2f}",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
