@@ -265,17 +265,21 @@ tag_messages(
 )
 
 
+def pose_topics(log: LogFile, stamp: int, seen: Seen) -> Messages:
+    """Return a PoseStamped on a topic of its own for each tag."""
+    make, header = log.make, log.header(stamp, OPTICAL)
+    return {
+        f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
+        for i, p in optical(seen)
+    }
+
+
+POSE_TOPICS = HOME + 'bearings: {topic: "/tag_*/pose"}\n'
+
+
 @kind("PoseStamped, a topic for each tag, .mcap", "run log.mcap --topics topics.yaml")
 def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        make, header = log.make, log.header(stamp, OPTICAL)
-        return {
-            f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
-            for i, p in optical(seen)
-        }
-
-    topics = HOME + 'bearings: {topic: "/tag_*/pose"}\n'
-    return {"log.mcap": log_of(s, s.seen.ahead, tags), "topics.yaml": topics}
+    return {"log.mcap": log_of(s, s.seen.ahead, pose_topics), "topics.yaml": POSE_TOPICS}
 
 
 @kind("tags as frames in /tf, .mcap", "run log.mcap --topics topics.yaml")

@@ -4,8 +4,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.inputs.kinds import EPOCH, Files, Sample, Seen, kind, table
-from benchmarks.inputs.logs import HOME, OPTICAL, Messages, log_of, nav, optical
+from benchmarks.inputs.kinds import EPOCH, Files, Sample, kind, table
+from benchmarks.inputs.logs import POSE_TOPICS, Messages, log_of, nav, pose_topics
 from homeward.drives.ros.writing import LogFile
 from homeward.drives.wheels import Wheels
 
@@ -222,17 +222,8 @@ def _(s: Sample) -> Files:
 
 def log(s: Sample, messages: Callable[[LogFile, int, int], Messages], topics: str) -> Files:
     """Return a log with a pose topic for each tag and other odometry."""
-
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        make, header = log.make, log.header(stamp, OPTICAL)
-        return {
-            f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
-            for i, p in optical(seen)
-        }
-
-    more = f'{HOME}bearings: {{topic: "/tag_*/pose"}}\nodometry: {topics}\n'
-    write = log_of(s, s.seen.ahead, tags, ACKERMANN, messages)
-    return {"log.mcap": write, "topics.yaml": more}
+    write = log_of(s, s.seen.ahead, pose_topics, ACKERMANN, messages)
+    return {"log.mcap": write, "topics.yaml": f"{POSE_TOPICS}odometry: {topics}\n"}
 
 
 @kind("JointState with encoder counts, .mcap", "run log.mcap --topics topics.yaml")
