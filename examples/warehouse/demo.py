@@ -68,14 +68,10 @@ class Helper:
 
 
 def named(robot: Robot) -> set[str]:
-    """Return the boxes most of whose tested tags are reported as moved."""
-    chance = {m.landmark: m.moved_probability for m in robot.landmarks}
-    found = set()
-    for box in robot.world.boxes:
-        tested = [p for t in box.tags if (p := chance.get(str(t))) is not None]
-        if tested and sum(p > 0.5 for p in tested) * 2 > len(tested):
-            found.add(box.name)
-    return found
+    """Return the boxes of which any tag is reported as moved: tags move with their box."""
+    chance = {m.landmark: m.moved_probability or 0.0 for m in robot.landmarks}
+    boxes = robot.world.boxes
+    return {box.name for box in boxes if any(chance.get(str(t), 0.0) > 0.5 for t in box.tags)}
 
 
 def report(robot: Robot, moved: set[str], seen_again: set[str]) -> str:
@@ -136,9 +132,9 @@ def main() -> None:
         looked = robot.looks
         robot.tick()
         if robot.seen is not None and robot.looks > looked:
-            seen.update(robot.seen.bearings)
+            seen.update(robot.seen.bearings.keys())
             for counts in since.values():
-                counts.update(robot.seen.bearings)
+                counts.update(robot.seen.bearings.keys())
         reached = sum(o.state == "arrived" for o in robot.outcomes)
         if due.get(reached):
             boxes = helper.move(seen, due[reached])

@@ -26,7 +26,7 @@ SIZE = 1200, 680
 HALL = 760, 680
 CAMERA = 440, 198
 MAP = 440, 320
-GIF_WIDTH, GIF_EVERY, GIF_COLOURS = 720, 3, 64
+GIF_WIDTH, GIF_EVERY, GIF_COLOURS = 640, 6, 48
 ENLARGED = 3
 """The ellipse of the position is drawn larger by this factor, since it is a few centimetres."""
 INK, PAPER = (25, 30, 38), (246, 247, 249)
@@ -112,7 +112,9 @@ class Film:
             writer.send(np.ascontiguousarray(frame))
             if k % GIF_EVERY == 0 or k == len(self.pictures) - 1:
                 height = round(GIF_WIDTH * SIZE[1] / SIZE[0])
-                small.append(cv2.resize(frame, (GIF_WIDTH, height), interpolation=cv2.INTER_AREA))
+                plain = frame.copy()  # without the texture of the floor, which costs most bytes
+                plain[:, : HALL[0]] = cv2.medianBlur(np.ascontiguousarray(frame[:, : HALL[0]]), 5)
+                small.append(cv2.resize(plain, (GIF_WIDTH, height), interpolation=cv2.INTER_AREA))
         for _ in range(2 * FPS):
             writer.send(np.ascontiguousarray(frame))
         writer.close()
@@ -266,7 +268,10 @@ def _add_box(
 def _write_gif(path: Path, frames: list[np.ndarray]) -> None:
     images = [Image.fromarray(frame) for frame in frames]
     sample = Image.fromarray(np.concatenate(frames[:: max(len(frames) // 4, 1)]))
-    palette = sample.quantize(GIF_COLOURS)
+    colours = sample.quantize(GIF_COLOURS).getpalette()[: 3 * GIF_COLOURS]
+    colours += [c for colour in (INK, PAPER, BLUE, VERMILLION, GREEN, GREY) for c in colour]
+    palette = Image.new("P", (1, 1))
+    palette.putpalette(colours + colours[:3] * (256 - len(colours) // 3))
     plain = [image.quantize(palette=palette, dither=Image.Dither.NONE) for image in images]
-    times = [120] * (len(plain) - 1) + [2500]
+    times = [150] * (len(plain) - 1) + [2500]
     plain[0].save(path, save_all=True, append_images=plain[1:], duration=times, loop=0)

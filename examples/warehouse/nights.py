@@ -158,7 +158,7 @@ class Warehouse:
             robot.tick()
             if robot.looks > looked and robot.seen is not None:
                 looked = robot.looks
-                seen.update(robot.seen.bearings)
+                seen.update(robot.seen.bearings.keys())
                 t = robot.truth[-1][0]
                 samples.add_bearings(t, robot.seen.bearings, robot.seen.sigmas)
         robot.session.request_landmarks()
