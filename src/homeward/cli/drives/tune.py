@@ -30,6 +30,14 @@ def tune(
         list[str], typer.Argument(help="Drives or logs of one robot, as for `homeward run`.")
     ],
     topics: Topics = None,
+    second: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DRIVE",
+            help="The first drive with the bearings of a second camera instead: estimate its pose"
+            " relative to the first camera.",
+        ),
+    ] = None,
     out: Annotated[Path, typer.Option(help="The new file to write.")] = Path("robot.yaml"),
     scale_covariance: Annotated[
         bool,
@@ -52,6 +60,7 @@ def tune(
     from homeward.io.writing import write_whole
     from homeward.runs.calibration import for_other_tools
     from homeward.runs.report.words import count, listing
+    from homeward.runs.second_camera import calibrated_second
     from homeward.runs.single_run import opened
     from homeward.runs.tuning import tune as identify
 
@@ -62,16 +71,23 @@ def tune(
         read = [opened(run_settings(drive, given)) for drive in drives]
         if scale_covariance and all(drive.truth is None for drive in read):
             raise InputError("no drive has ground truth, which --scale-covariance needs")
+        other = None if second is None else opened(run_settings(second, given))
         found = identify(read, on_progress)
+    camera = None if other is None else calibrated_second(read[0], other, found.settings)
     if scale_covariance:
         found = _scaled(found)
     others = for_other_tools(found.settings)
     head = f"# Calibration of a robot by homeward tune from {listing(found.names)}\n"
     notes = "".join(f"# {tool}: {text}\n" for tool, text in others.items())
+    notes += "" if camera is None else camera.note
     text = head + settings_yaml(found.settings) + notes
     write_whole(out, text.encode())
     if json:
-        answer(_facts(found) | {"file": out, "other_tools": others})
+        facts = _facts(found) | {"file": out, "other_tools": others}
+        if camera is not None:
+            relative = {"pose": camera.pose, "covariance": camera.covariance.tolist()}
+            facts["second_camera"] = relative | {"landmarks": camera.shared}
+        answer(facts)
         return
     table([HEAD, *_rows(found)], left=2)
     say(
