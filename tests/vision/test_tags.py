@@ -309,9 +309,8 @@ def test_hostile_pictures(wrong):
 
 
 def test_the_manuals_python_runs(tmp_path):
-    (code,) = re.findall(
-        r"```python\n(.*?)```", (DOCS / "do" / "cameras.md").read_text(), re.DOTALL
-    )
+    page = (DOCS / "do" / "cameras.md").read_text()
+    code, of_poses = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
     camera = "fx: 250\nfy: 252\ncx: 161\ncy: 118\nwidth: 320\nheight: 240\n"
     (tmp_path / "camera.yaml").write_text(camera)
     localizer = Localizer({"7": 0.1})
@@ -320,6 +319,11 @@ def test_the_manuals_python_runs(tmp_path):
     exec(code, names)
     assert list(names["seen"].bearings) == ["7"]
     assert names["answer"].status is Status.MAPPING
+    corners = np.array([[[600, 340], [660, 340], [660, 400], [600, 400]]], float)
+    lens = Lens(fx=600, fy=600, cx=640, cy=360)
+    names |= {"corners": corners, "sizes": np.array([0.16]), "lens": lens}
+    exec(of_poses, names)
+    assert names["poses"][0].position[0] == pytest.approx(1.6, abs=0.1)
 
 
 def test_a_log_without_pictures_is_refused_and_nothing_is_written(tmp_path):
