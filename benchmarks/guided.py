@@ -30,8 +30,8 @@ ARC = Twist(SPEED, SPEED)
 POLICIES = "guided", "arc", "straight"
 
 
-def followed(guide: StartGuide) -> Iterator[Twist]:
-    """Yield the twists of a robot that follows the advice."""
+def followed(guide: StartGuide, dt: float) -> Iterator[Twist]:
+    """Yield the twists of a robot that follows the advice, for `dt` seconds each."""
     while True:
         advice = guide.advice()
         if advice is None:
@@ -44,7 +44,7 @@ def followed(guide: StartGuide) -> Iterator[Twist]:
         ):
             speed = math.hypot(*twist)
             sign = math.copysign(1.0, amount)
-            for _ in range(round(abs(amount) / speed / DT)):
+            for _ in range(round(abs(amount) / speed / dt)):
                 yield Twist(sign * twist.v, sign * twist.omega)
 
 
@@ -62,7 +62,7 @@ def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float
     settings = DriveSettings(sensor=Sensor(bearing_sigma=SIGMA), odometry=odometry)
     localizer = Localizer(home, **settings.robot)
     guide, reckoned, path = StartGuide(home, Pose(0.0, 0.0, 0.0)), Pose(0.0, 0.0, 0.0), 0.0
-    steps = followed(guide) if policy == "guided" else None
+    steps = followed(guide, DT) if policy == "guided" else None
     straight = ARC if policy == "arc" else Twist(SPEED, 0.0)
     for k in range(round(MAX_S / DT)):
         t = k * DT

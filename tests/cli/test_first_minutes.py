@@ -293,7 +293,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
     reported = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
     # Without a compiler the interpreter is used.
-    assert named == reported == set(extras) - {"bench", "compiler", "dev", "docs"}
+    assert named == reported == set(extras) - {"bench", "compiler", "demo-physics", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()

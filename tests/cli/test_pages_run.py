@@ -16,7 +16,7 @@ from homeward.drives.opening import sample_drive
 
 ROOT = Path(__file__).resolve().parents[2]
 SECONDS = 40.0
-ELSEWHERE = ("live", "studio", "see", "tune", "--live", "merge", "P17")
+ELSEWHERE = ("live", "studio", "see", "tune", "--live", "merge", "P17", "align", "serve")
 """Commands that are interactive or need other resources; they have their own tests."""
 DRIVES = {"monday": 20.0, "tuesday": 22.0, "wednesday": 18.0, "thursday": 43.0, "friday": 10.0}
 """Lengths [s]; a home is stored where the robot was on Thursday at 42 s."""

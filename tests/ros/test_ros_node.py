@@ -97,7 +97,7 @@ def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
     stage.node.end(signal.SIGINT)
     assert newest(place) == 2  # again at the end, whole
     assert list(load_place(place).homes) == ["home", "dock 3"]
-    stage.node = stage.start(place=place)
+    stage.node = stage.start(place=place, dock="dock 3")
     stage.send(twist=[0.15, 0.3])
     stage.hear("/homeward/said", lambda s: s.get("status") == "localised", 30.0)
     stage.send(twist=None)
@@ -107,6 +107,9 @@ def test_a_place_lasts_from_node_to_node_and_homes_have_names(stage):
     dock = load_place(place).home_pose("dock 3")
     far = abs(math.hypot(dock.x, dock.y) - stage.robot.lines[-1][1]["distance"])
     assert far < 0.06
+    seen = stage.hear("detected_dock_pose")["value"]
+    assert math.hypot(*seen[:2]) < 0.1
+    assert seen[2] == "base_link"
     stage.send(call="save_place")
     stage.hear("/homeward/said", lambda s: "read-only" in s.get("text", ""))
 

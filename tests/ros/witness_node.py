@@ -13,7 +13,13 @@ import time
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import PoseArray, PoseWithCovarianceStamped, TransformStamped, Twist
+from geometry_msgs.msg import (
+    PoseArray,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    TransformStamped,
+    Twist,
+)
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState
 from rclpy.node import Node
@@ -44,6 +50,7 @@ class Witness(Node):
             "/homeward/said": (String, lambda m: json.loads(m.data)),
             "/homeward/pose": (PoseWithCovarianceStamped, self.pose),
             "/homeward/map_to_odom": (TransformStamped, self.transform),
+            "detected_dock_pose": (PoseStamped, self.dock),
             "/homeward/tag_0": (PoseWithCovarianceStamped, self.tag),
             "/homeward/sightings": (Marker, self.rays),
             "/homeward/landmarks": (MarkerArray, lambda m: len(m.markers)),
@@ -70,6 +77,11 @@ class Witness(Node):
     def pose(message):
         p = message.pose.pose.position
         return [p.x, p.y, message.pose.covariance[0], stamp(message)]
+
+    @staticmethod
+    def dock(message):
+        p = message.pose.position
+        return [p.x, p.y, message.header.frame_id]
 
     @staticmethod
     def tag(message):

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 
+from homeward.control.docking import DockGoal
 from homeward.control.goals import Goal, PointGoal, RouteGoal
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
+from homeward.geometry.frames import Pose
 from homeward.io.table import quoted
 from homeward.live.messages import FollowRoute, GoalMessage, GoHome, GoTo, GoToLandmark
 from homeward.live.place_session import PlaceSession
@@ -31,9 +33,18 @@ def resolve_goal(message: GoalMessage, home: str, place: PlaceSession | None, kn
             if place is None:
                 raise InputError(NO_PLACE)
             return RouteGoal(name, place.route(name).path)
-        case GoHome(name=str(name)) if place is not None:
-            return PointGoal(name, *place.home_pose(name, home)[:2])
-    return PointGoal(home, 0.0, 0.0)
+        case GoHome(name=name, dock=dock):
+            there = home_pose(name or home, home, place)
+            return DockGoal(name or home, there) if dock else PointGoal(name or home, *there[:2])
+
+
+def home_pose(name: str, home: str, place: PlaceSession | None) -> Pose:
+    """Return the pose of a home in the frame of `home`; `InputError` for one unknown there."""
+    if place is not None:
+        return place.home_pose(name, home)
+    if name != home:
+        raise InputError(f"no home {quoted(name)} in the map; it is of {quoted(home)}")
+    return Pose(0.0, 0.0, 0.0)
 
 
 def _landmark(name: str, place: PlaceSession | None, known: Known) -> tuple[float, float]:

@@ -17,10 +17,10 @@ from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, Start
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, UsesRanges
-from homeward.geometry.frames import Pose, compose, inverse, to_polar
+from homeward.geometry.frames import Pose, between, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
-from homeward.live.goal_resolution import NO_PLACE, resolve_goal
+from homeward.live.goal_resolution import NO_PLACE, home_pose, resolve_goal
 from homeward.live.home_capture import MIN_R, NOTHING_SEEN, HomeCapture
 from homeward.live.place_session import PlaceSession
 from homeward.localizer.fixed_lag import FixedLag
@@ -110,6 +110,17 @@ class Localisation:
         """The given pose of the camera on the robot."""
         return self._robot.sensor.pose
 
+    def seen_from_robot(self, name: str) -> Pose | None:
+        """Return the pose of a home in the robot's frame; None unless localised and known."""
+        estimate = self.fix.estimate
+        if estimate.pose is None or estimate.status is not Status.LOCALISED:
+            return None
+        try:
+            there = home_pose(name, self.home, self.place)
+        except InputError:
+            return None
+        return Pose(*map(float, between(estimate.pose, there)))
+
     @property
     def advice(self) -> str:
         """The motion that brings a pose soonest, in words; empty where there is a pose."""
@@ -165,8 +176,8 @@ class Localisation:
                 self.home, self._goal_message = name, None
                 self._begin(None)
                 self._set_goal(message)
-            case msg.GoHome(name=None):
-                self._set_goal(self._last_go_home)
+            case msg.GoHome(name=None, dock=dock):
+                self._set_goal(self._last_go_home.model_copy(update={"dock": dock}))
             case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
                 self._set_goal(message)
             case msg.BeginRoute():

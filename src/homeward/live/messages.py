@@ -129,6 +129,8 @@ class GoHome(Strict):
 
     type: Literal["go_home"] = "go_home"
     name: Name | None = None
+    dock: bool = False
+    """Whether to reach its heading, too, along its axis."""
 
 
 class GoTo(Strict):

@@ -301,6 +301,7 @@ class Publishers:
             "sightings": ("visualization_msgs/msg/Marker", "~/sightings"),
             "cmd_vel": (f"geometry_msgs/msg/Twist{stamped}", self._parameter("cmd_vel_topic")),
             "transform": ("geometry_msgs/msg/TransformStamped", "~/map_to_odom"),
+            "dock": ("geometry_msgs/msg/PoseStamped", "detected_dock_pose"),
         }
         self._out = {
             key: make(message_class(kind), topic, latched if key == "pose" else 10)
@@ -331,9 +332,7 @@ class Publishers:
         self._line(out)
         if isinstance(out, EstimateOut) and out.pose is not None:
             message = message_class(POSE)()
-            message.header.frame_id = self._parameter("map_frame")
-            stamp = divmod(round(out.t * NANO) + epoch_ns, NANO)
-            message.header.stamp.sec, message.header.stamp.nanosec = stamp
+            self._fill_header(message.header, "map_frame", out.t, epoch_ns)
             robot, header = compose(self.home, Pose(*out.pose)), message.header
             fill_pose(message.pose.pose, robot)
             fill_covariance(message.pose, out, self.home)
@@ -357,6 +356,18 @@ class Publishers:
             if topic not in self._out:  # created by an active node: no lifecycle publisher
                 self._out[topic] = self._node.create_publisher(message_class(POSE), topic, 10)
             self._out[topic].publish(tag_out(tag, header))
+
+    def dock(self, dock: Pose | None, t: float, epoch_ns: int) -> None:
+        """Publish the dock's pose in the robot's frame at `t` [s], if it is known."""
+        if dock is not None:
+            message = message_class("geometry_msgs/msg/PoseStamped")()
+            self._fill_header(message.header, "base_frame", t, epoch_ns)
+            fill_pose(message.pose, dock)
+            self._out["dock"].publish(message)
+
+    def _fill_header(self, header: Any, frame: str, t: float, epoch_ns: int) -> None:
+        header.frame_id = self._parameter(frame)
+        header.stamp.sec, header.stamp.nanosec = divmod(round(t * NANO) + epoch_ns, NANO)
 
     def command(self, command: Command) -> None:
         """Publish a command, with or without a stamp."""

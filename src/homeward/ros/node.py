@@ -66,6 +66,7 @@ PARAMETERS: dict[str, Any] = {
     "robot_file": "",
     "session": "",
     "smoothed_lag": 0.0,
+    "dock": "",
     "record": "",
     "autostart": True,
 }
@@ -199,6 +200,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 info = partial(cameras.info, number)
                 topics.append(("sensor_msgs/msg/CameraInfo", given.camera, info))
         topics += [(JSON, f"~/{topic}", self._named(kind)) for topic, kind in NAMED.items()]
+        topics.append((JSON, "~/dock", self._named(msg.GoHome, dock=True)))
         if parameter("scan_topic"):
             topics.append(("sensor_msgs/msg/LaserScan", parameter("scan_topic"), self._scan))
         if cameras.needs_transforms:
@@ -256,9 +258,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         self._take(msg.Reset())
         return response
 
-    def _named(self, kind: Any) -> Callable[[Any], None]:
+    def _named(self, kind: Any, **more: bool) -> Callable[[Any], None]:
         """Return a callback that sends a message of a kind, named by the data of a String."""
-        return lambda message: self._take(validated(kind, {"name": message.data}))
+        return lambda message: self._take(validated(kind, {"name": message.data} | more))
 
     def _take(self, message: msg.Input) -> None:
         self._live.receive(message, time.monotonic())
@@ -333,8 +335,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _output(self, out: msg.Output) -> None:
         """Publish output of the session, or log the error."""
         try:
-            camera = self._live.localisation.camera
-            self._publish.output(out, (self._stamps.epoch or 0) * NANO, camera)
+            live, epoch_ns = self._live.localisation, (self._stamps.epoch or 0) * NANO
+            self._publish.output(out, epoch_ns, live.camera)
+            if isinstance(out, msg.Answer) and (name := self._parameter("dock")):
+                self._publish.dock(live.seen_from_robot(name), out.t, epoch_ns)
         except Exception as error:
             if not self.context.ok():
                 raise

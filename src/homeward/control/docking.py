@@ -1,0 +1,164 @@
+"""Docking: to the pose of a home, heading included, along its axis.
+
+The robot drives to a point behind the dock, turns to it, and follows the axis (pure pursuit of a
+point a fixed distance ahead). It turns to the dock's heading, stops, and checks the pose again:
+outside the tolerances it retreats and enters again. The pose is that of the localiser, from the
+bearings of all landmarks in view: never from the orientation of a tag.
+"""
+
+from __future__ import annotations
+
+import enum
+import math
+from typing import NamedTuple
+
+from homeward.control.following import STAND
+from homeward.control.goals import Belief, ControlOutput, GoalController, GoalState
+from homeward.control.laws import steer
+from homeward.control.limits import Limits
+from homeward.estimator import Status
+from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose, Twist, between
+
+STAGING_M = 0.8
+"""Distance behind the dock at which the robot turns to it: three times `AHEAD_M`, in which an
+offset from the axis decays to a twentieth [m]."""
+AHEAD_M = 0.25
+"""Distance ahead of the point on the axis that the robot drives to [m]."""
+CORRIDOR = 0.1
+"""Offset from the axis over the distance to the dock with which the robot enters at once [1]."""
+SLOWEST = 0.02
+"""Speed at the dock [m/s]: at 20 commands a second the robot stops within 1 mm."""
+TURN_GAIN = 2.0
+"""Turn rate over the error of heading [1/s]."""
+TOLERANCE_M, TOLERANCE_RAD = 0.008, math.radians(0.7)
+"""Largest offset from the dock's pose: a goal of 1 cm and 1 degree, less the error of the pose."""
+SETTLE_S = 1.0
+"""Time at rest before the pose is checked [s]: some images more than one."""
+MAX_ATTEMPTS = 4
+"""Times that the robot enters before the drive fails."""
+
+
+class Phase(enum.Enum):
+    """Part of a docking."""
+
+    STAGING = "driving behind"
+    ALIGNING = "turning to"
+    ENTERING = "entering"
+    TURNING = "turning at"
+    SETTLING = "checking the pose at"
+    RETREATING = "retreating from"
+
+
+class DockGoal(NamedTuple):
+    """Pose of a home that is to be reached with its heading."""
+
+    name: str
+    dock: Pose
+    """In the frame of the belief."""
+
+    def controller(self, limits: Limits) -> GoalController:
+        """Return the controller of a docking."""
+        return GoalController(limits.patience, Docking(self, limits).step)
+
+
+class Docking:
+    """State of one docking.
+
+    Parameters
+    ----------
+    goal : DockGoal
+        The dock.
+    limits : Limits
+        Limits of the robot.
+    """
+
+    def __init__(self, goal: DockGoal, limits: Limits) -> None:
+        self._goal, self._limits = goal, limits
+        self.phase = Phase.STAGING
+        self._since = -math.inf
+        """When the phase began [s]."""
+        self._attempts = 0
+
+    def step(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
+        """Return the output at a time [s]; if a hindrance is given, the robot must stop."""
+        if hindrance or belief.pose is None:
+            return ControlOutput(GoalState.HELD, hindrance)
+        there = Pose(*map(float, between(self._goal.dock, belief.pose)))
+        there = there._replace(heading=float(wrap(there.heading)))
+        if self.phase is Phase.SETTLING:
+            return self._checked(now, there, belief.status)
+        for _ in Phase:  # phases that are over already take no time
+            twist = self._twist(there)
+            if twist is not None:
+                return ControlOutput(GoalState.DRIVING, self._words, twist)
+            if self._enter(self._next, now) is Phase.SETTLING:
+                break
+        return ControlOutput(GoalState.DRIVING, self._words, STAND)
+
+    @property
+    def _words(self) -> str:
+        return f"{self.phase.value} {self._goal.name}"
+
+    @property
+    def _next(self) -> Phase:
+        order = [Phase.STAGING, Phase.ALIGNING, Phase.ENTERING, Phase.TURNING, Phase.SETTLING]
+        if self.phase is Phase.RETREATING:
+            return Phase.ALIGNING
+        return order[order.index(self.phase) + 1]
+
+    def _enter(self, phase: Phase, now: float) -> Phase:
+        self.phase, self._since = phase, now
+        self._attempts += phase is Phase.ENTERING
+        return phase
+
+    def _twist(self, there: Pose) -> Twist | None:
+        """Return the command of a phase by the pose in the dock's frame; None where it is over."""
+        x, y, heading = there
+        speed = self._limits.speed
+        match self.phase:
+            case Phase.STAGING:
+                is_behind = -2.0 * STAGING_M < x < -0.5 * STAGING_M
+                if is_behind and abs(y) < CORRIDOR * abs(x):
+                    return None
+                return steer(-STAGING_M - x, -y, heading, speed, self._limits.turn_rate)
+            case Phase.ALIGNING:
+                error = float(wrap(self._course(y) - heading))
+                return None if abs(error) < CORRIDOR else Twist(0.0, self._turn_rate(error))
+            case Phase.ENTERING:
+                if x > -0.5 * SLOWEST / 20.0:
+                    return None
+                rate = self._turn_rate(float(wrap(self._course(y) - heading)))
+                return Twist(min(speed, max(SLOWEST, -0.5 * x)), rate)
+            case Phase.TURNING:
+                if abs(heading) < 0.5 * TOLERANCE_RAD:
+                    return None
+                return Twist(0.0, self._turn_rate(-heading))
+            case _:
+                if x < -0.5 * STAGING_M:
+                    return None
+                return Twist(-0.5 * speed, self._turn_rate(-heading))
+
+    def _course(self, y: float) -> float:
+        """Return the heading towards the point ahead on the axis [rad]."""
+        return -math.atan2(y, AHEAD_M)
+
+    def _turn_rate(self, error: float) -> float:
+        limit = self._limits.turn_rate
+        return max(-limit, min(limit, TURN_GAIN * error))
+
+    def _checked(self, now: float, there: Pose, status: Status) -> ControlOutput:
+        """Return the output at rest at the dock."""
+        if now - self._since < SETTLE_S:
+            return ControlOutput(GoalState.DRIVING, self._words, STAND)
+        off, turn = math.hypot(there.x, there.y), abs(there.heading)
+        words = f"{1e3 * off:.0f} mm and {math.degrees(turn):.1f} degrees from {self._goal.name}"
+        if status is not Status.LOCALISED:
+            return ControlOutput(GoalState.HELD, f"{words}, but {status.value}", is_lost=True)
+        if off <= TOLERANCE_M and turn <= TOLERANCE_RAD:
+            return ControlOutput(GoalState.ARRIVED, words)
+        if self._attempts >= MAX_ATTEMPTS:
+            return ControlOutput(GoalState.FAILED, f"{words} after {self._attempts} attempts")
+        turns_only = off <= TOLERANCE_M
+        self._enter(Phase.TURNING if turns_only else Phase.RETREATING, now)
+        return ControlOutput(GoalState.DRIVING, self._words, STAND)

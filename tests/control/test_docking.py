@@ -1,0 +1,89 @@
+"""Docking: to the pose of a home, heading included."""
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.docking import dock
+from homeward.control.docking import MAX_ATTEMPTS, STAGING_M, DockGoal
+from homeward.control.goals import Belief, GoalState
+from homeward.control.limits import Limits
+from homeward.estimator import Status
+from homeward.geometry.frames import Pose, Twist, advance, between
+
+DT = 0.05
+ORIGIN = Pose(0.0, 0.0, 0.0)
+
+
+def docked(start, at=ORIGIN, wrong=lambda t, pose: 0.0, seconds=120.0):
+    """Dock by a pose that is `wrong` in y by so much; return the last output and all true poses."""
+    limits, robot, twist = Limits(), start, Twist(0.0, 0.0)
+    controller, poses = DockGoal("the dock", at).controller(limits), [start]
+    for k in range(round(seconds / DT)):
+        pose = robot._replace(y=robot.y + wrong(k * DT, robot))
+        belief = Belief(Status.LOCALISED, pose, 1e-6 * np.eye(3))
+        output = controller.step(k * DT, belief, "")
+        if output.state is not GoalState.DRIVING:
+            return output, poses
+        twist = limits.accelerated(twist, output.twist, DT)
+        robot = advance(robot, twist, DT)
+        poses.append(robot)
+    return output, poses
+
+
+@pytest.mark.parametrize("at", [Pose(0.0, 0.0, 0.0), Pose(3.0, -2.0, 2.5)])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_with_the_right_pose_docks_from_anywhere(at, seed):
+    rng = np.random.default_rng(seed)
+    start = Pose(*map(float, rng.uniform([-3.0, -3.0, -math.pi], [1.0, 3.0, math.pi])))
+    output, poses = docked(start, at)
+    off = between(at, poses[-1])
+    assert output.state is GoalState.ARRIVED, output.reason
+    assert math.hypot(off.x, off.y) < 0.008
+    assert abs(math.remainder(off.heading, math.tau)) < math.radians(0.7)
+
+
+def test_it_enters_along_the_axis():
+    _, poses = docked(Pose(-0.3, 1.5, -2.0))
+    entering = [p for p in poses[-200:] if -0.2 < p.x < 0.0]
+    assert entering
+    assert max(abs(p.y) for p in entering) < 0.02
+    assert max(p.x for p in poses[-200:]) < 0.01
+
+
+def test_an_offset_that_shows_at_the_dock_makes_it_enter_again():
+    """The pose has an error of 3 cm to the side until the robot is at the dock."""
+    been = []
+
+    def wrong(t, pose):
+        been.extend([pose] * (pose.x > -0.01))
+        return 0.0 if been else 0.03
+
+    output, poses = docked(Pose(-1.0, 0.0, 0.0), wrong=wrong)
+    assert output.state is GoalState.ARRIVED
+    assert abs(poses[-1].y) < 0.008
+    reached = next(k for k, p in enumerate(poses) if p.x > -0.01)
+    assert min(p.x for p in poses[reached:]) < -0.4 * STAGING_M
+
+
+def test_it_gives_up_where_the_pose_is_never_right():
+    output, _ = docked(
+        Pose(-1.0, 0.0, 0.0), wrong=lambda t, _: 0.04 * math.sin(3.0 * t), seconds=400.0
+    )
+    assert output.state is GoalState.FAILED
+    assert f"after {MAX_ATTEMPTS} attempts" in output.reason
+
+
+def test_it_stops_for_a_hindrance_and_does_not_arrive_unverified():
+    controller = DockGoal("the dock", ORIGIN).controller(Limits())
+    belief = Belief(Status.UNVERIFIED, ORIGIN, 1e-6 * np.eye(3))
+    held = controller.step(0.0, belief, "emergency stop")
+    assert (held.state, held.reason) == (GoalState.HELD, "emergency stop")
+    outputs = [controller.step(0.1 * k, belief, "") for k in range(600)]
+    assert GoalState.ARRIVED not in {output.state for output in outputs}
+
+
+def test_with_six_tags_of_which_one_was_moved_it_is_within_a_centimetre_and_a_degree():
+    """The short form of `benchmarks.docking`."""
+    assert dock(1).succeeded
