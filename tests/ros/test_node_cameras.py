@@ -18,6 +18,7 @@ PARAMETERS = {
     "bearings_frames": "",
     "bearings_axes": "",
     "bearing_sigma": 0.0,
+    "tag_size": 0.0,
     "rectified": False,
     "camera": "",
     "camera_info_topic": "",
