@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.special import gammaincinv
+from scipy.special import chdtri
 
 from homeward.runs.scoring import Errors
 
@@ -28,7 +28,7 @@ def coverage(nees: np.ndarray, weight: np.ndarray) -> tuple[float, ...]:
 
     NaN without weight.
     """
-    limits = 2.0 * gammaincinv(1.5, np.array(LEVELS))  # quantiles of chi-square(3)
+    limits = chdtri(3, 1.0 - np.array(LEVELS))
     total = weight.sum()
     return tuple(float(weight[nees <= x].sum() / total) if total else math.nan for x in limits)
 
@@ -48,7 +48,7 @@ def covariance_scale(drives: Sequence[Errors]) -> float | None:
     order = np.argsort(nees)
     share = np.cumsum(weight[order]) / weight.sum()
     at = min(int(np.searchsorted(share, level - 1e-9)), nees.size - 1)
-    return max(1.0, float(nees[order[at]] / (2.0 * gammaincinv(1.5, LEVEL))))
+    return max(1.0, float(nees[order[at]] / chdtri(3, 1.0 - LEVEL)))
 
 
 def independent(nees: np.ndarray) -> float:
@@ -64,5 +64,5 @@ def independent(nees: np.ndarray) -> float:
     if products[0] <= 0.0:
         return 0.0
     pairs = products[: above.size // 2 * 2].reshape(-1, 2).sum(axis=1) / products[0]
-    positive = pairs[: np.argmax(pairs <= 0.0)] if (pairs <= 0.0).any() else pairs
+    positive = pairs[np.logical_and.accumulate(pairs > 0.0)]
     return float(above.size / max(2.0 * positive.sum() - 1.0, 1.0))

@@ -52,7 +52,7 @@ SCHEME = "tcp://"
 SHARE_S = 3.0
 """Interval at which the visit is sent [s]."""
 TIMEOUT_S = 20.0
-"""A server that answers nothing for this time after a visit is disconnected [s]."""
+"""A server that does not answer for this time after a visit is disconnected [s]."""
 FINISH_S = 30.0
 """Timeout for the merge of the last version of a visit [s]."""
 POLL_S = 0.1
@@ -151,7 +151,7 @@ class ServerLink:
             raise
         except OSError as error:
             link.close()
-            raise InputError(f"the place server answers nothing: {error}") from error
+            raise InputError(f"the place server does not answer: {error}") from error
 
     def _lines(self) -> list[bytes]:
         """Return the lines that arrived; `OSError` where the server is gone."""
