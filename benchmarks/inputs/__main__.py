@@ -1,4 +1,4 @@
-"""Whether homeward gives the right answer, or a refusal of one line, for each kind of data.
+"""Whether homeward gives the right answer, or a refusal of one line, for kinds of data.
 
 `python -m benchmarks.inputs [--out DIR] [NAME ...]`: all kinds, or those with a word NAME in their
 name; `--out` keeps their files. Exit status 1 if an answer is wrong.
@@ -13,7 +13,6 @@ from pathlib import Path
 import benchmarks.inputs.data_logs
 import benchmarks.inputs.logs
 import benchmarks.inputs.odometry
-import benchmarks.inputs.pixels
 import benchmarks.inputs.refusals
 import benchmarks.inputs.tables  # noqa: F401
 from benchmarks.inputs.kinds import KINDS

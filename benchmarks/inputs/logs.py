@@ -94,13 +94,6 @@ DEFINITIONS = {
     "aruco_msgs/msg/MarkerArray": "std_msgs/Header header\naruco_msgs/Marker[] markers"
     f"{PART}aruco_msgs/Marker\nstd_msgs/Header header\nuint32 id\n"
     "geometry_msgs/PoseWithCovariance pose\nfloat64 confidence\n",
-    "ar_track_alvar_msgs/msg/AlvarMarkers": "std_msgs/Header header\n"
-    "ar_track_alvar_msgs/AlvarMarker[] markers"
-    f"{PART}ar_track_alvar_msgs/AlvarMarker\nstd_msgs/Header header\nuint32 id\n"
-    "uint32 confidence\ngeometry_msgs/PoseStamped pose\n",
-    "apriltags_ros/msg/AprilTagDetectionArray": "apriltags_ros/AprilTagDetection[] detections"
-    f"{PART}apriltags_ros/AprilTagDetection\nint32 id\nfloat64 size\n"
-    "geometry_msgs/PoseStamped pose\n",
     "fiducial_msgs/msg/FiducialTransformArray": "std_msgs/Header header\nint32 image_seq\n"
     "fiducial_msgs/FiducialTransform[] transforms"
     f"{PART}fiducial_msgs/FiducialTransform\nint32 fiducial_id\n"
@@ -182,24 +175,6 @@ tag_messages(
     },
 )
 tag_messages(
-    "ar_track_alvar_msgs/AlvarMarkers",
-    "log.bag",
-    "/ar_pose_marker",
-    lambda seen, h: {
-        "markers": [{"header": h, "id": i, "pose": {"pose": p}} for i, p in optical(seen)]
-    },
-)
-tag_messages(
-    "apriltags_ros/AprilTagDetectionArray",
-    "log.bag",
-    "/tag_detections",
-    lambda seen, h: {
-        "detections": [
-            {"id": i, "size": 0.16, "pose": {"header": h, "pose": p}} for i, p in optical(seen)
-        ]
-    },
-)
-tag_messages(
     "apriltag_ros/AprilTagDetectionArray",
     "log.bag",
     "/tag_detections",
@@ -265,23 +240,6 @@ tag_messages(
 )
 
 
-def pose_topics(log: LogFile, stamp: int, seen: Seen) -> Messages:
-    """Return a PoseStamped on a topic of its own for each tag."""
-    make, header = log.make, log.header(stamp, OPTICAL)
-    return {
-        f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
-        for i, p in optical(seen)
-    }
-
-
-POSE_TOPICS = HOME + 'bearings: {topic: "/tag_*/pose"}\n'
-
-
-@kind("PoseStamped, a topic for each tag, .mcap", "run log.mcap --topics topics.yaml")
-def _(s: Sample) -> Files:
-    return {"log.mcap": log_of(s, s.seen.ahead, pose_topics), "topics.yaml": POSE_TOPICS}
-
-
 @kind("tags as frames in /tf, .mcap", "run log.mcap --topics topics.yaml")
 def _(s: Sample) -> Files:
     def transform(header: Any, child: str, place: Any, turn: Any) -> dict[str, Any]:
@@ -319,69 +277,6 @@ def _(s: Sample) -> Files:
         return {"/tags": tag_list(log, stamp, seen)}
 
     return {"log.mcap": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": HOME}
-
-
-@kind("positions in a type of one's own, optical by values", "run log.bag --topics topics.yaml")
-def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        return {"/tags": tag_list(log, stamp, seen, "camera")}
-
-    topics = f"bearings: {{topic: /tags, id: tags.tag_id, position: tags.pose.position}}\n{HOME}"
-    return {"log.bag": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": topics}
-
-
-SCAN = {
-    "my_msgs/msg/Scan": "std_msgs/Header header\nstring[] names\nfloat64[] ranges\n"
-    "float64[] bearings_deg\n"
-}
-
-
-@kind("lists of names, ranges and bearings in degrees", "run log.mcap --topics topics.yaml")
-def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        lists = {"names": [str(i) for i in seen.id], "ranges": seen.range}
-        degrees = np.degrees(seen.bearing)
-        header = log.header(stamp, "camera")
-        return {"/scan": log.make(*SCAN, header=header, bearings_deg=degrees, **lists)}
-
-    return {"log.mcap": log_of(s, s.seen, tags, SCAN), "topics.yaml": HOME}
-
-
-@kind("odometry in a type of one's own", "run log.mcap --topics topics.yaml")
-def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        return {"/tags": tag_list(log, stamp, seen)}
-
-    def odometry(log: LogFile, stamp: int, k: int) -> Messages:
-        twist = {"linear_velocity": float(s.v[k]), "yaw_rate": float(s.omega[k])}
-        return {"/base": log.make(BASE, header=log.header(stamp, "base_link"), **twist)}
-
-    types = {BASE: "std_msgs/Header header\nfloat64 linear_velocity\nfloat64 yaw_rate\n"}
-    files = log_of(s, s.seen.ahead, tags, TAG_LIST | types, odometry)
-    return {"log.mcap": files, "topics.yaml": HOME}
-
-
-BASE = "my_msgs/msg/BaseState"
-
-
-tag_messages(
-    "isaac_ros_apriltag_interfaces/AprilTagDetectionArray",
-    "log.db3",
-    "/tag_detections",
-    lambda seen, h: {
-        "detections": [
-            {"id": i, "pose": {"header": h, "pose": {"pose": p}}} for i, p in optical(seen)
-        ]
-    },
-)
-tag_messages(
-    "vision_msgs/Detection3DArray",
-    "log.mcap",
-    "/objects",
-    lambda seen, h: {
-        "detections": [{"header": h, "id": str(i), "bbox": {"center": p}} for i, p in optical(seen)]
-    },
-)
 
 
 @kind("two cameras with an overlap", "run log.mcap --topics topics.yaml")
