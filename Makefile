@@ -129,7 +129,6 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)
 	$(if $(QUICK),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lasting)
-	$(if $(QUICK),,$(BIN)/python -m benchmarks.roh)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --lag 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)

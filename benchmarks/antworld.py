@@ -1,4 +1,4 @@
-"""The antworld data set, a grid of rendered panoramas: direction home, and homing by keyframes.
+"""The antworld data set, a grid of rendered panoramas: direction home.
 
 The baselines are two methods without features: the image difference compass and min-warping.
 """
@@ -17,7 +17,6 @@ from homeward.vision.cameras.image_files import read_grey
 CAMERA = Equirectangular(horizon=0.8, tilt_sigma=0.005)
 """Rendered without tilt; the horizon was read from the pictures."""
 NORTH = math.pi / 2  # direction of the middle column of the pictures
-MAX_BLIND = 3  # the robot stops after this number of steps without a recognised keyframe
 
 
 class Grid:
@@ -85,52 +84,6 @@ def antworld(count: int) -> None:
             f"image difference compass (heading) {np.mean(turned):.1f} mean, "
             f"{np.median(turned):.1f} median"
         )
-
-
-def chained(routes: int = 12) -> None:
-    """Print how robots drive home from keyframe to keyframe, along a path of 1.5 m."""
-    grid = Grid()
-    ends = [back_along_keyframes(grid, seed) for seed in range(routes)]
-    off, taken, blind = np.array(ends).T
-    print(
-        f"antworld, chain: {np.sum(off <= 0.1)} of {routes} ended within 0.1 m of home, from 1.5 m "
-        f"along keyframes 0.1 m apart; medians: {np.median(taken):.0f} steps of 0.1 m or 0.14 m, "
-        f"{np.median(blind):.0f} of them by the stored odometry"
-    )
-
-
-def back_along_keyframes(grid: Grid, seed: int) -> tuple[float, int, int]:
-    """Drive back along a path of the grid.
-
-    Each keyframe is stored with the odometry to the keyframe before. If no keyframe nearer home
-    gives a direction, that odometry is followed, rotated by the heading from the image. The robot
-    is at a keyframe if there is no parallax; an uncertain direction does not suffice. Returned are
-    the distance from home at the end [m], the number of steps, and of those by stored odometry.
-    """
-    rng = np.random.default_rng(seed)
-    row, start = int(rng.integers(0, 31)), int(rng.integers(0, 16))
-    path = [(start + k, row) if seed % 2 else (row, start + k) for k in range(16)]
-    here, goal, taken, blind, unseen = np.array(path[-1]), len(path) - 2, 0, 0, 0
-    while taken < 60 and unseen < MAX_BLIND and tuple(here.tolist()) in grid.at:
-        now = grid.view(grid.at[tuple(here.tolist())])
-        window = range(max(goal - 2, 0), min(goal + 3, len(path)))
-        seen = {g: compare(grid.view(grid.at[path[g]]), now, CAMERA) for g in window}
-        accepted = [g for g in window if seen[g].accepted]
-        reached = [g for g in accepted if not seen[g].shows_parallax]
-        if reached and reached[0] == 0:
-            break
-        goal = min([goal, *(g - 1 for g in reached)])
-        known = [g for g in window if seen[g].has_direction and g <= goal + 1]
-        if known:
-            way, unseen = seen[known[0]].home_direction + NORTH, 0
-        else:
-            leg = np.subtract(path[goal], path[goal + 1])
-            turned = seen[accepted[0]].heading if accepted else 0.0
-            way = math.atan2(leg[1], leg[0]) - turned
-            goal, blind, unseen = max(goal - 1, 0), blind + 1, 0 if accepted else unseen + 1
-        here = here + np.rint([math.cos(way), math.sin(way)]).astype(int)
-        taken += 1
-    return 0.1 * float(np.hypot(*(here - path[0]))), taken, blind
 
 
 def compass(home: np.ndarray, now: np.ndarray) -> float:

@@ -9,15 +9,13 @@ pose, and docks. Run:
     python -m benchmarks.docking --runs 100
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.guided import followed
+from benchmarks import monte_carlo
+from benchmarks.guided import followed, in_view
 from homeward.control.docking import DockGoal
 from homeward.control.goals import Belief, GoalState
 from homeward.control.limits import Limits
@@ -68,7 +66,7 @@ def dock(seed: int, moved: bool = True) -> Docked:
     tags = room(rng)
     stored = 0.3 * SIGMA  # of some seconds at rest
     home = {
-        f"T{i}": HomeBearing(bearing(DOCK, x, y) + stored * rng.normal(), stored)
+        f"L{i}": HomeBearing(bearing(DOCK, x, y) + stored * rng.normal(), stored)
         for i, (x, y) in enumerate(tags.tolist())
     }
     if moved:
@@ -89,7 +87,7 @@ def dock(seed: int, moved: bool = True) -> Docked:
         t = k * DT
         if k % EVERY == 0:
             light = 3.0 if rng.random() < 0.1 else 1.0
-            seen = _seen(robot, tags, light, rng)
+            seen = in_view(robot, tags, VIEW, 0.2, light * SIGMA, rng)
             localizer.bearings(t, seen)
             guide.add(reckoned, seen)
         estimate = localizer.estimate(t)
@@ -110,24 +108,8 @@ def dock(seed: int, moved: bool = True) -> Docked:
     return Docked(state, reason, t, math.hypot(robot.x, robot.y), abs(float(wrap(robot.heading))))
 
 
-def _seen(
-    robot: Pose, tags: np.ndarray, light: float, rng: np.random.Generator
-) -> dict[str, float]:
-    """Return the bearings of the tags in view."""
-    seen = {}
-    for i, (x, y) in enumerate(tags.tolist()):
-        at = float(wrap(bearing(robot, x, y)))
-        if abs(at) <= 0.5 * VIEW and math.hypot(x - robot.x, y - robot.y) > 0.2:
-            seen[f"T{i}"] = at + light * SIGMA * rng.normal()
-    return seen
-
-
 def main() -> None:
-    """Print the failures and a summary."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--runs", type=int, default=100)
-    parser.add_argument("--first-seed", type=int, default=0)
-    given = parser.parse_args()
+    given = monte_carlo.parsed(__doc__, runs=100, first_seed=0)
     runs = []
     for seed in range(given.first_seed, given.first_seed + given.runs):
         runs.append(found := dock(seed))

@@ -6,14 +6,12 @@ Rooms of 8 x 8 m with 12 landmarks, 2 of them moved after home was stored; the r
     python -m benchmarks.guided --rooms 20
 """
 
-from __future__ import annotations
-
-import argparse
 import math
 from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks import monte_carlo
 from homeward.control.start_guide import StartGuide
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
@@ -48,6 +46,23 @@ def followed(guide: StartGuide, dt: float) -> Iterator[Twist]:
                 yield Twist(sign * twist.v, sign * twist.omega)
 
 
+def in_view(
+    robot: Pose,
+    places: np.ndarray,
+    view: float,
+    nearest: float,
+    sigma: float,
+    rng: np.random.Generator,
+) -> dict[str, float]:
+    """Return bearings to places (n, 2) within a field of view, farther than `nearest` [m]."""
+    seen = {}
+    for i, (x, y) in enumerate(places.tolist()):
+        at = float(wrap(bearing(robot, x, y)))
+        if abs(at) <= 0.5 * view and math.hypot(x - robot.x, y - robot.y) > nearest:
+            seen[f"L{i}"] = at + sigma * rng.normal()
+    return seen
+
+
 def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float]:
     """Return time [s], distance [m] and position error [m] of the first pose; NaN: none came."""
     rng = np.random.default_rng(seed)
@@ -66,11 +81,7 @@ def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float
     straight = ARC if policy == "arc" else Twist(SPEED, 0.0)
     for k in range(round(MAX_S / DT)):
         t = k * DT
-        bearings = {}
-        for i, (x, y) in enumerate(places.tolist()):
-            seen = float(wrap(bearing(robot, x, y)))
-            if abs(seen) <= 0.5 * view and math.hypot(x - robot.x, y - robot.y) > 0.3:
-                bearings[f"L{i}"] = seen + SIGMA * rng.normal()
+        bearings = in_view(robot, places, view, 0.3, SIGMA, rng)
         guide.add(reckoned, bearings)
         estimate = localizer.bearings(t, bearings)
         if estimate.pose is not None:
@@ -86,11 +97,7 @@ def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float
 
 
 def main() -> None:
-    """Print a table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--rooms", type=int, default=20, help="number of rooms")
-    parser.add_argument("--first-seed", type=int, default=0)
-    given = parser.parse_args()
+    given = monte_carlo.parsed(__doc__, rooms=20, first_seed=0)
     print("camera  policy    poses  time [s]  distance [m]  error [m] (medians over all rooms)")
     for view in (60.0, 360.0):
         for policy in POLICIES:

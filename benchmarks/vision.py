@@ -1,7 +1,7 @@
 """The camera front-end on images: direction home, NEES, false accepts, runtime.
 
 `python -m benchmarks.vision [--part NAME ...] [--seeds 6]` prints the figures of these parts:
-antworld, chain, route, speed, rooms, strangers, light, tilt, light-strangers. The data sets
+antworld, route, speed, rooms, strangers, light, tilt, light-strangers. The data sets
 antworld_rendered and alife_outdoor_panoramas are read from HOMEWARD_DATA, else from
 ../shared/data; rooms are rendered.
 """
@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import monte_carlo
-from benchmarks.antworld import antworld, chained
+from benchmarks.antworld import antworld
 from benchmarks.mrclam import data
 from benchmarks.timing import clock, in_turns
 from homeward.geometry.angles import wrap
@@ -195,7 +195,6 @@ def _grey(image: np.ndarray) -> np.ndarray:
 def main() -> None:
     parts: dict[str, Callable[[int], None]] = {
         "antworld": lambda _: antworld(200),
-        "chain": lambda _: chained(),
         "route": lambda _: route(),
         "speed": lambda _: speed(),
         "rooms": lambda seeds: rooms(seeds, [SAME]),

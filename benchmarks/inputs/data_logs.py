@@ -1,7 +1,5 @@
 """WPILib data logs, written byte by byte from the specification, field layouts, and LCM."""
 
-from __future__ import annotations
-
 import json
 import math
 import struct

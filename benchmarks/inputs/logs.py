@@ -1,7 +1,5 @@
 """ROS 1 and ROS 2 logs, with home bearings in a home.csv."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any

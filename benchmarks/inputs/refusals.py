@@ -1,7 +1,5 @@
 """Data that homeward refuses, with one line that names the problem and what to do."""
 
-from __future__ import annotations
-
 import gzip
 import io
 import json

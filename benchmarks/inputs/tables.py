@@ -1,7 +1,5 @@
 """Tables, as other programs write them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.inputs.kinds import Files, Sample, Seen, kind, table

@@ -1,7 +1,5 @@
 """Writing of a kind of data, its commands, and the comparison of the answer with the known one."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import time

@@ -1,7 +1,5 @@
 """The Jacobians used for linearisation are those of `homeward.geometry.frames` by CasADi."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -78,18 +78,6 @@ def test_a_turn_that_is_broken_off_stores_nothing(message):
         assert rig.standing()
 
 
-def test_the_robot_stops_in_time_when_a_sensor_dies_in_a_turn_and_continues():
-    rig = Rig(1, **NARROW).until(lambda r: r.robot.t > 3.0)
-    sound, died = rig.spoil, rig.robot.t
-    rig.spoil = lambda m: [] if isinstance(m, BearingsIn) else [m]
-    rig.until(lambda r: r.standing())
-    assert rig.commands[-1][0] - died <= 0.2
-    assert "no bearings for" in rig.commands[-1][1].reason
-    rig.spoil = sound
-    rig.until(lambda r: events(r))
-    assert "home 'home' is stored" in events(rig)[0]
-
-
 def test_who_is_sent_elsewhere_looks_at_home_no_more():
     session = Session()
     session.receive(HOME, 0.0)

@@ -1,7 +1,5 @@
 """Bearing errors that last: what is learnt of them, and how much sightings then count."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 

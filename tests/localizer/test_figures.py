@@ -1,19 +1,24 @@
 """The benchmarks' figures in their quick form, with room for the smaller number of runs."""
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
 
 from benchmarks.case2 import bound, final_error, scenario
-from benchmarks.roh import fixes, places
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import sample_drive
+from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.simulate import simulate
+from homeward.localizer.home.hypotheses import search
+from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.preintegration import DELAY, TIME_CONSTANT
+from homeward.localizer.output.pose import centre
+from homeward.localizer.settings import LocalizerSettings
 from homeward.runs.scoring import errors, statistics
 from homeward.track import run
 
@@ -46,14 +51,40 @@ def test_the_sample_with_late_bearings_keeps_its_map(late, bound):
     assert statistics(e.position, e.weight).rmse < bound  # late by 0.2 m/s: 0.04 to 0.08 m
 
 
+def position(beacons, bearings, sigma):
+    """Return a position (2,) [m] from bearings (q,) to beacons (q, 2); NaN if none fits."""
+    q = len(beacons)
+    size = POSE_AND_YAW + 2 * q
+    problem = HomeProblem(
+        mean=np.concatenate([np.zeros(POSE_AND_YAW), beacons.ravel()]),
+        covariance=np.zeros((size, size)),
+        bearings=bearings,
+        sigmas=np.full(q, sigma),
+        mount=np.zeros(3),
+        same_camera=False,
+        moved_prior=LocalizerSettings().moved_prior,
+    )
+    hypotheses = search(problem)
+    if hypotheses is None:
+        return np.full(2, np.nan)
+    homes = np.array([fit.home for fit in hypotheses.fits])
+    spreads = np.array([fit.covariance for fit in hypotheses.fits])
+    off, weights = homes - homes[0], hypotheses.weights
+    off[:, 2] = wrap(off[:, 2])
+    return (homes[0] + centre(off, weights, np.tensordot(weights, spreads, axes=1)))[:2]
+
+
 def test_static_fixes_on_real_beacons(data_dir):
+    """Roh's data set: four beacons, 200 samples of bearings at each of nine places."""
     folder = data_dir / "roh_angulation"
     if not folder.is_dir():
         pytest.skip("no roh_angulation in the data folder")
-    where, bearings = places(folder)
-    beacons = np.loadtxt(folder / "landmark.csv", delimiter=",")
-    found, _ = fixes(beacons, bearings[:, ::20].reshape(-1, 4), 0.03)
-    off = np.linalg.norm(found.reshape(len(where), -1, 2) - where[:, None], axis=-1)
+    beacons, off = np.loadtxt(folder / "landmark.csv", delimiter=","), []
+    for file in folder.glob("(X*.csv"):
+        where = list(map(float, re.fullmatch(r"\(X([\d.]+),Y([\d.]+)\)\.csv", file.name).groups()))
+        seen = wrap(np.radians(np.loadtxt(file, delimiter=",")))[::20]
+        off += [np.linalg.norm(position(beacons, row, 0.03) - where) for row in seen]
+    assert len(off) == 90
     assert np.median(off) < 0.11
 
 

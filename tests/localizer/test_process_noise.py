@@ -1,7 +1,5 @@
 """Odometry's noise, learnt by variance components from what a map leaves of motions."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

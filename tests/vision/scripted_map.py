@@ -1,7 +1,5 @@
 """A scripted map, and comparisons with home's picture for a scene."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small ray-cast room: panoramas with exact truth for the tests of the camera front-end."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import cv2

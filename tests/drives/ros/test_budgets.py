@@ -5,8 +5,8 @@ import struct
 import pytest
 from drives.refusals import refusal
 from drives.ros import crafted
-from drives.ros.crafted import bag, cdr_odometry, chunk, mcap, mcap_messages
-from drives.ros.test_hostile import FIVE_CDR, IN_BAG
+from drives.ros.crafted import cdr_odometry, chunk, mcap, mcap_messages
+from drives.ros.test_hostile import FIVE_CDR
 
 from homeward.drives.opening import open_drive
 from homeward.drives.ros import log
@@ -240,8 +240,3 @@ def test_reading_changes_nothing(tmp_path):
     open_drive(path)
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["log.db3"]
-
-
-def test_whole_bags_are_still_read(tmp_path):
-    (path := tmp_path / "x.bag").write_bytes(bag(IN_BAG, 5))
-    assert open_drive(path).odometry.t.size == 5

@@ -119,15 +119,6 @@ def test_one_that_is_pushed_off_comes_back(hall):
     assert math.dist(way[-1, 1:3], (2.5, 2.0)) < 0.15
 
 
-def test_one_that_begins_elsewhere_enters_where_it_is_nearest(hall):
-    start = StartPose(x=1.2, y=-1.0, heading=1.0, prior=False)
-    made, way = repeated(scenario(hall, start=start))
-    assert made.ending is Ending.DONE
-    entered = way[np.argmax(off(way) < 0.05), 1]
-    assert 0.9 < entered < 1.9
-    assert math.dist(way[-1, 1:3], (2.5, 2.0)) < 0.1
-
-
 def test_blocked_it_waits_and_for_too_long_it_gives_up_and_says_so(hall):
     by_truth = {"estimator": "truth"}
     waits = changed_scenario(scenario(hall, blocked=(2.0, 12.0)), by_truth)
