@@ -219,6 +219,7 @@ def _reals(values: Any) -> dict[str, float]:
 _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     "float": real,
     "Mapping[str, float]": _reals,
+    "str": str,
     "Mapping[str, float] | None": lambda values: None if values is None else _reals(values),
 }
 """By annotation of the argument."""
@@ -281,6 +282,24 @@ class UsesRanges(Protocol):
         range_sigmas: Mapping[str, float] | None = None,
     ) -> Estimate:
         """Add all sightings of a stamp, with ranges and their standard deviations [m] by id."""
+
+
+@runtime_checkable
+class UsesCameras(Protocol):
+    """An estimator whose method `bearings` takes the name of the camera, too."""
+
+    uses_cameras: bool
+
+    def bearings(
+        self,
+        t: float,
+        sightings: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        ranges: Mapping[str, float] | None = None,
+        range_sigmas: Mapping[str, float] | None = None,
+        camera: str = "",
+    ) -> Estimate:
+        """Add all sightings of one stamp and camera; see `UsesRanges`."""
 
 
 @runtime_checkable

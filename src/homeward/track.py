@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 
+from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
 from homeward.errors import InputError
-from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status, UsesRanges
+from homeward.estimator import (
+    Counts,
+    Estimate,
+    Estimator,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+    UsesCameras,
+    UsesRanges,
+)
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
 
@@ -164,21 +176,35 @@ def run(
         drive.odometry.omega.tolist(),
         strict=True,
     )
-    sightings = drive.sightings.stamps()
-    ranges = drive.sightings.ranges() if np.isfinite(drive.sightings.range).any() else None
+    sightings, has_ranges = drive.sightings.stamps(), np.isfinite(drive.sightings.range).any()
+    ranges = drive.sightings.ranges() if has_ranges else repeat((None, None))
+    begins = drive.sightings.t[drive.sightings.begins]
+    frames = iter(np.unique(begins, return_counts=True)[1].tolist())
+    names = drive.sightings.cameras() if drive.settings.cameras else repeat("")
+    if drive.settings.cameras and not isinstance(estimator, UsesCameras):
+        require_one_camera(drive, estimator.name)
     grid_points = iter(grid.tolist())
     reported = began
     for done, kind in enumerate(order):
         if kind == ODOMETRY:
             estimator.odometry(*next(odometry))
         elif kind == BEARINGS:
-            t, seen, sigmas = next(sightings)
             start = time.perf_counter()
-            if ranges is not None and isinstance(estimator, UsesRanges):
-                estimate = estimator.bearings(t, seen, sigmas or None, *next(ranges))
-            else:
-                estimate = estimator.bearings(t, seen, sigmas or None)
+            innovations: tuple[Innovation, ...] = ()
+            for _ in range(next(frames)):  # one of each camera
+                t, seen, sigmas = next(sightings)
+                (far, far_sigmas), camera = next(ranges), next(names)
+                sample = t, seen, sigmas or None
+                if camera and isinstance(estimator, UsesCameras):
+                    estimate = estimator.bearings(*sample, far, far_sigmas, camera)
+                elif has_ranges and isinstance(estimator, UsesRanges):
+                    estimate = estimator.bearings(*sample, far, far_sigmas)
+                else:
+                    estimate = estimator.bearings(*sample)
+                innovations = (*innovations, *estimate.innovations)
             update_seconds.append(time.perf_counter() - start)
+            if len(innovations) > len(estimate.innovations):
+                estimate = dataclasses.replace(estimate, innovations=innovations)
         else:
             t = next(grid_points)
             estimate = estimator.estimate(t)

@@ -67,7 +67,7 @@ drives = st.builds(
 def bits(columns):
     """Return the columns of a dataclass of arrays as comparable bits."""
     return {
-        name: values.tolist() if name == "landmark" else values.astype(float).tobytes()
+        name: values.tolist() if name in ("landmark", "camera") else values.astype(float).tobytes()
         for name, values in vars(columns).items()
     }
 

@@ -5,13 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from two_cameras import simulated
 
 from homeward.drives.drive import Drive, Odometry, Sightings
-from homeward.drives.settings import DriveSettings, Sensor
+from homeward.drives.settings import DriveSettings, RobotSettings, Sensor
 from homeward.errors import HomewardError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, between, compose
-from homeward.runs.second_camera import second_camera
+from homeward.runs.second_camera import calibrated_second, second_camera
 
 FRONT, REAR = Pose(0.2, 0.05, 0.1), Pose(-0.25, 0.1, math.pi - 0.2)
 SPEED_SIGMA, TURN_SIGMA, BEARING_SIGMA = 0.01, 0.01, 0.005
@@ -59,7 +60,7 @@ def test_a_rear_camera_is_found_within_its_covariance_though_the_first_is_not_ca
         off.append(error)
         squared.append(error @ np.linalg.solve(found.covariance, error))
     assert 0.4 < np.mean(squared) < 5.6  # 3; 3 standard deviations of the mean of 8
-    assert found.note.startswith("# second camera: sensor: {x: ")
+    assert found.note.startswith("# second camera relative to the first: x ")
     assert np.abs(off).max() < 0.1
 
 
@@ -84,3 +85,14 @@ def test_bearings_that_are_too_noisy_do_not_determine_it():
     noisy = drive.settings.model_copy(update={"sensor": Sensor(bearing_sigma=0.3)})
     with pytest.raises(HomewardError, match="does not determine the second camera"):
         second_camera(replace(drive, settings=noisy), second)
+
+
+def test_a_camera_of_the_column_is_found_and_written_for_the_next_run():
+    drive = simulated(5)
+    rough = {"rear": {"x": 0.0, "yaw": 3.0}}
+    settings = DriveSettings(sensor=drive.settings.sensor, cameras=rough)
+    found = calibrated_second(replace(drive, settings=settings), "rear", RobotSettings()).on_robot
+    off = np.array([found.x + 0.2, found.y, wrap(found.yaw - math.pi)])
+    sigmas = np.array([found.x_sigma, found.y_sigma, found.yaw_sigma])
+    assert (np.abs(off) < 4.0 * sigmas).all()
+    assert (sigmas < [0.05, 0.05, 0.02]).all()

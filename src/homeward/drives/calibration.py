@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.settings import DriveSettings, RobotSettings
 from homeward.errors import InputError
@@ -20,7 +21,7 @@ def given_keys(settings: Strict) -> dict[str, Any]:
     """Return the values of settings that were given, by dotted key."""
     found: dict[str, Any] = {}
     for head, part in settings.model_dump(exclude_unset=True, exclude_none=True).items():
-        inner = part if isinstance(part, dict) else {"": part}
+        inner = part if isinstance(part, dict) and head != "cameras" else {"": part}
         found |= {f"{head}.{key}".rstrip("."): value for key, value in inner.items()}
     return found
 
@@ -43,6 +44,7 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
             remarks[REPLACED.format(", ".join(replaced))] = len(replaced)
         kept = {k: v for k, v in shared.items() if k.removesuffix("_sigma") not in own}
         settings = validated(DriveSettings, nested(kept | own))
+    settings = with_first_camera(settings, drive)
     given, late = settings.odometry.corrections, settings.bearings_late
     if not given and late is None:
         return dataclasses.replace(drive, settings=settings, remarks=remarks)

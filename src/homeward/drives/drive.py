@@ -72,11 +72,14 @@ class Sightings(Columns):
     """[m]; NaN where not given."""
     range_sigma: np.ndarray = field(default_factory=lambda: np.empty(0))
     """[m]; NaN where not given."""
+    camera: np.ndarray = field(default_factory=lambda: np.empty(0, object))
+    """Names of cameras (str), as in `RobotSettings.cameras`; empty for the first one."""
 
     def __post_init__(self) -> None:
-        for name in ("range", "range_sigma"):
+        for name, missing in (("range", np.nan), ("range_sigma", np.nan), ("camera", "")):
             if self.t.size and not getattr(self, name).size:
-                object.__setattr__(self, name, np.full(self.t.size, np.nan))
+                value = np.array(missing, getattr(self, name).dtype)
+                object.__setattr__(self, name, np.broadcast_to(value, self.t.size))
 
     @classmethod
     def of_rows(cls, rows: Sequence[tuple[float, str, float, float]]) -> Self:
@@ -86,22 +89,36 @@ class Sightings(Columns):
         return cls(numbers[:, 0], ids, numbers[:, 1], numbers[:, 2])
 
     def stamps(self) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
-        """Yield (t, {id: bearing}, {id: sigma}) for each stamp; the last of equal ids counts."""
+        """Yield (t, {id: bearing}, {id: sigma}) for each frame; the last of equal ids counts.
+
+        A frame has the sightings of one stamp from one camera.
+        """
         for t, seen, sigma in self._by_stamp(self.bearing, self.sigma):
             yield t, seen, {i: s for i, s in sigma.items() if math.isfinite(s)}
 
     def ranges(self) -> Iterator[tuple[dict[str, float], dict[str, float]]]:
-        """Yield ({id: range}, {id: sigma}) for each stamp, of those that have a range."""
+        """Yield ({id: range}, {id: sigma}) for each frame, of those that have a range."""
         for _, seen, sigma in self._by_stamp(self.range, self.range_sigma):
             known = {i: r for i, r in seen.items() if not math.isnan(r)}
             yield known, {i: sigma[i] for i in known if math.isfinite(sigma[i])}
 
+    @property
+    def begins(self) -> np.ndarray:
+        """Rows at which the frames of `stamps` begin, (k,)."""
+        if not self.t.size:
+            return np.zeros(0, int)
+        changes = (self.t[1:] != self.t[:-1]) | (self.camera[1:] != self.camera[:-1])
+        return np.concatenate([[0], np.flatnonzero(changes) + 1])
+
+    def cameras(self) -> Iterator[str]:
+        """Yield the name of the camera for each frame."""
+        yield from map(str, self.camera[self.begins])
+
     def _by_stamp(
         self, values: np.ndarray, sigmas: np.ndarray
     ) -> Iterator[tuple[float, dict[str, float], dict[str, float]]]:
-        """Yield (t, {id: value}, {id: sigma}) for each stamp; the last of equal ids counts."""
-        edges = np.flatnonzero(self.t[1:] != self.t[:-1]) + 1
-        for a, b in pairwise(np.unique([0, *edges, self.t.size])):
+        """Yield (t, {id: value}, {id: sigma}) for each frame; the last of equal ids counts."""
+        for a, b in pairwise([*self.begins.tolist(), self.t.size]):
             ids = [str(i) for i in self.landmark[a:b]]
             value = dict(zip(ids, values[a:b].tolist(), strict=True))
             yield float(self.t[a]), value, dict(zip(ids, sigmas[a:b].tolist(), strict=True))
@@ -115,6 +132,8 @@ class HomeBearing(ByValue):
     """From the camera's axis at home [rad], in (-pi, pi]."""
     sigma: float = math.nan
     """[rad]; NaN where not given."""
+    camera: str = ""
+    """Name of its camera, empty for the first one."""
 
 
 TRUTH_GAP_S = 0.5

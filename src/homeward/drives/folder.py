@@ -19,8 +19,10 @@ from homeward.io.naming import listing, natural
 from homeward.io.reading import is_there, require_folder
 from homeward.io.settings import commented_yaml, read_settings, settings_yaml
 from homeward.io.table import (
+    Parser,
     Table,
     identifiers,
+    identifiers_or_empty,
     is_identifier,
     numbers,
     numbers_or_nan,
@@ -41,7 +43,7 @@ COMMENTED = (
 """Head of a commented drive.yaml."""
 IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
 REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
-OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma"})
+OPTIONAL_COLUMNS, CAMERA = frozenset({"sigma", "range", "range_sigma"}), "camera"
 SORTED = "rows of {} were out of order; sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
@@ -95,10 +97,11 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     """Read a drive folder; `InputError` names the file, the row and the problem.
 
     The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]
-    [, range, range_sigma]), home.csv (landmark, bearing[, sigma]) and optionally drive.yaml,
-    landmarks.yaml and truth.csv (t, x, y, heading in the home frame), in s, m and rad. Other files
-    and columns are ignored. A survey in the home frame replaces home.csv and odometry.csv. A time
-    at home in drive.yaml replaces home.csv. With `home_needed`, one of these must define home.
+    [, range, range_sigma][, camera]), home.csv (landmark, bearing[, sigma][, camera]), drive.yaml,
+    landmarks.yaml and truth.csv (t, x, y, heading in the home frame), in s, m and rad. The last
+    three are optional. Other files and columns are ignored. A survey in the home frame replaces
+    home.csv and odometry.csv. A time at home in drive.yaml replaces home.csv. With `home_needed`,
+    one of these must define home.
 
     Rows up to `MAX_DELAY_S` out of order are sorted by time. Bearings are wrapped, and landmark ids
     stripped of white space. The last of equal stamps counts. Remarks count these corrections, and
@@ -214,8 +217,7 @@ def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
 
 def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
     """Count in `remarks` the repeated sightings of a landmark at one stamp."""
-    t, landmark = sightings.t, sightings.landmark
-    starts = np.flatnonzero(np.diff(t, prepend=np.nan) != 0)
+    t, landmark, starts = sightings.t, sightings.landmark, sightings.begins
     sizes = np.diff(starts, append=t.size)
     several = sizes > 1
     stamps = zip(starts[several].tolist(), sizes[several].tolist(), strict=True)
@@ -247,12 +249,13 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
-    """Read a bearings.csv (t, landmark, bearing[, sigma][, range, range_sigma]).
+    """Read a bearings.csv (t, landmark, bearing[, sigma][, range, range_sigma][, camera]).
 
     Errors and remarks as `read_folder`.
     """
     columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
-    optional = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
+    optional: dict[str, Parser] = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
+    optional[CAMERA] = identifiers_or_empty
     return sightings_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
 
 
@@ -261,24 +264,29 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     table = sorted_by_time(table, "bearings", remarks)
     bearings = wrapped(table, "bearing", remarks)
     ranges = _ranges(table, remarks), _sigma(table, "range_sigma")
-    sightings = Sightings(table["t"], table["landmark"], bearings, _sigma(table), *ranges)
+    cameras = [table[CAMERA]] if CAMERA in table.columns else []
+    columns = table["t"], table["landmark"], bearings, _sigma(table), *ranges, *cameras
+    sightings = Sightings(*columns)
+    if cameras:
+        number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
+        sightings = sightings.rows(np.lexsort((number, sightings.t)))
     count_repeats(sightings, remarks)
     return sightings
 
 
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
-    """Read a home.csv (landmark, bearing[, sigma]; rad); errors and remarks as `read_folder`."""
+    """Read a home.csv (landmark, bearing[, sigma][, camera]); as `read_folder`."""
     columns = {"landmark": identifiers, "bearing": numbers}
-    return home_of(
-        read_csv(path, columns, {"sigma": numbers_or_nan}, advice=IMPORT_ADVICE), remarks
-    )
+    optional: dict[str, Parser] = {"sigma": numbers_or_nan, CAMERA: identifiers_or_empty}
+    return home_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Return the home bearings of a table; as `read_home`."""
     table.require_unique("landmark")
     bearings = wrapped(table, "bearing", remarks)
-    rows = zip(bearings.tolist(), _sigma(table).tolist(), strict=True)
+    cameras = table[CAMERA].tolist() if CAMERA in table.columns else [""] * len(table)
+    rows = zip(bearings.tolist(), _sigma(table).tolist(), cameras, strict=True)
     return dict(zip(table["landmark"].tolist(), (HomeBearing(*row) for row in rows), strict=True))
 
 
@@ -355,9 +363,12 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
             "landmark": np.array(list(home), object),
             "bearing": np.array([seen.bearing for seen in home.values()], float),
             "sigma": np.array([seen.sigma for seen in home.values()], float),
+            CAMERA: np.array([seen.camera for seen in home.values()], object),
         },
     }
     for columns in (files[BEARINGS], files[HOME]):
+        if not any(columns[CAMERA]):
+            del columns[CAMERA]
         for name in OPTIONAL_COLUMNS & columns.keys():
             if np.isnan(columns[name]).all():
                 del columns[name]
@@ -368,11 +379,11 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
 
 def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[str]:
     """Return a column as text; repr is the shortest text of a float that reads back exactly."""
-    if column == "landmark":
+    if column in ("landmark", CAMERA):
         ids = [str(value) for value in values]
-        if bad := [i for i in ids if not is_identifier(i)]:
+        if bad := [i for i in ids if not is_identifier(i) and (i or column != CAMERA)]:
             raise InputError(
-                f"landmark {quoted(bad[0])} is not a valid id (printable, no outer spaces)", file
+                f"{column} {quoted(bad[0])} is not a valid id (printable, no outer spaces)", file
             )
         return ids
     missing = np.isnan(values) if may_lack else np.zeros(values.shape, bool)

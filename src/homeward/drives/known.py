@@ -61,4 +61,4 @@ def _home_bearing(name: object, seen: object) -> HomeBearing:
         raise InputError(f"home: {name!r}: {error}") from error
     if not math.isfinite(bearing):
         raise InputError(f"home: {name!r}: the bearing is not finite")
-    return HomeBearing(bearing, sigma)
+    return HomeBearing(bearing, sigma, given.camera)

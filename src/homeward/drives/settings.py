@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal, Self, TypedDict, TypeVar
 
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.geometry.frames import Polar, Pose
+from homeward.geometry.frames import Polar, Pose, between
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
 from homeward.io.models import model_validator
@@ -43,15 +43,26 @@ class Mount(Strict):
         return Pose(self.x, self.y, self.yaw)
 
 
-class Sensor(Mount):
-    """The camera of the drive."""
+class OtherCamera(Mount):
+    """A further camera, next to that of `sensor`."""
 
     x_sigma: NonNegative | None = None
     """Standard deviation of x [m]; None: 0 where x is given."""
     y_sigma: NonNegative | None = None
     """That of y [m]."""
     yaw_sigma: NonNegative | None = None
-    """That of the yaw [rad]; None: as the estimator's settings specify."""
+    """That of the yaw [rad]; None: as the estimator's settings specify, or 0 for a further camera.
+    Those of a further camera are relative to the first, and widen its bearings."""
+
+    def bearing_sigma_at(self, distance: float) -> float:
+        """Return the standard deviation of a bearing by these [rad], at a distance [m]."""
+        shift = math.hypot(self.x_sigma or 0.0, self.y_sigma or 0.0) / math.sqrt(2.0)
+        return math.hypot(shift / distance, self.yaw_sigma or 0.0)
+
+
+class Sensor(OtherCamera):
+    """The camera of the drive."""
+
     bearing_sigma: Annotated[float, Field(gt=0, le=math.pi)] | None = None
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
@@ -163,6 +174,9 @@ class RobotSettings(Strict):
     """The keys of robot.yaml: the calibration of a robot, which its drives share."""
 
     sensor: Sensor = Sensor()
+    cameras: dict[str, OtherCamera] = Field({}, examples=[{"rear": {"x": -0.2, "yaw": 3.1416}}])
+    """Extrinsics of further cameras by name, where bearings have a column `camera`; `sensor` is the
+    camera that is not among them."""
     odometry: OdometryNoise = OdometryNoise()
     bearings_late: Delay | None = None
     """Delay of the stamps of bearings, on odometry's clock [s]; None: 0. Readers subtract it, so a
@@ -214,7 +228,9 @@ class Robot(TypedDict, total=False):
     """Keyword arguments of every estimator for the robot, as models or as their values."""
 
     sensor: Sensor | dict[str, Any]
-    """The camera."""
+    """The camera; of several cameras the first, to which the calibration refers."""
+    cameras: Mapping[str, OtherCamera | dict[str, Any]]
+    """Extrinsics of the other cameras by name."""
     home_sensor: Mount | dict[str, Any] | None
     """The camera extrinsics when home was stored, if different."""
     odometry: OdometryNoise | dict[str, Any]
@@ -311,12 +327,29 @@ class DriveSettings(RobotSettings):
         """Keyword arguments of an estimator: ``Localizer(home, **settings.robot)``."""
         return {
             "sensor": self.sensor,
+            "cameras": self.cameras,
             "home_sensor": self.home_sensor,
             "odometry": self.odometry,
             "start": self.start,
             "together": self.together,
             "covariance_scale": self.covariance_scale,
         }
+
+    def mount_of(self, camera: str) -> Mount:
+        """Return the extrinsics of a camera; those under `sensor` for all names but others."""
+        return self.cameras.get(camera, self.sensor)
+
+    def in_first(self, camera: str) -> np.ndarray | None:
+        """Return the pose (3,) of a camera in the frame of the first one; None for the first."""
+        own = self.cameras.get(camera)
+        return None if own is None else np.array(between(self.sensor.pose, own.pose))
+
+    def offsets(self, cameras: Sequence[str]) -> np.ndarray | None:
+        """Return the poses (k, 3) of cameras in the frame of the first one; None: all are it."""
+        known = {name: self.in_first(name) for name in set(cameras)}
+        if all(offset is None for offset in known.values()):
+            return None
+        return np.array([np.zeros(3) if (o := known[n]) is None else o for n in cameras])
 
     @property
     def home_mount(self) -> Mount:

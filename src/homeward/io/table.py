@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import IO, TextIO
 
@@ -201,15 +202,24 @@ def with_default(parse: Parser, default: float | str) -> Parser:
 numbers_or_nan = with_default(numbers, math.nan)
 
 
-def identifiers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
+def identifiers(
+    name: str,
+    cells: Sequence[str],
+    rows: Sequence[int],
+    path: Path,
+    may_be_empty: bool = False,
+) -> np.ndarray:
     """Parse ids: any printable text, without the white space around it."""
     clean = {cell: sys.intern(cell.strip()) for cell in set(cells)}
     for cell, text in clean.items():
-        if not is_identifier(text):
+        if not is_identifier(text) and (text or not may_be_empty):
             problem = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
             raise InputError(f"{name} {problem}", path, rows[cells.index(cell)])
     # Objects, not fixed-width text: one long id would widen every row.
     return np.array([clean[cell] for cell in cells], object)
+
+
+identifiers_or_empty = partial(identifiers, may_be_empty=True)
 
 
 def is_identifier(text: str) -> bool:

@@ -207,9 +207,11 @@ class PlaceSession:
         if not self.update:
             raise InputError(READ_ONLY)
         drive = replace(drive, sightings=self._samples.sightings())
-        stamps, rows = np.unique(drive.sightings.t), last_of_equal(table(self._poses, COLUMNS))
+        stamps = drive.sightings.t[drive.sightings.begins]
+        rows = last_of_equal(table(self._poses, COLUMNS))
         poses = np.full((stamps.size, 3), np.nan)
-        poses[np.isin(stamps, rows[:, 0])] = rows[np.isin(rows[:, 0], stamps), 1:4]
+        known = np.isin(stamps, rows[:, 0])
+        poses[known] = rows[np.searchsorted(rows[:, 0], stamps[known]), 1:4]
         visit = collect_visit_along(localizer, drive, poses, self.when, home)
         require_enough(visit.map)
         visit = self._with_stored(visit)

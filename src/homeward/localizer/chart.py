@@ -133,9 +133,14 @@ class Chart:
             return []
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, reckoned)  # 1 measurement noise
+        if frame.offset is not None:
+            sigma = self._drive.cameras[frame.camera].bearing_sigma_at(
+                self.map.smoother.state.scale
+            )
+            seen = seen._replace(sigmas=np.hypot(seen.sigmas, sigma))
         calibration = self.map.smoother.state.calibration
         motion = self.odometry.advance(seen.t, calibration)  # 2 preintegration
-        view, rates = self.map.view(motion), self.process_noise.rates
+        view, rates = self.map.view(motion, seen.offset), self.process_noise.rates
         self._contradiction.add_bearings(seen, self.map, motion, view, rates, reckoned)
         gated = found = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
@@ -148,7 +153,7 @@ class Chart:
             seen, reset = found.frame, True
         if reset:
             motion = self._reset_map(seen.t)
-            view = self.map.view(motion)
+            view = self.map.view(motion, seen.offset)
         if found is not None:
             self.map.registration.expect(found.origin, found.names)
             self.last_accepted = seen.t
@@ -248,6 +253,7 @@ class Chart:
             self.map.registration.in_home_frame(self.map.smoother.state),
             self.map.registration.survey,
             {**self.home.exchanged, **self.map.registration.survey.exchanged},
+            observed.offsets,
         ).landmarks()
 
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:
@@ -263,7 +269,7 @@ class Chart:
 
     def _resect(self, seen: WeighedFrame) -> Resected | None:
         """Return the survey's pose from one frame; None if the frame does not determine it."""
-        camera = self.map.camera_pose
+        camera = self.map.camera_pose(seen.offset)
         moved = self.odometry.dropout_motion(seen.t).covariance
         return self._resection.find(seen, camera, self.map.registration.survey, moved)
 
@@ -334,10 +340,10 @@ class Chart:
         """Try to relocalise the robot, and reset its pose; return whether that succeeds."""
         search = self.monitor.search
         since = search.motion_since(motion)
-        search.add_bearings(seen, self.map.camera(since), self.map.landmarks)
+        search.add_bearings(seen, self.map.camera(since, seen.offset), self.map.landmarks)
         found = search.find(self.map.landmarks, self.map.smoother.state)
         if found is None and self.monitor.is_lost:
-            camera = self.map.camera(Motion.identity())
+            camera = self.map.camera(Motion.identity(), seen.offset)
             driven = seen.driven.since(self._driven_at_keyframe)
             found = find_by_frame(seen, camera, self.map.landmarks, self.map.smoother.state, driven)
             since = Motion.identity()

@@ -15,6 +15,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
+from homeward.drives.cameras.names import Cameras
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
 from homeward.estimator import (
@@ -81,8 +82,8 @@ class Localizer:
     """
 
     name = "robust"
-    uses_ranges = True
-    """Whether `bearings` takes ranges."""
+    uses_ranges = uses_cameras = True
+    """Whether `bearings` takes ranges, and the name of a camera."""
 
     def __init__(
         self,
@@ -95,6 +96,7 @@ class Localizer:
         self.counts, self._turn = Counts(), threading.RLock()
         self.settings = known_settings(LocalizerSettings, settings)
         self._home, self._robot = known_home(home), known_robot(robot)
+        self._cameras = Cameras(self._robot, (seen.camera for seen in self._home.values()))
         self._notes = (SCALE_NOTE,) if self._robot.odometry.speed_scale_sigma is None else ()
         self.twists, self._known = TwistHistory(), known_landmarks(known)
         """The newest twists, as accepted."""
@@ -110,7 +112,7 @@ class Localizer:
         self._clock, self._reorder = Clock(), ReorderBuffer()
         self._sign_check = SignCheck(self._robot.sensor)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
-        self._frozen = FrozenCamera(self._robot.sensor.yaw)
+        self._frozen: dict[str, FrozenCamera] = {}
         self._at_newest: set[tuple[str, float]] = set()
         """Sightings of the newest stamp of bearings."""
         self._t = -math.inf
@@ -185,8 +187,11 @@ class Localizer:
         sigmas: Mapping[str, float] | None = None,
         ranges: Mapping[str, float] | None = None,
         range_sigmas: Mapping[str, float] | None = None,
+        camera: str = "",
     ) -> Estimate:
         """Add all sightings of stamp `t` [s]: bearing [rad] from the camera's axis by id.
+
+        `camera` is the name of their camera in `cameras`; a robot with one camera needs none.
 
         Some may have a range [m] with a standard deviation [m], else `sensor.range_sigma` of it.
         Ranges are used only where `sensor.range_sigma` is given.
@@ -194,6 +199,7 @@ class Localizer:
         If odometry is late, they wait for it, and the estimate is without them for now. A frame
         without sightings has no effect: the estimate is that of `estimate`.
         """
+        offset = self._cameras.in_first(camera)
         stamp, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
             self._reorder.late_bearings()
@@ -213,8 +219,10 @@ class Localizer:
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
         with_range, bad = self._ranges.usable(usable, ranges, range_sigmas)
         self._reject(Rejection.BAD_RANGE, bad)
-        self._reorder.bearings(BearingFrame(t, usable, valid, with_range))
-        self._dead.bearings(t, usable, valid, self.chart.noise)
+        frame = BearingFrame(t, usable, valid, with_range, camera, offset)
+        self._reorder.bearings(frame)
+        tracks = frame.by_camera(usable), frame.by_camera(valid)
+        self._dead.bearings(t, *tracks, self.chart.noise)
         innovations = self._process_due()
         return self._estimate(t, innovations, stamp)
 
@@ -312,7 +320,11 @@ class Localizer:
             mean,
             covariance,
             found.best.home if known and found is not None else None,
-            observed.with_noise(chart.noise),
+            {
+                n: seen
+                for n, seen in observed.with_noise(chart.noise).items()
+                if observed.offsets([n]) is None
+            },
             Pose(*observed.mount.tolist()),
         )
 
@@ -351,7 +363,10 @@ class Localizer:
     def _process(self, frame: BearingFrame) -> list[Innovation]:
         """Process a frame in each chart; return its innovations in the one that answers."""
         here = self.twists.at(frame.t)
-        frozen = self._frozen.add_bearings(frame.t, frame.sightings, here)
+        if frame.camera not in self._frozen:
+            yaw = self._robot.sensor.yaw + (0.0 if frame.offset is None else frame.offset[2])
+            self._frozen[frame.camera] = FrozenCamera(float(yaw))
+        frozen = self._frozen[frame.camera].add_bearings(frame.t, frame.sightings, here)
         if frozen:
             self._reject(Rejection.FROZEN, len(frozen))
             seen = {n: b for n, b in frame.sightings.items() if n not in frozen}
@@ -359,7 +374,7 @@ class Localizer:
         if not frame.sightings:
             return []
         reckoned = self.twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
-        if reckoned is not None:
+        if reckoned is not None and frame.offset is None:
             self._sign_check.bearings(frame.t, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, here, self._t)
         if self._candidate_chart is not None:
@@ -420,7 +435,7 @@ class Localizer:
         dead = self._dead.reason if self._dead.is_dead else None
         complaint = self._reorder.complaint or dead
         found = self.chart.estimate(t, innovations, complaint)
-        if self._frozen.is_frozen:
+        if self._frozen and all(camera.is_frozen for camera in self._frozen.values()):
             coasts = found.status is Status.LOCALISED
             status = Status.COASTING if coasts else found.status
             found = dataclasses.replace(found, status=status, reason=Reason.FROZEN.words)

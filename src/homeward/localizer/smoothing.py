@@ -275,14 +275,16 @@ def seen_from_keyframes(
 ) -> Iterator[SeenAt]:
     """Yield the sightings from keyframes, of landmarks in place then, or at a time [s]."""
     keyframes = {t: k for k, t in enumerate(whole.stamps)}
-    for t, bearings, given in drive.sightings.stamps():
+    offsets = map(drive.settings.in_first, drive.sightings.cameras())
+    for (t, bearings, given), offset in zip(drive.sightings.stamps(), offsets, strict=True):
         k = keyframes.get(t)
         if k is None:
             continue
         ids = chart.map.landmarks.ids_at(t if where_at is None else where_at, bearings)
         names = [n for n, number in ids.items() if math.isfinite(bearings[n])]
         seen = np.array([bearings[n] for n in names])
-        frame = WeighedFrame(t, names, seen, chart.noise.sigmas(names, given))
+        sigmas = chart.noise.sigmas(names, given)
+        frame = WeighedFrame(t, names, seen, sigmas, offset=offset)
         yield SeenAt(whole.first + k, frame, np.array([ids[n] for n in names], int))
 
 

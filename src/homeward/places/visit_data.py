@@ -139,7 +139,9 @@ def last_frame(
 
     With a time `until` [s], return the last one before it, if not more than `NO_BEARINGS_S` old.
     """
-    frames = {t: seen for t, seen, _ in drive.sightings.stamps()}
+    offsets = map(drive.settings.in_first, drive.sightings.cameras())
+    each = zip(drive.sightings.stamps(), offsets, strict=True)
+    frames = {t: seen for (t, seen, _), offset in each if offset is None}
     for i in np.flatnonzero(track.has_pose)[::-1].tolist():
         if (t := float(track.t[i])) in frames and t <= until:
             if until - t > NO_BEARINGS_S and until < math.inf:
@@ -158,7 +160,7 @@ def collect_visit(
     `localizer` processed the drive with the place as known landmarks (`Place.visited_by`). The
     track is in the frame of `home`, by default the place's first; `when` [days since 1970].
     """
-    row = np.searchsorted(track.t, np.unique(drive.sightings.t))
+    row = np.searchsorted(track.t, drive.sightings.t[drive.sightings.begins])
     poses = np.column_stack([track.x, track.y, track.heading])[row]
     return collect_visit_along(localizer, drive, poses, when, home)
 
@@ -166,11 +168,13 @@ def collect_visit(
 def collect_visit_along(
     localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
 ) -> VisitData:
-    """Return the visit data of a drive, given poses (m, 3) at its stamps, NaN where missing."""
+    """Return the visit data of a drive, given poses (m, 3) at its frames, NaN where missing."""
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
     good = np.isfinite(poses[:, 0])
-    poses = poses[good]
-    cameras = compose(poses, np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape))
+    mounts = np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape)
+    offsets = drive.settings.offsets([*drive.sightings.cameras()])
+    mounts = mounts if offsets is None else compose(mounts, offsets)
+    cameras, poses = compose(poses[good], mounts[good]), poses[good]
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
     frames = VisitFrames(cameras, known, drive.settings.sensor.field_of_view)
     together = drive.settings.together

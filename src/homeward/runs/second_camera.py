@@ -8,17 +8,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from homeward.drives.calibration import as_recorded, with_calibration
 from homeward.drives.drive import Drive, Sightings
-from homeward.drives.settings import Mount, OdometryDefaults, RobotSettings, Sensor, noise_rates
+from homeward.drives.settings import (
+    OdometryDefaults,
+    OtherCamera,
+    RobotSettings,
+    Sensor,
+    noise_rates,
+)
 from homeward.errors import HomewardError
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, between
+from homeward.geometry.frames import Pose, between, compose
 from homeward.geometry.least_squares import LeastSquares
 from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.geometry.se2 import rotation
@@ -52,21 +58,19 @@ class SecondCamera:
     pose: Pose
     covariance: np.ndarray
     """(3, 3), of x [m], y [m], yaw [rad]."""
-    on_robot: Mount
-    """Its extrinsics on the robot, with those of the first as given."""
+    on_robot: OtherCamera
+    """Its extrinsics on the robot for robot.yaml, with those of the first as a run uses them."""
     shared: int
     """Number of landmarks that both cameras see."""
 
     @property
     def note(self) -> str:
-        """Comment for robot.yaml, with the key of its topic in a topics file."""
+        """Comment for robot.yaml."""
         sigmas = np.sqrt(self.covariance.diagonal()).tolist()
         parts = zip(("x", "y", "yaw"), self.pose, sigmas, strict=True)
         relative = ", ".join(f"{key} {value:.4f} +- {sigma:.4f}" for key, value, sigma in parts)
-        there = self.on_robot
         return (
-            f"# second camera: sensor: {{x: {there.x:.4f}, y: {there.y:.4f}, yaw: {there.yaw:.4f}}}"
-            f"; relative to the first: {relative} (m, rad; {self.shared} landmarks)\n"
+            f"# second camera relative to the first: {relative} (m, rad; {self.shared} landmarks)\n"
         )
 
 
@@ -110,11 +114,25 @@ def second_camera(drive: Drive, second: Sightings) -> SecondCamera:
             f"{drive.name}: the drive does not determine the second camera (standard deviations"
             f" {sigma:.2g} m, {yaw_sigma:.2g} rad): drive bends past near landmarks that both see"
         )
-    return SecondCamera(pose, covariance, Mount(x=found.x, y=found.y, yaw=found.heading), problem.n)
+    there = compose(drive.settings.sensor.pose, pose)._asdict()
+    values = dict(zip(("x", "y", "yaw"), there.values(), strict=True))
+    sigmas = zip(("x_sigma", "y_sigma", "yaw_sigma"), np.sqrt(covariance.diagonal()), strict=True)
+    values |= dict(sigmas)
+    on_robot = OtherCamera(**{key: round(float(value), 4) for key, value in values.items()})
+    return SecondCamera(pose, covariance, on_robot, problem.n)
 
 
-def calibrated_second(drive: Drive, other: Drive, robot: RobotSettings) -> SecondCamera:
-    """Return the second camera of a robot; `other` is `drive` with the bearings of that camera."""
+def calibrated_second(drive: Drive, other: Drive | str, robot: RobotSettings) -> SecondCamera:
+    """Return the second camera of a robot.
+
+    `other` is the name of that camera in `drive`, or `drive` with its bearings instead.
+    """
+    if isinstance(other, str):
+        whole = with_calibration(as_recorded(drive), robot)
+        seen = whole.sightings
+        is_first = np.array([whole.settings.in_first(n) is None for n in seen.camera.tolist()])
+        of_first = replace(whole, sightings=seen.rows(is_first))
+        return second_camera(of_first, seen.rows(seen.camera == other))
     first, second = (with_calibration(as_recorded(each), robot) for each in (drive, other))
     return second_camera(first, second.sightings)
 

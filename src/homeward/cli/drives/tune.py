@@ -33,9 +33,9 @@ def tune(
     second: Annotated[
         str | None,
         typer.Option(
-            metavar="DRIVE",
-            help="The first drive with the bearings of a second camera instead: estimate its pose"
-            " relative to the first camera.",
+            metavar="DRIVE|CAMERA",
+            help="Estimate the extrinsics of a second camera: its name in the first drive, or that"
+            " drive with its bearings instead.",
         ),
     ] = None,
     out: Annotated[Path, typer.Option(help="The new file to write.")] = Path("robot.yaml"),
@@ -71,9 +71,16 @@ def tune(
         read = [opened(run_settings(drive, given)) for drive in drives]
         if scale_covariance and all(drive.truth is None for drive in read):
             raise InputError("no drive has ground truth, which --scale-covariance needs")
-        other = None if second is None else opened(run_settings(second, given))
+        name, known, apart = second, read[0].settings.cameras, None
+        if second is not None and second not in known:
+            apart = opened(run_settings(second, given))
+            name = apart.name
         found = identify(read, on_progress)
-    camera = None if other is None else calibrated_second(read[0], other, found.settings)
+    camera = None
+    if name is not None:
+        camera = calibrated_second(read[0], apart or name, found.settings)
+        update = {"cameras": {**known, name: camera.on_robot}}
+        found = dataclasses.replace(found, settings=found.settings.model_copy(update=update))
     if scale_covariance:
         found = _scaled(found)
     others = for_other_tools(found.settings)

@@ -67,7 +67,9 @@ class TurnProblem:
     """(m,) [rad]"""
     is_noise_known: bool
     mount: complex
-    """Position of the camera on the robot [m]."""
+    """Position of the camera on the robot [m], of several cameras the first ..."""
+    mounts: np.ndarray
+    """(m,), complex: ... and that of each bearing."""
     yaw: float
     """Yaw of the camera on the robot [rad]."""
     step_sigmas: np.ndarray
@@ -100,8 +102,12 @@ class TurnProblem:
             raise InputError(
                 f"the robot does not turn on the spot at home: it drives {distance:.2f} m away"
             )
-        names, landmark = np.unique(seen.landmark.astype(str), return_inverse=True)
         camera, default = settings.sensor, OdometryDefaults()
+        mounts, bearing = np.full(seen.t.size, complex(camera.x, camera.y)), seen.bearing
+        if (offsets := settings.offsets(seen.camera.tolist())) is not None:
+            x, y, yaw = offsets.T
+            mounts, bearing = mounts + np.exp(1j * camera.yaw) * (x + 1j * y), wrap(bearing + yaw)
+        names, landmark = np.unique(seen.landmark.astype(str), return_inverse=True)
         has_sigma = np.isfinite(seen.sigma)
         usual = camera.bearing_sigma or INITIAL_SIGMA
         turn, given = path.heading - path.heading[0], settings.odometry
@@ -116,10 +122,11 @@ class TurnProblem:
             centre=centre,
             pose=np.searchsorted(stamps, seen.t),
             landmark=landmark,
-            bearing=seen.bearing,
+            bearing=bearing,
             sigmas=np.clip(np.where(has_sigma, seen.sigma, usual), MIN_SIGMA_RAD, math.pi),
             is_noise_known=bool(has_sigma.all()) or camera.bearing_sigma is not None,
             mount=complex(camera.x, camera.y),
+            mounts=mounts,
             yaw=camera.yaw,
             step_sigmas=np.maximum(np.sqrt(np.stack([heading, along, across], axis=1)), min_noise),
             constant_sigmas=np.array(
@@ -219,7 +226,7 @@ class TurnProblem:
         """Return expected bearings (m,), and derivatives by pose, direction and inverse range."""
         heading, px, py = poses[self.pose].T
         direction, inverse = landmarks[self.landmark].T
-        arm = np.exp(1j * heading) * self.mount
+        arm = np.exp(1j * heading) * self.mounts
         moved = self.mount - (px + 1j * py + arm)
         line = np.exp(1j * direction)
         sight = line + inverse * moved

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from collections.abc import Callable
 
 import numpy as np
@@ -117,8 +118,11 @@ def _mean_directions(drive: Drive, first: float, last: float) -> dict[str, HomeB
     seen, home = drive.sightings, dict[str, HomeBearing]()
     at_home = seen.rows((seen.t >= first) & (seen.t <= last))
     for landmark in dict.fromkeys(at_home.landmark.tolist()):
-        mine = at_home.bearing[at_home.landmark == landmark]
-        home[landmark] = HomeBearing(float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum())))
+        own = at_home.rows(at_home.landmark == landmark)
+        camera = Counter(own.camera.tolist()).most_common(1)[0][0]
+        mine = own.bearing[own.camera == camera]
+        direction = float(np.arctan2(np.sin(mine).sum(), np.cos(mine).sum()))
+        home[landmark] = HomeBearing(direction, camera=camera)
     return home
 
 

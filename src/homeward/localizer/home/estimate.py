@@ -183,15 +183,21 @@ class HomeFit:
         return np.where(self.problem.is_exchanged, np.inf, self.evidence.odds)
 
     def odds_of(
-        self, places: np.ndarray, covariances: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray
+        self,
+        places: np.ndarray,
+        covariances: np.ndarray,
+        bearings: np.ndarray,
+        sigmas: np.ndarray,
+        offsets: np.ndarray | None = None,
     ) -> np.ndarray:
         """Return the log odds of further home bearings to be inliers, shape (k,).
 
         `places` (k, 2) [m] and `covariances` (k, 2, 2) are of their landmarks in the odometry
         frame, `bearings` and `sigmas` (k,) the stored home bearings and their standard deviations
-        [rad].
+        [rad], `offsets` (k, 3) as in `HomeProblem`.
         """
-        bearing, by_place, by_home = expected(self.problem, self.home, places, self.state[YAW])
+        yaw = self.state[YAW]
+        bearing, by_place, by_home, _ = expected(self.problem, self.home, places, yaw, offsets)
         variance = sigmas**2 + np.einsum("ki,kij,kj->k", by_place, covariances, by_place)
         variance += ((by_home @ self.covariance) * by_home).sum(axis=1)
         return log_odds(wrap(bearings - bearing), variance, self.moved_share(self.inliers))

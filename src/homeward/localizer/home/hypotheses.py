@@ -230,10 +230,12 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
     """
     found: list[Seed] = []
     q, points = problem.bearings.size, problem.landmarks
-    cameras = poses_from_triples(points, problem.bearings) if q >= MINIMAL else np.zeros((0, 3))
+    given, cameras = (problem.bearings, problem.offsets), np.zeros((0, 3))
+    if q >= MINIMAL:
+        cameras = poses_from_triples(points, *given)
     each = POSE_AND_YAW + np.arange(2 * q).reshape(-1, 2)
     marginals = problem.covariance[each[:, :, None], each[:, None]]
-    innovations = innovations_from(cameras, points, marginals, problem.bearings)
+    innovations = innovations_from(cameras, points, marginals, *given)
     for assumed in problem.assumptions:
         under = problem.under(assumed)
         if under.prior is not None:

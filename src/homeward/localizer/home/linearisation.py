@@ -61,12 +61,12 @@ class Linear:
 
 def linearised(problem: HomeProblem, home: np.ndarray, state: np.ndarray) -> Linear:
     """Linearise the home bearings around `home` (3,) and pose, yaw, landmarks (4 + 2 q,)."""
-    bearing, by_place, by_home = expected(
-        problem, home, state[POSE_AND_YAW:].reshape(-1, 2), state[YAW]
+    bearing, by_place, by_home, by_yaw = expected(
+        problem, home, state[POSE_AND_YAW:].reshape(-1, 2), state[YAW], problem.offsets
     )
     by_state = np.zeros((bearing.size, state.size))
     if problem.same_camera:
-        by_state[:, YAW] = -1.0
+        by_state[:, YAW] = by_yaw
     # Each is of one landmark: two elements of a row, one row down and two to the right.
     diagonal = by_state.ravel()[POSE_AND_YAW:]
     diagonal[:: state.size + 2], diagonal[1 :: state.size + 2] = by_place[:, 0], by_place[:, 1]
@@ -75,20 +75,29 @@ def linearised(problem: HomeProblem, home: np.ndarray, state: np.ndarray) -> Lin
 
 
 def expected(
-    problem: HomeProblem, home: np.ndarray, places: np.ndarray, camera_yaw: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem: HomeProblem,
+    home: np.ndarray,
+    places: np.ndarray,
+    camera_yaw: float,
+    offsets: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | float]:
     """Return the bearings (k,) of places (k, 2) from `home` (3,), and their Jacobians.
 
-    The latter are by the place, (k, 2), and by home, (k, 3); `camera_yaw` [rad] is the correction
-    of the camera's yaw, if home's camera is the same.
+    The latter are by the place, (k, 2), by home, (k, 3), and by the camera's yaw; `camera_yaw`
+    [rad] is its correction, if home's camera is the same, and `offsets` (k, 3) are as in
+    `HomeProblem`.
     """
     eye = compose(home, problem.mount)
     if problem.same_camera:
         eye[2] += camera_yaw
-    bearing, by_place, _ = sight(eye, places)
+    eyes = eye if offsets is None else compose(eye[None], offsets)
+    bearing, by_place, _ = sight(eyes, places)
     by_eye = np.full((len(places), 3), -1.0)
     np.negative(by_place, out=by_eye[:, :2])
-    return bearing, by_place, by_eye @ lever(eye - home)
+    if offsets is None:
+        return bearing, by_place, by_eye @ lever(eye - home), -1.0
+    by_first = (by_eye[:, None] @ lever(eyes - eye))[:, 0]
+    return bearing, by_place, by_first @ lever(eye - home), by_first[:, 2]
 
 
 def _linear(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -27,13 +27,14 @@ class HomeObservation:
         self, home: Mapping[str, HomeBearing], drive: DriveSettings, settings: LocalizerSettings
     ) -> None:
         self.bearings = {
-            n: HomeBearing(float(b.bearing), valid_sigma(b.sigma))
+            n: HomeBearing(float(b.bearing), valid_sigma(b.sigma), b.camera)
             for n, b in home.items()
             if math.isfinite(b.bearing)
         }
         self.mount = np.array(drive.home_mount.pose)
         self.same_camera = drive.home_sensor is None
         """Whether home was seen by the camera as it sits in the drive."""
+        self._drive = drive
         self._settings = settings
         self._together = given_bodies(drive.together, self.bearings)
         self._prior = home_from_start(drive)
@@ -70,7 +71,14 @@ class HomeObservation:
         """Return the home bearings with their present standard deviations."""
         names = list(self.bearings)
         columns = (column.tolist() for column in self._columns(names, noise))
-        return {n: HomeBearing(*row) for n, *row in zip(names, *columns, strict=True)}
+        return {
+            n: HomeBearing(bearing, sigma, self.bearings[n].camera)
+            for n, bearing, sigma in zip(names, *columns, strict=True)
+        }
+
+    def offsets(self, names: Sequence[str]) -> np.ndarray | None:
+        """Return the poses (k, 3) of the cameras of home bearings, as in `HomeProblem`."""
+        return self._drive.offsets([self.bearings[n].camera for n in names])
 
     def problem(
         self,
@@ -116,6 +124,7 @@ class HomeObservation:
             moved_prior=self._settings.moved_prior,
             walk_excess=walk_excess,
             bodies=self._bodies,
+            offsets=self.offsets(names),
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )

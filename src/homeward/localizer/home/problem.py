@@ -63,6 +63,8 @@ class HomeProblem:
     same_camera: bool
     """Whether the drive's camera was used at home, with the same unknown yaw."""
     moved_prior: float
+    offsets: np.ndarray | None = None
+    """(q, 3): poses of the bearings' cameras in the frame of the first one; None: all are of it."""
     prior: np.ndarray | None = None
     """(3,): home's pose in the odometry frame by the start prior."""
     prior_information: np.ndarray | None = None
@@ -104,7 +106,9 @@ class HomeProblem:
                 i, j = map(self.names.index, pair)
                 order[[i, j]] = order[[j, i]]
         sigmas = assumed.noise_scale / self.assumed.noise_scale * self.sigmas[order]
+        offsets = None if self.offsets is None else self.offsets[order]
         changed = replace(self, bearings=self.bearings[order], sigmas=sigmas, assumed=assumed)
+        changed = replace(changed, offsets=offsets)
         if assumed.start:
             return changed
         return replace(changed, prior=None, prior_information=None)

@@ -14,47 +14,82 @@ from itertools import combinations
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.se2 import sight
+from homeward.geometry.se2 import compose, sight
 from homeward.localizer.home.evidence import moved_share
 from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES
 
+OFFSET_STEPS = 3
+"""Steps in which several cameras are reduced to one; each divides the error by the distance of the
+landmarks over that of the cameras."""
 
-def poses_from_triples(points: np.ndarray, bearings: np.ndarray) -> np.ndarray:
+
+def poses_from_triples(
+    points: np.ndarray, bearings: np.ndarray, offsets: np.ndarray | None = None
+) -> np.ndarray:
     """Return the pose from each triple of landmarks (Pierlot and Van Droogenbroeck, 2014, ToTal).
 
     From landmarks `points` (q, 2) [m] and their bearings (q,) [rad] seen from the unknown pose: the
-    finite poses of the camera (k, 3), x [m], y [m], heading [rad].
+    finite poses of the camera (k, 3), x [m], y [m], heading [rad]. `offsets` (q, 3) are the poses
+    of several cameras in the frame of the first one, whose poses are returned: its bearings are
+    predicted from the pose found before.
     """
-    a, b, c = _triples(len(bearings)).T
+    triples = _triples(len(bearings))
     with np.errstate(divide="ignore", invalid="ignore"):
-        cot_ab = 1.0 / np.tan(bearings[b] - bearings[a])
-        cot_bc = 1.0 / np.tan(bearings[c] - bearings[b])
-        cot_ca = (1.0 - cot_ab * cot_bc) / (cot_ab + cot_bc)
-        x1, y1 = (points[a] - points[b]).T
-        x3, y3 = (points[c] - points[b]).T
-        x12, y12 = x1 + cot_ab * y1, y1 - cot_ab * x1
-        x23, y23 = x3 - cot_bc * y3, y3 + cot_bc * x3
-        x31, y31 = (x3 + x1) + cot_ca * (y3 - y1), (y3 + y1) - cot_ca * (x3 - x1)
-        k31 = x1 * x3 + y1 * y3 + cot_ca * (x1 * y3 - x3 * y1)
-        determinant = (x12 - x23) * (y23 - y31) - (y12 - y23) * (x23 - x31)
-        x = points[b, 0] + k31 * (y12 - y23) / determinant
-        y = points[b, 1] + k31 * (x23 - x12) / determinant
-        eyes = np.stack([x, y, bearings[a]], axis=1)
-        eyes[:, 2] = wrap(sight(eyes, points[a]).bearing)
+        if offsets is None:
+            eyes = _from_triples(points, *triples.T, *bearings[triples].T)
+        else:
+            places, own = points[triples], offsets[triples]
+            eyes = _from_triples(points, *triples.T, *(bearings[triples] + own[..., 2]).T)
+            for _ in range(OFFSET_STEPS):
+                first, each = eyes[:, None], compose(eyes[:, None], own)
+                change = sight(first, places).bearing - sight(each, places).bearing
+                eyes = _from_triples(points, *triples.T, *(bearings[triples] + change).T)
     reach = MAX_RANGE * np.ptp(points, axis=0).max()
     near = np.abs(eyes[:, :2] - points.mean(axis=0)).max(axis=1) < reach
     return np.asarray(eyes[np.isfinite(eyes).all(axis=1) & near])
 
 
+def _from_triples(
+    points: np.ndarray,
+    a: np.ndarray,
+    b: np.ndarray,
+    c: np.ndarray,
+    to_a: np.ndarray,
+    to_b: np.ndarray,
+    to_c: np.ndarray,
+) -> np.ndarray:
+    """Return a pose (k, 3) for each triple of `points`: indices (k,) and bearings (k,) [rad]."""
+    cot_ab = 1.0 / np.tan(to_b - to_a)
+    cot_bc = 1.0 / np.tan(to_c - to_b)
+    cot_ca = (1.0 - cot_ab * cot_bc) / (cot_ab + cot_bc)
+    x1, y1 = (points[a] - points[b]).T
+    x3, y3 = (points[c] - points[b]).T
+    x12, y12 = x1 + cot_ab * y1, y1 - cot_ab * x1
+    x23, y23 = x3 - cot_bc * y3, y3 + cot_bc * x3
+    x31, y31 = (x3 + x1) + cot_ca * (y3 - y1), (y3 + y1) - cot_ca * (x3 - x1)
+    k31 = x1 * x3 + y1 * y3 + cot_ca * (x1 * y3 - x3 * y1)
+    determinant = (x12 - x23) * (y23 - y31) - (y12 - y23) * (x23 - x31)
+    x = points[b, 0] + k31 * (y12 - y23) / determinant
+    y = points[b, 1] + k31 * (x23 - x12) / determinant
+    eyes = np.stack([x, y, to_a], axis=1)
+    eyes[:, 2] = wrap(sight(eyes, points[a]).bearing)
+    return eyes
+
+
 def innovations_from(
-    poses: np.ndarray, points: np.ndarray, covariances: np.ndarray, bearings: np.ndarray
+    poses: np.ndarray,
+    points: np.ndarray,
+    covariances: np.ndarray,
+    bearings: np.ndarray,
+    offsets: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return innovations (k, q) [rad] of bearings at each pose, and their variance by the map.
 
     From camera poses (k, 3), landmarks `points` (q, 2) [m] with covariances (q, 2, 2), and bearings
-    (q,) [rad].
+    (q,) [rad]; `offsets` as in `poses_from_triples`.
     """
-    bearing, by_place, _ = sight(poses[:, None], points)
+    eyes = poses[:, None] if offsets is None else compose(poses[:, None], offsets)
+    bearing, by_place, _ = sight(eyes, points)
     gx, gy = by_place[..., 0], by_place[..., 1]
     (xx, xy), (_, yy) = covariances.transpose(1, 2, 0)
     return wrap(bearings - bearing), gx * (xx * gx + 2.0 * xy * gy) + yy * gy * gy

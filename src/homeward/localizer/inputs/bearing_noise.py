@@ -56,6 +56,8 @@ class WeighedFrame(NamedTuple):
     ranges: np.ndarray | None = None
     """(m, 2): logarithms of ranges [m], and standard deviations; NaN where there is none. None: no
     ranges at all."""
+    offset: np.ndarray | None = None
+    """(3,): pose of their camera in the frame of the first one; None for the first."""
 
 
 class BearingNoise:
@@ -110,11 +112,12 @@ class BearingNoise:
 
     def weigh(self, frame: BearingFrame, reckoned: Reckoned) -> WeighedFrame:
         """Assign noise to the bearings of a frame, and learn from them; see `add_bearings`."""
-        t, sightings, given, ranges = frame
+        t, sightings, given, ranges, _, offset = frame
         self.add_bearings(frame, reckoned.pose.heading)
         names = list(sightings)
         bearings = np.array([sightings[n] for n in names])
-        seen = WeighedFrame(t, names, bearings, self.sigmas(names, given), reckoned.driven)
+        sigmas = self.sigmas(names, given)
+        seen = WeighedFrame(t, names, bearings, sigmas, reckoned.driven, None, offset)
         if not ranges:
             return seen
         none = math.nan, math.nan
@@ -122,7 +125,7 @@ class BearingNoise:
 
     def add_bearings(self, frame: BearingFrame, heading: float) -> None:
         """Update the second differences by a frame; `heading` is that of odometry alone [rad]."""
-        t, sightings, given, _ = frame
+        t, sightings, given = frame.t, *map(frame.by_camera, (frame.sightings, frame.sigmas))
         self._is_given = self._given is not None or bool(given)
         if self._given is not None:
             return

@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from types import MappingProxyType
 from typing import NamedTuple
 
+import numpy as np
+
 from homeward.localizer.tunables import MIN_SAMPLES, REORDER_WAIT_S
 from homeward.odometry.clock import MAX_DELAY_S
 
@@ -23,6 +25,16 @@ class BearingFrame(NamedTuple):
     """Standard deviation [rad] of some of them."""
     ranges: Mapping[str, tuple[float, float]] = MappingProxyType({})
     """Logarithm of the range [m] of some of them, and its standard deviation [1]."""
+    camera: str = ""
+    """Name of their camera ..."""
+    offset: np.ndarray | None = None
+    """... and its pose (3,) in the frame of the first one; None for the first."""
+
+    def by_camera(self, values: Mapping[str, float]) -> Mapping[str, float]:
+        """Return values by landmark and camera: between cameras, bearings are no track."""
+        if self.offset is None:
+            return values
+        return {f"{name} {self.camera}": value for name, value in values.items()}
 
 
 class ReorderBuffer:

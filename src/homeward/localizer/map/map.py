@@ -34,7 +34,6 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
     Motion,
     camera_after,
-    camera_on_robot,
 )
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.settings import LocalizerSettings
@@ -121,18 +120,20 @@ class Map:
         common_slip = self._process_noise.common_slip_variance
         return common_slip / max(self._scale_information, common_slip) if common_slip else 0.0
 
-    @property
-    def camera_pose(self) -> np.ndarray:
-        """Pose of the camera on the robot, (3,) [m, m, rad], by the newest state."""
-        return camera_on_robot(self._mount, self.smoother.state.calibration).delta
+    def camera_pose(self, offset: np.ndarray | None) -> np.ndarray:
+        """Return the pose of a camera on the robot, (3,) [m, m, rad], by the newest state."""
+        return self.camera(Motion.identity(), offset).delta
 
-    def camera(self, motion: Motion) -> Motion:
-        """Return the motion to the camera after the robot's from the newest keyframe."""
-        return camera_after(motion, self._mount, self.smoother.state.calibration)
+    def camera(self, motion: Motion, offset: np.ndarray | None = None) -> Motion:
+        """Return the motion to a camera after the robot's from the newest keyframe.
 
-    def view(self, motion: Motion) -> View:
-        """Return the view of the camera after a motion from the newest keyframe."""
-        camera = self.camera(motion)
+        `offset` (3,) is its pose in the frame of the first camera; None for the first.
+        """
+        return camera_after(motion, self._mount, self.smoother.state.calibration, offset)
+
+    def view(self, motion: Motion, offset: np.ndarray | None) -> View:
+        """Return the view of a camera after a motion from the newest keyframe."""
+        camera = self.camera(motion, offset)
         return View(camera, *self.smoother.state.pose_after(camera))
 
     def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -205,7 +206,7 @@ class Map:
         """
         new_keyframe, state = view is None, self.smoother.state
         since = Motion.identity() if view is None else motion
-        view = self.view(since) if view is None else view
+        view = self.view(since, frame.offset) if view is None else view
         rows = self._rows(frame, view)
         (known,) = (rows[:, LANDMARK] >= 0).nonzero()
         bearings, sigmas = frame.bearings[known], frame.sigmas[known]
@@ -269,7 +270,7 @@ class Map:
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self._add_keyframe(frame.t, motion, NO_TAIL)
-        view = self.view(Motion.identity())
+        view = self.view(Motion.identity(), frame.offset)
         directions = view.pose[2] + frame.bearings
         self._add_sightings(frame, self._rows(frame, view), directions, {})
         self._correct(None)

@@ -35,6 +35,8 @@ class Frames:
         """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
         self.jacobians = np.zeros((0, 3, NC))
         """(f, 3, 9): ... and its Jacobian by the calibration."""
+        self.offsets: dict[int, np.ndarray] = {}
+        """Pose (3,) of the camera in the frame of the first one, by number, if it is another."""
 
     @property
     def next(self) -> int:
@@ -51,6 +53,8 @@ class Frames:
         rows[:, FRAME], rows[:, TIME] = self.first + len(self.keyframes), frame.t
         rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
+        if frame.offset is not None:
+            self.offsets[self.next] = frame.offset
         uncalibrated = camera.delta - camera.jacobian @ camera.calibration
         self.keyframes = np.concatenate([self.keyframes, [keyframe]])
         self.stamps = np.concatenate([self.stamps, [frame.t]])
@@ -62,6 +66,7 @@ class Frames:
         """Drop the newest frame."""
         self.keyframes, self.free = self.keyframes[:-1], self.free[:-1]
         self.jacobians, self.stamps = self.jacobians[:-1], self.stamps[:-1]
+        self.offsets.pop(self.next, None)
 
     def since(self, number: int) -> Frames:
         """Return the frames from a number on."""
@@ -80,6 +85,8 @@ class Frames:
         old.jacobians, self.jacobians = self.jacobians[:count], self.jacobians[count:]
         old.stamps, self.stamps = self.stamps[:count], self.stamps[count:]
         self.first += count
+        for number in [n for n in self.offsets if n < self.first]:
+            del self.offsets[number]
         return old
 
     def replace(self, index: int, camera: Motion) -> None:

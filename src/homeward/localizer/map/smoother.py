@@ -304,7 +304,8 @@ class Smoother:
         for k, (keyframe, t) in enumerate(zip(frames.keyframes, frames.stamps, strict=True)):
             begin = self.stamps[keyframe - self.first]
             if t > begin >= since:
-                motion = camera_after(between(begin, t), mount, self.state.calibration)
+                motion, offset = between(begin, t), frames.offsets.get(frames.first + k)
+                motion = camera_after(motion, mount, self.state.calibration, offset)
                 frames.replace(k, motion)
 
     def replace_motion(self, k: int, motion: Motion) -> None:

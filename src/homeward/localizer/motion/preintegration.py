@@ -21,6 +21,7 @@ of the map, which nothing else determines: it would shrink, since small maps fit
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -118,9 +119,18 @@ def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
     return Motion(delta, np.zeros((3, 3)), CAMERA_JACOBIAN, calibration=calibration)
 
 
-def camera_after(motion: Motion, mount: np.ndarray, calibration: np.ndarray) -> Motion:
-    """Return the motion to the camera from the start of the robot's motion; see above."""
-    return motion.compose(camera_on_robot(mount, calibration))
+def camera_after(
+    motion: Motion, mount: np.ndarray, calibration: np.ndarray, offset: np.ndarray | None = None
+) -> Motion:
+    """Return the motion to a camera from the start of the robot's motion; see above.
+
+    `offset` (3,) is the pose of the camera in the frame of the first one; None for the first.
+    """
+    first = motion.compose(camera_on_robot(mount, calibration))
+    if offset is None:
+        return first
+    fixed = dataclasses.replace(Motion.identity(), delta=offset, calibration=calibration)
+    return first.compose(fixed)
 
 
 class Piece(NamedTuple):

@@ -117,6 +117,8 @@ class Contradiction:
         each = zip(before.names, reference.ids.tolist(), strict=True)
         row_before = {name: row for row, (name, number) in enumerate(each) if number >= 0}
         common = [row for row, name in enumerate(frame.names) if name in row_before]
+        if frame.offset is not before.offset:  # another camera
+            common = []
         if not common:
             return -math.inf if elapsed < UNSEEN_S else None
         then = [row_before[frame.names[row]] for row in common]
@@ -125,7 +127,7 @@ class Contradiction:
         stays = np.abs(change) <= INLIER * np.sqrt(variance)
         if np.count_nonzero(stays) < MAJORITY * len(common):
             return None
-        camera = known.camera_pose
+        camera = known.camera_pose(frame.offset)
         at = reference.known.searchsorted(reference.ids[then])
         distances = np.hypot(*(reference.state.positions[at] - reference.view.pose[:2]).T)
         direction = before.bearings[then] + camera[2]

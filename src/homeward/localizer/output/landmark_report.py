@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -39,6 +39,8 @@ class LandmarkReport:
     """Survey of landmarks."""
     exchanged: Mapping[str, str]
     """The other landmark, of each that is exchanged with another one."""
+    offsets: Callable[[Sequence[str]], np.ndarray | None]
+    """Cameras of home bearings; see `HomeObservation.offsets`."""
 
     def landmarks(self) -> list[LandmarkEstimate]:
         """Return the estimate of each landmark, in natural order of name."""
@@ -54,7 +56,9 @@ class LandmarkReport:
         """Return the estimate of one landmark, at its present position."""
         stored, surveyed = math.nan, self.survey.wrong.get(name, math.nan)
         if name in self.home:
-            stored = float(wrap(self.home[name].bearing + self.home_yaw))
+            offset = self.offsets([name])
+            yaw = self.home_yaw + (0.0 if offset is None else offset[0, 2])
+            stored = float(wrap(self.home[name].bearing + yaw))
         mapped, moved_at = self.known.mapped.get(name), self.known.moved_at.get(name, math.nan)
         untested = 1.0 if math.isfinite(moved_at) else math.nan
         reasons = [untested if tested is None else tested, surveyed]
@@ -93,7 +97,9 @@ class LandmarkReport:
                 for part in ("places", "covariances", "weights")
             )
             stored = np.repeat(bearings, counts), np.repeat(sigmas, counts)
-            odds = self.hypotheses.best.odds_of(places, covariances, *stored)
+            offsets = self.offsets([*others])
+            repeated = None if offsets is None else np.repeat(offsets, counts, axis=0)
+            odds = self.hypotheses.best.odds_of(places, covariances, *stored, repeated)
             odds += np.log(np.maximum(weights, 1e-300))
             together = np.logaddexp.reduceat(odds, np.cumsum([0, *counts[:-1]]))
             wrong = 1.0 / (1.0 + np.exp(np.clip(together, -500.0, 500.0)))

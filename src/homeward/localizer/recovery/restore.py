@@ -39,7 +39,7 @@ class SeenAt:
 
         `state` is at that keyframe, by the solution of the whole drive.
         """
-        eye = state.pose_after(known.camera(Motion.identity()))
+        eye = state.pose_after(known.camera(Motion.identity(), self.frame.offset))
         seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
         expected = predict_bearings(state, *seen)
         sigmas = np.sqrt(expected.innovation_covariance.diagonal())
@@ -52,14 +52,15 @@ class SeenAt:
 
     def add_to(self, whole: Smoother, known: Map) -> None:
         """Add these sightings to all keyframes."""
-        rows = whole.frames.add(self.keyframe, known.camera(Motion.identity()), self.frame)
+        camera = known.camera(Motion.identity(), self.frame.offset)
+        rows = whole.frames.add(self.keyframe, camera, self.frame)
         rows[:, LANDMARK] = self.ids
         whole.add_sightings(rows)
 
     def lines(self, known: Map, whole: Smoother) -> SightLines:
         """Return the bearings as sight lines from the keyframe's pose."""
         positions, covariances = whole.state.places(whole.index(self.ids))
-        camera = known.camera_pose
+        camera = known.camera_pose(self.frame.offset)
         return SightLines(
             np.tile(camera, (self.ids.size, 1)),
             self.frame.bearings,

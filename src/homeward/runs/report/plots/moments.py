@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from typing import Any
 
 import numpy as np
@@ -84,16 +85,15 @@ def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple
     here = np.isin(seen.t, track.t[rows])
     fates = zip(seen.t[here], seen.landmark[here], seen.accepted[here], strict=True)
     fate = {(float(t), str(i)): USED if ok else REJECTED for t, i, ok in fates}
-    yaw = drive.settings.sensor.yaw
-    at = {
-        t: [
-            (i, bearing + yaw, fate.get((t, i), NEW))
-            for i, bearing in bearings.items()
-            if math.isfinite(bearing)
-        ]
-        for t, bearings, _ in drive.sightings.stamps()
-        if t in wanted
-    }
+    yaws = (drive.settings.mount_of(name).yaw for name in drive.sightings.cameras())
+    at = defaultdict[float, list[tuple[str, float, int]]](list)
+    for (t, bearings, _), yaw in zip(drive.sightings.stamps(), yaws, strict=True):
+        if t in wanted:
+            at[t] += [
+                (i, bearing + yaw, fate.get((t, i), NEW))
+                for i, bearing in bearings.items()
+                if math.isfinite(bearing)
+            ]
     return [at.get(t, []) for t in track.t[rows].tolist()]
 
 

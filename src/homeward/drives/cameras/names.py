@@ -1,0 +1,66 @@
+"""Names of the cameras of a robot: the first one, and others with given extrinsics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.drives.settings import DriveSettings, Mount
+from homeward.errors import InputError
+from homeward.io.table import quoted
+
+
+class Cameras:
+    """Cameras by name: those under `cameras:`, and the first one, whose extrinsics are `sensor:`.
+
+    The first one has no name, or any other; then that is the same for all bearings. `seen` are
+    names that occur, as for `in_first`.
+    """
+
+    def __init__(self, settings: DriveSettings, seen: Iterable[str] = ()) -> None:
+        self._others = {name: settings.in_first(name) for name in settings.cameras}
+        self._first = ""
+        for name in seen:
+            self.in_first(name)
+
+    def in_first(self, name: str) -> np.ndarray | None:
+        """Return the pose (3,) of a camera in the frame of the first one; None for the first.
+
+        It is the same array each time. `InputError` where its extrinsics are unknown.
+        """
+        if name in self._others:
+            return self._others[name]
+        if name and name != self._first:
+            if self._first:
+                raise InputError(
+                    f"cameras {quoted(self._first)} and {quoted(name)}: only one may have the"
+                    f" extrinsics under sensor:; add cameras: {{{quoted(name)}: {{x: ..., y: ...,"
+                    " yaw: ...}} to drive.yaml or the robot file"
+                )
+            self._first = name
+        return None
+
+
+def with_first_camera(settings: DriveSettings, drive: Drive) -> DriveSettings:
+    """Return settings in which `sensor` has the extrinsics of the first camera of a drive.
+
+    Where all cameras of the drive are under `cameras` and `sensor` has none, it is the first there.
+    `InputError` where the extrinsics of a camera are unknown.
+    """
+    names = {*drive.sightings.camera.tolist(), *(seen.camera for seen in drive.home.values())}
+    Cameras(settings, sorted(names))
+    used = [name for name in settings.cameras if name in names]
+    poses = set(Mount.model_fields)
+    if not used or not names <= set(used) or poses & settings.sensor.model_fields_set:
+        return settings
+    first = settings.cameras[used[0]].model_dump(exclude_none=True)
+    return settings.model_copy(update={"sensor": settings.sensor.model_copy(update=first)})
+
+
+def require_one_camera(drive: Drive, estimator: str) -> None:
+    """Refuse a drive with several cameras for an estimator that takes one."""
+    home = [seen.camera for seen in drive.home.values()]
+    if drive.settings.offsets([*set(drive.sightings.camera.tolist()), *home]) is not None:
+        raise InputError(f"the estimator {estimator} takes one camera: use the estimator robust")
