@@ -6,6 +6,7 @@ as many are added. The place is compared with no memory (home bearings stored ag
 with the home bearings of the first day, and with resection of each frame on all landmarks seen
 last, or on those that a persistence filter accepts. `--real` is MRCLAM set 6: `--makers` make
 places that the other `--robots` use. Nothing is tuned to it; data as in `benchmarks.mrclam`.
+`--large` is ten places of 500 landmarks, and a year of daily visits.
 """
 
 import dataclasses
@@ -20,6 +21,7 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.mrclam import HOME as MRCLAM_HOME
 from benchmarks.mrclam import data
+from benchmarks.places.large import large, year
 from benchmarks.places.persistence_filter import PersistentResection
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from benchmarks.survey.peers import Resection
@@ -249,11 +251,16 @@ def main() -> None:
         seeds=3,
         save=Path,
         real=False,
+        large=False,
         makers=[1, 3],
         robots=[1, 2, 3, 4, 5],
     )
     if options.real:
         real(options.makers, options.robots)
+        return
+    if options.large:
+        large()
+        year()
         return
     rows = [row for seed in range(options.seeds) for row in days(seed, options.days)]
     table(rows)

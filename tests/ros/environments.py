@@ -16,6 +16,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DISTRIBUTIONS = {"jazzy": "7.1.6", "kilted": "9.1.2"}
 """With their rclpy; the other packages follow from it."""
+CYCLONE = "11.0.1"
 COLCON = ("colcon-core==0.21.3", "colcon-ros==0.5.0", "setuptools<80")
 MESSAGES = ("nav", "sensor", "geometry", "visualization", "diagnostic", "std", "lifecycle")
 PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
@@ -49,6 +50,14 @@ def environment(distribution):
         _make_tf2_msgs(place, python)
         (place / "installed").touch()
     return str(python)
+
+
+def cyclone():
+    """Return the folder of another vendor's DDS, for this Python: it needs nothing of ROS."""
+    place = _place("cyclone")
+    if not place.exists():
+        _install(sys.executable, *PIP, "--target", str(place), f"cyclonedds=={CYCLONE}")
+    return place
 
 
 def colcon():
@@ -99,7 +108,7 @@ def _make_tf2_msgs(place, python):
 
 
 if __name__ == "__main__":
-    for make, *name in ((environment, "jazzy"), (environment, "kilted"), (colcon,)):
+    for make, *name in ((environment, "jazzy"), (environment, "kilted"), (cyclone,), (colcon,)):
         try:
             make(*name)
         except pytest.skip.Exception as reason:

@@ -29,8 +29,8 @@ def has_tf(python):
 class Running:
     """A process that writes JSON lines."""
 
-    def __init__(self, *command, quiet=False, **more):
-        paths = os.pathsep.join(map(str, (ROOT / "src", ROOT / "tests" / "live")))
+    def __init__(self, *command, quiet=False, paths=(), **more):
+        paths = os.pathsep.join(map(str, (ROOT / "src", ROOT / "tests" / "live", *paths)))
         own = {"PYTHONPATH": paths, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         own |= {"ROS_DOMAIN_ID": str(DOMAIN)} | more
         self.process = subprocess.Popen(

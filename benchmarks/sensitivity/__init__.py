@@ -1,0 +1,1 @@
+"""Sensitivity of the localiser to each of its numbers."""
