@@ -67,6 +67,21 @@ def test_an_offset_that_shows_at_the_dock_makes_it_enter_again():
     assert min(p.x for p in poses[reached:]) < -0.4 * STAGING_M
 
 
+def test_a_pose_too_inaccurate_to_tell_makes_it_turn_round_and_enter_again():
+    controller, robot = DockGoal("the dock", ORIGIN).controller(Limits()), Pose(-0.6, 0.0, 0.0)
+    accurate, inaccurate = 1e-6 * np.eye(3), np.diag([0.02**2, 0.02**2, 1e-6])
+    headings, output = [], None
+    while output is None or output.state is GoalState.DRIVING:
+        has_turned = np.ptp(np.unwrap(headings or [0.0])) > 6.2
+        belief = Belief(Status.LOCALISED, robot, accurate if has_turned else inaccurate)
+        output = controller.step(len(headings) * DT, belief, "")
+        robot = advance(robot, output.twist, DT)
+        headings.append(robot.heading)
+    assert output.state is GoalState.ARRIVED, output.reason
+    assert has_turned
+    assert math.hypot(robot.x, robot.y) < 0.008
+
+
 def test_it_gives_up_where_the_pose_is_never_right():
     output, _ = docked(
         Pose(-1.0, 0.0, 0.0), wrong=lambda t, _: 0.04 * math.sin(3.0 * t), seconds=400.0

@@ -3,7 +3,10 @@
 The robot drives to a point behind the dock, turns to it, and follows the axis (pure pursuit of a
 point a fixed distance ahead). It turns to the dock's heading, stops, and checks the pose again:
 outside the tolerances it retreats and enters again. The pose is that of the localiser, from the
-bearings of all landmarks in view: never from the orientation of a tag.
+bearings of all landmarks in view: never from the orientation of a tag. Where the pose is not known
+well enough to decide whether the robot is there, it retreats, turns once round to see the landmarks
+that are not at the dock, and enters again. After that it arrives with the standard
+deviations that it has.
 """
 
 from __future__ import annotations
@@ -11,6 +14,8 @@ from __future__ import annotations
 import enum
 import math
 from typing import NamedTuple
+
+import numpy as np
 
 from homeward.control.following import STAND
 from homeward.control.goals import Belief, ControlOutput, GoalController, GoalState
@@ -33,6 +38,8 @@ TURN_GAIN = 2.0
 """Turn rate over the error of heading [1/s]."""
 TOLERANCE_M, TOLERANCE_RAD = 0.008, math.radians(0.7)
 """Largest offset from the dock's pose: a goal of 1 cm and 1 degree, less the error of the pose."""
+SIGMA_M, SIGMA_RAD = 0.005, math.radians(0.5)
+"""Largest standard deviations of the pose at the dock: half of the goal, or 95 % within it."""
 SETTLE_S = 1.0
 """Time at rest before the pose is checked [s]: some images more than one."""
 MAX_ATTEMPTS = 4
@@ -48,6 +55,7 @@ class Phase(enum.Enum):
     TURNING = "turning at"
     SETTLING = "checking the pose at"
     RETREATING = "retreating from"
+    LOOKING = "looking round before"
 
 
 class DockGoal(NamedTuple):
@@ -79,6 +87,11 @@ class Docking:
         self._since = -math.inf
         """When the phase began [s]."""
         self._attempts = 0
+        self._is_known = True
+        """Whether the last check could compare the pose with the tolerances."""
+        self._has_looked = False
+        self._turned, self._heading = 0.0, 0.0
+        """Angle turned left in this phase, and the heading at the last step [rad]."""
 
     def step(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
         """Return the output at a time [s]; if a hindrance is given, the robot must stop."""
@@ -86,8 +99,10 @@ class Docking:
             return ControlOutput(GoalState.HELD, hindrance)
         there = Pose(*map(float, between(self._goal.dock, belief.pose)))
         there = there._replace(heading=float(wrap(there.heading)))
+        self._turned += float(wrap(there.heading - self._heading))
+        self._heading = there.heading
         if self.phase is Phase.SETTLING:
-            return self._checked(now, there, belief.status)
+            return self._checked(now, there, belief)
         for _ in Phase:  # phases that are over already take no time
             twist = self._twist(there)
             if twist is not None:
@@ -103,12 +118,14 @@ class Docking:
     @property
     def _next(self) -> Phase:
         order = [Phase.STAGING, Phase.ALIGNING, Phase.ENTERING, Phase.TURNING, Phase.SETTLING]
-        if self.phase is Phase.RETREATING:
+        if self.phase is Phase.RETREATING and not self._is_known:
+            return Phase.LOOKING
+        if self.phase in (Phase.RETREATING, Phase.LOOKING):
             return Phase.ALIGNING
         return order[order.index(self.phase) + 1]
 
     def _enter(self, phase: Phase, now: float) -> Phase:
-        self.phase, self._since = phase, now
+        self.phase, self._since, self._turned = phase, now, 0.0
         self._attempts += phase is Phase.ENTERING
         return phase
 
@@ -134,6 +151,9 @@ class Docking:
                 if abs(heading) < 0.5 * TOLERANCE_RAD:
                     return None
                 return Twist(0.0, self._turn_rate(-heading))
+            case Phase.LOOKING:
+                self._has_looked = self._turned > math.tau
+                return None if self._has_looked else Twist(0.0, 0.5 * self._limits.turn_rate)
             case _:
                 if x < -0.5 * STAGING_M:
                     return None
@@ -147,18 +167,32 @@ class Docking:
         limit = self._limits.turn_rate
         return max(-limit, min(limit, TURN_GAIN * error))
 
-    def _checked(self, now: float, there: Pose, status: Status) -> ControlOutput:
+    def _checked(self, now: float, there: Pose, belief: Belief) -> ControlOutput:
         """Return the output at rest at the dock."""
         if now - self._since < SETTLE_S:
             return ControlOutput(GoalState.DRIVING, self._words, STAND)
         off, turn = math.hypot(there.x, there.y), abs(there.heading)
-        words = f"{1e3 * off:.0f} mm and {math.degrees(turn):.1f} degrees from {self._goal.name}"
-        if status is not Status.LOCALISED:
-            return ControlOutput(GoalState.HELD, f"{words}, but {status.value}", is_lost=True)
-        if off <= TOLERANCE_M and turn <= TOLERANCE_RAD:
+        sigma, sigma_turn = _sigmas(belief.covariance)
+        words = (
+            f"{1e3 * off:.0f} mm and {math.degrees(turn):.1f} degrees from {self._goal.name} "
+            f"(standard deviations {1e3 * sigma:.0f} mm, {math.degrees(sigma_turn):.1f} degrees)"
+        )
+        is_accurate = sigma <= SIGMA_M and sigma_turn <= SIGMA_RAD
+        self._is_known = belief.status is Status.LOCALISED and (is_accurate or self._has_looked)
+        if self._is_known and off <= TOLERANCE_M and turn <= TOLERANCE_RAD:
             return ControlOutput(GoalState.ARRIVED, words)
+        if belief.status is not Status.LOCALISED:
+            words += f", but {belief.status.value}"
         if self._attempts >= MAX_ATTEMPTS:
             return ControlOutput(GoalState.FAILED, f"{words} after {self._attempts} attempts")
-        turns_only = off <= TOLERANCE_M
+        turns_only = self._is_known and off <= TOLERANCE_M
         self._enter(Phase.TURNING if turns_only else Phase.RETREATING, now)
         return ControlOutput(GoalState.DRIVING, self._words, STAND)
+
+
+def _sigmas(covariance: np.ndarray | None) -> tuple[float, float]:
+    """Return the largest standard deviation of the position [m], and that of the heading [rad]."""
+    if covariance is None:
+        return math.inf, math.inf
+    largest = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
+    return largest, math.sqrt(float(covariance[2, 2]))
