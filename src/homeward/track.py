@@ -182,7 +182,8 @@ def run(
     frames = iter(np.unique(begins, return_counts=True)[1].tolist())
     names = drive.sightings.cameras() if drive.settings.cameras else repeat("")
     if drive.settings.cameras and not isinstance(estimator, UsesCameras):
-        require_one_camera(drive, estimator.name)
+        name = estimator.name
+        require_one_camera(drive, f"the estimator {name} takes one camera; robust takes several")
     grid_points = iter(grid.tolist())
     reported = began
     for done, kind in enumerate(order):

@@ -4,8 +4,10 @@ import math
 from itertools import pairwise
 from types import SimpleNamespace as Message
 
+import numpy as np
 import pytest
 
+from homeward.drives.ros.settings import BEARINGS
 from homeward.errors import InputError
 from homeward.live.messages import BearingsIn
 from homeward.ros import conversions
@@ -135,3 +137,24 @@ def test_frames_of_cameras_with_different_delays_are_put_in_order():
     assert all(b.t > a.t for a, b in pairwise(out))
     (alone,) = FrameOrder(1).add(0, BearingsIn(t=1.0, bearings={}))
     assert alone.t == 1.0
+
+
+def test_bearings_of_a_camera_apart_name_it_and_come_after_its_extrinsics(tmp_path):
+    (tmp_path / "topics.yaml").write_text(
+        "bearings: [{topic: /front, sensor: {x: 0.2}},"
+        " {topic: /rear, sensor: {x: -0.2, yaw: 3.14159265}}]\n"
+    )
+    found = cameras(bearings_type=BEARINGS, topics=str(tmp_path / "topics.yaml"))
+
+    def message(t, frame, bearing):
+        return Message(
+            header=header(t, frame), landmarks=["a"], bearings=np.array([bearing]), sigmas=[]
+        )
+
+    (rear,) = read(found, 1, message(1.0, "rear", 0.1))
+    assert (rear.camera, rear.bearings) == ("/rear", {"a": 0.1})
+    sent = [found.extrinsics(), found.extrinsics()]
+    assert {(s.camera, s.x) for s in sent} == {("", 0.2), ("/rear", -0.2)}
+    assert found.extrinsics() is None
+    (front,) = read(found, 0, message(1.1, "front", 0.5))
+    assert front.camera == ""

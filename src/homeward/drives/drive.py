@@ -213,11 +213,12 @@ class Drive:
 
 
 class Samples:
-    """Compact storage of odometry (24 bytes per twist) and sightings (48 bytes each)."""
+    """Compact storage of odometry (24 bytes per twist) and sightings (56 bytes each)."""
 
     def __init__(self) -> None:
         self._twists, self._seen = array("d"), array("d")
         self._numbers: dict[str, int] = {}
+        self._cameras: dict[str, int] = {}
 
     def add_twist(self, t: float, v: float, omega: float) -> None:
         """Add a twist."""
@@ -230,13 +231,16 @@ class Samples:
         sigmas: Mapping[str, float] | None = None,
         ranges: Mapping[str, float] | None = None,
         range_sigmas: Mapping[str, float] | None = None,
+        camera: str = "",
     ) -> None:
-        """Add the sightings of one stamp."""
+        """Add the sightings of one stamp and camera."""
+        of_camera = self._cameras.setdefault(camera, len(self._cameras))
         optional = sigmas or {}, ranges or {}, range_sigmas or {}
         for name, bearing in bearings.items():
             number = self._numbers.setdefault(name, len(self._numbers))
             wrapped = math.remainder(bearing, math.tau) if math.isfinite(bearing) else math.nan
-            self._seen.extend((t, number, wrapped, *(o.get(name, math.nan) for o in optional)))
+            values = (o.get(name, math.nan) for o in optional)
+            self._seen.extend((t, number, of_camera, wrapped, *values))
 
     def odometry(self) -> Odometry:
         """Return the twists; the last of equal stamps counts."""
@@ -244,11 +248,12 @@ class Samples:
 
     def sightings(self) -> Sightings:
         """Return the sightings in order of time; those of one stamp stay in order of arrival."""
-        rows = table(self._seen, 6)
-        t, number, *columns = rows[np.argsort(rows[:, 0], kind="stable")].T.copy()
-        names = np.empty(len(self._numbers), object)
-        names[:] = list(self._numbers)
-        return Sightings(t, names[number.astype(int)], *columns)
+        rows = table(self._seen, 7)
+        t, number, of_camera, *columns = rows[np.argsort(rows[:, 0], kind="stable")].T.copy()
+        names, cameras = (np.array([*n, None], object) for n in (self._numbers, self._cameras))
+        bearing, sigma, away, away_sigma = columns
+        ids, by = names[number.astype(int)], cameras[of_camera.astype(int)]
+        return Sightings(t, ids, bearing, sigma, away, away_sigma, by)
 
 
 def table(numbers: array[float], columns: int) -> np.ndarray:

@@ -50,8 +50,8 @@ class HomeCapture:
 
     @property
     def newest(self) -> BearingsIn | None:
-        """The last bearings, if there were any."""
-        return self._lately[-1][1] if self._lately else None
+        """The last bearings of the first camera, if there were any."""
+        return next((m for _, m in reversed(self._lately) if not m.camera), None)
 
     def odometry(self, message: OdometryIn) -> None:
         """Add a twist."""
@@ -66,7 +66,7 @@ class HomeCapture:
         """Add bearings."""
         self._lately.append((self._clock.read(message.t), message))
         if self._scan is not None:
-            self._scan.bearings(message.t, message.bearings, message.sigmas)
+            self._scan.bearings(message.t, message.bearings, message.sigmas, message.camera)
 
     def begin(self, robot: DriveSettings) -> None:
         """Begin the capture of a home where the robot is; it may turn on the spot."""
@@ -94,13 +94,17 @@ class HomeCapture:
             raise InputError(
                 f"home cannot be stored: the robot must stand still for {CAPTURE_S:g} s"
             )
-        seen: dict[str, list[float]] = {}
+        seen: dict[str, dict[str, list[float]]] = {}
         for view in views:
             for i, b in view.bearings.items():
-                seen.setdefault(i, []).append(b)
+                seen.setdefault(i, {}).setdefault(view.camera, []).append(b)
         start = StartPrior.about(Polar(MIN_R, 0.0, 0.0), *SIGMAS_AT_REST)
-        means = {i: float(np.angle(np.exp(1j * np.array(b)).mean())) for i, b in seen.items()}
-        return CapturedHome({i: HomeBearing(b) for i, b in means.items()}, start, "")
+        home = dict[str, HomeBearing]()
+        for i, by_camera in seen.items():
+            camera, bearings = max(by_camera.items(), key=lambda each: len(each[1]))
+            mean = float(np.angle(np.exp(1j * np.array(bearings)).mean()))
+            home[i] = HomeBearing(mean, camera=camera)
+        return CapturedHome(home, start, "")
 
 
 def _turned(scan: HomeScan) -> CapturedHome:

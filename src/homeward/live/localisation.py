@@ -14,9 +14,16 @@ import numpy as np
 from homeward.control.goals import Goal, RouteGoal
 from homeward.control.start_guide import StartGuide
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
-from homeward.drives.settings import DriveSettings, Start
+from homeward.drives.settings import DriveSettings, OtherCamera, Start
 from homeward.errors import HomewardError, InputError, InternalError
-from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, UsesRanges
+from homeward.estimator import (
+    Estimate,
+    Estimator,
+    LandmarkEstimate,
+    Status,
+    UsesCameras,
+    UsesRanges,
+)
 from homeward.geometry.frames import Pose, between, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
@@ -193,9 +200,12 @@ class Localisation:
                 R = max(polar.R, MIN_R)
                 sigmas = sigma, sigma / R, message.sigma_heading
                 self._begin(Start.about(polar._replace(R=R), *sigmas))
-            case msg.SetExtrinsics(x=x, y=y, yaw=yaw):
-                sensor = self._robot.sensor.model_copy(update={"x": x, "y": y, "yaw": yaw})
-                self._robot = self._robot.model_copy(update={"sensor": sensor})
+            case msg.SetExtrinsics(x=x, y=y, yaw=yaw, camera=name):
+                pose, others = {"x": x, "y": y, "yaw": yaw}, self._robot.cameras
+                update: dict[str, object] = {"cameras": {**others, name: OtherCamera(**pose)}}
+                if not name:
+                    update = {"sensor": self._robot.sensor.model_copy(update=pose)}
+                self._robot = self._robot.model_copy(update=update)
                 if self.drive is not None:
                     self._begin(None)
             case msg.Reset():
@@ -241,11 +251,16 @@ class Localisation:
         if self.estimator is None:
             return _as_message(Estimate(message.t, Status.WAITING, NO_HOME), msg.Answer)
         sample = message.t, message.bearings, message.sigmas or None
-        if message.ranges and isinstance(self.estimator, UsesRanges):
+        if message.camera:
+            if not isinstance(self.estimator, UsesCameras):
+                raise InputError("several cameras need the estimator robust")
+            ranges = message.ranges, message.range_sigmas
+            estimate = self.estimator.bearings(*sample, *ranges, message.camera)
+        elif message.ranges and isinstance(self.estimator, UsesRanges):
             estimate = self.estimator.bearings(*sample, message.ranges, message.range_sigmas)
         else:
             estimate = self.estimator.bearings(*sample)
-        if self._guide is not None and odom is not None:
+        if self._guide is not None and odom is not None and not message.camera:
             self._guide.add(odom, message.bearings)
         frame = None
         if estimate.pose is not None and odom is not None:

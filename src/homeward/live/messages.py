@@ -90,6 +90,8 @@ class BearingsIn(Strict):
     """Measured distances of some landmarks from the camera, a hint [m]."""
     range_sigmas: Sigmas = {}
     """Standard deviations of some ranges [m]."""
+    camera: Name | Literal[""] = ""
+    """Name of one of several cameras, as under `cameras` of the robot; empty for the first."""
 
 
 class SetHome(Strict):
@@ -213,12 +215,14 @@ class SetStart(Strict):
 
 
 class SetExtrinsics(Mount):
-    """Camera extrinsics on the robot; the map begins again."""
+    """Extrinsics of a camera on the robot; the map begins again."""
 
     type: Literal["mount"] = "mount"
     x: Bounded = 0.0
     y: Bounded = 0.0
     yaw: Bounded = 0.0
+    camera: Name | Literal[""] = ""
+    """As in `BearingsIn`."""
 
 
 class Reset(Strict):

@@ -111,7 +111,7 @@ class PlaceSession:
         """Add bearings and the answer to them."""
         if not self.update:
             return
-        with_ranges = message.sigmas, message.ranges, message.range_sigmas
+        with_ranges = message.sigmas, message.ranges, message.range_sigmas, message.camera
         self._samples.add_bearings(message.t, message.bearings, *with_ranges)
         if estimate.pose is not None:
             self._poses.extend((message.t, *estimate.pose, _sigma(estimate)))

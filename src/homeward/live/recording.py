@@ -158,7 +158,7 @@ def read_drive(file: Path) -> Drive | None:
         elif isinstance(message, msg.OdometryIn):
             samples.add_twist(message.t, message.v, message.omega)
         elif isinstance(message, msg.BearingsIn):
-            with_ranges = message.sigmas, message.ranges, message.range_sigmas
+            with_ranges = message.sigmas, message.ranges, message.range_sigmas, message.camera
             samples.add_bearings(message.t, message.bearings, *with_ranges)
     drive, odometry = localisation.drive, samples.odometry()
     if drive is None or not odometry.t.size:

@@ -332,7 +332,8 @@ class Session:
         """Report a sample to its watchdog; return its stamp on the common clock [s]."""
         if isinstance(sample, msg.BearingsIn):
             t = self._bearings.record(sample.t, now)
-            frozen = self._frozen.add_bearings(t, sample.bearings, self._twists.at(t))
+            seen = {f"{name} {sample.camera}": b for name, b in sample.bearings.items()}
+            frozen = self._frozen.add_bearings(t, seen, self._twists.at(t))
             if len(frozen) < len(sample.bearings):
                 self._last_sighting = now
             return t

@@ -25,9 +25,9 @@ from homeward.drives.ros.measurements.bearings import (
 )
 from homeward.drives.ros.measurements.extrinsics import (
     Transforms,
+    is_one_camera,
     mount,
     not_connected,
-    require_near,
 )
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
@@ -170,6 +170,9 @@ class MessageCameras:
         self._mounts = [given.sensor for given in self.topics]
         self._is_one = self._is_one and not any(self._mounts)
         self._frame: str | None = None
+        self._named: set[int] = set()
+        self._others: list[SetExtrinsics] = []
+        """Extrinsics of cameras apart from the first, to be sent."""
         self._are_set = self._is_one and self._awaited is None
         if self.needs_transforms:
             convert.message_class(TFS)
@@ -237,7 +240,9 @@ class MessageCameras:
                 self._awaited = None
 
     def extrinsics(self) -> SetExtrinsics | None:
-        """Return the extrinsics of the first camera once they are known, and then None."""
+        """Return the extrinsics of a camera once they are known, and then None."""
+        if self._others:
+            return self._others.pop()
         if self._are_set or self._awaited is not None or (first := self._mounts[0]) is None:
             return None
         self._are_set = True
@@ -269,7 +274,8 @@ class MessageCameras:
                 "bearings are ignored: no message on camera_info_topic yet; check the topic, or"
                 " set the parameter camera to a calibration file"
             )
-        known = self.kind, self.topics[number], lens, self._in_reference(number), self._eye
+        place, name = self._in_reference(number)
+        known = self.kind, self.topics[number], lens, place, self._eye
         times = [seconds(part.header.stamp) for part in parts]
         return [
             partial(
@@ -278,6 +284,7 @@ class MessageCameras:
                 t,
                 *known,
                 self._on_tags if given.tag_size and self.kind in CORNERS else None,
+                name,
             )
             for t in sorted(set(times))
         ]
@@ -306,15 +313,18 @@ class MessageCameras:
                 f"{self.topics[0].topic}, yet"
             )
 
-    def _in_reference(self, number: int) -> Pose:
-        """Return the pose of a camera in the frame of the first one."""
-        first, own = self._mounts[0], self._mounts[number]
+    def _in_reference(self, number: int) -> tuple[Pose, str]:
+        """Return the pose of a camera in the frame of the first one, and a name if it is apart."""
+        first, own, here = self._mounts[0], self._mounts[number], Pose(0.0, 0.0, 0.0)
         if first is None or own is None or not number:
-            return Pose(0.0, 0.0, 0.0)
-        place, topics = between(first.pose, own.pose), [given.topic for given in self.topics]
-        is_exact = has_positions(self.kind, self.topics[number])
-        require_near(place, is_exact, topics[number], topics[0])
-        return place
+            return here, ""
+        place, given = between(first.pose, own.pose), self.topics[number]
+        if is_one_camera(place, has_positions(self.kind, given)):
+            return place, ""
+        if number not in self._named:
+            self._named.add(number)
+            self._others.append(SetExtrinsics(**dict(own), camera=given.topic))
+        return here, given.topic
 
     def require_mount(self) -> None:
         """Raise `InputError` as long as the camera extrinsics are missing."""

@@ -103,10 +103,12 @@ def bearings_in(
     place: Pose,
     eye: TagDetector | None = None,
     on_tags: Callable[[dict[str, TagPose], Any], None] | None = None,
+    name: str = "",
 ) -> msg.BearingsIn:
     """Return the bearings of the parts of a message (`parts_of`), read like those of logs.
 
-    `place` is the pose of their camera in the frame of the first one [m, m, rad].
+    `place` is the pose of their camera in the frame of the first one [m, m, rad], and `name` that
+    of another camera than the first.
 
     In images (`PICTURES`) the `eye` detects tags. `on_tags` gets the poses of tags and the header
     of the message. `InputError` where there are none, or a camera model is missing.
@@ -121,7 +123,12 @@ def bearings_in(
     ids = [str(i) for i in columns["landmark"]]
     sigmas = zip(ids, columns["sigma"].tolist(), strict=True)
     bearings = dict(zip(ids, columns["bearing"].tolist(), strict=True))
-    known = {"t": t, "bearings": bearings, "sigmas": {i: s for i, s in sigmas if s > 0}}
+    known = {
+        "t": t,
+        "camera": name,
+        "bearings": bearings,
+        "sigmas": {i: s for i, s in sigmas if s > 0},
+    }
     ranges = zip(ids, columns["range"].tolist(), strict=True)
     known["ranges"] = {i: r for i, r in ranges if 0.0 < r <= msg.MAX_LENGTH}
     return validated(msg.BearingsIn, known)

@@ -277,7 +277,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
 
     def _send_extrinsics(self) -> None:
         assert self._cameras is not None
-        if (extrinsics := self._cameras.extrinsics()) is not None:
+        while (extrinsics := self._cameras.extrinsics()) is not None:
             self._take(extrinsics)
 
     def _bearings(self, number: int, message: Any) -> None:

@@ -184,7 +184,6 @@ def test_two_cameras_have_a_mount_each(made):
     for drive in (by_hand, by_transforms, one_each):
         assert drive.settings.sensor.pose == pytest.approx(FRONT)
         assert seen_by(drive) == pytest.approx({"a0": 0.1, "a1": 0.1 - 2.8})
-    behind = sensor((-0.2, 0.1, 3.0))
     # A camera without a frame_id is one more, too; one frame on two topics is one camera.
     same = made(lambda log: of_two_cameras(log, rear="front"), TWO.format("", ""))
     assert seen_by(same) == pytest.approx({"a0": 0.1, "a1": 0.1})
@@ -192,10 +191,21 @@ def test_two_cameras_have_a_mount_each(made):
         (r"/b0 \(frame front\) is one of several cameras", "rear", ("", ""), ()),
         (r"/b1 \(frame rear\) is one of several cameras", "rear", (sensor(FRONT), ""), ()),
         (r"/b1 \(frame not named\) is one of", "", ("", ""), transforms),
-        (r"/b1 \(frame rear\) is 0.40 m from /b0", "rear", (sensor(FRONT), behind), ()),
     ):
         with pytest.raises(InputError, match=words):
             made(lambda log, r=rear, t=tf: of_two_cameras(log, None, t, r), TWO.format(*told))
+
+
+def test_bearings_of_cameras_apart_keep_their_camera(made):
+    behind = (-0.2, 0.1, 3.0)
+    by_hand = made(of_two_cameras, TWO.format(sensor(FRONT), sensor(behind)))
+    transforms = ("front", FRONT), ("rear", behind)
+    by_transforms = made(lambda log: of_two_cameras(log, None, transforms), TWO.format("", ""))
+    for drive in (by_hand, by_transforms):
+        assert seen_by(drive) == pytest.approx({"a0": 0.1, "a1": 0.1})
+        assert [*drive.sightings.cameras()] == ["", "/b1"] * 3
+        assert drive.settings.sensor.pose == pytest.approx(FRONT)
+        assert drive.settings.cameras["/b1"].pose == pytest.approx(behind)
 
 
 def test_points_in_space_of_cameras_in_different_places(made):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
@@ -59,8 +60,8 @@ def with_first_camera(settings: DriveSettings, drive: Drive) -> DriveSettings:
     return settings.model_copy(update={"sensor": settings.sensor.model_copy(update=first)})
 
 
-def require_one_camera(drive: Drive, estimator: str) -> None:
-    """Refuse a drive with several cameras for an estimator that takes one."""
+def require_one_camera(drive: Drive, problem: str, file: Path | None = None) -> None:
+    """Raise `InputError` with the `problem` and the `file` for a drive with several cameras."""
     home = [seen.camera for seen in drive.home.values()]
     if drive.settings.offsets([*set(drive.sightings.camera.tolist()), *home]) is not None:
-        raise InputError(f"the estimator {estimator} takes one camera: use the estimator robust")
+        raise InputError(problem, file)

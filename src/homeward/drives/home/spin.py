@@ -155,11 +155,15 @@ class HomeScan:
             self._samples.add_twist(t, v, omega)
 
     def bearings(
-        self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None
+        self,
+        t: float,
+        sightings: Mapping[str, float],
+        sigmas: Mapping[str, float] | None = None,
+        camera: str = "",
     ) -> None:
         """Add all sightings of stamp `t` [s], as `Localizer.bearings`."""
         if self._accepts(t):
-            self._samples.add_bearings(t, sightings, sigmas)
+            self._samples.add_bearings(t, sightings, sigmas, camera=camera)
 
     def spin(self) -> Spin:
         """Return the complete result; errors as `home`."""

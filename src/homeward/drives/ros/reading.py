@@ -37,7 +37,7 @@ from homeward.drives.ros.settings import (
 )
 from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
-from homeward.drives.settings import DriveSettings, RobotSettings, Wheels
+from homeward.drives.settings import DriveSettings, OtherCamera, RobotSettings, Wheels
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -183,14 +183,16 @@ class _Reading:
         for frame, rows in self._cameras:
             rows.use_axes_of_data(frame)
             self._remark_fields(rows.given.topic, str(rows.given.layout), "sightings", len(rows))
-        sensor = extrinsics(self._cameras, self._transforms, self._plan)
+        others: dict[str, OtherCamera] = {}
+        sensor = extrinsics(self._cameras, self._transforms, self._plan, others)
         if sensor is None:
             return
         update: dict[str, Any] = dict(sensor)
-        if any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
+        if others or any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
             update["field_of_view"] = None  # several cameras have no common one
         sensor_now = self._settings.sensor.model_copy(update=update)
-        self._settings = self._settings.model_copy(update={"sensor": sensor_now})
+        known = {"sensor": sensor_now, "cameras": {**self._settings.cameras, **others}}
+        self._settings = self._settings.model_copy(update=known)
 
     def _remark_fields(self, topic: str, fields: str, what: str, number: int) -> None:
         if (kind := self._known.topic(topic).type) not in IS_READ:

@@ -15,6 +15,7 @@ from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
+from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
 from homeward.drives.ros.messages.decoding import typestore
 from homeward.drives.ros.messages.stamps import NANO, split
@@ -137,6 +138,7 @@ def write_log(drive: Drive, path: Path, on_progress: OnProgress | None = None) -
 
 
 def _require_writable(drive: Drive, path: Path) -> None:
+    require_one_camera(drive, "logs hold the bearings of one camera; write a drive folder", path)
     odometry = drive.odometry
     unknown = np.isnan(odometry.v) & np.isnan(odometry.omega)
     arrays = [odometry.t, odometry.v[~unknown], odometry.omega[~unknown]]

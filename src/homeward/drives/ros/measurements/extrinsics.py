@@ -11,7 +11,7 @@ import numpy as np
 from homeward.drives.ros.measurements.bearings import TRANSFORMS, axes_of, has_bearings
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
-from homeward.drives.settings import Mount
+from homeward.drives.settings import Mount, OtherCamera
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.settings import validated
@@ -156,8 +156,8 @@ def _rotation(q: Any) -> np.ndarray:
 
 
 MAX_DISTANCE = 0.01
-"""Maximum distance of cameras in one place [m]: the bearing of a landmark at 1 m then has an error
-of at most 0.01 rad, the usual noise of a bearing."""
+"""Maximum distance of cameras that count as one [m]: the bearing of a landmark at 1 m then has an
+error of at most 0.01 rad, the usual noise of a bearing."""
 
 
 class TopicSightings(NamedTuple):
@@ -174,14 +174,17 @@ class TopicSightings(NamedTuple):
 
 
 def extrinsics(
-    cameras: Sequence[TopicSightings], transforms: Transforms, plan: LogSettings
+    cameras: Sequence[TopicSightings],
+    transforms: Transforms,
+    plan: LogSettings,
+    others: dict[str, OtherCamera],
 ) -> Mount | None:
     """Return the extrinsics of the first camera, and relate the others to it.
 
-    Cameras are in the order of the topics file. Points in space are transformed exactly. Bearings
-    can only be rotated, so their cameras must be in one place. None for a single camera without
-    given extrinsics. `InputError` where one of several cameras has no extrinsics, or cannot be
-    related to the first.
+    Cameras are in the order of the topics file. Points in space are transformed to the first
+    exactly, and bearings of cameras in one place are rotated; other cameras get a name (`others`
+    has their extrinsics by it). None for a single camera without given extrinsics. `InputError`
+    where one of several cameras has no extrinsics.
     """
     several = len({(camera.frame, camera.rows.given.sensor) for camera in cameras}) > 1
     found = [_specified(camera, transforms, plan, several) for camera in cameras]
@@ -202,20 +205,22 @@ def extrinsics(
     for camera, own in zip(cameras, mounts, strict=True):
         place = between(mounts[0].pose, own.pose)
         is_exact = camera.rows.has_positions and first.rows.has_positions
-        require_near(place, is_exact, camera.name, first.name)
-        camera.rows.in_reference = place
+        if is_one_camera(place, is_exact):
+            camera.rows.in_reference = place
+            continue
+        topic = camera.rows.given.topic
+        is_alone = sum(each.rows.given.topic == topic for each in cameras) == 1
+        camera.rows.camera = topic if is_alone or not camera.frame else camera.frame
+        others[camera.rows.camera] = OtherCamera(**dict(own))
     return mounts[0]
 
 
-def require_near(place: Pose, is_exact: bool, camera: str, first: str) -> None:
-    """Refuse bearings of a camera at a distance from the first one, unless they have positions."""
-    distance = math.hypot(place.x, place.y)
-    if distance > MAX_DISTANCE and not is_exact:
-        raise InputError(
-            f"{camera} is {distance:.2f} m from {first}: the bearings of several cameras can be "
-            f"combined only within {MAX_DISTANCE:g} m; name the topic of one of them under "
-            "bearings in a topics file, or use positions of tags instead of bearings or pixels"
-        )
+def is_one_camera(place: Pose, is_exact: bool) -> bool:
+    """Return whether bearings of a camera at `place` in the frame of the first become its own.
+
+    `is_exact`: they have positions.
+    """
+    return is_exact or math.hypot(place.x, place.y) <= MAX_DISTANCE
 
 
 def _specified(

@@ -60,6 +60,8 @@ class SightingRows:
         self.given, self.kind, self._camera, self._detector = given, kind, camera, detector
         self.in_reference = Pose(0.0, 0.0, 0.0)
         """The camera's pose in the frame of the reference camera of all bearings [m, m, rad]."""
+        self.camera = ""
+        """Name of the camera, if its bearings are from another one than the reference camera."""
         self._t: list[float] = []
         self._kept: list[Sighting] = []
         self._remarks = remarks
@@ -123,6 +125,7 @@ class SightingRows:
         ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
         columns |= {"bearing": bearing, "sigma": sigma, "range": self._ranges()}
+        columns["camera"] = np.full(len(ids), self.camera, object)
         # A lens model has no ray for pixels beyond its valid range.
         is_valid = np.isfinite(bearing)
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
