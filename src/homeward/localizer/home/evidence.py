@@ -145,16 +145,14 @@ class Evidence:
 
         Bearings of one body are off by the same angle, but for its rotation.
         """
-        members, places = self.linear.problem.bodies.members, self.linear.problem.landmarks
-        (body, each), first = members.nonzero(), members.argmax(axis=1)
-        body, each = body[each != first[body]], each[each != first[body]]
-        lead, off, variance = first[body], self.innovation, self.variance
+        bodies, places = self.linear.problem.bodies, self.linear.problem.landmarks
+        (body, each, lead), off, variance = bodies.pairs, self.innovation, self.variance
         apart, away = places[each] - places[lead], places[lead] - self.linear.at[:2]
         turned = (apart**2).sum(axis=1) / np.maximum((away**2).sum(axis=1), 1e-12)
         both = turned + variance[each] + variance[lead]
         density = log_inlier(wrap(off[each] - off[lead]), both)
         density -= log_outlier(off[each], variance[each])
-        return np.bincount(body, density, len(members))
+        return np.bincount(body, density, len(bodies.members))
 
     @cached_property
     def _inliers(self) -> tuple[np.ndarray, np.ndarray]:

@@ -8,16 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from scipy.cluster.hierarchy import fcluster, linkage
 from scipy.special import betaln
 
 from homeward.localizer.tunables import BODY_M, CLOSE, GIVEN_WRONG, ONE_BODY, UPHEAVAL
 
 
-class Bodies(NamedTuple):
+@dataclass(frozen=True)
+class Bodies:
     """Bodies among k items."""
 
     members: np.ndarray
@@ -29,6 +30,13 @@ class Bodies(NamedTuple):
     def none(items: int) -> Bodies:
         """Return no bodies among k items."""
         return Bodies(np.zeros((0, items), bool), np.zeros(0))
+
+    @cached_property
+    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Each member but the first of its body: the body, the member, and the first one, (p,)."""
+        body, member = self.members.nonzero()
+        first = self.members.argmax(axis=1)[body]
+        return body[member != first], member[member != first], first[member != first]
 
     def independent(self, items: np.ndarray) -> int:
         """Return the number of independent ones among items (k,), bool: a body counts once."""
@@ -45,23 +53,22 @@ class Bodies(NamedTuple):
         (k,), or one for all, is the prior probability of each to be moved; `more` (b,) is the log
         density of a body that moved, less that of its members moved independently.
         """
-        number, wrong = right.sum(axis=1), np.broadcast_to(wrong, right.shape[1:])
-        rule = np.where(right, np.log1p(-wrong), np.log(wrong)).sum(axis=1)
-        rule = rule + self._log_factor(right, wrong, more)
-        upheaval = betaln(1.0 + number, 1.0 + right.shape[1] - number)
-        upheaval = upheaval + self._log_factor(right, np.full(wrong.size, 0.5), more)
+        number, items = right.sum(axis=1), right.shape[1]
+        both = np.full((2, items), 0.5)  # by the rule, and after an upheaval
+        both[0] = wrong
+        stays, moves, of_body = np.log1p(-both), np.log(both), self.members.T.astype(float)
+        size, inside = of_body.sum(axis=0), right @ of_body
+        share = both @ of_body / size
+        stayed = np.log1p(-share) - stays @ of_body
+        moved = np.log(share) - moves @ of_body + more
+        as_one = np.where(
+            inside == size, stayed[:, None], np.where(inside == 0, moved[:, None], -np.inf)
+        )
+        as_one = np.logaddexp(np.log1p(-self.one_body), np.log(self.one_body) + as_one).sum(axis=2)
+        rule = moves[0].sum() + right @ (stays[0] - moves[0]) + as_one[0]
+        upheaval = betaln(1.0 + number, 1.0 + items - number) + as_one[1]
         log = np.logaddexp(math.log1p(-UPHEAVAL) + rule, math.log(UPHEAVAL) + upheaval)
         return np.asarray(log)
-
-    def _log_factor(self, right: np.ndarray, wrong: np.ndarray, more: np.ndarray) -> np.ndarray:
-        """Return the log ratio of a prior to that of independent items, (f,)."""
-        size, inside = self.members.sum(axis=1), right @ self.members.T.astype(int)
-        share = self.members @ wrong / size
-        stayed = np.log1p(-share) - self.members @ np.log1p(-wrong)
-        moved = np.log(share) - self.members @ np.log(wrong) + more
-        as_one = np.where(inside == size, stayed, np.where(inside == 0, moved, -np.inf))
-        independent = np.log1p(-self.one_body)
-        return np.asarray(np.logaddexp(independent, np.log(self.one_body) + as_one).sum(axis=1))
 
 
 def given_bodies(together: Iterable[Sequence[str]], site: Collection[str]) -> list[Sequence[str]]:
@@ -79,7 +86,7 @@ def find_bodies(
     """
     if len(names) < 2:
         return Bodies.none(len(names))
-    group = fcluster(linkage(places, "complete"), min(BODY_M, CLOSE * size), "distance")
+    group = _clusters(places, min(BODY_M, CLOSE * size))
     given = np.zeros(len(names), int)
     for number, landmarks in enumerate(together, 1):
         of = np.isin(names, landmarks)
@@ -89,3 +96,18 @@ def find_bodies(
     numbers = numbers[count > 1]
     one_body = np.where(numbers < 0, 1.0 - GIVEN_WRONG, ONE_BODY)
     return Bodies(group == numbers[:, None], one_body)
+
+
+def _clusters(places: np.ndarray, reach: float) -> np.ndarray:
+    """Return the cluster (k,) of each place (k, 2), by complete linkage up to `reach` [m]."""
+    cluster = np.arange(len(places))
+    apart = np.hypot(*(places[:, None] - places).transpose(2, 0, 1))
+    apart[apart > reach] = np.inf
+    apart[cluster, cluster] = np.inf
+    while True:
+        i, j = divmod(int(apart.argmin()), len(places))
+        if apart[i, j] == np.inf:
+            return cluster
+        apart[i] = apart[:, i] = np.maximum(apart[i], apart[j])
+        apart[j] = apart[:, j] = np.inf
+        cluster[cluster == j] = i
