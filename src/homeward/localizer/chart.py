@@ -166,15 +166,18 @@ class Chart:
             self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
         return gated.innovations if gated is not None else []
 
-    def learn(self, t: float) -> bool:
-        """Learn from the last solution; return whether the map was reset at `t` [s] as singular."""
+    def learn(self, t: float, everything: bool = False) -> bool:
+        """Learn from the last solution; return whether the map was reset at `t` [s] as singular.
+
+        At most a piece of the work that is due, unless `everything`.
+        """
         if self.noise.confirmed and self.map.smoother.is_stale:
             calibration, since = self.map.smoother.state.calibration, self._integrable_since
             self.map.integrate_again(
                 since, lambda begin, end: self.odometry.between(begin, end, calibration)
             )
         try:
-            self.map.learn()
+            self.map.learn(everything)
         except np.linalg.LinAlgError:
             self.counts.reject(Rejection.MAP_RESET)
             self._reset_map(t)
@@ -366,8 +369,8 @@ class Chart:
         """Update home after a change of the map, and the integrity monitor."""
         self.home.update(self.map)
         self.share_state(self._integrity)
-        solved = self.map.solved and not self.coasts(now)
-        self._integrity.update(self.home.hypotheses, solved, self.home.stayed(self.map))
+        updated = self.home.is_updated and not self.coasts(now)
+        self._integrity.update(self.home.hypotheses, updated, self.home.stayed(self.map))
 
     def share_state(self, integrity: IntegrityMonitor) -> None:
         """Give an integrity monitor what all keyframes share.

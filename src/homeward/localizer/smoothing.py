@@ -232,7 +232,7 @@ def solve_whole(
     if localizer.is_convention_wrong:
         return track, None
     chart = localizer.chart
-    chart.learn(float(track.t[-1]))
+    chart.learn(float(track.t[-1]), everything=True)
     whole = chart.map.smoother.whole()
     _solve(whole)
     if restore(_contradicted(drive, chart, whole), chart.map, whole):

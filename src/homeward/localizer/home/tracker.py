@@ -21,7 +21,7 @@ from homeward.localizer.home.hypotheses import (
     update,
 )
 from homeward.localizer.home.observation import HomeObservation
-from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
@@ -31,6 +31,7 @@ from homeward.localizer.tunables import (
     INLIER,
     MAX_SEEDS,
     MAX_SEEDS_IN_DOUBT,
+    NEGLIGIBLE,
     PROBABLE,
     SEARCH_EVERY,
     SEARCH_PATIENCE,
@@ -63,6 +64,12 @@ class HomeTracker:
         """Indices of the landmarks used, and their walks; see `Map.places_for_home` ..."""
         self._p_static: np.ndarray | None = None
         """... at these probabilities to be static, which are replaced at each change."""
+        self.is_updated = False
+        """Whether `hypotheses` are fitted to the newest state of the map, not only propagated."""
+        self._fitted_at: np.ndarray | None = None
+        """Mean of the problem for which they were last fitted."""
+        self._update_due = False
+        """Whether the map has been solved since."""
         self._searched = 0
         """Keyframe of the last search from scratch."""
 
@@ -88,7 +95,9 @@ class HomeTracker:
         if self._surveyed is not frame:  # the frame of home has changed
             now = None
         problem = self.problem(known, known.smoother.state)
+        self.is_updated = True
         if now is not None and before == self.names:
+            self.is_updated = self._wants_update(problem, now, known)
             self.hypotheses = self._follow(problem, now, known)
         else:
             also = seeds_for(now, before, self.names) if now is not None else []
@@ -96,6 +105,8 @@ class HomeTracker:
             self._seeds.clear()
             if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
                 self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
+        if self.is_updated:
+            self._fitted_at, self._update_due = problem.mean, False
 
     def problem(self, known: Map, state: Marginal) -> HomeProblem:
         """Return the resection problem by a state of the map.
@@ -132,20 +143,38 @@ class HomeTracker:
         variances = self.hypotheses.best.innovations[1]
         return dict(zip(self.names, np.sqrt(variances).tolist(), strict=True))
 
+    def _wants_update(self, problem: HomeProblem, now: Hypotheses, known: Map) -> bool:
+        """Return whether the hypotheses must be fitted again, and not only propagated.
+
+        They must after a solution of the map, but may wait for a frame without other long work, if
+        the map has hardly changed and home is not ambiguous.
+        """
+        late, self._update_due = self._update_due, self._update_due or known.solved
+        if not self._update_due or self._fitted_at is None:
+            return self._update_due
+        change = np.abs(problem.mean - self._fitted_at)[POSE_AND_YAW:].max(initial=0.0)
+        can_wait = known.busy and known.is_window_full and not (late and known.solved)
+        return not (
+            can_wait and change < NEGLIGIBLE * problem.range and not self._is_doubted(now)
+        )
+
     def _follow(self, problem: HomeProblem, before: Hypotheses, known: Map) -> Hypotheses | None:
         """Return the hypotheses after a small change of the map."""
-        now = (update if known.solved else propagate)(problem, before)
+        now = (update if self.is_updated else propagate)(problem, before)
         if now is None:
             return None
-        if known.solved and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
+        if self.is_updated and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
             # The best set's home diverged: search for it again, or for a better one.
             return search(problem, [f.seed for f in (*now.fits, *now.unconverged)])
         return self._try_next_seed(problem, now, known)
 
     def _number_of_seeds(self, now: Hypotheses) -> int:
         """Return the number of seeds of a search: more while home is ambiguous."""
-        doubted = now.rivals(INLIER) > 1.0 - self._sure
-        return MAX_SEEDS_IN_DOUBT if doubted else MAX_SEEDS
+        return MAX_SEEDS_IN_DOUBT if self._is_doubted(now) else MAX_SEEDS
+
+    def _is_doubted(self, now: Hypotheses) -> bool:
+        """Return whether home may be elsewhere than the best hypothesis has it."""
+        return now.rivals(INLIER) > 1.0 - self._sure
 
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
         """Try the next seed of a search, and start a new search from time to time."""

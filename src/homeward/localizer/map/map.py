@@ -97,8 +97,8 @@ class Map:
         self._solved_at, self._solved_positions = 0, self.smoother.state.positions
         self.busy = False
         """Whether the newest frame has taken long already: for a solution, or learning from one."""
-        self._unlearnt_solution = False
-        """Whether there is a solution that has not been learnt from."""
+        self._after_solution: list[Callable[[], None]] = []
+        """Work that is due after a solution, one piece per frame."""
         self._solve_due = True
         """Whether the whole window must be solved at this keyframe."""
         self._last_path = 0.0
@@ -147,20 +147,33 @@ class Map:
         walk_moment = np.array([m.walk_moment for m in landmarks]).reshape(-1, 2, 2)
         return known.index(landmarks), known.walking_probabilities(landmarks), walk_moment
 
-    def learn(self) -> None:
-        """Learn from the residuals of the last solution, unless that was done.
+    @property
+    def is_window_full(self) -> bool:
+        """Whether solutions are rare and take long, so that work is spread over frames."""
+        return len(self.smoother.stamps) >= self._settings.window
 
-        A solution of the whole window takes long; then learning waits for the next frame.
+    def learn(self, everything: bool = False) -> None:
+        """Do a piece of the work after a solution: learning from residuals, marginalisation.
 
-        `numpy.linalg.LinAlgError` when the map has become singular.
+        Or `everything` that is due. `numpy.linalg.LinAlgError` when the map has become singular.
         """
-        self.busy = self._unlearnt_solution
-        if self._unlearnt_solution:
-            self._unlearnt_solution = False
-            self._learner.learn(self.smoother, self.landmarks)
-            self._count_ranges()
-            if self._learner.free_contradicted(self.smoother):
-                self._solve()
+        self.busy = bool(self._after_solution)
+        while self._after_solution:
+            self._after_solution.pop(0)()
+            if not everything:
+                break
+
+    def _learn_bearings(self) -> None:
+        """Learn from the residuals of bearings."""
+        self._learner.learn_bearings(self.smoother, self.landmarks)
+        self._count_ranges()
+        if self._learner.free_contradicted(self.smoother):
+            self._solve()
+
+    def _learn_odometry(self) -> None:
+        """Learn from the residuals of motions."""
+        if self.landmarks.mapped:
+            self._learner.learn_odometry(self.smoother)
 
     def _count_ranges(self) -> None:
         """Count the ranges that came since the last solution, and that it accepts or not."""
@@ -250,8 +263,6 @@ class Map:
         Landmarks in `moved` are not where they were mapped, and are reinitialised.
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
-        if self.solved and gated.new_keyframe:  # one later: a solution takes long enough
-            self._marginalise_old()
         rows, prediction = gated.rows, gated.prediction
         kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
@@ -293,7 +304,7 @@ class Map:
         """Adopt the solution of the whole drive, for the same landmarks."""
         self.smoother = whole
         self.landmarks.replace_solution(whole)
-        self._unlearnt_solution = False
+        self._after_solution = []
 
     def _rows(self, frame: WeighedFrame, view: View) -> np.ndarray:
         """Return a frame as rows of the table of sightings, to which it is added."""
@@ -380,10 +391,12 @@ class Map:
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self.solved = self._unlearnt_solution = True
+        self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.state.positions
-        if len(smoother.stamps) < self._settings.window:  # takes no time
-            self.learn()
+        work = self._learn_bearings, self._learn_odometry, self._marginalise_old
+        self._after_solution += [piece for piece in work if piece not in self._after_solution]
+        if not self.is_window_full:  # takes no time
+            self.learn(everything=True)
 
     def replace_survey(self, known: KnownLandmarks) -> None:
         """Replace the survey by a newer one in the same frame, and solve the window with it."""

@@ -47,8 +47,8 @@ class Learner:
         smoother.scale_odometry(self._process_noise.scale_prior(share))
         smoother.slip_sigma = share * self._slip_sigma
 
-    def learn(self, smoother: Smoother, landmarks: Landmarks) -> None:
-        """Update the noise of bearings, then the walking landmarks, then the noise of odometry.
+    def learn_bearings(self, smoother: Smoother, landmarks: Landmarks) -> None:
+        """Update the noise of bearings, then the walking landmarks.
 
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
@@ -61,9 +61,15 @@ class Learner:
             landmarks.scale_noise(factor)
         if smoother.converged:
             update_walking(smoother, [*landmarks.mapped.values(), *landmarks.former.values()])
-        since = newest - self._odometry_updated_at
-        if since >= ODOMETRY_EVERY and smoother.converged and landmarks.mapped:
-            self._odometry_updated_at = newest
+
+    def learn_odometry(self, smoother: Smoother) -> None:
+        """Update the noise of odometry, not at each solution.
+
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
+        """
+        since = smoother.newest - self._odometry_updated_at
+        if since >= ODOMETRY_EVERY and smoother.converged:
+            self._odometry_updated_at = smoother.newest
             sums, motions = _odometry_misfit(smoother), len(smoother.stamps) - 1
             smoother.scale_odometry(self._process_noise.update(*sums, motions, min(since, motions)))
 
