@@ -28,7 +28,7 @@ from homeward.localizer.motion.preintegration import (
     TIME_CONSTANT,
     TURN_SCALE,
     Motion,
-    camera_on_robot,
+    camera_after,
 )
 from homeward.localizer.recovery.monitor import SlipDetector
 from homeward.odometry.clock import Clock
@@ -162,7 +162,7 @@ def test_bearings_have_the_derivatives_they_say():
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
     nothing = WeighedFrame(0.0, [], np.zeros(0), np.zeros(0))
-    frames.add(0, motion.compose(camera_on_robot(mount, calibration)), nothing)
+    frames.add(0, camera_after(motion, mount, calibration), nothing)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):

@@ -10,7 +10,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.preintegration import NC, camera_on_robot
+from homeward.localizer.motion.preintegration import NC, Motion, camera_after
 from homeward.localizer.smoothing import bridged
 from homeward.localizer.tunables import MAX_HOME_LANDMARKS
 
@@ -50,7 +50,7 @@ def seen(rng, window):
     bearings = np.arctan2(*(POINTS - eye).T[::-1]) - psi + 0.005 * rng.normal(size=len(POINTS))
     sigmas = np.full(len(POINTS), 0.005)
     look = WeighedFrame(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
-    camera = camera_on_robot(MOUNT, window.state.calibration)
+    camera = camera_after(Motion.identity(), MOUNT, window.state.calibration)
     rows = window.frames.add(window.newest, camera, look)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows

@@ -17,7 +17,7 @@ from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.ranges import ScaleErrors, place_by_ranges, range_residuals
 from homeward.localizer.map.sightings import Frames
-from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, camera_on_robot
+from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, camera_after
 from homeward.localizer.settings import LocalizerSettings
 from homeward.track import run
 
@@ -83,7 +83,7 @@ def test_a_range_has_the_derivatives_it_says():
     frames, mount = Frames(), np.array([0.2, -0.1, 0.3])
     frame = WeighedFrame(0.0, ["a"], np.array([0.4]), np.array([0.01]))
     frame = frame._replace(ranges=np.array([[math.log(2.5), 0.1]]))
-    row = frames.add(0, motion.compose(camera_on_robot(mount, calibration)), frame)
+    row = frames.add(0, camera_after(motion, mount, calibration), frame)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def residual(x):
@@ -192,4 +192,4 @@ def test_ranges_that_cannot_be_are_counted_and_own_standard_deviations_count():
     assert usable == {"a": (math.log(2.0), 0.05)}
     assert bad == 3
     assert RangeInput(0.1, True).usable(seen, ranges, None) == ({}, 0)
-    assert RangeInput(None, False).usable(seen, None, None) == ({}, 0)
+    assert RangeInput(None, False).usable(seen, ranges, None) == ({}, 0)

@@ -171,7 +171,7 @@ class Chart:
 
         At most a piece of the work that is due, unless `everything`.
         """
-        if self.noise.confirmed and self.map.smoother.is_stale:
+        if self.map.solved and self.noise.confirmed and self.map.smoother.is_stale:
             calibration, since = self.map.smoother.state.calibration, self._integrable_since
             self.map.integrate_again(
                 since, lambda begin, end: self.odometry.between(begin, end, calibration)
@@ -228,9 +228,10 @@ class Chart:
         found = self._integrity.estimate(t, moved, self.coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
-        doubt = self.map.registration.survey.contradiction(self._in_view)
-        if doubt is not None and found.status in (Status.LOCALISED, Status.COASTING):
-            found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
+        if self._known.landmarks and found.status in (Status.LOCALISED, Status.COASTING):
+            doubt = self.map.registration.survey.contradiction(self._in_view)
+            if doubt is not None:
+                found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:
             return self._contradiction.applied(found, state, motion)
         return found
@@ -262,7 +263,7 @@ class Chart:
     def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:
         """Try a first fix in a survey: the pose from a few frames along a short path."""
         known = self.map.registration
-        if not known.survey.places or known.has_home or self.map.landmarks.expected:
+        if not self._known.landmarks or known.has_home or self.map.landmarks.expected:
             return
         variances = self.map.smoother.state.propagate(motion).covariance.diagonal()[:3]
         found = self._first_fix.add_frame(seen, view.pose, variances)

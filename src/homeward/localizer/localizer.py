@@ -207,7 +207,8 @@ class Localizer:
             self._reject(late, len(sightings))
             return self.estimate(stamp)
         usable = {n: math.remainder(b, math.tau) for n, b in sightings.items() if math.isfinite(b)}
-        self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
+        if len(usable) < len(sightings):
+            self._reject(Rejection.BAD_BEARING, len(sightings) - len(usable))
         usable = self._without_repeats(t, usable)
         if not usable:
             return self.estimate(stamp)
@@ -217,9 +218,12 @@ class Localizer:
         self._advance(t)
         given = {n: valid_sigma(s) for n, s in (sigmas or {}).items()}
         valid = {n: s for n, s in given.items() if math.isfinite(s)}
-        with_range, bad = self._ranges.usable(usable, ranges, range_sigmas)
-        self._reject(Rejection.BAD_RANGE, bad)
-        frame = BearingFrame(t, usable, valid, with_range, camera, offset)
+        frame = BearingFrame(t, usable, valid, camera=camera, offset=offset)
+        if ranges:
+            with_range, bad = self._ranges.usable(usable, ranges, range_sigmas)
+            if bad:
+                self._reject(Rejection.BAD_RANGE, bad)
+            frame = frame._replace(ranges=with_range)
         self._reorder.bearings(frame)
         tracks = frame.by_camera(usable), frame.by_camera(valid)
         self._dead.bearings(t, *tracks, self.chart.noise)
@@ -340,12 +344,13 @@ class Localizer:
             self._at_newest = set()
         new = {n: b for n, b in seen.items() if (n, b) not in self._at_newest}
         self._at_newest.update(new.items())
-        self._reject(Rejection.REPEATED_BEARINGS, len(seen) - len(new))
+        if len(new) < len(seen):
+            self._reject(Rejection.REPEATED_BEARINGS, len(seen) - len(new))
         return new
 
     def _reject(self, why: Rejection, number: int = 1) -> None:
         """Count samples that reach no map."""
-        for chart in self.charts if number else ():
+        for chart in self.charts:
             chart.counts.reject(why, number)
 
     def _is_too_late(self, t: float) -> bool:

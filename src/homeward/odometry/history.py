@@ -25,9 +25,10 @@ than the robot takes to accelerate."""
 LAG_TIMES = -np.log1p(-np.arange(11) / 10.5)
 """Times before the present, in time constants, between which a first-order lag weighs the command
 equally."""
-SLOPE_WEIGHTS = -np.diff((1.0 + LAG_TIMES) * np.exp(-LAG_TIMES))
-SLOPE_WEIGHTS /= SLOPE_WEIGHTS.sum()
-"""Weights of those intervals in the derivative by T of T times the twist, T the time constant."""
+_SLOPES = -np.diff((1.0 + LAG_TIMES) * np.exp(-LAG_TIMES))
+WEIGHTS = np.stack([np.full(_SLOPES.size, 1.0 / _SLOPES.size), _SLOPES / _SLOPES.sum()])
+"""(2, 10): weights of those intervals in the twist, and in the derivative by T of T times it, T the
+time constant."""
 
 
 class Driven(NamedTuple):
@@ -108,13 +109,9 @@ class OdometrySample(NamedTuple):
     is_pose_given: bool
     """Whether the robot reported the pose at this stamp."""
 
-    def valid_for(self, t: float) -> float:
-        """Return the time for which the twist is valid before `t` [s]."""
-        return max(min(t, self.until) - self.t, 0.0)
-
     def pose(self, t: float) -> Pose:
         """Return the dead-reckoned pose at `t` [s]."""
-        start, dt = Pose(self.x, self.y, self.heading), self.valid_for(t)
+        start, dt = Pose(self.x, self.y, self.heading), max(min(t, self.until) - self.t, 0.0)
         return advance(start, Twist(self.v, self.omega), dt) if dt else start
 
     def reckoned(self, t: float) -> tuple[float, float]:
@@ -124,9 +121,9 @@ class OdometrySample(NamedTuple):
 
     def driven_until(self, t: float) -> Driven:
         """Return the wheel motion up to `t` [s]."""
-        dt, (moving, path, turned) = self.valid_for(t), self.driven
         if not (self.v or self.omega):
             return self.driven
+        dt, (moving, path, turned) = max(min(t, self.until) - self.t, 0.0), self.driven
         return Driven(moving + dt, path + abs(self.v) * dt, turned + abs(self.omega) * dt)
 
 
@@ -260,13 +257,6 @@ class TwistHistory:
         twist = self._at(t)
         return (0.0, 0.0) if twist is None else twist.reckoned(t)
 
-    def _extrapolated(self, t: float) -> tuple[float, float]:
-        """Return `reckoned`, with the first twist also before its stamp."""
-        first = self._samples[0] if self._samples else None
-        if first is None or t >= first.t:
-            return self.reckoned(t)
-        return first.heading + first.omega * (t - first.t), first.path + first.v * (t - first.t)
-
     def reckoned_at(self, times: list[float]) -> np.ndarray | None:
         """Return `reckoned` at k times [s], newest first, (2, k); None before the first twist."""
         if self.before(times[0]) is None:
@@ -276,18 +266,27 @@ class TwistHistory:
     def settled(self, t: float, time_constant: float) -> SettledTwist:
         """Return the robot's twist at `t` [s]; the time constant [s] is `MEAN_S` / 2 at least."""
         lag = max(time_constant, 0.5 * MEAN_S)
-        times = (t - lag * LAG_TIMES).tolist()
-        turned, path = np.array([self._extrapolated(time) for time in times]).T
-        rates = -np.diff([path, turned]) / (lag * np.diff(LAG_TIMES))
-        v, omega = rates.mean(axis=1).tolist()
-        by_v, by_omega = (rates @ SLOPE_WEIGHTS).tolist()
+        if not self._samples:
+            return SettledTwist((0.0, 0.0), (0.0, 0.0))
+        samples, reckoned = self._samples, []
+        k = max(bisect_right(samples, t, key=_stamp) - 1, 0)
+        for time in (t - lag * LAG_TIMES).tolist():
+            while k and samples[k].t > time:
+                k -= 1
+            twist = samples[k]
+            dt = time - twist.t  # the first twist counts before its stamp, too
+            dt = max(min(dt, twist.until - twist.t), 0.0) if dt > 0.0 else dt
+            reckoned.append((twist.path + twist.v * dt, twist.heading + twist.omega * dt))
+        changes = np.array(reckoned)
+        rates = (changes[:-1] - changes[1:]) / (lag * np.diff(LAG_TIMES))[:, None]
+        (v, omega), (by_v, by_omega) = (WEIGHTS @ rates).tolist()
         return SettledTwist((v, omega), (by_v, by_omega))
 
     def stretch(self, begin: float, end: float, time_constant: float) -> Stretch:
         """Return the twists from `begin` until `end` [s], with mean rates."""
         first, last = (bisect_left(self._samples, t, key=_stamp) for t in (begin, end))
         valid = self._samples[max(first - 1, 0) : last]
-        steady = (self.path(end) - self.path(end - STEADY_S)) / STEADY_S
+        steady = (self.reckoned(end)[1] - self.reckoned(end - STEADY_S)[1]) / STEADY_S
         known = max(begin, self._samples[0].t) if self._samples else end
         ends = self.settled(known, time_constant), self.settled(end, time_constant)
         return Stretch(valid, steady, ends)

@@ -30,7 +30,7 @@ class RangeInput:
     def usable(
         self,
         names: Mapping[str, float],
-        ranges: Mapping[str, float] | None,
+        ranges: Mapping[str, float],
         sigmas: Mapping[str, float] | None,
     ) -> tuple[dict[str, tuple[float, float]], int]:
         """Return the valid ranges of landmarks `names`, and the number of those not valid.
@@ -38,8 +38,7 @@ class RangeInput:
         Ranges and standard deviations are in metres, NaN where there is none. Returned are the
         logarithm of each, and the relative standard deviation.
         """
-        known = (ranges or {}).items()
-        given = {n: r for n, r in known if n in names and not math.isnan(r)}
+        given = {n: r for n, r in ranges.items() if n in names and not math.isnan(r)}
         if self._sigma is None or self._surveyed:
             self._unused += len(given)
             return {}, 0

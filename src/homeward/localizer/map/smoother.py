@@ -475,7 +475,9 @@ class Smoother:
         self._prior.add_to(equations, self._linearisation_point())
         add_odometry(equations, self.poses[:w], self.state.calibration, self._steps[: w - 1])
         add_sightings(equations, seen)
-        add_sightings(equations, self._weighed_ranges(rows[rows[:, RANGE_SIGMA] > 0.0]))
+        with_range = rows[:, RANGE_SIGMA] > 0.0
+        if with_range.any():
+            add_sightings(equations, self._weighed_ranges(rows[with_range]))
         return equations
 
     @property

@@ -6,7 +6,6 @@ import copy
 import dataclasses
 import math
 from collections import deque
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -214,7 +213,8 @@ class OdometryIntegrator:
         motion, path, pieces = self._integrated(self.end, t, calibration)
         self._motion, self.end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
-        self._motion_prior.count(_time_moving(pieces), motion.path, motion.turned)
+        moving = sum(piece.dt for piece in pieces if piece.v or piece.omega)
+        self._motion_prior.count(moving, motion.path, motion.turned)
 
     def between(self, begin: float, end: float, calibration: np.ndarray) -> Motion:
         """Return the motion between two times [s] of which the twists are remembered."""
@@ -242,7 +242,9 @@ class OdometryIntegrator:
         for twist, then, speed in zip(held, until, steady, strict=True):
             start, silent = max(twist.t, begin), twist.until
             known = min(max(silent - start, 0.0), then - start)
-            shift, swing = self._dropout_growth(silent, start + known, then)
+            shift = swing = 0.0
+            if start + known < then:
+                shift, swing = self._dropout_growth(silent, start + known, then)
             if (bridged := start + known - max(start, twist.t + TWIST_VALIDITY_S)) > 0.0:
                 shift += (BRIDGED * twist.v * bridged) ** 2
                 swing += (BRIDGED * twist.omega * bridged) ** 2
@@ -258,11 +260,6 @@ class OdometryIntegrator:
         if end <= begin:
             return 0.0, 0.0
         return self._motion_prior.variance_growth(begin - silent, end - begin)
-
-
-def _time_moving(pieces: Sequence[Piece]) -> float:
-    """Return for how long the robot moved in pieces of time [s]."""
-    return sum(piece.dt for piece in pieces if piece.v or piece.omega)
 
 
 def _variance(after: float, time: float, lasts: float) -> float:

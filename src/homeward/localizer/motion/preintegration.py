@@ -30,10 +30,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.geometry.frames import Twist, advance
 from homeward.geometry.se2 import between, composition
 from homeward.localizer.tunables import BEND, NUM_BENDS
-from homeward.odometry.history import ORIGIN, SettledTwist
+from homeward.odometry.history import SettledTwist
 
 ODOMETRY_CALIBRATION = (
     "turn_scale",
@@ -113,12 +112,6 @@ class Motion:
         return Motion(delta, np.zeros((3, 3)), np.zeros((3, NC)))
 
 
-def camera_on_robot(mount: np.ndarray, calibration: np.ndarray) -> Motion:
-    """Return the camera's pose on the robot: `mount` (3,) as given, corrected by a calibration."""
-    delta = mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-    return Motion(delta, np.zeros((3, 3)), CAMERA_JACOBIAN, calibration=calibration)
-
-
 def camera_after(
     motion: Motion, mount: np.ndarray, calibration: np.ndarray, offset: np.ndarray | None = None
 ) -> Motion:
@@ -126,7 +119,9 @@ def camera_after(
 
     `offset` (3,) is the pose of the camera in the frame of the first one; None for the first.
     """
-    first = motion.compose(camera_on_robot(mount, calibration))
+    delta = mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+    on_robot = Motion(delta, np.zeros((3, 3)), CAMERA_JACOBIAN, calibration=calibration)
+    first = motion.compose(on_robot)
     if offset is None:
         return first
     fixed = dataclasses.replace(Motion.identity(), delta=offset, calibration=calibration)
@@ -209,14 +204,16 @@ def _outstanding(
     scale, bias, lag = calibration[[TURN_SCALE, TURN_BIAS, TIME_CONSTANT]].tolist()
     size, (v, omega) = 1.0 + float(calibration[SPEED_SCALE]), twist
     rate = (1.0 + scale) * omega + bias if v or omega else 0.0
-    end = advance(ORIGIN, Twist(size * v, rate), sign * lag)
+    half = 0.5 * rate * sign * lag
+    chord = size * v * sign * lag * (math.sin(half) / half if half else 1.0)
+    x, y, heading = chord * math.cos(half), chord * math.sin(half), 2.0 * half
     by_calibration = np.zeros((3, NC))
-    c, s = math.cos(end.heading), math.sin(end.heading)
+    c, s = math.cos(heading), math.sin(heading)
     for column, turn in ((TURN_SCALE, sign * lag * omega), (TURN_BIAS, sign * lag)):
-        by_calibration[:, column] = -end.x * end.heading / 3.0 * turn, 0.5 * end.x * turn, turn
+        by_calibration[:, column] = -x * heading / 3.0 * turn, 0.5 * x * turn, turn
     ahead, turn = size * slope[0], (1.0 + scale) * slope[1] + bias if v or omega else 0.0
-    by_calibration[:, TIME_CONSTANT] = sign * np.array([c * ahead, s * ahead, turn])
-    return Motion(np.array(end), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
+    by_calibration[:, TIME_CONSTANT] = sign * c * ahead, sign * s * ahead, sign * turn
+    return Motion(np.array([x, y, heading]), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
 
 
 def _add_errors(
