@@ -205,11 +205,11 @@ def try_seed(problem: HomeProblem, hypotheses: Hypotheses, seed: Seed) -> Hypoth
 def propagate(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
     """Propagate the best hypothesis alone, after a negligible change of the map.
 
-    The others keep their fit and probability.
+    The others keep their fit and probability. None where the best one must be fitted again.
     """
     best = propagated(hypotheses.best, problem)
     if best is None:
-        return update(problem, hypotheses)
+        return None
     return Hypotheses((best, *hypotheses.fits[1:]), hypotheses.weights, hypotheses.unconverged)
 
 

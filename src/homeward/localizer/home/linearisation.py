@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose, lever, sight
 from homeward.localizer.home.problem import POSE_AND_YAW, YAW, HomeProblem
+from homeward.localizer.tunables import CLOSE
 
 HOME, RESIDUAL, POSE, REST = slice(0, 3), 3, slice(4, 7), slice(7, None)
 """Columns: Jacobian by home, residual, covariance with the newest pose, and with each other."""
@@ -37,6 +38,8 @@ class Linear:
     """(q, 4 + 2 q): their covariance with these."""
     columns: np.ndarray
     """(q, 7 + q): columns for least squares, a row for each home bearing."""
+    fitted: Linear | None = None
+    """The linearisation that this one was propagated from, when home was fitted last."""
 
     @property
     def by_home(self) -> np.ndarray:
@@ -56,7 +59,16 @@ class Linear:
     def propagated(self, problem: HomeProblem) -> Linear:
         """Return them at the same linearisation point after a small change of the map."""
         residual = self.residual - self.by_state @ (problem.mean - self.problem.mean)
-        return _linear(problem, self.at, residual, self.by_state, self.by_home)
+        fitted = self.fitted or self
+        return _linear(problem, self.at, residual, self.by_state, self.by_home, fitted)
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether a residual, or its variance, has changed notably since home was fitted."""
+        then = self.fitted or self
+        off, variance = self.residual - then.residual, then.residual_covariance.diagonal()
+        wider = np.abs(self.residual_covariance.diagonal() - variance)
+        return bool(((off**2 > CLOSE**2 * variance) | (wider > CLOSE * variance)).any())
 
 
 def linearised(problem: HomeProblem, home: np.ndarray, state: np.ndarray) -> Linear:
@@ -106,6 +118,7 @@ def _linear(
     residual: np.ndarray,
     by_state: np.ndarray,
     by_home: np.ndarray,
+    fitted: Linear | None = None,
 ) -> Linear:
     """Return the linearisation with the covariances that follow from it."""
     q, cross_covariance = residual.size, by_state @ problem.covariance
@@ -114,7 +127,7 @@ def _linear(
     columns[:, POSE] = cross_covariance[:, :3]
     columns[:, REST] = cross_covariance @ by_state.T
     columns.ravel()[REST.start :: REST.start + q + 1] += problem.sigmas**2
-    return Linear(problem, home, by_state, cross_covariance, columns)
+    return Linear(problem, home, by_state, cross_covariance, columns, fitted)
 
 
 @dataclass(frozen=True)

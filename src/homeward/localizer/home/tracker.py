@@ -21,7 +21,7 @@ from homeward.localizer.home.hypotheses import (
     update,
 )
 from homeward.localizer.home.observation import HomeObservation
-from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
+from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
@@ -31,7 +31,6 @@ from homeward.localizer.tunables import (
     INLIER,
     MAX_SEEDS,
     MAX_SEEDS_IN_DOUBT,
-    NEGLIGIBLE,
     PROBABLE,
     SEARCH_EVERY,
     SEARCH_PATIENCE,
@@ -66,10 +65,6 @@ class HomeTracker:
         """... at these probabilities to be static, which are replaced at each change."""
         self.is_updated = False
         """Whether `hypotheses` are fitted to the newest state of the map, not only propagated."""
-        self._fitted_at: np.ndarray | None = None
-        """Mean of the problem for which they were last fitted."""
-        self._update_due = False
-        """Whether the map has been solved since."""
         self._searched = 0
         """Keyframe of the last search from scratch."""
 
@@ -97,7 +92,6 @@ class HomeTracker:
         problem = self.problem(known, known.smoother.state)
         self.is_updated = True
         if now is not None and before == self.names:
-            self.is_updated = self._wants_update(problem, now, known)
             self.hypotheses = self._follow(problem, now, known)
         else:
             also = seeds_for(now, before, self.names) if now is not None else []
@@ -105,8 +99,6 @@ class HomeTracker:
             self._seeds.clear()
             if self.hypotheses is not None and self._number_of_seeds(self.hypotheses) > MAX_SEEDS:
                 self._seeds.extend(seeds(problem, MAX_SEEDS_IN_DOUBT)[MAX_SEEDS:])
-        if self.is_updated:
-            self._fitted_at, self._update_due = problem.mean, False
 
     def problem(self, known: Map, state: Marginal) -> HomeProblem:
         """Return the resection problem by a state of the map.
@@ -143,24 +135,19 @@ class HomeTracker:
         variances = self.hypotheses.best.innovations[1]
         return dict(zip(self.names, np.sqrt(variances).tolist(), strict=True))
 
-    def _wants_update(self, problem: HomeProblem, now: Hypotheses, known: Map) -> bool:
-        """Return whether the hypotheses must be fitted again, and not only propagated.
-
-        They must after a solution of the map, but may wait for a frame without other long work, if
-        the map has hardly changed and home is not ambiguous.
-        """
-        late, self._update_due = self._update_due, self._update_due or known.solved
-        if not self._update_due or self._fitted_at is None:
-            return self._update_due
-        change = np.abs(problem.mean - self._fitted_at)[POSE_AND_YAW:].max(initial=0.0)
-        can_wait = known.busy and known.is_window_full and not (late and known.solved)
-        return not (
-            can_wait and change < NEGLIGIBLE * problem.range and not self._is_doubted(now)
-        )
-
     def _follow(self, problem: HomeProblem, before: Hypotheses, known: Map) -> Hypotheses | None:
-        """Return the hypotheses after a small change of the map."""
-        now = (update if self.is_updated else propagate)(problem, before)
+        """Return the hypotheses after a small change of the map.
+
+        They are fitted again after a solution of the map that changes home bearings notably, and
+        until the map has filled its window or home is not ambiguous any more.
+        """
+        now = propagate(problem, before)
+        self.is_updated = now is None or (
+            known.solved
+            and (not known.is_window_full or self._is_doubted(now) or now.best.linear.has_changed)
+        )
+        if self.is_updated:
+            now = update(problem, before)
         if now is None:
             return None
         if self.is_updated and now.max_log_evidence < before.max_log_evidence + math.log(PROBABLE):
@@ -179,7 +166,7 @@ class HomeTracker:
     def _try_next_seed(self, problem: HomeProblem, now: Hypotheses, known: Map) -> Hypotheses:
         """Try the next seed of a search, and start a new search from time to time."""
         since = known.smoother.newest - self._searched
-        wait = SEARCH_PATIENCE if known.busy else 0
+        wait = SEARCH_PATIENCE if known.busy or self.is_updated else 0
         if self._seeds and since >= wait:
             return try_seed(problem, now, self._seeds.popleft())
         if not self._seeds and since >= SEARCH_EVERY + wait:

@@ -164,11 +164,12 @@ class Map:
                 break
 
     def _learn_bearings(self) -> None:
-        """Learn from the residuals of bearings."""
+        """Learn from the residuals of bearings, and marginalise."""
         self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
         if self._learner.free_contradicted(self.smoother):
             self._solve()
+        self._marginalise_old()
 
     def _learn_odometry(self) -> None:
         """Learn from the residuals of motions."""
@@ -393,7 +394,7 @@ class Map:
             smoother.solve()
         self.solved = True
         self._solved_at, self._solved_positions = smoother.newest, smoother.state.positions
-        work = self._learn_bearings, self._learn_odometry, self._marginalise_old
+        work = self._learn_bearings, self._learn_odometry
         self._after_solution += [piece for piece in work if piece not in self._after_solution]
         if not self.is_window_full:  # takes no time
             self.learn(everything=True)

@@ -213,7 +213,9 @@ def _outstanding(
         by_calibration[:, column] = -x * heading / 3.0 * turn, 0.5 * x * turn, turn
     ahead, turn = size * slope[0], (1.0 + scale) * slope[1] + bias if v or omega else 0.0
     by_calibration[:, TIME_CONSTANT] = sign * c * ahead, sign * s * ahead, sign * turn
-    return Motion(np.array([x, y, heading]), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
+    return Motion(
+        np.array([x, y, heading]), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True
+    )
 
 
 def _add_errors(
