@@ -184,6 +184,9 @@ MAX_HOME_TURN = 1.0
 """... and largest turn [rad]."""
 MAX_TRIPLES = 600
 """Largest number of triples; if there are more, they are drawn with a fixed seed."""
+OFFSET_STEPS = 3
+"""Steps in which several cameras are reduced to one; each divides the error by the distance of the
+landmarks over that of the cameras."""
 SEARCH_EVERY = 40
 """Keyframes between two searches from scratch ..."""
 SEARCH_PATIENCE = 10

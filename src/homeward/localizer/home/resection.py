@@ -16,11 +16,7 @@ import numpy as np
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import compose, sight
 from homeward.localizer.home.evidence import moved_share
-from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES
-
-OFFSET_STEPS = 3
-"""Steps in which several cameras are reduced to one; each divides the error by the distance of the
-landmarks over that of the cameras."""
+from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES, OFFSET_STEPS
 
 
 def poses_from_triples(
