@@ -12,12 +12,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.settings import DriveSettings, KnownLandmarks, Mount
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
+from homeward.localizer.map.learning.camera_jump import CameraJump
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
@@ -68,7 +69,8 @@ class Chart:
         self.odometry = OdometryIntegrator(twists, self.process_noise)
         self.extrinsics = Extrinsics(drive, settings)
         self.home = HomeTracker(home, drive, settings, self.noise)
-        self._drive, self._settings, self._known = drive, settings, known
+        self.drive, self._settings, self._known = drive, settings, known
+        """Settings of the drive; the camera's are those of the camera as it was turned last."""
         self._is_surveyed_from_home = known.surveyed_from_home
         self.scale = ScaleErrors.of(drive, settings, known)
         self._integrity = IntegrityMonitor(settings, self.scale.rest)
@@ -134,9 +136,7 @@ class Chart:
         was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
         seen = self.noise.weigh(frame, reckoned)  # 1 measurement noise
         if frame.offset is not None:
-            sigma = self._drive.cameras[frame.camera].bearing_sigma_at(
-                self.map.smoother.state.scale
-            )
+            sigma = self.drive.cameras[frame.camera].bearing_sigma_at(self.map.smoother.state.scale)
             seen = seen._replace(sigmas=np.hypot(seen.sigmas, sigma))
         calibration = self.map.smoother.state.calibration
         motion = self.odometry.advance(seen.t, calibration)  # 2 preintegration
@@ -178,11 +178,22 @@ class Chart:
             )
         try:
             self.map.learn(everything)
+            jump = self.map.camera_jump.proved
+            if jump is not None and jump.keyframe > self.map.smoother.first:
+                self._turn_camera(jump)
         except np.linalg.LinAlgError:
             self.counts.reject(Rejection.MAP_RESET)
             self._reset_map(t)
             return True
         return False
+
+    def _turn_camera(self, jump: CameraJump) -> None:
+        """Turn the camera on the robot, but not at home, where it saw the home bearings."""
+        self.home.observation.fix_camera(self.map.smoother.state.calibration)
+        x, y, yaw = self.home.observation.mount.tolist()
+        turned, home = self.extrinsics.turn(jump.size), Mount(x=x, y=y, yaw=yaw)
+        self.drive = self.drive.model_copy(update={"sensor": turned, "home_sensor": home})
+        self.map.turn_camera(jump)
 
     def finalise(self, whole: Smoother) -> bool:
         """Find home again by the solution of a whole drive, also for `landmarks`.
@@ -228,8 +239,13 @@ class Chart:
         found = self._integrity.estimate(t, moved, self.coasts(t), innovations)
         if found.pose is None:
             return dataclasses.replace(found, reason=complaint or found.reason)
-        if self._known.landmarks and found.status in (Status.LOCALISED, Status.COASTING):
-            doubt = self.map.registration.survey.contradiction(self._in_view)
+        if found.status in (Status.LOCALISED, Status.COASTING):
+            doubt = None
+            if self._known.landmarks:
+                doubt = self.map.registration.survey.contradiction(self._in_view)
+            is_open = self.extrinsics.is_turn_open(state.calibration_variances)
+            if self.map.camera_jump.is_suspected or is_open:
+                doubt = Reason.CAMERA_TURNED.words
             if doubt is not None:
                 found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:
@@ -290,6 +306,7 @@ class Chart:
                 self.map.drop_frame()
                 wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
                 gated = self._gate_at_keyframe(seen, wider)
+                self.map.denied_at = self.map.smoother.newest
         fits = gated.fits.values()
         if any(fits):
             self.last_accepted, self._in_view = seen.t, frozenset(seen.names)
@@ -385,16 +402,14 @@ class Chart:
         errors = integrity.errors
         errors.same_camera, errors.mount = observed.same_camera, observed.mount_covariance(state)
         errors.assumed_mount = self.extrinsics.assumed_covariance(*calibration, state.scale)
-        errors.covariance_scale = self._drive.covariance_scale or 1.0
+        errors.covariance_scale = self.drive.covariance_scale or 1.0
 
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""
         learnt = self.noise, self.process_noise, self.extrinsics
-        self.map = Map(
-            self._drive, self._settings, *learnt, self.counts, t, self._known, self.scale
-        )
+        self.map = Map(self.drive, self._settings, *learnt, self.counts, t, self._known, self.scale)
         self._contradiction = Contradiction()
-        self.monitor = Monitor(self._drive.start is not None)
+        self.monitor = Monitor(self.drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)
         self.odometry.restart(t)
         self._driven_at_keyframe = self._twists.driven(t)

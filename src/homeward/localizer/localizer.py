@@ -415,7 +415,7 @@ class Localizer:
 
     def _begin_candidate(self, t: float) -> None:
         """Begin a second chart at the robot, at `t` [s]."""
-        anywhere = self._robot.model_copy(update={"start": None})
+        anywhere = self.chart.drive.model_copy(update={"start": None})
         self._candidate_chart = self._new_chart(anywhere, copy.deepcopy(self.counts))
         self._candidate_lead = 0
         if self._keeps:

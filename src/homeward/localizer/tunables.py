@@ -313,6 +313,9 @@ MAX_PER_KEYFRAME = 12
 """Maximum sightings of a landmark per keyframe; more add nothing while the robot is stationary."""
 SOLVES_PER_WINDOW = 8
 """Solutions per window, once it is full: so each keyframe costs the same on average."""
+SOLVED_AFTER_DENIAL = 2
+"""Keyframes from one solution to the next, for a window after bearings have denied a motion: a
+robot with a knocked camera should not drive far."""
 MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
 """Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
 """
@@ -342,6 +345,12 @@ SOLVE_CONVERGED = 2e-2
 """Largest step at convergence [landmark distance, rad]; the rest goes as its square."""
 MAX_TESTED = 48
 """Most landmarks tested together: the cost goes with the cube of their number."""
+MIN_JUMP_EVIDENCE = math.log(1.0 / GIVEN_WRONG - 1.0)
+"""Log Bayes factor from which a knocked camera is more probable than not, if one of a hundred turns
+that odometry denies is the camera's [1]."""
+NUM_JUMPS = 10
+"""Motions whose turns odometry denies most, at each of which the camera may have been knocked: a
+bump also moves the robot, and a wheel may slip now and then."""
 VAGUE_DATUM = 10.0
 """Prior standard deviation of the datum [size of the survey; rad]."""
 ONE_PLACE = 1e-6

@@ -57,6 +57,12 @@ class HomeObservation:
         """Drop the start prior, since the map does not begin there any more."""
         self._prior = None
 
+    def fix_camera(self, calibration: np.ndarray) -> None:
+        """Fix the camera's pose at home to the present estimate: it is not the drive's any more."""
+        if self.same_camera:
+            self.mount = self.mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+            self.same_camera = False
+
     def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
         """Return the yaw of the camera on the robot at home, as given or as estimated [rad]."""
         found = self.same_camera and found_out

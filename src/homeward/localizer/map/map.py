@@ -20,6 +20,7 @@ from homeward.localizer.map.gating import (
     predict_bearings,
 )
 from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.learning.camera_jump import CameraJump, JumpTest
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
@@ -45,6 +46,7 @@ from homeward.localizer.tunables import (
     MAX_IDS,
     MAX_PER_KEYFRAME,
     NEGLIGIBLE,
+    SOLVED_AFTER_DENIAL,
     SOLVES_PER_WINDOW,
     STANDSTILL,
 )
@@ -72,7 +74,7 @@ class Map:
         scale: ScaleErrors,
     ) -> None:
         self._settings, self._counts = settings, counts
-        self._process_noise = process_noise
+        self._process_noise, self._extrinsics = process_noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, scale.state)
         drift = CALIBRATION_DRIFT * np.concatenate([sigmas, extrinsics.sigmas])
@@ -91,6 +93,10 @@ class Map:
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         survey = Survey(known, settings, drive.together)
         self.registration = Registration(survey, self.landmarks)
+        self.camera_jump = JumpTest()
+        """Test for a knocked camera."""
+        self.denied_at = -settings.window
+        """Newest keyframe at which bearings denied a motion: then the window is solved often."""
         self.begun = t
         self.solved = True
         """Whether the state is a solution of the whole window, not an EKF update."""
@@ -167,6 +173,11 @@ class Map:
         """Learn from the residuals of bearings, and marginalise."""
         self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
+        if self.smoother.converged and self._learner.is_noise_confirmed:
+            widest = self._extrinsics.widest(self.smoother.state.scale)
+            self.camera_jump.add_solution(self.smoother, widest)
+            if self.camera_jump.possible is not None:
+                self.denied_at = self.smoother.newest
         if self._learner.free_contradicted(self.smoother):
             self._solve()
         self._marginalise_old()
@@ -175,6 +186,15 @@ class Map:
         """Learn from the residuals of motions."""
         if self.landmarks.mapped:
             self._learner.learn_odometry(self.smoother)
+
+    def turn_camera(self, jump: CameraJump) -> None:
+        """Turn the camera on the robot; see `Smoother.turn_camera`."""
+        self._mount[2] += jump.size
+        self.smoother.mount_sigmas = self._extrinsics.sigmas
+        self.smoother.turn_camera(jump.keyframe, jump.size)
+        self.landmarks.drop_candidates_before(self.smoother.first)
+        self.camera_jump = JumpTest()
+        self._solve()
 
     def _count_ranges(self) -> None:
         """Count the ranges that came since the last solution, and that it accepts or not."""
@@ -203,8 +223,10 @@ class Map:
         """Add a keyframe; see `Smoother.add_keyframe`."""
         smoother = self.smoother
         kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
-        full = kept >= self._settings.window
-        self._solve_due = not full or since * SOLVES_PER_WINDOW >= kept or not smoother.converged
+        full, every = kept >= self._settings.window, kept / SOLVES_PER_WINDOW
+        if smoother.newest - self.denied_at < self._settings.window:
+            every = min(every, SOLVED_AFTER_DENIAL)
+        self._solve_due = not full or since >= every or not smoother.converged
         if self._pending_rows and not self._solve_due:
             seen = smoother.predict(np.concatenate(self._pending_rows))
             self._solve_due = not self._apply_if_linear(self.smoother.state.update(seen))
@@ -282,6 +304,7 @@ class Map:
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self._add_keyframe(frame.t, motion, NO_TAIL)
+        self.denied_at = self.smoother.newest
         view = self.view(Motion.identity(), frame.offset)
         directions = view.pose[2] + frame.bearings
         self._add_sightings(frame, self._rows(frame, view), directions, {})
@@ -414,6 +437,8 @@ class Map:
             return
         since = smoother.newest - settings.longest_window
         needed = self.landmarks.first_needed(settings.mature_parallax, since)
+        if self.camera_jump.possible is not None:
+            needed = min(needed, self.camera_jump.possible.keyframe - 1)
         count = max(min(spare, needed - smoother.first), kept - settings.longest_window)
         if count > 0:
             smoother.marginalise(count)

@@ -54,6 +54,7 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motion.preintegration import (
     CAMERA_X,
+    CAMERA_YAW,
     DELAY,
     MOUNT,
     NC,
@@ -328,6 +329,15 @@ class Smoother:
         """Return the residuals of the motions between keyframes in the window, linearised."""
         return odometry_errors(self.poses, self.state.calibration, self._steps)
 
+    def denied_turns(self) -> np.ndarray:
+        """Return the squares of the normalised residuals of turns between keyframes, (w - 1,) [1].
+
+        Infinite where the robot was relocalised: odometry was denied entirely.
+        """
+        found = self.odometry_errors()
+        squares = found.error[:, 2] ** 2 * found.information[:, 2, 2]
+        return np.where(self._steps[:, IS_ODOMETRY] > 0.0, squares, np.inf)
+
     def drop_landmark(self, number: int) -> None:
         """Marginalise the landmark of an id: the information on the others is kept."""
         index = int(self.index(np.array(number)))
@@ -378,13 +388,31 @@ class Smoother:
             found.append(Marginal(np.concatenate([poses[k], self.state.mean[3:]]), joint))
         return found
 
-    def marginalise(self, count: int) -> None:
-        """Marginalise the oldest `count` poses into the prior."""
+    def turn_camera(self, keyframe: int, size: float) -> None:
+        """Turn the camera on the robot by `size` [rad] from a keyframe on, and solve the window.
+
+        Earlier keyframes are marginalised: the error of the new yaw is another one than before.
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
+        """
+        poses = self.poses
+        poses[keyframe - self.first :, 2] -= size
+        self._older = poses[:-1]
+        self.move_keyframe(self.newest, poses[-1])
+        self.frames.free[self.frames.keyframes >= keyframe, 2] += size
+        self.marginalise(keyframe - self.first, yaw_variance=LINEAR**2)
+        self.solve()
+
+    def marginalise(self, count: int, yaw_variance: float = 0.0) -> None:
+        """Marginalise the oldest `count` poses into the prior, in which the yaw may have changed.
+
+        That has a variance [rad^2].
+        """
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
         eliminated = eliminate(self._normal_equations(count + 1, rows, self._weighed(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
+        drift[CAMERA_YAW] += yaw_variance
         frames = self.frames.take_before(first)
         if self._closed is not None:
             chain = self._older[:count], self.stamps[:count]

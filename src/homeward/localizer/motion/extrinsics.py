@@ -12,9 +12,10 @@ import math
 import numpy as np
 from scipy.special import expit
 
-from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import DriveSettings, Sensor
+from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.localizer.motion.preintegration import MOUNT
+from homeward.localizer.motion.preintegration import CAMERA_YAW, MOUNT
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CLOSE,
@@ -33,11 +34,18 @@ CONTRADICTION = (
 )
 
 
+TURNED = (
+    "The camera was turned on the robot by about {:.1f} deg during the drive. Fasten it, and set"
+    " `sensor: {{yaw: {:.3f}}}` in drive.yaml for later drives."
+)
+
+
 class Extrinsics:
     """Prior on the extrinsics: the camera's yaw, x and y on the robot, as far as described."""
 
     def __init__(self, drive: DriveSettings, settings: LocalizerSettings) -> None:
         camera, usual = drive.sensor, settings.camera_yaw_sigma
+        self._usual = usual
         self.sigmas = np.array(
             [
                 max(usual if camera.yaw_sigma is None else camera.yaw_sigma, MIN_EXTRINSICS_RAD),
@@ -48,6 +56,8 @@ class Extrinsics:
         """(3,): prior standard deviations around the given values or zero [rad, m, m]."""
         self.contradicted = False
         """Whether the bearings have contradicted the assumed values."""
+        self._turned_by = 0.0
+        """Angle by which the camera was turned during the drive [rad]."""
         self._tolerance = np.zeros(3)
         """Deviations that do not matter [rad, m, m]."""
         given, self._given = drive.sensor.model_fields_set, drive.sensor
@@ -74,10 +84,37 @@ class Extrinsics:
     def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
         """Return notes for the user, `calibration` (9,) being the present one."""
         learnt = self.learnt(calibration)
+        turned: tuple[str, ...] = ()
+        if self._turned_by:
+            off = float(calibration[CAMERA_YAW])
+            turned = (TURNED.format(math.degrees(self._turned_by + off), self._given.yaw + off),)
         if not learnt:
-            return ()
+            return turned
         lines = ", ".join(f"{name}: {value:.2f}" for name, value in learnt.items())
-        return (CONTRADICTION.format(", ".join(learnt), lines),)
+        return (CONTRADICTION.format(", ".join(learnt), lines), *turned)
+
+    def turn(self, size: float) -> Sensor:
+        """Turn the camera by `size` [rad], and leave its new yaw open; return it as turned."""
+        self._turned_by += size
+        self.sigmas = np.array([LINEAR, *self.sigmas[1:]])
+        yaw = float(wrap(self._given.yaw + size))
+        self._given = self._given.model_copy(update={"yaw": yaw, "yaw_sigma": LINEAR})
+        return self._given
+
+    def widest(self, scale: float) -> np.ndarray:
+        """Return prior standard deviations (3,) that allow for errors of values not given.
+
+        `scale` is the median distance of the landmarks [m].
+        """
+        wide = np.where(self._not_given, _free_sigmas(scale), 0.0)
+        return np.asarray(np.maximum(self.sigmas, wide))
+
+    def is_turn_open(self, variances: np.ndarray) -> bool:
+        """Return whether a camera that was turned has a yaw less certain than a usual one.
+
+        `variances` (9,) are of the calibration.
+        """
+        return bool(self._turned_by) and variances[CAMERA_YAW] > self._usual**2
 
     def test(self, calibration: np.ndarray, variances: np.ndarray, scale: float) -> bool:
         """Test the assumed values against the map; return whether it contradicts them now.

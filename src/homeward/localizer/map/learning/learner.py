@@ -37,6 +37,11 @@ class Learner:
         self._time_constant_sigma, self._slip_sigma = time_constant_sigma, slip_sigma
         self._updated_at = self._odometry_updated_at = 0
 
+    @property
+    def is_noise_confirmed(self) -> bool:
+        """Whether residuals confirm the noise of the bearings."""
+        return self._noise.confirmed
+
     def scale_noise_prior(self, smoother: Smoother) -> None:
         """Scale the prior of the odometry noise to the scene: robots are no larger than it.
 
