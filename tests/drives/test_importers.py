@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.columns import unit_in
 from homeward.drives.importers.reading import drive_of, home_warnings, understand
@@ -558,3 +559,25 @@ def test_home_bearings_recorded_for_some_seconds_are_averaged(tmp_path):
     home.write_text("landmark,bearing\nL1,0.25\nL1,0.75\n")
     with pytest.raises(InputError, match="row 3: landmark is 'L1', which already has a row"):
         drive_of(understand(files), "")
+
+
+def test_the_camera_of_each_bearing_is_kept(tmp_path):
+    (tmp_path / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n1,0.1,0\n2,0.1,0\n")
+    seen = ["t,tag,camera,angle,camera_x", "0,A,front,0.1,3", "0,B,rear,0.2,4", "1,A,front,0.15,3"]
+    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
+    (tmp_path / "home.csv").write_text("tag,angle,cam\nA,0.1,front\nB,0.2,rear\n")
+    found = understand([tmp_path / name for name in ("odometry.csv", "seen.csv", "home.csv")])
+    drive = drive_of(found, "two")
+    assert drive.sightings.camera.tolist() == ["front", "rear", "front"]
+    assert {name: home.camera for name, home in drive.home.items()} == {"A": "front", "B": "rear"}
+    with pytest.raises(InputError, match=r"cameras 'front' and 'rear'.*add cameras:"):
+        with_first_camera(drive.settings, drive)
+
+
+def test_pixels_of_several_cameras_are_refused(tmp_path):
+    (tmp_path / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n1,0.1,0\n2,0.1,0\n")
+    seen = ["t,tag,camera,u,v,fx,fy,cx,cy", *(f"{t},A,{c},{300 + t},200,500,500,320,240"
+            for t, c in enumerate(["front", "rear"]))]  # fmt: skip
+    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
+    with pytest.raises(InputError, match="pixels of several cameras"):
+        understand([tmp_path / name for name in ("odometry.csv", "seen.csv")])

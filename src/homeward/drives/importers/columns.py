@@ -68,6 +68,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "sigma": ("angle", "sigma std stddev deviation bearing.sigma bearing.std"),
     "range": ("length", "range distance dist depth r"),
+    "camera": ("name", "camera camera.id camera.name cam cam.id kamera"),
     "x": ("length", "x px tx pos.x position.x translation.x"),
     "y": ("length", "y py ty pos.y position.y translation.y"),
     "z": ("length", "z pz tz pos.z position.z translation.z"),
@@ -106,7 +107,10 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "truth": ("t", "x", "y", "heading"),
 }
 """The required roles of each table of a drive."""
-OPTIONAL: Mapping[str, tuple[str, ...]] = {"bearings": ("sigma", "range"), "home": ("sigma",)}
+OPTIONAL: Mapping[str, tuple[str, ...]] = {
+    "bearings": ("sigma", "range", "camera"),
+    "home": ("sigma", "camera"),
+}
 """The optional roles of these tables."""
 ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
     KINDS["odometry"]: (),
@@ -314,6 +318,8 @@ def _scores(name: str) -> dict[str, tuple[int, int]]:
     found = {role: len(span) for span in spans for role in _ROLES.get(span, ())}
     if "frame" in words and "child" not in words:
         found.pop("landmark", None)
+    if found.get("camera") != len(words):  # a coordinate or stamp of the camera
+        found.pop("camera", None)
     if len(words) > 1:  # left and right alone are wheels only where nothing else is in the name
         found = {role: matching for role, matching in found.items() if role not in WHEELS}
     return {

@@ -111,7 +111,7 @@ def pixel_columns(
     taken = {column.name for column in intrinsics.values()}
     free = [name for name in one.names if name not in taken]
     known = [*(Column(role, name) for role, name in _corner_columns(free).items()), *specified]
-    optional = ("range",) * (kind == "bearings")
+    optional = ("camera", *("range",) * (kind == "bearings"))
     if found := assigned((*needed, *CORNERS), free, known, optional):
         return found | intrinsics
     point = assigned((*needed, "column"), free, specified, ("row", *optional))

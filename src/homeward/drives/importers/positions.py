@@ -78,7 +78,10 @@ def position_columns(
         raise InputError("--columns: a position requires the role forward and either left or right")
     required = [role for role in KINDS[kind] if role != "bearing"]
     places = [place for place in PLACES if given <= set(place)]
-    found = (assigned((*required, *place), _of_point(names), specified, ("z",)) for place in places)
+    optional = ("z", "camera")
+    found = (
+        assigned((*required, *place), _of_point(names), specified, optional) for place in places
+    )
     columns = next((columns for columns in found if columns), None)
     chosen = [c for r, c in (columns or {}).items() if r in AXIS_ROLES and not c.is_specified]
     if len({_point(c.name, c.role) for c in chosen}) > 1:
