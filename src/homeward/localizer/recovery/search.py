@@ -116,9 +116,8 @@ def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Mo
     """Pose reset: return the motion from a keyframe's pose to the relocalised one, in one map.
 
     The latter contains the errors of landmarks that will be used again, so its covariance is
-    doubled. Its heading is open, since the camera may have been knocked: bearings determine it.
+    doubled.
     """
-    covariance = 2.0 * covariance + np.diag([0.0, 0.0, LINEAR**2])
     nothing = np.zeros((3, NC))
     back = Motion(last, np.zeros((3, 3)), nothing).inverse()
-    return back.compose(Motion(pose, covariance, nothing))
+    return back.compose(Motion(pose, 2.0 * covariance, nothing))
