@@ -1,4 +1,4 @@
-"""Camera images of a drive folder: images.csv with the columns t [s] and file."""
+"""Camera images of a drive: images.csv with the columns t [s] and file, or a video."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ import numpy as np
 
 from homeward.errors import InputError
 from homeward.io.reading import is_there
-from homeward.io.table import identifiers, numbers, quoted, read_csv
+from homeward.io.table import identifiers, is_identifier, numbers, quoted, read_csv
 
 IMAGES = "images.csv"
 KINDS = {".jpg": "image/jpeg", ".jpeg": "image/jpeg", ".png": "image/png"}
 """Media types by suffix."""
+VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".m4v", ".webm")
+"""Suffixes of videos."""
 REPEATED_IMAGES = "images with a repeated stamp; the first counts"
 
 
@@ -44,6 +46,28 @@ def read_images(folder: Path, remarks: dict[str, int]) -> Images:
     if repeats := len(t) - len(first):
         remarks[REPEATED_IMAGES] = repeats
     return Images(t[first], [files[k] for k in first])
+
+
+def cameras_in(folder: Path) -> dict[str, Path]:
+    """Return the sub-folder with images.csv, or else the video in it, of each camera by name.
+
+    The name is that of the sub-folder. None for a folder with images.csv, which is that of one
+    camera. `InputError` for several videos, or a name that is no id.
+    """
+    if is_there(folder / IMAGES):
+        return {}
+    found = dict[str, Path]()
+    for inner in sorted(folder.glob("*/")):
+        videos = sorted(file for file in inner.glob("*") if file.suffix.lower() in VIDEOS)
+        if is_there(inner / IMAGES):
+            found[inner.name] = inner
+        elif videos:
+            found[inner.name] = videos[0]
+            if len(videos) > 1:
+                raise InputError(f"{len(videos)} videos of one camera; keep one", inner)
+    if bad := next((name for name in found if not is_identifier(name)), None):
+        raise InputError("not a valid name of a camera: rename the folder", folder / bad)
+    return found
 
 
 def file_within(folder: Path, name: str | Path, what: str, source: Path) -> Path:

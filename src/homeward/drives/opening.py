@@ -12,13 +12,14 @@ from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     BEARINGS,
     HOME,
+    ODOMETRY,
     SETTINGS,
     is_drive_folder,
     read_folder,
     write_folder,
 )
 from homeward.drives.home.when import with_home
-from homeward.drives.images import IMAGES
+from homeward.drives.images import IMAGES, cameras_in
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.log import is_log
@@ -157,8 +158,13 @@ def tables_in(place: Path) -> list[Path]:
 
 
 def is_image_folder(path: Path) -> bool:
-    """Whether a folder has images, and no bearings yet (a drive folder may have images, too)."""
-    return is_there(path / IMAGES) and not is_there(path / BEARINGS)
+    """Whether a folder has images of one or several cameras, and no bearings yet.
+
+    A drive folder may have images, too; several cameras share its odometry.
+    """
+    if is_there(path / BEARINGS):
+        return False
+    return is_there(path / IMAGES) or (is_there(path / ODOMETRY) and bool(cameras_in(path)))
 
 
 KINDS = {IMAGE_FOLDER: is_image_folder, DRIVE_FOLDER: is_drive_folder, LOG: is_log}

@@ -18,7 +18,8 @@ def see(
         Path,
         typer.Argument(
             help="A folder with images.csv (t,file), a home image and odometry.csv; with --tags "
-            "also a folder with a video, or a log; or a panorama taken at home."
+            "also a video, a log, or a folder with odometry.csv and a sub-folder for each camera; "
+            "or a panorama taken at home."
         ),
     ],
     now: Annotated[
@@ -57,7 +58,8 @@ def see(
     Continue with: homeward run OUT. images.yaml in the folder may name the camera, the home image,
     and a mask, black where the robot itself is visible; drive.yaml and truth.csv are copied. With
     --tags, home.csv, --home-during, --home-spin or --home-at replace the home image; a drive in a
-    known place needs none of them. Exit status 1 if no landmark was found.
+    known place needs none of them. Each camera of several has images.csv or a video, images.yaml
+    and a home image in a sub-folder with its name. Exit status 1 if no landmark was found.
 
     For two panoramas (`homeward see home.png now.png`), it reports the rotation of the camera since
     home and the direction of home, and writes comparison.png, matches.csv and comparison.json.

@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.drive import Drive, HomeBearing, Odometry
 from homeward.drives.home.spin import home_remark, spin, spin_remarks
 from homeward.drives.settings import HomeWhen
@@ -56,7 +57,8 @@ def with_home(
         _require_still(first, last, drive.odometry)
         home, remarks = _mean_directions(drive, first, last), {}
     else:
-        found = spin((first, last), drive.odometry, drive.sightings, drive.settings)
+        settings = with_first_camera(drive.settings, drive)
+        found = spin((first, last), drive.odometry, drive.sightings, settings)
         home, remarks = found.home, spin_remarks(found)
     if not home:
         raise InputError(f"no sightings at home from {times[0]:g} to {times[1]:g} s")

@@ -14,7 +14,7 @@ import numpy as np
 from homeward.drives import folder as csv
 from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Truth
-from homeward.drives.images import IMAGES, read_images
+from homeward.drives.images import IMAGES, cameras_in, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import is_image_folder, kind_of, located
@@ -83,7 +83,8 @@ def log_info(
         return LogInfo("MRCLAM folder", (), None, (words,), True, mrclam_command(given))
     kind_of(path)  # refuses an unknown kind
     if is_image_folder(path):
-        return _folder_info("folder of images", path, given, (IMAGES, csv.ODOMETRY))
+        listed = () if cameras_in(path) else (IMAGES,)
+        return _folder_info("folder of images", path, given, (*listed, csv.ODOMETRY))
     if csv.is_drive_folder(path):
         return _folder_info("drive folder", path, given, csv.REQUIRED)
     settings = LogSettings() if topics is None else read_settings(topics, LogSettings)
@@ -153,9 +154,10 @@ _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
 def _folder_info(kind: str, path: Path, given: Path, needed: tuple[str, ...]) -> LogInfo:
     """Return the contents of a folder, complete or not, which the user calls `given`."""
     counts: _Remarks = {}
+    timed = _TIMED | {f"{camera}/{IMAGES}": _TIMED[IMAGES] for camera in cameras_in(path)}
     topics = tuple(
         Topic(name, columns, np.rint(times(path / name, counts) * NANO).astype(np.int64), None)
-        for name, (columns, times) in _TIMED.items()
+        for name, (columns, times) in timed.items()
         if (path / name).exists()
     )
     if (path / csv.HOME).exists():

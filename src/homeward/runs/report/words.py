@@ -6,8 +6,6 @@ import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-import numpy as np
-
 from homeward.drives.drive import Drive
 from homeward.io.naming import listing as listing
 from homeward.places.alignment import Alignment
@@ -57,11 +55,11 @@ def name(landmark: str, longest: int = 24) -> str:
 
 def describe_sightings(drive: Drive) -> str:
     """Return the numbers of sightings, landmarks, images and home bearings."""
-    stamps, ids = np.unique(drive.sightings.t).size, set(drive.sightings.landmark.tolist())
+    images, ids = drive.sightings.begins.size, set(drive.sightings.landmark.tolist())
     at_home = len(ids & set(drive.home))
     return (
         f"{drive.sightings.t.size:,} sightings of {count(len(ids), 'landmark')} in "
-        f"{count(stamps, 'image')}; home saw {at_home:,} of these landmarks."
+        f"{count(images, 'image')}; home saw {at_home:,} of these landmarks."
     )
 
 

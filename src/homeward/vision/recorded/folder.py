@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -86,7 +86,7 @@ def see_folder(
     images = read_images(folder, remarks)
     if not images.files:
         raise InputError("no rows", folder / IMAGES)
-    blind = drive_without_images(folder, images.t, remarks)
+    blind = drive_without_images(folder, {"the images": images.t}, remarks)
     place = home_image(folder, settings)
     camera = settings.panorama
     picture, home = read_features(place, camera, mask=settings.mask)
@@ -111,17 +111,20 @@ def see_folder(
     return ImageDrive(**{**vars(blind), **seen, "remarks": remarks})
 
 
-def drive_without_images(folder: Path, t: np.ndarray, remarks: dict[str, int]) -> Drive:
+def drive_without_images(
+    folder: Path, stamps: Mapping[str, np.ndarray], remarks: dict[str, int]
+) -> Drive:
     """Read the drive of an image folder, without bearings and home.
 
-    The folder has odometry.csv, and optionally drive.yaml and truth.csv; `t` (n,) are the stamps of
-    the pictures [s], and `remarks` becomes the drive's. Raises `InputError` if a file is missing or
-    cannot be used, or pictures and odometry do not overlap.
+    The folder has odometry.csv, and optionally drive.yaml and truth.csv; `stamps` (n,) are those of
+    pictures [s], in order, by their name in messages, and `remarks` becomes the drive's. Raises
+    `InputError` if a file is missing or cannot be used, or pictures and odometry do not overlap.
     """
     odometry = read_odometry(folder / ODOMETRY, remarks)
-    spans = {"the odometry": odometry.t, "the images": t}
-    ends = {name: (float(stamps[0]), float(stamps[-1])) for name, stamps in spans.items()}
-    require_overlap(ends, OTHER_CLOCK, folder)
+    for name, t in stamps.items():
+        spans = {"the odometry": odometry.t, name: t}
+        ends = {what: (float(times[0]), float(times[-1])) for what, times in spans.items()}
+        require_overlap(ends, OTHER_CLOCK, folder)
     return Drive(
         name=folder.resolve().name,
         odometry=odometry,

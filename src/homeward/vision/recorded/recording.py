@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings
-from homeward.drives.folder import HOME, read_home
-from homeward.drives.images import Images, read_images
+from homeward.drives.folder import CAMERA, HOME, read_home
+from homeward.drives.images import VIDEOS, Images, cameras_in, read_images
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.measurements.sighting_rows import DUPLICATE
 from homeward.drives.ros.reading import read_log
 from homeward.errors import InputError, naming_file
 from homeward.io.reading import is_there, naming, opened
-from homeward.io.table import numbers, read_csv
+from homeward.io.table import numbers, quoted, read_csv
 from homeward.vision.cameras.grey import MAX_PIXELS
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
@@ -28,13 +28,11 @@ from homeward.vision.recorded.folder import (
     home_images,
     see_folder,
 )
-from homeward.vision.recorded.settings import ImageSettings, settings_in
-from homeward.vision.tags.front_end import TagFrontEnd
+from homeward.vision.recorded.settings import IMAGE_SETTINGS, settings_in
+from homeward.vision.tags.front_end import TagBearings, TagFrontEnd
 from homeward.vision.tags.messages import tag_eye
 
 NO_TAGS = "pictures without a tag"
-VIDEOS = (".mp4", ".mkv", ".avi", ".mov", ".m4v", ".webm")
-"""File name endings of videos."""
 
 
 class PictureFiles:
@@ -111,11 +109,11 @@ def see_recording(
     topics: Path | None = None,
     force: bool = False,
 ) -> Drive:
-    """Return the drive from a folder of images, a video, or a log that contains pictures.
+    """Return the drive from images of one or several cameras, a video, or a log with pictures.
 
-    Videos and logs need `tags`, the family to detect instead of natural features; None: that in
-    images.yaml. `topics` is for a log, as in `read_log`; the others are as in `see_folder`.
-    `InputError` if it is none of these, or as in `see_folder` and `see_tags`.
+    Videos, logs and several cameras need `tags`, the family to detect instead of natural features;
+    None: that in images.yaml. `topics` is for a log, as in `read_log`; the others are as in
+    `see_folder`. `InputError` if it is none of these, or as in `see_folder` and `see_tags`.
     """
     video = path.suffix.lower() in VIDEOS
     if not video and is_log(path):
@@ -127,7 +125,7 @@ def see_recording(
         return read_log(path, topics, on_progress, tag_eye(tags))
     if topics is not None:
         raise InputError("topics apply only to logs, not to images: omit them", path)
-    if video or tags or settings_in(path).tags:
+    if video or cameras_in(path) or tags or settings_in(path).tags:
         if on_ready is not None:
             on_ready()
         return see_tags(path, tags, on_progress)
@@ -137,60 +135,113 @@ def see_recording(
 def see_tags(
     path: Path, family: str | None = None, on_progress: Callable[[float], None] | None = None
 ) -> Drive:
-    """Turn a folder of pictures, or a video in such a folder, into a drive.
+    """Turn the pictures of one or several cameras into a drive.
 
-    A folder has images.csv; next to it, or to a video, are odometry.csv, images.yaml with the
-    camera, and a home image or home.csv. Without either, the drive has no home bearings: drive.yaml
-    may specify when the robot was at home, or a place may contain its home. `family` is that of the
-    tags; None: that in images.yaml. Landmarks are the numbers of the tags; `on_progress` receives
-    the fraction done, in [0, 1]. `InputError` if a file is missing or cannot be used, or pictures
-    and odometry do not overlap.
+    `path` is a folder with images.csv, a video, or a folder of cameras as in `cameras_in`. Next to
+    images.csv or the video are images.yaml with the camera, and its home image; in the folder of
+    the cameras, or else there, too, are odometry.csv, drive.yaml, truth.csv, and home.csv where
+    there is no home image. Without either, the drive has no home bearings: drive.yaml may specify
+    when the robot was at home, or a place may contain its home. `family` is that of the tags; None:
+    that in images.yaml. Landmarks are the numbers of the tags; `on_progress` receives the fraction
+    done, in [0, 1]. `InputError` if a file is missing or cannot be used, or pictures and odometry
+    do not overlap.
     """
-    video = path.suffix.lower() in VIDEOS
-    folder = path.parent if video else path
-    settings = settings_in(folder)
-    eye = TagFrontEnd(settings.camera, family or settings.tags or "36h11", settings.tag_size)
+    places = {} if path.suffix.lower() in VIDEOS else cameras_in(path)
+    cameras = [TagCamera(place, family, name) for name, place in places.items()]
+    cameras = cameras or [TagCamera(path, family)]
+    folder = path if places else cameras[0].folder
+    stamps = {f"the images{camera.suffix}": camera.frames.t for camera in cameras}
     remarks: dict[str, int] = {}
-    frames = Video(path) if video else PictureFiles(folder, remarks)
-    if not frames.t.size:
-        raise InputError("it contains no pictures", path)
-    blind = drive_without_images(folder, frames.t, remarks)
-    home = _home(eye, folder, settings, remarks) if blind.settings.home is None else {}
-    seen = _sightings(eye, frames, remarks, on_progress)
-    return replace(blind, name=path.resolve().stem, sightings=seen, home=home)
+    blind = drive_without_images(folder, stamps, remarks)
+    home = _home(cameras, folder, remarks) if blind.settings.home is None else {}
+    total, done, parts = sum(t.size for t in stamps.values()), 0, list[Sightings]()
+    for camera in cameras:
+        rows, ranges = list[tuple[float, str, float, float]](), list[float]()
+        for t, seen in camera.seen():
+            rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
+            ranges += seen.ranges.values()
+            done += 1
+            if on_progress is not None:
+                on_progress(done / total)
+        names = np.full(len(rows), camera.name, object)
+        parts.append(replace(Sightings.of_rows(rows), range=np.array(ranges), camera=names))
+        remarks |= {f"{what}{camera.suffix}": n for what, n in camera.remarks.items()}
+    found = Sightings.joined(parts)
+    found = found.rows(np.argsort(found.t, kind="stable"))
+    return replace(blind, name=path.resolve().stem, sightings=found, home=home)
+
+
+class TagCamera:
+    """The pictures of one camera along a drive, and at home, in which tags are detected.
+
+    `path` is a folder with images.csv, or a video; `name` is empty for the only camera of a robot.
+    `InputError` as in `see_tags`.
+    """
+
+    def __init__(self, path: Path, family: str | None, name: str = "") -> None:
+        video = path.suffix.lower() in VIDEOS
+        self.folder, self.name = path.parent if video else path, name
+        self.settings, self.remarks = settings_in(self.folder), dict[str, int]()
+        family = family or self.settings.tags
+        if name and family is None:
+            reason = "pictures of several cameras are only used with tags: add --tags 36h11"
+            raise InputError(f"{reason}, or tags: 36h11 to {IMAGE_SETTINGS}", self.folder)
+        if name and "camera" not in self.settings.model_fields_set:
+            reason = "no calibration of this camera; set camera: {file: FILE} in it"
+            raise InputError(reason, self.folder / IMAGE_SETTINGS)
+        size = self.settings.tag_size
+        self._eye = TagFrontEnd(self.settings.camera, family or "36h11", size)
+        self.frames = Video(path) if video else PictureFiles(path, self.remarks)
+        if not self.frames.t.size:
+            raise InputError("it contains no pictures", path)
+
+    @property
+    def suffix(self) -> str:
+        """The name as the end of messages; empty for the only camera."""
+        return f" of {CAMERA} {quoted(self.name)}" if self.name else ""
+
+    @property
+    def home_image(self) -> Path | None:
+        """The file of the home image; None without one."""
+        found = home_images(self.folder, self.settings)
+        return home_image(self.folder, self.settings) if found else None
+
+    def home(self, place: Path) -> dict[str, HomeBearing]:
+        """Return the home bearings from the home image `place`."""
+        with naming_file(place):
+            seen = self._eye.see(read_grey(place)).home
+        return {name: replace(bearing, camera=self.name) for name, bearing in seen.items()}
+
+    def seen(self) -> Iterator[tuple[float, TagBearings]]:
+        """Yield the stamp [s] and the tags of each picture; `remarks` counts those left out."""
+        counts: Counter[str] = Counter()
+        for t, frame in zip(self.frames.t.tolist(), self.frames, strict=True):
+            with naming_file(Path(f"picture{self.suffix} at {t:g} s")):
+                seen = self._eye.see(frame)
+            counts[DUPLICATE] += len(seen.tags.twice)
+            counts[NO_TAGS] += not seen.bearings
+            yield t, seen
+        self.remarks |= {reason: count for reason, count in counts.items() if count}
 
 
 def _home(
-    eye: TagFrontEnd, folder: Path, settings: ImageSettings, remarks: dict[str, int]
+    cameras: Sequence[TagCamera], folder: Path, remarks: dict[str, int]
 ) -> dict[str, HomeBearing]:
-    """Return the home bearings from the home image or else from home.csv; empty without both."""
-    if not home_images(folder, settings):
+    """Return the home bearings from the home images or else from home.csv; empty without both.
+
+    Of a landmark in the home images of several cameras, the most accurate bearing counts.
+    """
+    images = {image: camera for camera in cameras if (image := camera.home_image) is not None}
+    if not images:
         return read_home(folder / HOME, remarks) if is_there(folder / HOME) else {}
-    place = home_image(folder, settings)
-    with naming_file(place):
-        home = eye.see(read_grey(place)).home
+    home = dict[str, HomeBearing]()
+    for image, camera in images.items():
+        for name, seen in camera.home(image).items():
+            if name not in home or seen.sigma < home[name].sigma:
+                home[name] = seen
     if not home:
-        raise InputError("no tag in the home image", place)
+        raise InputError("no tag in the home image", image)
+    for camera in cameras:
+        if camera not in images.values():
+            remarks[f"camera without a home image: {quoted(camera.name)}"] = 1
     return home
-
-
-def _sightings(
-    eye: TagFrontEnd,
-    frames: PictureFiles | Video,
-    remarks: dict[str, int],
-    on_progress: Callable[[float], None] | None,
-) -> Sightings:
-    """Return the sightings in all frames; `remarks` counts those left out."""
-    rows, ranges = list[tuple[float, str, float, float]](), list[float]()
-    counts: Counter[str] = Counter()
-    for k, (t, frame) in enumerate(zip(frames.t.tolist(), frames, strict=True)):
-        with naming_file(Path(f"picture at {t:g} s")):
-            seen = eye.see(frame)
-        rows += [(t, name, b, seen.sigmas[name]) for name, b in seen.bearings.items()]
-        ranges += seen.ranges.values()
-        counts[DUPLICATE] += len(seen.tags.twice)
-        counts[NO_TAGS] += not seen.bearings
-        if on_progress is not None:
-            on_progress((k + 1) / frames.t.size)
-    remarks |= {reason: count for reason, count in counts.items() if count}
-    return replace(Sightings.of_rows(rows), range=np.array(ranges))
