@@ -50,8 +50,8 @@ def write(folder, columns, name="tags.csv"):
     return [sample_drive() / "odometry.csv", folder / name, sample_drive() / "home.csv"]
 
 
-def bearings(paths, *columns, camera=None):
-    found = understand(paths, columns, camera=camera)
+def bearings(paths, *columns, **cameras):
+    found = understand(paths, columns, **cameras)
     how = next(c for c in found if c.kind == "bearings" and c.column.role == "bearing")
     return drive_of(found, "tags").sightings, f"{how.column.name}; {how.source}"
 
@@ -74,7 +74,7 @@ def corners(lens, names, order=(0, 1, 2, 3)):
 def test_a_pixel_has_the_bearing_of_its_ray(tmp_path, name):
     uv = drawn(LENSES[name])[0]
     paths = write(tmp_path, {"t": T, "id": ID, "u": uv[:, 0], "v": uv[:, 1]})
-    sightings, how = bearings(paths, camera=LENSES[name])
+    sightings, how = bearings(paths, cameras={"": LENSES[name]})
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
     assert how == f"ray (u, v); {LENSES[name].model}"
     assert np.isnan(sightings.sigma).all()
@@ -95,7 +95,7 @@ NAMES = [
 @pytest.mark.parametrize("names", NAMES)
 def test_corners_have_the_bearing_of_the_centre_of_the_tag(tmp_path, name, names):
     paths = write(tmp_path, corners(LENSES[name], names))
-    sightings, _ = bearings(paths, camera=LENSES[name])
+    sightings, _ = bearings(paths, cameras={"": LENSES[name]})
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
     assert ((sightings.sigma > 2e-4) & (sightings.sigma < 0.03)).all()
 
@@ -103,7 +103,7 @@ def test_corners_have_the_bearing_of_the_centre_of_the_tag(tmp_path, name, names
 @pytest.mark.parametrize("order", [(0, 1, 3, 2), (0, 2, 1, 3), (3, 2, 1, 0)])
 def test_corners_in_any_order(tmp_path, order):
     paths = write(tmp_path, corners(LENSES["fisheye"], NAMES[0], order))
-    sightings, how = bearings(paths, camera=LENSES["fisheye"])
+    sightings, how = bearings(paths, cameras={"": LENSES["fisheye"]})
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
     assert ("order 0 " in how) == (order != (3, 2, 1, 0))
 
@@ -116,7 +116,7 @@ def test_corners_in_any_order(tmp_path, order):
     ],
 )
 def test_names_of_pixel_columns(tmp_path, u, v):
-    sightings, _ = bearings(write(tmp_path, points(u, v)), camera=LENSES["pinhole"])
+    sightings, _ = bearings(write(tmp_path, points(u, v)), cameras={"": LENSES["pinhole"]})
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
 
 
@@ -135,7 +135,7 @@ def test_home_in_pixels(tmp_path):
     uv = drawn(LENSES["pinhole"])[0][:5]
     at_home = {"id": ID[:5], "u": uv[:, 0], "v": uv[:, 1]}
     paths[2] = write(tmp_path, at_home, "home.csv")[1]
-    home = drive_of(understand(paths, camera=LENSES["pinhole"]), "home").home
+    home = drive_of(understand(paths, cameras={"": LENSES["pinhole"]}), "home").home
     assert {n: h.bearing for n, h in home.items()} == pytest.approx(
         dict(zip("12345", BEARING[:5], strict=True)), abs=1e-6
     )
@@ -144,7 +144,7 @@ def test_home_in_pixels(tmp_path):
 def test_home_bearings_in_degrees_along_with_pixels(tmp_path):
     paths = write(tmp_path, points("u", "v"))
     paths[2] = write(tmp_path, {"id": ID[:2], "bearing": [10.0, -120.0]}, "home.csv")[1]
-    home = drive_of(understand(paths, camera=LENSES["pinhole"]), "home").home
+    home = drive_of(understand(paths, cameras={"": LENSES["pinhole"]}), "home").home
     assert home["2"].bearing == pytest.approx(math.radians(-120.0))
 
 
@@ -153,7 +153,7 @@ def test_landmarks_out_of_view_are_left_out(tmp_path):
     for column in ("u", "v"):
         table[column] = np.where(np.arange(60) < 2, -1.0, table[column])
         table[column][5] = 0.0
-    drive = drive_of(understand(write(tmp_path, table), camera=LENSES["pinhole"]), "zeros")
+    drive = drive_of(understand(write(tmp_path, table), cameras={"": LENSES["pinhole"]}), "zeros")
     assert drive.sightings.t.size == 57
     assert any(line.startswith("3 landmarks out of view") for line in drive.remark_lines)
 
@@ -164,12 +164,14 @@ def test_positions_along_with_corners_need_no_camera(tmp_path):
     sightings, how = bearings(paths)
     assert how.startswith("atan2(-x, z)")
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-9)
-    assert bearings(paths, camera=LENSES["pinhole"])[1].startswith("tag x0 ... y3")
+    assert bearings(paths, cameras={"": LENSES["pinhole"]})[1].startswith("tag x0 ... y3")
 
 
 def test_specified_columns(tmp_path):
     table = points("a", "b") | {"bearing": 0 * T}
-    sightings, _ = bearings(write(tmp_path, table), "column=a, row=b", camera=LENSES["pinhole"])
+    sightings, _ = bearings(
+        write(tmp_path, table), "column=a, row=b", cameras={"": LENSES["pinhole"]}
+    )
     assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
 
 
@@ -203,14 +205,14 @@ PIN = points("u", "v")
 )
 def test_refusals(tmp_path, table, camera, complaint):
     with pytest.raises(InputError, match=complaint):
-        understand(write(tmp_path, table), camera=LENSES.get(camera))
+        understand(write(tmp_path, table), cameras={"": LENSES[camera]} if camera else {})
 
 
 def test_corners_that_are_no_quadrilateral(tmp_path):
     table = corners(LENSES["pinhole"], NAMES[0])
     table["x2"] = np.random.default_rng(1).permutation(table["x2"])
     with pytest.raises(InputError, match="corners are in no order round the tags"):
-        understand(write(tmp_path, table), camera=LENSES["pinhole"])
+        understand(write(tmp_path, table), cameras={"": LENSES["pinhole"]})
 
 
 def test_camera_option(tmp_path):
@@ -223,15 +225,89 @@ def test_camera_option(tmp_path):
     assert "nothing.yaml: cannot be read" in words
 
 
+FRONT = np.arange(60) % 3 == 0
+"""Rows of a front camera; the others are of a rear one."""
+
+
+def seen_by_two(u="u", v="v"):
+    """Pixels in a tilted front camera and a rear fisheye, at the same bearings."""
+    front, rear = drawn(LENSES["tilted"])[0], drawn(LENSES["fisheye"])[0]
+    uv = np.where(FRONT[:, None], front, rear)
+    names = np.where(FRONT, "front", "rear")
+    return {"t": T, "id": ID, "camera": names, u: uv[:, 0], v: uv[:, 1]}
+
+
+@pytest.mark.parametrize("first", ["front", ""])
+@pytest.mark.parametrize("u", ["u", "x"])
+def test_each_of_several_cameras_has_its_calibration(tmp_path, first, u):
+    paths = write(tmp_path, seen_by_two(u, {"u": "v", "x": "y"}[u]))
+    cameras = {first: LENSES["tilted"], "rear": LENSES["fisheye"]}
+    sightings, how = bearings(paths, cameras=cameras)
+    assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
+    assert sightings.camera.tolist() == np.where(FRONT, "front", "rear").tolist()
+    assert how.endswith("; plumb_bob/equidistant")
+
+
+def test_corners_in_several_cameras(tmp_path):
+    front, rear = corners(LENSES["tilted"], NAMES[0]), corners(LENSES["fisheye"], NAMES[0])
+    table = {name: np.where(FRONT, front[name], rear[name]) for name in front}
+    paths = write(tmp_path, table | {"camera": np.where(FRONT, "front", "rear")})
+    cameras = {"front": LENSES["tilted"], "rear": LENSES["fisheye"]}
+    found = understand(paths, cameras=cameras, tag_size=0.16)
+    seen = drive_of(found, "tags").sightings
+    assert wrap(seen.bearing - BEARING) == pytest.approx(0, abs=1e-6)
+    assert seen.range == pytest.approx(2.0, abs=0.005)
+
+
+def test_intrinsics_of_several_cameras_in_columns(tmp_path):
+    wide = Lens(**NUMBERS | {"fx": 400.0, "cx": 600.0}, **SIZE)
+    u = np.where(FRONT, drawn(LENSES["pinhole"])[0][:, 0], drawn(wide)[0][:, 0])
+    intrinsics = {"fx": np.where(FRONT, 500.0, 400.0), "cx": np.where(FRONT, 655.0, 600.0)}
+    table = {"t": T, "id": ID, "camera": np.where(FRONT, "front", "rear"), "u": u, **intrinsics}
+    sightings, _ = bearings(write(tmp_path, table))
+    assert wrap(sightings.bearing - BEARING) == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [([""], "'front' and 'rear'"), (["front"], "'rear'"), (["left"], "'front'")],
+)
+def test_a_camera_without_its_calibration_is_refused(tmp_path, given, missing):
+    cameras = dict.fromkeys(given, LENSES["tilted"])
+    with pytest.raises(InputError, match=f"cameras without a calibration: {missing}.*NAME=FILE"):
+        understand(write(tmp_path, seen_by_two()), cameras=cameras)
+
+
+def test_a_pixel_outside_the_image_of_its_camera_is_refused(tmp_path):
+    small = Lens(**NUMBERS | {"cx": 160.0, "cy": 120.0}, width=320, height=240)
+    cameras = {"front": LENSES["tilted"], "rear": small}
+    with pytest.raises(InputError, match="is outside the calibrated image, 320x240"):
+        understand(write(tmp_path, seen_by_two()), cameras=cameras)
+
+
+def test_camera_option_of_several_cameras(tmp_path):
+    paths = write(tmp_path, seen_by_two())
+    for name in ("tilted", "fisheye"):
+        (tmp_path / f"{name}.yaml").write_text(LENSES[name].model_dump_json())
+    rear = f"rear={tmp_path / 'fisheye.yaml'}"
+    options = ["--picture", tmp_path / "import.png", "--camera", rear]
+    front = ["--camera", f"front={tmp_path / 'tilted.yaml'}"]
+    assert f"--camera {rear} --camera front=" in call("import", *paths, *options, *front).stdout
+    words = refused(call("import", *paths, *options, "--camera", rear))
+    assert "--camera is given twice for one camera" in words
+
+
 @pytest.mark.parametrize("name", LENSES)
 def test_the_size_of_tags_gives_ranges(tmp_path, name):
     paths = write(tmp_path, corners(LENSES[name], NAMES[0]))
-    found = understand(paths, camera=LENSES[name], tag_size=0.16)
+    found = understand(paths, cameras={"": LENSES[name]}, tag_size=0.16)
     assert drive_of(found, "tags").sightings.range == pytest.approx(2.0, abs=0.005)
-    assert np.isnan(drive_of(understand(paths, camera=LENSES[name]), "tags").sightings.range).all()
+    assert np.isnan(
+        drive_of(understand(paths, cameras={"": LENSES[name]}), "tags").sightings.range
+    ).all()
 
 
 def test_the_size_of_tags_without_corners_is_refused(tmp_path):
     paths = write(tmp_path, points("u", "v"))
     with pytest.raises(InputError, match="--tag-size is not used: no table has the corners"):
-        understand(paths, camera=LENSES["pinhole"], tag_size=0.16)
+        understand(paths, cameras={"": LENSES["pinhole"]}, tag_size=0.16)

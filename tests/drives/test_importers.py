@@ -572,12 +572,3 @@ def test_the_camera_of_each_bearing_is_kept(tmp_path):
     assert {name: home.camera for name, home in drive.home.items()} == {"A": "front", "B": "rear"}
     with pytest.raises(InputError, match=r"cameras 'front' and 'rear'.*add cameras:"):
         with_first_camera(drive.settings, drive)
-
-
-def test_pixels_of_several_cameras_are_refused(tmp_path):
-    (tmp_path / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n1,0.1,0\n2,0.1,0\n")
-    seen = ["t,tag,camera,u,v,fx,fy,cx,cy", *(f"{t},A,{c},{300 + t},200,500,500,320,240"
-            for t, c in enumerate(["front", "rear"]))]  # fmt: skip
-    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
-    with pytest.raises(InputError, match="pixels of several cameras"):
-        understand([tmp_path / name for name in ("odometry.csv", "seen.csv")])

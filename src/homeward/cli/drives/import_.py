@@ -57,7 +57,12 @@ def import_(
         ),
     ] = None,
     camera: Annotated[
-        str | None, typer.Option(metavar="FILE", help="Calibration of the camera, for pixels.")
+        list[str] | None,
+        typer.Option(
+            metavar="[NAME=]FILE",
+            help="Calibration of the camera, for pixels; of several cameras, one for each NAME in "
+            "the column camera.",
+        ),
     ] = None,
     tag_size: Annotated[
         float | None,
@@ -110,9 +115,12 @@ def import_(
 
     given = "{" + (wheels or "").replace("=", ": ") + "}"
     geometry = parse_settings(given, Wheels, Path("--wheels"))
-    lens = None if camera is None else read_calibration(Path(), camera)
+    named = {name: file for name, _, file in (text.rpartition("=") for text in camera or ())}
+    if len(named) < len(camera or ()):
+        raise InputError("--camera is given twice for one camera; use --camera NAME=FILE for each")
+    lenses = {name: read_calibration(Path(), file) for name, file in named.items()}
     found = understand(
-        files, columns or (), kinds or (), geometry if wheels else None, lens, tag_size
+        files, columns or (), kinds or (), geometry if wheels else None, lenses, tag_size
     )
     keys = ("file", "is", "column", "as", "unit", "how", "range")
     rows = [
@@ -132,7 +140,8 @@ def import_(
     else:
         options: list[tuple[str, object]] = [("--columns", text) for text in columns or ()]
         options += [("--as", text) for text in kinds or ()]
-        options += [("--wheels", wheels), ("--camera", camera), ("--home-during", home_during)]
+        options += [("--camera", text) for text in camera or ()]
+        options += [("--wheels", wheels), ("--home-during", home_during)]
         options += [
             ("--tag-size", tag_size),
             ("--home-spin", home_spin),

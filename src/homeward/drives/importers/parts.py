@@ -30,8 +30,7 @@ from homeward.drives.importers.positions import (
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
 from homeward.drives.importers.wheel_columns import base_of, guessed_unit
 from homeward.errors import InputError
-from homeward.io.naming import listing
-from homeward.io.table import Parser, Table, quoted, read_csv
+from homeward.io.table import Parser, Table, read_csv
 from homeward.odometry.limits import MAX_SPEED
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
@@ -120,13 +119,6 @@ class Part:
         columns = dict(self.columns)
         ordered = dataclasses.replace(table, columns=values)
         if self.source:
-            cameras = sorted(set(values["camera"].tolist())) if "camera" in values else []
-            if len(cameras) > 1 and isinstance(self.source, Pixels):
-                raise InputError(
-                    f"pixels of several cameras ({listing([quoted(c) for c in cameras], 3)}) with "
-                    "one camera model; convert them to bearings, or import one camera",
-                    table.file,
-                )
             for role in {*POSITION_ROLES, *PIXEL_ROLES}.intersection(units):
                 units[role] = units[role][0], self.source.name
             for role, found in self.source.measured(values).items():

@@ -1,13 +1,14 @@
 """Bearings from pixels of landmarks in tables: a point, or the four corners of a tag.
 
-Pixels need the intrinsics of a camera: a calibration, or the columns fx and cx of the table. Rows
-count downwards, and the centre of the first pixel is (0, 0), as in `Camera`.
+Pixels need the intrinsics of their camera: a calibration, or the columns fx and cx of the table;
+those of several cameras the calibration of each. Rows count downwards, and the centre of the first
+pixel is (0, 0), as in `Camera`.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
 
@@ -16,16 +17,19 @@ import numpy as np
 from homeward.drives.cameras.camera import tag_bearings, tag_ranges
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.importers.columns import KINDS, ROLES, Column, assigned, words_in
-from homeward.drives.importers.sheet import Sheet, number_parser
+from homeward.drives.importers.sheet import Sheet, names, number_parser
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
+from homeward.io.naming import listing
 from homeward.io.settings import validated
-from homeward.io.table import Table, read_csv
+from homeward.io.table import Parser, Table, quoted, read_csv
 
 POINT = ("column", "row")
 CORNERS = tuple(f"{role}{k}" for k in range(4) for role in POINT)
 PIXEL_ROLES = (*POINT, *CORNERS)
 INTRINSICS = ("fx", "fy", "cx", "cy")
+Calibrations = Mapping[str, Lens]
+"""Cameras by name; that of rows without a name, or of the first of several cameras, is under ""."""
 DOUBTFUL = (("cx", "cy"), ("x", "y"))
 """Roles of columns that may be pixels."""
 BOX, IMAGE = {"w", "width"}, {"image", "img", "frame"}
@@ -52,9 +56,10 @@ PIXEL_SIGMA: float = BearingsTopic.model_fields["pixel_sigma"].default
 
 @dataclass(frozen=True)
 class Pixels:
-    """The camera of the pixels in a table."""
+    """The cameras of the pixels in a table."""
 
-    lens: Lens
+    lenses: Calibrations
+    """Those of the names in the column camera; under "" without that column."""
     source: str
     """Source of the intrinsics."""
     order: tuple[int, ...] = ORDERS[0]
@@ -69,9 +74,10 @@ class Pixels:
 
     @property
     def reason(self) -> str:
-        """Camera model and order of the corners, as shown to the user."""
+        """Camera models and order of the corners, as shown to the user."""
+        models = "/".join(dict.fromkeys(lens.model for lens in self.lenses.values()))
         order = "" if self.order == ORDERS[0] else f", order {' '.join(map(str, self.order))}"
-        return f"{self.lens.model}{order}"
+        return f"{models}{order}"
 
     def formula(self, columns: Mapping[str, Column], role: str) -> str:
         """Return the pixels of the bearing and its deviation, with the names of their columns."""
@@ -83,22 +89,31 @@ class Pixels:
 
         NaN for pixels without a ray.
         """
-        shape = (self.lens.height or 0, self.lens.width or 0)
+        found: dict[str, np.ndarray] = {}
+        for name, use in _by_camera(values):
+            own = {role: column[use] for role, column in values.items()}
+            for role, measured in self._measured(self.lenses[name], own).items():
+                found.setdefault(role, np.full(len(use), np.nan))[use] = measured
+        return found
+
+    def _measured(self, lens: Lens, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+        """Return what `measured` returns, of one camera."""
+        shape = (lens.height or 0, lens.width or 0)
         if "row0" in values:
             corners = _corners(values)[:, self.order]
-            bearing, sigma = tag_bearings(corners, PIXEL_SIGMA, self.lens, shape)
+            bearing, sigma = tag_bearings(corners, PIXEL_SIGMA, lens, shape)
             found = {"bearing": bearing, "sigma": sigma}
             if self.tag_size is not None and "range" not in values:
                 sizes = np.full(len(bearing), self.tag_size)
-                found["range"] = tag_ranges(corners, sizes, self.lens, shape)
+                found["range"] = tag_ranges(corners, sizes, lens, shape)
             return found
         column, row = values["column"], values.get("row")
-        row = np.full_like(column, self.lens.cy) if row is None else row
-        return {"bearing": self.lens.directions(*_seen(column, row), shape)[0]}
+        row = np.full_like(column, lens.cy) if row is None else row
+        return {"bearing": lens.directions(*_seen(column, row), shape)[0]}
 
 
 def pixel_columns(
-    one: Sheet, kind: str, specified: Sequence[Column], camera: Lens | None
+    one: Sheet, kind: str, specified: Sequence[Column], cameras: Calibrations
 ) -> dict[str, Column] | None:
     """Return the columns of detections or home bearings in pixels, and of intrinsics, by role.
 
@@ -122,39 +137,40 @@ def pixel_columns(
         if found and "z" not in found:
             columns = {role: c for role, c in found.items() if role not in roles}
             columns |= {p: replace(found[r], role=p) for p, r in zip(POINT, roles, strict=True)}
-            if roles == ("cx", "cy") or _are_pixels(one, columns | intrinsics, camera):
+            if roles == ("cx", "cy") or _are_pixels(one, columns | intrinsics, cameras):
                 _refuse_boxes(one, columns)
                 return columns | intrinsics
-    return point | intrinsics if point and (camera or intrinsics) else None
+    return point | intrinsics if point and (cameras or intrinsics) else None
 
 
-def has_intrinsics(tables: Mapping[str, dict[str, Column] | None], camera: Lens | None) -> bool:
+def has_intrinsics(tables: Mapping[str, dict[str, Column] | None], cameras: Calibrations) -> bool:
     """Whether there are tables of pixels, and their intrinsics are known."""
-    return any(found and (camera is not None or "fx" in found) for found in tables.values())
+    return any(found and (cameras or "fx" in found) for found in tables.values())
 
 
 def with_pixels(
-    one: Sheet, columns: dict[str, Column], camera: Lens | None
+    one: Sheet, columns: dict[str, Column], cameras: Calibrations
 ) -> tuple[dict[str, Column], Pixels]:
-    """Return the columns without intrinsics, and the camera of the pixels.
+    """Return the columns without intrinsics, and the cameras of the pixels.
 
     `InputError` without intrinsics, or where the values are no pixels of the camera's image.
     """
-    table, lens = _read(one, columns), camera
-    names = [c.name for role, c in columns.items() if role in PIXEL_ROLES]
-    if lens is None and "fx" not in columns:
+    table = _read(one, columns)
+    used = [c.name for role, c in columns.items() if role in PIXEL_ROLES]
+    if not cameras and "fx" not in columns:
         raise InputError(
-            f"{', '.join(map(repr, names[:2]))}{', ...' * (len(names) > 2)} are pixels, which need "
+            f"{', '.join(map(repr, used[:2]))}{', ...' * (len(used) > 2)} are pixels, which need "
             "the camera's intrinsics; add --camera FILE (a calibration), or columns fx and cx",
             one.path,
         )
-    lens = lens or _lens_of(table)
-    if len(names) == 1 and (any(lens.distortion) or lens.pitch or lens.roll):
+    lenses = _lenses(table, cameras)
+    tilted = any(any(lens.distortion) or lens.pitch or lens.roll for lens in lenses.values())
+    if len(used) == 1 and tilted:
         problem = "only columns of pixels, but the camera has distortion or tilt"
         raise InputError(f"{problem}; add their rows, as in --columns row=v", one.path)
-    if wrong := _problem(table, lens):
+    if wrong := _problem(table, lenses):
         raise InputError(wrong[0], one.path, wrong[1])
-    pixels = Pixels(lens, "fx, cx" if camera is None else "--camera")
+    pixels = Pixels(lenses, "--camera" if cameras else "fx, cx")
     if "row0" in columns:
         pixels = replace(pixels, order=_order(table))
     return {role: c for role, c in columns.items() if role not in INTRINSICS}, pixels
@@ -183,12 +199,12 @@ def _corner_columns(names: Sequence[str]) -> dict[str, str]:
     return {}
 
 
-def _are_pixels(one: Sheet, columns: Mapping[str, Column], camera: Lens | None) -> bool:
+def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations) -> bool:
     """Whether there are intrinsics, and the values are pixels of the camera's image."""
-    if camera is None and "fx" not in columns:
+    if not cameras and "fx" not in columns:
         return False
     table = _read(one, columns)
-    return _problem(table, camera or _lens_of(table)) is None
+    return _problem(table, _lenses(table, cameras)) is None
 
 
 def _refuse_boxes(one: Sheet, found: Mapping[str, Column]) -> None:
@@ -201,11 +217,40 @@ def _refuse_boxes(one: Sheet, found: Mapping[str, Column]) -> None:
 
 
 def _read(one: Sheet, columns: Mapping[str, Column]) -> Table:
-    """Read the columns of pixels and intrinsics, by role."""
+    """Read the columns of pixels and intrinsics, and the names of cameras, by role."""
     used = {r: c for r, c in columns.items() if ROLES[r][0] == "pixel"}
-    parse = number_parser(one.decimal_comma)
-    raw = read_csv(one.path, dict.fromkeys((c.name for c in used.values()), parse), form=one.form)
-    return replace(raw, columns={role: c.sign * raw[c.name] for role, c in used.items()})
+    parsers: dict[str, Parser] = dict.fromkeys(
+        (c.name for c in used.values()), number_parser(one.decimal_comma)
+    )
+    named = {"camera": columns["camera"].name} if "camera" in columns else {}
+    raw = read_csv(one.path, parsers | dict.fromkeys(named.values(), names), form=one.form)
+    by_role = {role: c.sign * raw[c.name] for role, c in used.items()}
+    return replace(raw, columns=by_role | {role: raw[name] for role, name in named.items()})
+
+
+def _by_camera(values: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    """Yield the rows, a mask (n,), of each camera by name; all rows as "" without names."""
+    some = next(iter(values.values()))
+    by = values.get("camera", np.full(len(some), "", object))
+    yield from ((name, by == name) for name in dict.fromkeys(by.tolist()) or ("",))
+
+
+def _lenses(table: Table, cameras: Calibrations) -> Calibrations:
+    """Return the camera of each name in a table: as given, or from its intrinsics.
+
+    `InputError` for a camera without a calibration.
+    """
+    rows = dict(_by_camera(table.columns))
+    if not cameras:
+        return {name: _lens_of(table.rows(use)) for name, use in rows.items()}
+    rest = [name for name in rows if name not in cameras]
+    if len(rest) > ("" in cameras):
+        raise InputError(
+            f"pixels of cameras without a calibration: {listing([quoted(n) for n in rest], 3)}; add"
+            " --camera NAME=FILE for each; --camera FILE is for rows without a name",
+            table.file,
+        )
+    return {name: cameras[name if name in cameras else ""] for name in rows}
 
 
 def _lens_of(table: Table) -> Lens:
@@ -263,8 +308,15 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _problem(table: Table, lens: Lens) -> tuple[str, int | None] | None:
-    """Return why values are no pixels of the camera's image, and the row; None if they are."""
+def _problem(table: Table, lenses: Calibrations) -> tuple[str, int | None] | None:
+    """Return why values are no pixels of their camera's image, and the row; None if they are."""
+    rows = _by_camera(table.columns)
+    found = (_problem_of_one(table.rows(use), lenses[name]) for name, use in rows)
+    return next((problem for problem in found if problem), None)
+
+
+def _problem_of_one(table: Table, lens: Lens) -> tuple[str, int | None] | None:
+    """Return what `_problem` returns, of the rows of one camera."""
     u, v = _pixels(table)
     width, height = lens.width or 2.0 * lens.cx, lens.height or 2.0 * lens.cy
     share = np.stack([u / width, v / height])

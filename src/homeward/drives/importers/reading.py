@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.folder import (
     HOME_ADVICE,
@@ -26,7 +25,7 @@ from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
-from homeward.drives.importers.pixels import Pixels
+from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import with_sense_of
 from homeward.drives.importers.sheet import sheet
@@ -69,15 +68,15 @@ def understand(
     columns: Sequence[str] = (),
     kinds: Sequence[str] = (),
     wheels: Wheels | None = None,
-    camera: Lens | None = None,
+    cameras: Calibrations | None = None,
     tag_size: float | None = None,
 ) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
     The tables may have any separator, decimal mark, header and units. `columns` are texts
     ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
-    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file; `camera` is that of
-    pixels, `tag_size` that of tags with corners [m]. Bearings get the sense of rotation of the
+    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file; `cameras` are those
+    of pixels, `tag_size` that of tags with corners [m]. Bearings get the sense of rotation of the
     odometry. `InputError` where a file cannot be read, contains no table of a drive, or a role is
     ambiguous.
     """
@@ -86,7 +85,7 @@ def understand(
     sheets = [sheet(path) for path in files]
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
-    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, camera)
+    parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, cameras)
     if tag_size is not None:
         _set_tag_size(parts, tag_size)
     found: list[ImportedColumn] = []

@@ -8,7 +8,6 @@ from typing import TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.lens import Lens
 from homeward.drives.importers.columns import (
     KINDS,
     ODOMETRY,
@@ -25,6 +24,7 @@ from homeward.drives.importers.columns import (
 from homeward.drives.importers.parts import Part, value_of
 from homeward.drives.importers.pixels import (
     PIXEL_ROLES,
+    Calibrations,
     Pixels,
     has_intrinsics,
     pixel_columns,
@@ -70,17 +70,17 @@ def parts_of(
     specified: Sequence[Column],
     kinds: Mapping[str, str] | None = None,
     has_wheels: bool = False,
-    camera: Lens | None = None,
+    cameras: Calibrations | None = None,
 ) -> list[Part]:
     """Return the tables of a drive in files, at least one in each.
 
     `kinds` are specified kinds by file name; `has_wheels` prefers wheels to poses in one file;
-    `camera` is that of pixels.
+    `cameras` are those of pixels.
     """
     parts, others = list[Part](), list[Sheet]()
     for one in sheets:
         kind = (kinds or {}).get(one.path.name)
-        found = _kinds_of(one, one.specified(specified), kind, has_wheels, camera)
+        found = _kinds_of(one, one.specified(specified), kind, has_wheels, cameras or {})
         parts += [Part(one, kind, columns) for kind, columns in found.items() if columns]
         if not found.get("bearings") and not found.get("home"):
             others.append(one)
@@ -100,12 +100,12 @@ def parts_of(
                 raise InputError(_not_recognised(one, kind), one.path)
             parts.append(Part(one, "gyro", gyro))
     _find_odometry(parts, kinds or {})
-    _find_sources(parts, camera)
+    _find_sources(parts, cameras or {})
     return parts
 
 
 def _kinds_of(
-    one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool, camera: Lens | None
+    one: Sheet, mine: Sequence[Column], kind: str | None, has_wheels: bool, cameras: Calibrations
 ) -> dict[str, Found]:
     """Return the columns of each kind of table in a file, but those of wide tables."""
 
@@ -118,7 +118,7 @@ def _kinds_of(
         return {kind: odometry or columns_of("truth")}
     if kind is not None:
         placed = kind in POSITIONED and (
-            pixel_columns(one, kind, mine, camera) or position_columns(kind, one.names, mine)
+            pixel_columns(one, kind, mine, cameras) or position_columns(kind, one.names, mine)
         )
         return {kind: columns_of(kind) or placed or None}
     roles = {column.role for column in mine if column.name in one.names}
@@ -126,8 +126,8 @@ def _kinds_of(
         return {"odometry": odometry} | _positions(one, mine)
     name = one.path.name.lower()
     is_of_robot = TRUE_PATH.search(name) or "odom" in name
-    pixels = {} if is_of_robot else _pixels(one, mine, camera)
-    if has_intrinsics(pixels, camera):
+    pixels = {} if is_of_robot else _pixels(one, mine, cameras)
+    if has_intrinsics(pixels, cameras):
         given = _unambiguous(lambda: columns_of("bearings") or columns_of("home"))
         if given is None or roles.intersection(PIXEL_ROLES):
             return {"odometry": odometry} | pixels
@@ -192,14 +192,14 @@ def _refuse_headings(one: Sheet, bearing: Column, others: str) -> None:
         raise InputError(f"{problem}; use --columns {roles}", one.path)
 
 
-def _pixels(one: Sheet, mine: Sequence[Column], camera: Lens | None) -> dict[str, Found]:
+def _pixels(one: Sheet, mine: Sequence[Column], cameras: Calibrations) -> dict[str, Found]:
     """Return the columns of landmarks in pixels, by kind of table."""
     for kind in POSITIONED:
         try:
-            if found := pixel_columns(one, kind, mine, camera):
+            if found := pixel_columns(one, kind, mine, cameras):
                 return {kind: found}
-        except InputError:  # without a camera, two columns u need not be pixels
-            if camera is not None:
+        except InputError:  # without a calibration, two columns u need not be pixels
+            if cameras:
                 raise
     return {}
 
@@ -227,18 +227,18 @@ def _has_landmarks(one: Sheet, landmark: Column) -> bool:
     return 1 < len(set(seen)) < len(seen)
 
 
-def _find_sources(parts: Sequence[Part], camera: Lens | None) -> None:
+def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
     """Find the camera of pixels, and the axes of positions, of the drive before those of home."""
     axes = None
     for part in sorted(parts, key=lambda part: part.kind):
         if part.kind not in POSITIONED or part.wide or "bearing" in part.columns:
             continue
         if not part.columns.keys().isdisjoint(PIXEL_ROLES):
-            part.columns, part.source = with_pixels(part.sheet, part.columns, camera)
+            part.columns, part.source = with_pixels(part.sheet, part.columns, cameras)
         else:
             part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes)
             part.source = axes
-    if camera is not None and not any(isinstance(part.source, Pixels) for part in parts):
+    if cameras and not any(isinstance(part.source, Pixels) for part in parts):
         raise InputError(
             "--camera is not used: no table has pixels instead of bearings; give their columns, as "
             "in --columns 'column=u, row=v'"
