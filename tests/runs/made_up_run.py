@@ -1,11 +1,14 @@
 """A made-up drive and its track, for tests of what a run writes."""
 
+import dataclasses
 import math
 
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.settings import DriveSettings
 from homeward.estimator import Counts, LandmarkEstimate, Status
+from homeward.geometry.frames import Pose
 from homeward.reasons import Rejection
 from homeward.track import Innovations, LandmarkHistory, Track
 
@@ -22,6 +25,7 @@ FILES = {
 }
 SETTINGS = {"estimator": "robust", "gate": 0.999, "start": None, "note": "</pre><script>"}
 START = 1248272343.9173
+MOUNTS = {"front": Pose(0.3, 0.0, 0.1), "rear": Pose(-0.2, 0.1, 3.0)}
 
 
 def made_up(ids=("a", "b", "c", "d"), seconds=20.0, truth=True):
@@ -81,3 +85,15 @@ def _history(t, ids):
     probability[:, 0] = np.where(t > t.mean(), 0.999, 0.1)
     probability[:, -1] = np.nan
     return LandmarkHistory(t, tuple(ids), x, np.where(np.isfinite(x), 2.0, np.nan), probability)
+
+
+def of_two_cameras():
+    """The drive and its track with the last two of the landmarks in view of a rear camera."""
+    drive, track = made_up()
+    first, other = (mount._asdict() for mount in MOUNTS.values())
+    for mount in (first, other):
+        mount["yaw"] = mount.pop("heading")
+    settings = DriveSettings(sensor=first, cameras={"rear": other})
+    names = np.array(["front", "front", "rear", "rear"], object)
+    sightings = dataclasses.replace(drive.sightings, camera=np.tile(names, track.t.size))
+    return dataclasses.replace(drive, sightings=sightings, settings=settings), track

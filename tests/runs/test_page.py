@@ -172,8 +172,8 @@ def test_moments_have_the_use_of_each_bearing():
         innovations=Innovations(*(getattr(scored, f.name)[4:] for f in dataclasses.fields(scored))),
     )
     result = moments(drive, unknown)
-    assert [fate for _, _, fate in result["seen"][0]] == [NEW] * 4
-    fates = [fate for seen in result["seen"][1:] for _, _, fate in seen]
+    assert [fate for _, _, fate, _ in result["seen"][0]] == [NEW] * 4
+    fates = [fate for seen in result["seen"][1:] for _, _, fate, _ in seen]
     assert set(fates) == {USED, REJECTED}
     assert fates.count(REJECTED) == int((~scored.accepted[4:]).sum())
     assert result["pose"][19] is None

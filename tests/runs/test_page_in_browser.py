@@ -1,10 +1,13 @@
 """The page as a reader meets it, in Chromium."""
 
+import math
+
 import pytest
 from browser import needs_chromium, open_page
-from made_up_run import SETTINGS, made_up
+from made_up_run import MOUNTS, SETTINGS, made_up, of_two_cameras
 from made_up_study import made_up_study
 
+from homeward.geometry.frames import Pose, compose
 from homeward.lab.observability.study import observe
 from homeward.lab.planning.analysis import analyse
 from homeward.lab.planning.settings import load_plan
@@ -120,6 +123,28 @@ def test_the_slider_moves_the_robot_and_the_cursors(desktop):
     assert early["rays"] == 4
     assert "localised" in late["state"]
     assert "coasting" in coasting["state"]
+
+
+RAYS = """
+const slider = document.getElementById("moment");
+slider.value = 100;
+slider.dispatchEvent(new Event("input"));
+await frame();
+const {x0, y0, x1, y1} = [...Bokeh.documents[0].all_models].find((m) => m.name === "rays").data;
+found.rays = [...x0].map((x, k) => [x, y0[k], Math.atan2(y1[k] - y0[k], x1[k] - x)]);
+"""
+
+
+@needs_chromium
+def test_rays_begin_at_their_camera_and_have_its_direction(tmp_path):
+    drive, track = of_two_cameras()
+    write_run(tmp_path / "run", drive, track, SETTINGS)
+    rays = open_page(tmp_path / "run" / "report.html", RAYS, tmp_path)["rays"]
+    robot = Pose(track.x[100], track.y[100], track.heading[100])
+    front, rear = (compose(robot, mount) for mount in MOUNTS.values())
+    for ray, camera in zip(rays, (front, front, rear, rear), strict=True):
+        assert ray[:2] == pytest.approx(camera[:2], abs=1e-3)
+        assert math.cos(ray[2] - camera.heading) == pytest.approx(1.0, abs=1e-6)
 
 
 @needs_chromium

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from runs.made_up_run import SETTINGS, made_up
+from runs.made_up_run import MOUNTS, SETTINGS, made_up, of_two_cameras
 
 from homeward.drives.drive import Odometry
 from homeward.drives.images import Images
@@ -169,6 +169,24 @@ def test_rays_end_at_their_landmarks_and_vanish_without_new_sightings(run, file)
     assert messages[-1][0] / NANO == pytest.approx(track.t[-1] + 0.5)
     rejected = {c for _, m in messages for c in cloud(m)[1]}
     assert rejected == {BLUE, MOVED}
+
+
+def test_rays_begin_at_their_camera_and_have_its_direction(tmp_path):
+    drive, track = of_two_cameras()
+    write_recording(tmp_path / "run.mcap", drive, track)
+    row = 100
+    messages = {t / NANO: m for t, m in read(tmp_path / "run.mcap", "/homeward/rays")}
+    rays = cloud(messages[track.t[row]])[0].reshape(4, -1, 2)
+    robot = Pose(track.x[row], track.y[row], track.heading[row])
+    front, rear = (compose(robot, mount) for mount in MOUNTS.values())
+    begins = np.array([camera[:2] for camera in (front, front, rear, rear)])
+    assert rays[:, 0] == pytest.approx(begins, abs=1e-3)
+    along = (rays[:, -1] - rays[:, 0]).T
+    ahead = np.array([camera.heading for camera in (front, front, rear, rear)])
+    assert np.cos(np.arctan2(along[1], along[0]) - ahead) == pytest.approx(np.ones(4), abs=1e-5)
+    ((_, fixed),) = read(tmp_path / "run.mcap", "/tf_static")
+    at = {one.child_frame_id: one.transform.translation.x for one in fixed.transforms}
+    assert at == {"camera": 0.3, "camera_rear": -0.2}
 
 
 def test_the_robot_is_an_ellipse_of_two_sigma_with_its_heading(run, file):

@@ -1,10 +1,10 @@
 """run.mcap: a run for Rerun, Foxglove, RViz and evo, as standard messages of ROS 2.
 
 Frames are those of REP 105: ``map`` is the home frame, ``odom`` is the frame of dead reckoning from
-the start of the drive, ``base_link`` is the robot's centre, ``camera`` is the camera. ``odom`` to
-``base_link`` is published from the first row on, ``map`` to ``odom`` wherever there is a pose.
-Rerun draws neither markers nor nav_msgs, but every viewer draws point clouds: so paths, ellipses,
-rays, landmarks and home are coloured points.
+the start of the drive, ``base_link`` is the robot's centre, ``camera`` is the first camera, and
+``camera_NAME`` another one. ``odom`` to ``base_link`` is published from the first row on, ``map``
+to ``odom`` wherever there is a pose. Rerun draws neither markers nor nav_msgs, but every viewer
+draws point clouds: so paths, ellipses, rays, landmarks and home are coloured points.
 """
 
 from __future__ import annotations
@@ -99,8 +99,11 @@ class _Messages:
         """Yield the messages at the start: camera extrinsics, home, and the two paths."""
         track, start = self._track, self._stamps[0]
         posed = self._has_pose
-        mounted = self._transform(start, BASE, CAMERA, self._drive.settings.sensor.pose)
-        yield start, "/tf_static", self._log.make("tf2_msgs/msg/TFMessage", transforms=[mounted])
+        settings = self._drive.settings
+        poses = {f"{CAMERA}_{name}": mount.pose for name, mount in settings.cameras.items()}
+        poses = {CAMERA: settings.sensor.pose, **poses}
+        fixed = [self._transform(start, BASE, frame, pose) for frame, pose in poses.items()]
+        yield start, "/tf_static", self._log.make("tf2_msgs/msg/TFMessage", transforms=fixed)
         corners = HOUSE_M * np.array(HOUSE)
         yield self._cloud(start, "home", _along(corners[:-1], corners[1:]), PALE)
         status = [STATUS_COLOURS[s] for s, ok in zip(track.status, posed, strict=True) if ok]
@@ -158,22 +161,22 @@ class _Messages:
         track, history = self._track, self._track.history
         rows = np.flatnonzero(self._has_pose & np.isin(track.t, self._drive.sightings.t))
         column = {landmark: i for i, landmark in enumerate(history.landmark)}
-        mount, known = Pose(*self._drive.settings.sensor.pose), history.at(track.t[rows])
+        known, mount_of = history.at(track.t[rows]), self._drive.settings.mount_of
         frames = zip(rows.tolist(), known, bearings_at(self._drive, track, rows), strict=True)
         following = [*track.t[rows[1:]].tolist(), math.inf]
         for (row, k, seen), next_s in zip(frames, following, strict=False):
             pose = Pose(*self._poses[row])
-            camera, ends = np.array(compose(pose, mount)[:2]), []
-            for name, bearing, _ in seen:
+            begins, ends = np.empty((len(seen), 2)), np.empty((len(seen), 2))
+            for i, (name, bearing, _, by) in enumerate(seen):
+                camera = begins[i] = np.array(compose(pose, mount_of(by).pose)[:2])
                 way = pose.heading + bearing
                 reach = UNPLACED_M
                 if k >= 0 and name in column and math.isfinite(history.x[k, column[name]]):
                     place = (history.x[k, column[name]], history.y[k, column[name]])
                     reach = math.dist(place, camera)
-                ends.append(camera + reach * np.array([math.cos(way), math.sin(way)]))
-            points = _along(np.broadcast_to(camera, (len(ends), 2)), np.reshape(ends, (-1, 2)))
-            colours = [FATES[fate] for _, _, fate in seen for _ in range(DOTS)]
-            yield self._cloud(self._stamps[row], "rays", points, *colours)
+                ends[i] = camera + reach * np.array([math.cos(way), math.sin(way)])
+            colours = [FATES[fate] for _, _, fate, _ in seen for _ in range(DOTS)]
+            yield self._cloud(self._stamps[row], "rays", _along(begins, ends), *colours)
             if next_s - (t := float(track.t[row])) > STALE_S:
                 yield self._cloud(self._stamp(t + STALE_S), "rays", np.empty((0, 2)))
 

@@ -32,8 +32,9 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         any has; ``t`` and for each of these times, or None: ``pose`` (x, y, heading), ``cov`` (xx,
         xy, yy), ``sigma_heading``, ``truth``, ``status`` and ``reason`` as indices into
         ``statuses`` and ``reasons``, ``seen`` a list of (index into ``names``, direction from the
-        robot's x-axis, `USED`, `REJECTED` or `NEW`), ``known`` a row of ``history``. Each row of
-        ``history`` has (x, y, level of `LEVEL_COLOURS`) for each of ``names``.
+        robot's x-axis, `USED`, `REJECTED` or `NEW`, index into ``cameras``), ``known`` a row of
+        ``history``. Each row of ``history`` has (x, y, level of `LEVEL_COLOURS`) for each of
+        ``names``; ``cameras`` are the positions (x, y) of the cameras on the robot.
     """
     per_stamp = drive.sightings.t.size / max(np.unique(drive.sightings.t).size, 1)
     max_moments = int(min(MAX_MOMENTS, MAX_CELLS / max(per_stamp, 1.0)))
@@ -46,6 +47,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     t = track.t[rows] - track.t[:1]
     poses = _rows(np.column_stack([track.x, track.y, track.heading])[rows], 4)
     seen = bearings_at(drive, track, rows)
+    cameras = {camera: k for k, camera in enumerate(dict.fromkeys(drive.sightings.cameras()))}
     return {
         "t": _rounded(t, 3),
         "opening": min(
@@ -58,7 +60,8 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         "status": [statuses.index(track.status[row]) for row in rows],
         "reason": [reasons.index(track.reason[row]) for row in rows],
         "seen": [
-            [(number[i], round(direction, 4), fate) for i, direction, fate in here] for here in seen
+            [(number[i], round(to, 4), fate, cameras[camera]) for i, to, fate, camera in here]
+            for here in seen
         ],
         "known": known,
         "history": history,
@@ -66,7 +69,7 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
         "ids": names,
         "statuses": [status.value for status in statuses],
         "reasons": reasons,
-        "camera": list(drive.settings.sensor.pose),
+        "cameras": [drive.settings.mount_of(camera).pose[:2] for camera in cameras],
         "colours": {
             "status": list(STATUS_COLOURS.values()),
             "moved": LEVEL_COLOURS,
@@ -75,22 +78,26 @@ def moments(drive: Drive, track: Track) -> dict[str, Any]:
     }
 
 
-def bearings_at(drive: Drive, track: Track, rows: np.ndarray) -> list[list[tuple[str, float, int]]]:
+def bearings_at(
+    drive: Drive, track: Track, rows: np.ndarray
+) -> list[list[tuple[str, float, int, str]]]:
     """Return the bearings at each of `rows` (m,) of a track, and their use.
 
-    Each is (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`).
+    Each is (id, direction from the robot's x-axis [rad], `USED`, `REJECTED` or `NEW`, name of the
+    camera).
     """
     seen = track.innovations
     wanted = set(track.t[rows].tolist())
     here = np.isin(seen.t, track.t[rows])
     fates = zip(seen.t[here], seen.landmark[here], seen.accepted[here], strict=True)
     fate = {(float(t), str(i)): USED if ok else REJECTED for t, i, ok in fates}
-    yaws = (drive.settings.mount_of(name).yaw for name in drive.sightings.cameras())
-    at = defaultdict[float, list[tuple[str, float, int]]](list)
-    for (t, bearings, _), yaw in zip(drive.sightings.stamps(), yaws, strict=True):
+    at = defaultdict[float, list[tuple[str, float, int, str]]](list)
+    frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), strict=True)
+    for (t, bearings, _), camera in frames:
         if t in wanted:
+            yaw = drive.settings.mount_of(camera).yaw
             at[t] += [
-                (i, bearing + yaw, fate.get((t, i), NEW))
+                (i, bearing + yaw, fate.get((t, i), NEW), camera)
                 for i, bearing in bearings.items()
                 if math.isfinite(bearing)
             ]

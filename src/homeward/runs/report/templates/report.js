@@ -74,9 +74,9 @@
   const rays = (pose, seen, known) => {
     const data = { x0: [], y0: [], x1: [], y1: [], color: [] };
     if (!pose) return data;
-    const camera = placed(pose, [moments.camera]);
-    for (const [landmark, bearing, fate] of seen) {
-      const [x, y] = [camera.x[0], camera.y[0]], at = known?.[landmark];
+    const cameras = placed(pose, moments.cameras);
+    for (const [landmark, bearing, fate, camera] of seen) {
+      const [x, y] = [cameras.x[camera], cameras.y[camera]], at = known?.[landmark];
       const reach = at ? Math.hypot(at[0] - x, at[1] - y) : extent / 4;
       data.x0.push(x); data.y0.push(y);
       data.x1.push(x + reach * Math.cos(pose[2] + bearing));
