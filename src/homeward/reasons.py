@@ -24,7 +24,7 @@ class Reason(_Words):
     )
     NOT_FIXED = "home is not located well enough yet; drive on, best in an arc"
     SIGNS_REVERSED = "bearings and yaw rates have opposite signs; both must be anti-clockwise"
-    CAMERA_YAW = "bearings contradict the camera's yaw on the robot; correct sensor.yaw"
+    CAMERA_YAW = "bearings contradict a camera's yaw on the robot; correct that yaw"
     CAMERA_TURNED = (
         "bearings indicate that the camera was turned on the robot; drive on to determine its yaw"
     )

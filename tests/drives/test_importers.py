@@ -15,6 +15,7 @@ from homeward.drives.importers.reading import drive_of, home_warnings, understan
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
+from homeward.geometry.angles import wrap
 from homeward.runs.report.canvas import png
 from homeward.runs.report.imported import draw_drive
 
@@ -572,3 +573,19 @@ def test_the_camera_of_each_bearing_is_kept(tmp_path):
     assert {name: home.camera for name, home in drive.home.items()} == {"A": "front", "B": "rear"}
     with pytest.raises(InputError, match=r"cameras 'front' and 'rear'.*add cameras:"):
         with_first_camera(drive.settings, drive)
+
+
+def test_clockwise_bearings_of_two_cameras_are_found(tmp_path):
+    """The cameras, of different yaw, see the same landmarks in turn."""
+    t = np.arange(0.0, 40.0, 0.5)
+    rows = [f"{at},0.0,0.3" for at in t]
+    (tmp_path / "odometry.csv").write_text("\n".join(["t,v,omega", *rows]) + "\n")
+    names, yaws = ("front", "rear"), (0.0, 2.0)
+    seen = ["t,tag,camera,bearing"]
+    for k, at in enumerate(t):
+        for tag, place in enumerate((0.3, 2.0, 4.0)):
+            bearing = -wrap(place - 0.3 * at - yaws[k % 2])
+            seen.append(f"{at},{tag},{names[k % 2]},{bearing}")
+    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
+    found = understand([tmp_path / name for name in ("odometry.csv", "seen.csv")])
+    assert any("bearings with changed sign" in reason for one in found for reason in one.remarks)

@@ -1,13 +1,15 @@
 """Bearings that run clockwise, or turn rates that do: found out, and never where all is right."""
 
+import dataclasses
 import math
 
 import numpy as np
 import pytest
 from rig import Rig, eight, ring, still
+from two_cameras import SETTINGS, simulated
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import Mount, Sensor
+from homeward.drives.settings import DriveSettings, Mount, Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist
@@ -16,6 +18,7 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import SIGN_LAGS_S
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
+from homeward.track import run
 
 
 def watched(
@@ -154,3 +157,42 @@ def test_a_camera_that_looks_elsewhere_gives_no_pose_after_20_s(degrees, given):
     assert f"they fit {degrees} degrees" in rig.localizer.notes[-1]
     localised = [a for a, _ in rig.answers if a.status is Status.LOCALISED and a.t > 120.0]
     assert not localised
+
+
+def answered(drive):
+    """Status and reason at the end of a drive of two cameras, and the notes."""
+    localizer = Localizer(drive.home, **drive.settings.robot)
+    track = run(drive, localizer)
+    return track.status[-1], track.reason[-1], localizer.notes
+
+
+@pytest.mark.parametrize(("camera", "words"), [("front", "Bearings"), ("rear", "of camera 'rear'")])
+def test_of_two_cameras_that_with_clockwise_bearings_is_found(camera, words):
+    drive = simulated(0, 20.0)
+    seen = drive.sightings
+    bearing = np.where(seen.camera == camera, -seen.bearing, seen.bearing)
+    home = {
+        name: dataclasses.replace(b, bearing=-b.bearing) if b.camera == camera else b
+        for name, b in drive.home.items()
+    }
+    mirrored = dataclasses.replace(seen, bearing=bearing)
+    status, reason, notes = answered(dataclasses.replace(drive, sightings=mirrored, home=home))
+    assert (status, reason) == (Status.MAPPING, Reason.SIGNS_REVERSED.words)
+    (note,) = (note for note in notes if "must be anti-clockwise" in note)
+    assert f"{words} and turn rates" in note
+
+
+def test_a_wrong_yaw_of_the_second_camera_is_found():
+    cameras = {"rear": {"x": -0.2, "y": 0.0, "yaw": 0.0}}
+    settings = DriveSettings(**{**SETTINGS, "cameras": cameras})
+    status, reason, notes = answered(dataclasses.replace(simulated(0, 20.0), settings=settings))
+    assert (status, reason) == (Status.MAPPING, Reason.CAMERA_YAW.words)
+    (note,) = (note for note in notes if "do not fit" in note)
+    assert "of camera 'rear' do not fit its yaw on the robot, 0 degrees: they fit 180" in note
+    assert "`cameras: {rear: {yaw: 3.14159}}`" in note
+
+
+def test_two_cameras_with_the_right_extrinsics_have_no_such_note():
+    status, _, notes = answered(simulated(0))
+    assert status is Status.LOCALISED
+    assert not any("anti-clockwise" in note or "do not fit" in note for note in notes)

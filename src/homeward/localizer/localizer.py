@@ -36,7 +36,7 @@ from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
-from homeward.localizer.inputs.sign_check import SignCheck
+from homeward.localizer.inputs.sign_check import SignChecks
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
@@ -110,7 +110,7 @@ class Localizer:
         self._keeps = False
         self._blind: list[tuple[float, float]] = []
         self._clock, self._reorder = Clock(), ReorderBuffer()
-        self._sign_check = SignCheck(self._robot.sensor)
+        self._sign_checks = SignChecks(self._robot)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
         self._frozen: dict[str, FrozenCamera] = {}
         self._at_newest: set[tuple[str, float]] = set()
@@ -122,7 +122,7 @@ class Localizer:
     def notes(self) -> tuple[str, ...]:
         """Assumptions, and findings about the robot; each a sentence."""
         if self.is_convention_wrong:
-            return (*self._notes, self._sign_check.note())
+            return (*self._notes, *self._sign_checks.notes)
         noise = self.chart.noise
         noisy: tuple[str, ...] = (NOISY_NOTE,) if noise.scale > 1.0 else ()
         if noise.learnt is not None and noise.learnt < self.settings.bearing_sigma / NOTABLE_RATIO:
@@ -259,11 +259,11 @@ class Localizer:
 
     @property
     def is_convention_wrong(self) -> bool:
-        """Whether the bearings contradict their sense of rotation or the camera's yaw.
+        """Whether the bearings of a camera contradict their sense of rotation or its yaw.
 
         Then there is no pose.
         """
-        return self._sign_check.is_wrong
+        return self._sign_checks.is_wrong
 
     @property
     def mount(self) -> Pose | None:
@@ -379,8 +379,8 @@ class Localizer:
         if not frame.sightings:
             return []
         reckoned = self.twists.reckoned_at((frame.t - SIGN_LAGS_S).tolist())
-        if reckoned is not None and frame.offset is None:
-            self._sign_check.bearings(frame.t, frame.sightings, reckoned)
+        if reckoned is not None:
+            self._sign_checks.bearings(frame.t, frame.camera, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, here, self._t)
         if self._candidate_chart is not None:
             return self._update_candidate(self._candidate_chart, frame, here, innovations)
@@ -434,8 +434,7 @@ class Localizer:
 
     def _estimate(self, t: float, innovations: tuple[Innovation, ...], stamp: float) -> Estimate:
         """Return the estimate at `t` [s], with the stamp `stamp` of the drive's own clock."""
-        if self._sign_check.is_doubtful:
-            why = Reason.SIGNS_REVERSED if self._sign_check.is_reversed else Reason.CAMERA_YAW
+        if (why := self._sign_checks.reason) is not None:
             return Estimate(stamp, Status.MAPPING, why.words, None, None, innovations)
         dead = self._dead.reason if self._dead.is_dead else None
         complaint = self._reorder.complaint or dead

@@ -75,7 +75,8 @@ def is_opposite(odometry: Odometry, bearings: Table) -> bool:
     """Whether bearings and yaw rates clearly have opposite senses of rotation.
 
     While the robot turns by d, the bearing of a landmark that is not very near changes by about -d,
-    or by d if the senses are opposite. `bearings` has t [s], landmark and bearing [rad].
+    or by d if the senses are opposite. `bearings` has t [s], landmark, bearing [rad], and the
+    camera if there are several, between which bearings do not compare.
     """
     if not odometry.t.size:
         return False
@@ -83,8 +84,11 @@ def is_opposite(odometry: Odometry, bearings: Table) -> bool:
     t, landmark, bearing = (bearings[name][inside] for name in ("t", "landmark", "bearing"))
     pose = dead_reckoning_unwrapped(odometry, t)
     same = opposite = 0
-    order = np.argsort(landmark.astype(str), kind="stable")
-    starts = np.flatnonzero(landmark[order][1:] != landmark[order][:-1]) + 1
+    track = landmark.astype(str)
+    if "camera" in bearings.columns:
+        track = np.char.add(np.char.add(track, "\n"), bearings["camera"][inside].astype(str))
+    order = np.argsort(track, kind="stable")
+    starts = np.flatnonzero(track[order][1:] != track[order][:-1]) + 1
     for rows in np.split(order, starts) if order.size else ():
         first = rows[0]
         for row in rows[1:]:

@@ -5,6 +5,7 @@ bearings give its mirror image, and a wrong yaw a map that is turned against the
 travel. The right convention is the one in which landmarks have positive distances. With the
 rotation from odometry removed, a static landmark moves away from the direction of travel, at any
 distance. So a wrong yaw needs negative distances, and a wrong sense of rotation fits no distance.
+Each camera is tested on its own, since one of several may have another convention.
 """
 
 from __future__ import annotations
@@ -14,7 +15,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.settings import Mount
+from homeward.drives.settings import DriveSettings, Mount
+from homeward.io.table import quoted
 from homeward.localizer.tunables import (
     BAD_WINDOW,
     GIVEN_WRONG,
@@ -34,21 +36,58 @@ from homeward.localizer.tunables import (
     YAW_TOLERANCE,
     YAW_TOLERANCE_OFF_CENTRE,
 )
+from homeward.reasons import Reason
 
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
 
 
+class SignChecks:
+    """The sign checks of all cameras of a robot."""
+
+    def __init__(self, robot: DriveSettings) -> None:
+        self._robot = robot
+        self._by_camera: dict[str, SignCheck] = {}
+
+    @property
+    def is_wrong(self) -> bool:
+        """Whether the convention of a camera is rejected."""
+        return any(check.is_wrong for check in self._by_camera.values())
+
+    @property
+    def reason(self) -> Reason | None:
+        """Why the convention of a camera is too improbable to give a pose; None: none is."""
+        doubtful = [check for check in self._by_camera.values() if check.is_doubtful]
+        if not doubtful:
+            return None
+        return Reason.SIGNS_REVERSED if doubtful[0].is_reversed else Reason.CAMERA_YAW
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the user with the errors and their remedies."""
+        return tuple(check.note() for check in self._by_camera.values() if check.is_wrong)
+
+    def bearings(
+        self, t: float, camera: str, sightings: Mapping[str, float], reckoned: np.ndarray
+    ) -> None:
+        """Add sightings of a camera, given by name; the others as in `SignCheck.bearings`."""
+        if camera not in self._by_camera:
+            name = camera if camera in self._robot.cameras else ""
+            self._by_camera[camera] = SignCheck(self._robot.mount_of(camera), name)
+        self._by_camera[camera].bearings(t, sightings, reckoned)
+
+
 class SignCheck:
-    """Bayesian comparison of both senses of rotation and of all yaws of the camera.
+    """Bayesian comparison of both senses of rotation and of all yaws of a camera.
 
     In each window, every landmark has a direction and an inverse distance that is not negative,
     fitted to its bearings by least squares. The likelihood of a hypothesis follows from the
     residuals. It is mixed with a uniform one, so that no window alone decides. `sensor` is the pose
-    of the camera on the robot, as given or assumed.
+    of the camera on the robot, as given or assumed; `name` is that under `cameras`, or empty for
+    the first camera.
     """
 
-    def __init__(self, sensor: Mount) -> None:
-        self._sensor = sensor
+    def __init__(self, sensor: Mount, name: str = "") -> None:
+        self._sensor, self._name = sensor, name
         has_place = {"x", "y"} <= sensor.model_fields_set
         self._tolerance = YAW_TOLERANCE if has_place else YAW_TOLERANCE_OFF_CENTRE
         self._doubtful = SIGN_DOUBTFUL if has_place else SIGN_FALSE_ALARM
@@ -100,25 +139,33 @@ class SignCheck:
         if not self.is_wrong:
             return ""
         error, given = self.yaw_error, self._sensor.yaw
-        line = _line(given + error)
+        line, other, whose = self._line(given + error), "", "the camera's"
+        if self._name:
+            other, whose = f" of camera {quoted(self._name)}", "its"
         if self.is_reversed:
-            words = "Bearings and turn rates go opposite ways; both must be anti-clockwise."
+            words = f"Bearings{other} and turn rates go opposite ways; both must be anti-clockwise."
             mirrored = math.remainder(error + 2.0 * given, math.tau)
             if min(abs(error), abs(mirrored)) <= (self._tolerance + 0.5) * YAW_STEP:
                 return words
             return (
                 f"{words} The camera's yaw is wrong, too: multiply the bearings by -1 and set"
                 f" {line} in drive.yaml, or multiply the turn rates by -1 and set"
-                f" {_line(-given - error)}."
+                f" {self._line(-given - error)}."
             )
         words = (
-            f"The bearings do not fit the camera's yaw on the robot, {_degrees(given)}: they fit"
-            f" {_degrees(given + error)}. No pose is given until this is corrected. Set {line} in"
-            " drive.yaml"
+            f"The bearings{other} do not fit {whose} yaw on the robot, {_degrees(given)}: they"
+            f" fit {_degrees(given + error)}. No pose is given until this is corrected. Set {line}"
+            " in drive.yaml"
         )
         if abs(error) > math.pi - (self._tolerance + 0.5) * YAW_STEP:
             words += "; or, if that yaw is right, the speed v has the wrong sign: multiply it by -1"
         return words + "."
+
+    def _line(self, yaw: float) -> str:
+        """Return the line of drive.yaml that gives a yaw [rad]."""
+        yaw = math.remainder(yaw, math.tau)
+        key = f"{{yaw: {math.pi if yaw <= -math.pi + 1e-9 else yaw:.5f}}}"
+        return f"`cameras: {{{self._name}: {key}}}`" if self._name else f"`sensor: {key}`"
 
     def bearings(self, t: float, sightings: Mapping[str, float], reckoned: np.ndarray) -> None:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
@@ -215,9 +262,3 @@ def _log_likelihood(
 def _degrees(angle: float) -> str:
     """Return an angle in whole degrees, above -180 and up to 180."""
     return f"{180 - (180 - round(math.degrees(angle))) % 360} degrees"
-
-
-def _line(yaw: float) -> str:
-    """Return the line of drive.yaml that gives a yaw [rad]."""
-    yaw = math.remainder(yaw, math.tau)
-    return f"`sensor: {{yaw: {math.pi if yaw <= -math.pi + 1e-9 else yaw:.5f}}}`"
