@@ -148,7 +148,8 @@ def test_a_restarted_server_has_all_visits(folder):
 
 
 def test_homes_and_places_are_equal_after_the_way_through_a_message(folder):
-    rng, seen = np.random.default_rng(2), {"L1": HomeBearing(0.2), "L2": HomeBearing(1.0, 0.01)}
+    rng = np.random.default_rng(2)
+    seen = {"L1": HomeBearing(0.2), "L2": HomeBearing(1.0, 0.01, "rear")}
     pose, spread = Pose(1.0, 2.0, 0.5), np.diag([1e-4, 2e-4, 1e-5])
     home = StoredHome(1.5, seen), Estimate(0.0, Status.LOCALISED, "", pose, spread)
     data = VisitData("one", "1f", 2.0, mapped(room(), rng), None, "home", {"dock": home})

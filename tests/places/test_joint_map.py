@@ -7,7 +7,7 @@ import pytest
 from visited import mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
-from homeward.geometry.frames import Pose, bearing
+from homeward.geometry.frames import Pose, bearing, compose
 from homeward.places.joint_map import JointMap, fused
 
 RUNS = 60
@@ -65,12 +65,14 @@ def test_a_map_moved_as_a_whole_is_the_same_map():
 
 def test_a_home_is_found_by_what_was_seen_there():
     rng, places = np.random.default_rng(3), room(10)
-    held, home, mount = mapped(places, rng), Pose(0.5, -0.7, 1.2), Pose(0.2, 0.0, 0.1)
+    held, home = mapped(places, rng), Pose(0.5, -0.7, 1.2)
     exact = JointMap(held.names, (), np.array(list(places.values())).ravel(), 1e-8 * np.eye(20))
-    eye_x = home.x + 0.2 * math.cos(home.heading)
-    eye = Pose(eye_x, home.y + 0.2 * math.sin(home.heading), home.heading + 0.1)
-    seen = {n: HomeBearing(float(bearing(eye, *p)), 1e-3) for n, p in places.items()}
+    mounts = [Pose(0.2, 0.0, 0.1), Pose(-0.4, 0.1, 3.0)] * 5  # of two cameras
+    seen = {
+        n: HomeBearing(float(bearing(compose(home, mount), *p)), 1e-3)
+        for (n, p), mount in zip(places.items(), mounts, strict=True)
+    }
     near = np.add(home, (0.3, -0.2, 0.2))
-    found = exact.with_home("home", seen, mount, near, np.diag([25.0, 25.0, 9.0]))
+    found = exact.with_home("home", seen, np.array(mounts), near, np.diag([25.0, 25.0, 9.0]))
     assert found.poses[0] == pytest.approx(np.array(home), abs=1e-4)
     assert 1e-4 < math.sqrt(found.covariance[-3, -3]) < 1e-2

@@ -1,18 +1,23 @@
 """Visits: moved and gone landmarks are found, and another place is not merged."""
 
 from dataclasses import replace
+from unittest.mock import patch
 
 import numpy as np
 import pytest
+from two_cameras import simulated
 from visited import new_place, room, visit_data
 
+from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose, bearing
+from homeward.localizer.localizer import Localizer
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DRIFT
-from homeward.places.visit_data import VisitFrames
-from homeward.places.visiting import MAX_EVENTS, merged, merged_places
+from homeward.places.visit_data import VisitFrames, collect_visit, last_frame
+from homeward.places.visiting import MAX_EVENTS, first_place, merged, merged_places
+from homeward.track import run
 
 
 def events(place, what):
@@ -165,7 +170,7 @@ def test_a_home_stored_on_the_way_is_found_when_all_it_saw_has_moved():
     rng, places = np.random.default_rng(0), room(24)
     place = new_place(places, rng)
     answer = Estimate(9.0, Status.LOCALISED, "", Pose(2.0, 1.0, 0.5), np.diag([1e-4, 1e-4, 1e-5]))
-    visit = visit_data(places, rng).store_home("dock 3", answer, {"L0": 0.3})
+    visit = visit_data(places, rng).store_home("dock 3", answer, {"L0": HomeBearing(0.3)})
     place = merged(place, visit)
     sigmas = [place.home_sigma("dock 3", 1.0)]
     for day in range(2, 14):
@@ -198,3 +203,35 @@ def test_a_place_does_not_grow_without_bound_nor_grow_surer_than_its_visits():
     assert len(place.persistence) < 20
     assert place.map.sigmas.min() > 0.002
     assert place.usual_rate == pytest.approx(1 / 12, rel=0.3)
+
+
+def test_a_place_has_the_home_bearings_of_all_cameras(tmp_path):
+    """With those of the first camera alone, its home is less certain."""
+    drive = simulated(0)
+    localizer = Localizer(drive.home, **drive.settings.robot)
+    track = run(drive, localizer)
+    visit = collect_visit(localizer, drive, track, 1.0)
+    save_place(first_place("hall", localizer, visit), tmp_path / "hall", 0)
+    place = load_place(tmp_path / "hall")
+    stored = {name: seen.camera for name, seen in place.homes["home"].seen.items()}
+    assert stored == {name: seen.camera for name, seen in drive.home.items()}
+
+    snapshot = localizer.map_snapshot()
+    front = {n: seen for n, seen in snapshot.home_bearings.items() if seen.camera == "front"}
+    with patch.object(Localizer, "map_snapshot", lambda _: replace(snapshot, home_bearings=front)):
+        half = first_place("hall", localizer, visit)
+    assert place.home_sigma("home", 1.0) < 0.8 * half.home_sigma("home", 1.0)
+
+
+def test_a_home_stored_at_the_end_has_the_last_bearings_of_each_camera_at_that_time():
+    drive = simulated(0, seconds=20.0)
+    seen = drive.sightings
+    together = replace(seen, t=np.floor(seen.t / 0.2 + 1e-6) * 0.2)
+    drive = replace(drive, sightings=together)
+    track = run(drive, Localizer(drive.home, **drive.settings.robot))
+    answer, bearings = last_frame(drive, track)
+    last = together.rows(together.t == answer.t)
+    assert {n: b.camera for n, b in bearings.items()} == dict(
+        zip(last.landmark, last.camera, strict=True)
+    )
+    assert {b.camera for b in bearings.values()} == {"front", "rear"}

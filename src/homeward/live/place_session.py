@@ -10,14 +10,14 @@ from __future__ import annotations
 import math
 import time
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from homeward.control.following import LOOKAHEAD
-from homeward.drives.drive import Drive, Samples, last_of_equal, table
+from homeward.drives.drive import Drive, HomeBearing, Samples, last_of_equal, table
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, LandmarkEstimate, Status
 from homeward.geometry.frames import Pose, position_sigma
@@ -72,7 +72,7 @@ class PlaceSession:
         self._is_merged = False
         """Whether the newest version that this session wrote contains a part of this visit."""
         self._samples, self._poses = Samples(), array("d")
-        self._stored: dict[str, tuple[Estimate, Mapping[str, float]]] = {}
+        self._stored: dict[str, tuple[Estimate, dict[str, HomeBearing]]] = {}
         self._routes: dict[str, tuple[Route, JointMap]] = {}
         self._taught_from = 0
         """Index in `_poses` of the begin of the route that is being taught."""
@@ -123,7 +123,8 @@ class PlaceSession:
         """
         require_name("home", name, (first, *self.homes))
         self._require_localised(estimate, f"home {quoted(name)} cannot be stored")
-        self._stored[name] = replace(estimate, innovations=()), dict(seen.bearings)
+        bearings = {n: HomeBearing(b, camera=seen.camera) for n, b in seen.bearings.items()}
+        self._stored[name] = replace(estimate, innovations=()), bearings
         return f"home {quoted(name)} stored, {count(len(seen.bearings), 'landmark')} in view"
 
     @property

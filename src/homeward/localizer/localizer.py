@@ -324,12 +324,8 @@ class Localizer:
             mean,
             covariance,
             found.best.home if known and found is not None else None,
-            {
-                n: seen
-                for n, seen in observed.with_noise(chart.noise).items()
-                if observed.offsets([n]) is None
-            },
-            Pose(*observed.mount.tolist()),
+            observed.with_noise(chart.noise),
+            observed.mounts,
         )
 
     def _select_in_view(self, sightings: dict[str, float]) -> dict[str, float]:

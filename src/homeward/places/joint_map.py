@@ -14,7 +14,7 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, position_sigma
+from homeward.geometry.frames import position_sigma
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
 from homeward.localizer.output.map_snapshot import align, rotated
 
@@ -154,14 +154,15 @@ class JointMap:
         self,
         home: str,
         seen: Mapping[str, HomeBearing],
-        mount: Pose,
+        mounts: np.ndarray,
         pose: np.ndarray,
         covariance: np.ndarray,
     ) -> JointMap:
         """Return the map with a new home, from a resection of the bearings `seen` there.
 
-        All of `seen` have a sigma and are of static landmarks of the map. `mount` is the pose of
-        the camera on the robot; `pose` (3,) and `covariance` (3, 3) are the prior of the home.
+        All k of `seen` have a sigma and are of static landmarks of the map. `mounts` (k, 3) are the
+        poses of their cameras on the robot; `pose` (3,) and `covariance` (3, 3) are the prior of
+        the home.
         """
         size = self.mean.size
         prior = np.concatenate([self.mean, pose])
@@ -170,16 +171,16 @@ class JointMap:
         at = np.concatenate([self.columns(list(seen)), size + np.arange(3)])
         bearings = np.array([b.bearing for b in seen.values()])
         noise = np.diag([b.sigma**2 for b in seen.values()])
-        mean, k, camera = prior, len(seen), np.array(mount)
+        mean, k = prior, len(seen)
         jacobian = np.zeros((k, at.size))
         for _ in range(RESECTION_STEPS if k else 0):  # an iterated Kalman update
             places, robot = mean[at[:-3]].reshape(-1, 2), mean[-3:]
-            eye = compose(robot, camera)
-            now = sight(eye, places)
+            eyes = compose(np.broadcast_to(robot, (k, 3)), mounts)
+            now = sight(eyes, places)
             jacobian[np.arange(k), 2 * np.arange(k)] = now.by_place[:, 0]
             jacobian[np.arange(k), 2 * np.arange(k) + 1] = now.by_place[:, 1]
             by_eye = np.column_stack([-now.by_place, -np.ones(k)])
-            jacobian[:, -3:] = by_eye @ lever(eye - robot)
+            jacobian[:, -3:] = (by_eye[:, None] @ lever(eyes - robot))[:, 0]
             residual = wrap(bearings - now.bearing) - jacobian @ (prior - mean)[at]
             correlated = spread[:, at] @ jacobian.T
             gain = np.linalg.solve(jacobian @ correlated[at] + noise, correlated.T).T

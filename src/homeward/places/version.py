@@ -21,6 +21,7 @@ from homeward.io.table import (
     Parser,
     Table,
     identifiers,
+    identifiers_or_empty,
     numbers,
     numbers_or_nan,
     read_csv,
@@ -102,9 +103,9 @@ def write_version(place: Place, folder: Path) -> None:
     )
     write_csv(
         folder / BEARINGS,
-        ["home", "landmark", "bearing", "sigma"],
+        ["home", "landmark", "bearing", "sigma", "camera"],
         (
-            [home, name, repr(b.bearing), "" if np.isnan(b.sigma) else repr(b.sigma)]
+            [home, name, repr(b.bearing), "" if np.isnan(b.sigma) else repr(b.sigma), b.camera]
             for home, stored in place.homes.items()
             for name, b in stored.seen.items()
         ),
@@ -231,14 +232,16 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
             "bearing": numbers,
             "sigma": numbers_or_nan,
         },
+        {"camera": identifiers_or_empty},
     )
     table.require_angle("bearing")
     known = np.array([name in stored for name in table["home"]], bool)
     table.require("home", known, f"which is not in {HOMES}")
     homes = {name: StoredHome(when, {}) for name, when in stored.items()}
+    cameras = table["camera"].tolist() if "camera" in table.columns else [""] * len(table)
     columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))
-    for home, landmark, bearing, sigma in zip(*columns, strict=True):
-        homes[home].seen[landmark] = HomeBearing(bearing, sigma)
+    for home, landmark, bearing, sigma, camera in zip(*columns, cameras, strict=True):
+        homes[home].seen[landmark] = HomeBearing(bearing, sigma, camera)
     return homes
 
 

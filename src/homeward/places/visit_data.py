@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -98,7 +99,7 @@ class VisitData:
     scale_sigma: float = 0.0
     """Standard deviation of an additional error of the scale of `map` [1]."""
 
-    def store_home(self, name: str, answer: Estimate, seen: Mapping[str, float]) -> VisitData:
+    def store_home(self, name: str, answer: Estimate, seen: Mapping[str, HomeBearing]) -> VisitData:
         """Return the data with a home at the pose of an estimate, and the bearings seen there.
 
         `InputError` if the estimate has no pose, or the name is not valid.
@@ -106,8 +107,8 @@ class VisitData:
         require_name("home", name, self.homes)
         if answer.pose is None:
             raise InputError(f"home {quoted(name)} cannot be stored: the robot has no pose there")
-        stored = StoredHome(self.when, {n: HomeBearing(b) for n, b in seen.items()})
-        return replace(self, homes={**self.homes, name: (stored, answer)})
+        stored = StoredHome(self.when, dict(seen)), answer
+        return replace(self, homes={**self.homes, name: stored})
 
     def store_route(self, name: str, track: Track) -> VisitData:
         """Return the data with the path of a track of this drive, preferably smoothed, as a route.
@@ -134,14 +135,16 @@ def require_name(what: str, name: str, there: Collection[str]) -> None:
 
 def last_frame(
     drive: Drive, track: Track, until: float = math.inf
-) -> tuple[Estimate, dict[str, float]]:
+) -> tuple[Estimate, dict[str, HomeBearing]]:
     """Return the last estimate of a track with a pose in a frame, and the bearings seen there.
 
     With a time `until` [s], return the last one before it, if not more than `NO_BEARINGS_S` old.
     """
-    offsets = map(drive.settings.in_first, drive.sightings.cameras())
-    each = zip(drive.sightings.stamps(), offsets, strict=True)
-    frames = {t: seen for (t, seen, _), offset in each if offset is None}
+    frames = defaultdict[float, dict[str, HomeBearing]](dict)
+    for (t, seen, _), camera in zip(
+        drive.sightings.stamps(), drive.sightings.cameras(), strict=True
+    ):
+        frames[t] |= {n: HomeBearing(bearing, camera=camera) for n, bearing in seen.items()}
     for i in np.flatnonzero(track.has_pose)[::-1].tolist():
         if (t := float(track.t[i])) in frames and t <= until:
             if until - t > NO_BEARINGS_S and until < math.inf:

@@ -9,7 +9,6 @@ from itertools import chain, count
 import numpy as np
 
 from homeward.errors import HomewardError
-from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.map_snapshot import MAX_TESTED, moved_probabilities
@@ -41,13 +40,14 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
     a later drive to be localised in this place.
     """
     own = localizer.map_snapshot()
-    found, observed, mount = own.home, own.home_bearings, own.home_mount
+    found, observed = own.home, own.home_bearings
     if found is None:
         raise HomewardError("no place to store: home was not found on this drive")
     static = {m.landmark for m in localizer.landmarks() if m.moved is False}
     right = {n: b for n, b in observed.items() if n in static and n in data.map.names}
     vague = np.diag([data.map.size**2, data.map.size**2, np.pi**2])
-    there = data.map.with_home(home, right, mount, found, vague).at_home(home)
+    mounts = np.array([own.home_mounts[n] for n in right]).reshape(-1, 3)
+    there = data.map.with_home(home, right, mounts, found, vague).at_home(home)
     there = there.marginal(_well_placed(there))
     if len(there.names) < VERIFIED:
         raise HomewardError(
@@ -288,6 +288,6 @@ def _with_stored(place: Place, data: VisitData) -> Place:
         origin = place.home_pose(place.required(data.home))
         pose, turn = compose(np.array(origin), np.array(answer.pose)), rotation(origin.heading)
         spread = turn @ answer.covariance @ turn.T
-        there = place.map.with_home(name, {}, Pose(0.0, 0.0, 0.0), pose, spread)
+        there = place.map.with_home(name, {}, np.empty((0, 3)), pose, spread)
         place = replace(place, map=there, homes={**place.homes, name: stored})
     return place

@@ -76,6 +76,7 @@ class HomeData(Strict):
     stored: Number
     bearings: Bearings
     sigmas: Sigmas = {}
+    cameras: Annotated[dict[Id, Name], Field(max_length=MAX_LANDMARKS)] = {}
     pose: tuple[Bounded, Bounded, Bounded]
     covariance: tuple[Number, Number, Number, Number, Number, Number]
 
@@ -176,6 +177,7 @@ def visit_message(
             stored=stored.stored,
             bearings={n: b.bearing for n, b in stored.seen.items()},
             sigmas={n: b.sigma for n, b in stored.seen.items() if b.sigma > 0},
+            cameras={n: b.camera for n, b in stored.seen.items() if b.camera},
             pose=tuple(map(float, answer.pose)),
             covariance=tuple(answer.covariance[np.triu_indices(3)].tolist()),
         )
@@ -206,7 +208,10 @@ def visit_of(message: VisitMessage, when: float) -> VisitData:
     """Return the visit in a message, at `when` [days since 1970]; `InputError` if damaged."""
     homes = {}
     for name, home in message.homes.items():
-        seen = {n: HomeBearing(b, home.sigmas.get(n, math.nan)) for n, b in home.bearings.items()}
+        seen = {
+            n: HomeBearing(b, home.sigmas.get(n, math.nan), home.cameras.get(n, ""))
+            for n, b in home.bearings.items()
+        }
         answer = Estimate(0.0, Status.LOCALISED, "", Pose(*home.pose), _square(home.covariance, 3))
         homes[name] = StoredHome(home.stored, seen), answer
     routes = {

@@ -9,6 +9,7 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings
+from homeward.geometry.se2 import compose
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
@@ -81,6 +82,12 @@ class HomeObservation:
             n: HomeBearing(bearing, sigma, self.bearings[n].camera)
             for n, bearing, sigma in zip(names, *columns, strict=True)
         }
+
+    @property
+    def mounts(self) -> dict[str, np.ndarray]:
+        """Poses (3,) of the cameras of home bearings on the robot, by landmark."""
+        cameras = {n: self._drive.in_first(b.camera) for n, b in self.bearings.items()}
+        return {n: self.mount if o is None else compose(self.mount, o) for n, o in cameras.items()}
 
     def offsets(self, names: Sequence[str]) -> np.ndarray | None:
         """Return the poses (k, 3) of the cameras of home bearings, as in `HomeProblem`."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.geometry.frames import Pose
 from homeward.localizer.map.bodies import find_bodies, given_bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import tested
@@ -32,8 +31,8 @@ class MapSnapshot:
     """(3,): pose of the robot at home; None unless found by home bearings."""
     home_bearings: Mapping[str, HomeBearing]
     """The home bearings with their present standard deviations."""
-    home_mount: Pose
-    """Pose of the camera on the robot at home."""
+    home_mounts: Mapping[str, np.ndarray]
+    """Poses (3,) of their cameras on the robot at home."""
 
 
 def moved_probabilities(
