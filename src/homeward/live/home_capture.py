@@ -50,8 +50,8 @@ class HomeCapture:
 
     @property
     def newest(self) -> BearingsIn | None:
-        """The last bearings of the first camera, if there were any."""
-        return next((m for _, m in reversed(self._lately) if not m.camera), None)
+        """The last bearings, if there were any."""
+        return self._lately[-1][1] if self._lately else None
 
     def odometry(self, message: OdometryIn) -> None:
         """Add a twist."""
@@ -71,6 +71,11 @@ class HomeCapture:
     def begin(self, robot: DriveSettings) -> None:
         """Begin the capture of a home where the robot is; it may turn on the spot."""
         self._scan = HomeScan(**robot.robot)
+
+    def set_robot(self, robot: DriveSettings) -> None:
+        """Use other camera extrinsics for a capture that has begun."""
+        if self._scan is not None:
+            self._scan.robot = robot
 
     def end(self) -> None:
         """End the capture of a turn."""

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from homeward.control.goals import Goal, RouteGoal
 from homeward.control.start_guide import StartGuide
+from homeward.drives.cameras.names import with_camera
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, OtherCamera, Start
 from homeward.errors import HomewardError, InputError, InternalError
@@ -201,12 +203,13 @@ class Localisation:
                 sigmas = sigma, sigma / R, message.sigma_heading
                 self._begin(Start.about(polar._replace(R=R), *sigmas))
             case msg.SetExtrinsics(x=x, y=y, yaw=yaw, camera=name):
-                pose, others = {"x": x, "y": y, "yaw": yaw}, self._robot.cameras
-                update: dict[str, object] = {"cameras": {**others, name: OtherCamera(**pose)}}
-                if not name:
-                    update = {"sensor": self._robot.sensor.model_copy(update=pose)}
-                self._robot = self._robot.model_copy(update=update)
-                if self.drive is not None:
+                camera = OtherCamera(x=x, y=y, yaw=yaw)
+                self._robot = with_camera(self._robot, name, camera)
+                self._capture.set_robot(self._robot)
+                made, drive = self.estimator, self.drive
+                if drive and isinstance(made, Localizer) and made.add_camera(name, camera):
+                    self.drive = replace(drive, settings=with_camera(drive.settings, name, camera))
+                elif drive:
                     self._begin(None)
             case msg.Reset():
                 self._begin(None)

@@ -15,9 +15,9 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from homeward.drives.cameras.names import Cameras
+from homeward.drives.cameras.names import Cameras, with_camera
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
-from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
+from homeward.drives.settings import DriveSettings, KnownLandmarks, OtherCamera, Robot
 from homeward.estimator import (
     Counts,
     Estimate,
@@ -241,6 +241,21 @@ class Localizer:
         self._known = known
         for chart in self.charts:
             chart.replace_known(known, self._t)
+
+    @synchronised
+    def add_camera(self, name: str, camera: OtherCamera) -> bool:
+        """Add the extrinsics of another camera, whose bearings come from now on.
+
+        Return False, and change nothing, if there are bearings of that name already: then a new
+        localiser is needed.
+        """
+        if name in self._robot.cameras or name in ("", self._cameras.first):
+            return False
+        self._robot = self._sign_checks.robot = with_camera(self._robot, name, camera)
+        self._cameras = Cameras(self._robot, [self._cameras.first])
+        for chart in self.charts:
+            chart.drive = with_camera(chart.drive, name, camera)
+        return True
 
     @guarded
     def estimate(self, t: float) -> Estimate:

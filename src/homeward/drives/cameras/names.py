@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.drives.settings import DriveSettings, Mount
+from homeward.drives.settings import DriveSettings, Mount, OtherCamera
 from homeward.errors import InputError
 from homeward.io.table import quoted
 
@@ -22,7 +22,8 @@ class Cameras:
 
     def __init__(self, settings: DriveSettings, seen: Iterable[str] = ()) -> None:
         self._others = {name: settings.in_first(name) for name in settings.cameras}
-        self._first = ""
+        self.first = ""
+        """Name of the first camera, as far as it has occurred."""
         for name in seen:
             self.in_first(name)
 
@@ -33,15 +34,23 @@ class Cameras:
         """
         if name in self._others:
             return self._others[name]
-        if name and name != self._first:
-            if self._first:
+        if name and name != self.first:
+            if self.first:
                 raise InputError(
-                    f"cameras {quoted(self._first)} and {quoted(name)}: only one may have the"
+                    f"cameras {quoted(self.first)} and {quoted(name)}: only one may have the"
                     f" extrinsics under sensor:; add cameras: {{{quoted(name)}: {{x: ..., y: ...,"
                     " yaw: ...}} to drive.yaml or the robot file"
                 )
-            self._first = name
+            self.first = name
         return None
+
+
+def with_camera(settings: DriveSettings, name: str, camera: OtherCamera) -> DriveSettings:
+    """Return settings with the extrinsics of a camera; of the first one for an empty name."""
+    if name:
+        return settings.model_copy(update={"cameras": {**settings.cameras, name: camera}})
+    given = camera.model_dump(exclude_unset=True)
+    return settings.model_copy(update={"sensor": settings.sensor.model_copy(update=given)})
 
 
 def with_first_camera(settings: DriveSettings, drive: Drive) -> DriveSettings:

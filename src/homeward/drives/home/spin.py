@@ -144,7 +144,7 @@ class HomeScan:
     """
 
     def __init__(self, **robot: Unpack[Robot]) -> None:
-        self._robot = known_robot(robot)
+        self.robot = known_robot(robot)
         self._samples = Samples()
         self._begin: float | None = None
         self._too_long = False
@@ -173,7 +173,7 @@ class HomeScan:
         if not odometry.t.size or not seen.t.size:
             raise InputError("no bearings or no odometry at home; send both during the scan")
         span = float(odometry.t[0]), max(float(odometry.t[-1]), float(seen.t[-1]))
-        return spin(span, odometry, seen, self._robot)
+        return spin(span, odometry, seen, self.robot)
 
     def home(self) -> dict[str, HomeBearing]:
         """Return the home bearings, with their standard deviations.

@@ -45,7 +45,7 @@ class SignChecks:
     """The sign checks of all cameras of a robot."""
 
     def __init__(self, robot: DriveSettings) -> None:
-        self._robot = robot
+        self.robot = robot
         self._by_camera: dict[str, SignCheck] = {}
 
     @property
@@ -71,8 +71,8 @@ class SignChecks:
     ) -> None:
         """Add sightings of a camera, given by name; the others as in `SignCheck.bearings`."""
         if camera not in self._by_camera:
-            name = camera if camera in self._robot.cameras else ""
-            self._by_camera[camera] = SignCheck(self._robot.mount_of(camera), name)
+            name = camera if camera in self.robot.cameras else ""
+            self._by_camera[camera] = SignCheck(self.robot.mount_of(camera), name)
         self._by_camera[camera].bearings(t, sightings, reckoned)
 
 
