@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings
-from homeward.drives.folder import CAMERA, HOME, read_home
+from homeward.drives.folder import HOME, read_home
 from homeward.drives.images import VIDEOS, Images, cameras_in, read_images
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.measurements.sighting_rows import DUPLICATE
@@ -137,14 +137,15 @@ def see_tags(
 ) -> Drive:
     """Turn the pictures of one or several cameras into a drive.
 
-    `path` is a folder with images.csv, a video, or a folder of cameras as in `cameras_in`. Next to
-    images.csv or the video are images.yaml with the camera, and its home image; in the folder of
-    the cameras, or else there, too, are odometry.csv, drive.yaml, truth.csv, and home.csv where
-    there is no home image. Without either, the drive has no home bearings: drive.yaml may specify
-    when the robot was at home, or a place may contain its home. `family` is that of the tags; None:
-    that in images.yaml. Landmarks are the numbers of the tags; `on_progress` receives the fraction
-    done, in [0, 1]. `InputError` if a file is missing or cannot be used, or pictures and odometry
-    do not overlap.
+    `path` is a folder with images.csv, a video, or a folder of cameras as in `cameras_in`. The
+    camera (images.yaml) and its home image are next to images.csv or the video. odometry.csv,
+    drive.yaml and truth.csv are there, too, but those of several cameras in the folder of cameras;
+    so is home.csv, which replaces home images. Without either, the drive has no home bearings:
+    drive.yaml may specify when the robot was at home, or a place may contain its home.
+
+    `family` is that of the tags; None: that in images.yaml. Landmarks are the numbers of the tags;
+    `on_progress` receives the fraction done, in [0, 1]. `InputError` if a file is missing or cannot
+    be used, or pictures and odometry do not overlap.
     """
     places = {} if path.suffix.lower() in VIDEOS else cameras_in(path)
     cameras = [TagCamera(place, family, name) for name, place in places.items()]
@@ -198,7 +199,7 @@ class TagCamera:
     @property
     def suffix(self) -> str:
         """The name as the end of messages; empty for the only camera."""
-        return f" of {CAMERA} {quoted(self.name)}" if self.name else ""
+        return f" of camera {quoted(self.name)}" if self.name else ""
 
     @property
     def home_image(self) -> Path | None:
