@@ -1,6 +1,5 @@
 """Never lost for ever, and no robot that was carried believes that its landmarks were."""
 
-import dataclasses
 import math
 
 import numpy as np
@@ -10,9 +9,9 @@ from test_found_out import Logged
 
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Status
+from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
 from homeward.localizer.recovery.monitor import SceneChangeDetector
 from homeward.localizer.smoothing import smooth
@@ -92,21 +91,53 @@ def fitting(names, accepted):
     return dict.fromkeys(names, accepted)
 
 
-def test_all_in_sight_replaced_at_once_is_elsewhere_and_after_a_turn_is_not():
-    mean = np.concatenate([np.zeros(HEAD), np.array(list(ring(12).values())).ravel()])
-    marks, here = Marginal(mean, np.eye(mean.size)), Motion.identity()
-    old, new = [f"a{i}" for i in range(6)], [f"b{i}" for i in range(6)]
-    for turned, mapped, expected in ((0.0, [], True), (1.0, [], False), (0.0, new, False)):
-        scene = SceneChangeDetector()
-        assert not scene.has_changed(new, {}, marks, here)  # nothing was known before
-        assert not scene.has_changed(old, fitting(old, True), marks, here)
-        there = dataclasses.replace(here, delta=np.array([0.1, 0.0, turned]))
-        said = scene.has_changed(new, fitting(mapped, True), marks, there)
-        assert said is expected
-    # One that was known, and does not fit any more, changes nothing.
-    scene = SceneChangeDetector()
-    scene.has_changed(old, fitting(old, True), marks, here)
-    assert scene.has_changed([*new, "a0"], fitting(["a0"], False), marks, here)
+def sighted(places, camera=(0.0, 0.0, 0.0)):
+    """A frame of landmarks at these places, from a camera."""
+    at = np.array(list(places.values())) - camera[:2]
+    bearings = wrap(np.arctan2(*at.T[::-1]) - camera[2])
+    return WeighedFrame(0.0, list(places), bearings, np.full(len(places), 0.01))
+
+
+def in_front(letter, distance):
+    """Six landmarks on a line across the camera's axis."""
+    return {f"{letter}{i}": (distance, 0.4 * distance * (i / 2.5 - 1.0)) for i in range(6)}
+
+
+OLD, NEW = in_front("a", 4.0), in_front("b", 3.0)
+
+
+@pytest.mark.parametrize(
+    ("camera", "mapped", "expected"),
+    [
+        ((0.1, 0.0, 0.0), [], True),
+        ((0.1, 0.0, 1.0), [], False),  # turned away
+        ((0.1, 0.0, 0.0), list(NEW), False),  # what is in sight now fits
+        ((2.5, 0.0, 0.2), [], False),  # driven close to them, so most have left the image
+        ((0.1, 0.0, math.pi), [], False),  # another camera of the robot, to the rear
+    ],
+)
+def test_all_in_sight_replaced_at_once_is_elsewhere(camera, mapped, expected):
+    scene, here = SceneChangeDetector(), np.zeros(3)
+
+    def places(names):
+        return np.array([OLD[n] for n in names])
+
+    new = sighted(NEW)
+    assert not scene.has_changed(new, {}, here, places)  # nothing was known before
+    assert not scene.has_changed(sighted(OLD), fitting(OLD, True), here, places)
+    changed = scene.has_changed(new, fitting(mapped, True), np.array(camera), places)
+    assert changed is expected
+
+
+def test_a_known_landmark_that_no_longer_fits_does_not_hide_a_changed_scene():
+    scene, here = SceneChangeDetector(), np.zeros(3)
+
+    def places(names):
+        return np.array([OLD[n] for n in names])
+
+    scene.has_changed(sighted(OLD), fitting(OLD, True), here, places)
+    frame = sighted({**NEW, "a0": (3.0, 2.0)})
+    assert scene.has_changed(frame, fitting(["a0"], False), here, places)
 
 
 def mix_up(rig, seconds):

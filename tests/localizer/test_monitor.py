@@ -24,7 +24,8 @@ def known(heading_sigma=0.01, mapped=NAMES):
     covariance = 1e-4 * np.eye(HEAD + 2 * len(NAMES))
     covariance[2, 2] = heading_sigma**2
     state = Marginal(np.concatenate([np.zeros(HEAD), places.ravel()]), covariance)
-    landmarks, smoother = SimpleNamespace(mapped=mapped), SimpleNamespace(state=state)
+    landmarks = SimpleNamespace(mapped=mapped, positions=lambda names: places[: len(names)])
+    smoother = SimpleNamespace(state=state)
     return SimpleNamespace(smoother=smoother, landmarks=landmarks)
 
 
@@ -40,9 +41,9 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
         for i, n in enumerate(names)
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
-    rows, lines = np.zeros((0, 6)), np.zeros(0)
+    rows, camera = np.zeros((0, 6)), np.zeros(3)
     fits = {i.landmark: i.accepted for i in innovations}
-    gated = Gated(frame, drifted(), False, rows, lines, None, innovations, fits, False)
+    gated = Gated(frame, drifted(), False, rows, camera, None, innovations, fits, False)
     return monitor.assess_innovations(gated, known())
 
 

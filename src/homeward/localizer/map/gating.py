@@ -123,8 +123,8 @@ class Gated:
     """Whether the newest keyframe is at this frame."""
     rows: np.ndarray
     """(m, COLUMNS): rows of the table of sightings."""
-    directions: np.ndarray
-    """(m,): directions of the sight lines in the odometry frame [rad], not wrapped."""
+    camera: np.ndarray
+    """(3,): pose of the camera in the odometry frame [m, m, rad]."""
     prediction: Prediction
     """Prediction of the bearings of mapped landmarks ..."""
     innovations: list[Innovation]

@@ -134,6 +134,11 @@ class Landmarks:
         """Return the indices of landmarks in the state, shape (k,)."""
         return self.smoother.index(np.array([m.number for m in landmarks], int))
 
+    def positions(self, names: Iterable[str]) -> np.ndarray:
+        """Return the positions of those landmarks that are mapped, (k, 2) [m]."""
+        index = self.index(self.mapped[n] for n in names if n in self.mapped)
+        return np.asarray(self.smoother.state.positions[index])
+
     def walking_probabilities(self, landmarks: Iterable[Landmark]) -> np.ndarray:
         """Return the probabilities of landmarks to be walking about, shape (k,)."""
         return np.asarray(1.0 - self.smoother.p_static[self.index(landmarks)])

@@ -256,10 +256,10 @@ class Map:
         names = [frame.names[i] for i in known.tolist()]
         columns = (column.tolist() for column in (seen.residual, deviations, accepted))
         innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
-        lines = view.pose[2] + frame.bearings
         contradicted = not new_keyframe and contradicts_motion(seen, accepted, motion, heading)
         fits = dict(zip(names, accepted.tolist(), strict=True))
-        return Gated(frame, since, new_keyframe, rows, lines, seen, innovations, fits, contradicted)
+        pose = view.pose
+        return Gated(frame, since, new_keyframe, rows, pose, seen, innovations, fits, contradicted)
 
     def drop_frame(self) -> None:
         """Drop the frame that was gated last, before an update with it."""
@@ -287,7 +287,8 @@ class Map:
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
         rows, prediction = gated.rows, gated.prediction
-        kept = self._add_sightings(gated.frame, rows, gated.directions, gated.fits)
+        directions = gated.camera[2] + gated.frame.bearings
+        kept = self._add_sightings(gated.frame, rows, directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         changed = bool(moved and self.landmarks.reinitialise(moved)) or fixed
         rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings

@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from enum import Enum, auto
 
 import numpy as np
 
 from homeward.estimator import MIN_AGREEING, Innovation
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import compose
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
@@ -97,41 +97,61 @@ class SceneChangeDetector:
     """Scene-change detector: everything in sight was replaced at once.
 
     A kidnapped robot shows in bearings that do not fit the map. If most are of landmarks not mapped
-    yet, little contradicts the map, and odometry did not notice. But a robot that hardly moved does
-    not lose everything out of sight and see as much else instead.
+    yet, little contradicts the map, and odometry did not notice. But landmarks that should be in
+    view do not all vanish while as many others appear.
     """
 
     def __init__(self) -> None:
         self._seen: frozenset[str] = frozenset()
         """Landmarks in sight when enough of them last fitted the map ..."""
-        self._from = np.zeros(3), np.zeros(3)
-        """... and the robot's pose then, that of the keyframe and the motion since then, (3,)."""
+        self._fitted: tuple[str, ...] = ()
+        """... those that did ..."""
+        self._field = 0.0, 0.0
+        """... their outermost bearings [rad] ..."""
+        self._from = np.zeros(3)
+        """... and the pose of the camera, (3,)."""
 
     def has_changed(
         self,
-        names: Collection[str],
+        frame: WeighedFrame,
         fits: Mapping[str, bool],
-        state: Marginal,
-        motion: Motion,
+        camera: np.ndarray,
+        places: Callable[[tuple[str, ...]], np.ndarray],
     ) -> bool:
-        """Return whether all landmarks in sight (`names`) have been replaced by others.
+        """Return whether all landmarks in sight have been replaced by others.
 
-        `fits` has whether the bearing of each mapped landmark was accepted; `state` is at the
-        newest keyframe, `motion` since then, by odometry.
+        `fits` has whether the bearing of each mapped landmark of the frame was accepted, and
+        `camera` is the pose (3,) of the camera in the map. `places` returns the positions (k, 2) of
+        those of some landmarks that are mapped [m].
         """
         fitting = sum(fits.values())
         if fitting >= MIN_AGREEING:
-            self._seen, self._from = frozenset(names), (state.mean[:3], motion.delta)
+            seen = dict(zip(frame.names, frame.bearings.tolist(), strict=True))
+            self._seen, self._from = frozenset(seen), camera
+            self._fitted = tuple(name for name, accepted in fits.items() if accepted)
+            bearings = [seen[name] for name in self._fitted]
+            self._field = min(bearings), max(bearings)
         if fitting or not self._seen:
             return False
-        new = len(frozenset(names) - self._seen)
-        if new < MIN_AGREEING or 2 * new <= len(names):
+        new = len(frozenset(frame.names) - self._seen)
+        if new < MIN_AGREEING or 2 * new <= len(frame.names):
             return False
-        before = compose(*self._from)
-        off = compose(state.mean[:3], motion.delta) - before
-        distances = np.hypot(*(state.positions - before[:2]).T)
-        near = np.hypot(*off[:2]) < LINEAR * np.median(distances)
-        return bool(near and abs(wrap(off[2])) < LINEAR)
+        return self._remain_in_view(camera, places(self._fitted))
+
+    def _remain_in_view(self, camera: np.ndarray, positions: np.ndarray) -> bool:
+        """Return whether most landmarks that fitted should still be in view.
+
+        They are at positions (k, 2) [m]. They should if the camera has hardly moved, compared with
+        their distance, and would see them between bearings at which it saw them before.
+        """
+        if len(positions) == 0:
+            return False
+        dx, dy = (positions - camera[:2]).T
+        bearings, (lowest, highest) = wrap(np.arctan2(dy, dx) - camera[2]), self._field
+        in_field = (lowest <= bearings) & (bearings <= highest)
+        shift = math.dist(camera[:2], self._from[:2])
+        near = shift < LINEAR * np.median(np.hypot(dx, dy))
+        return bool(near and np.mean(in_field) >= MAJORITY)
 
 
 def odometry_lost(motion: Motion, marginal: Marginal) -> bool:
@@ -200,12 +220,14 @@ class Monitor:
 
     def assess_innovations(self, gated: Gated, known: Map) -> Health:
         """Assess the innovations of the newest frame: whether the bearings fit the map."""
-        innovations, motion = gated.innovations, gated.motion
         if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED
-        if self._scene.has_changed(gated.frame.names, gated.fits, known.smoother.state, motion):
+        if self._scene.has_changed(
+            gated.frame, gated.fits, gated.camera, known.landmarks.positions
+        ):
             return Health.SCENE_CHANGED
-        return Health.SLIPPED if self._slip.suspects(innovations, motion) else Health.OK
+        suspects = self._slip.suspects(gated.innovations, gated.motion)
+        return Health.SLIPPED if suspects else Health.OK
 
     def moved_landmarks(self, rejected: list[str]) -> list[str]:
         """Return which of these landmarks moved, the robot being where the map has it."""
