@@ -177,8 +177,12 @@ def contradicts_motion(
 
 
 def inflate_by_odometry(
-    rows: np.ndarray, motion: Motion, stamp: int, prediction: Prediction, marginal: Marginal
-) -> np.ndarray | None:
+    rows: np.ndarray,
+    motion: Motion,
+    stamps: tuple[int, int],
+    prediction: Prediction,
+    marginal: Marginal,
+) -> tuple[np.ndarray, bool] | None:
     """Inflate standard deviations of bearings by the odometry noise since the newest keyframe.
 
     The smoother takes the motion from the keyframe to a frame as exact and bearings as independent,
@@ -189,23 +193,23 @@ def inflate_by_odometry(
     overconfident.
 
     `rows` (m, COLUMNS) are of the table of sightings; landmarks that are not mapped are taken to be
-    at the median distance of the mapped ones, which `prediction` has. `stamp` is k, from 1. Return
-    the standard deviations (m,) [rad]; None where the motion is so uncertain that the bearings are
-    useless.
+    at the median distance of the mapped ones, which `prediction` has. `stamps` are k, from 1,
+    without and with vague frames. Return the standard deviations (m,) [rad], and whether the frame
+    is vague: its motion is so uncertain that it adds nothing to the pose. None where nothing is
+    mapped and the bearings are useless.
     """
     sigmas, known = rows[:, SIGMA], rows[:, LANDMARK] >= 0
     if not known.size:
-        return sigmas
+        return sigmas, False
     across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
     distances = marginal.distances
     if not distances.size and across > (motion.path / BASELINE) ** 2:
         return None
     by_shift = np.full(known.size, marginal.scale**-2.0)
     by_shift[known] = (prediction.jacobian[:, HEAD:] ** 2).sum(axis=1)
-    if across * median(by_shift.tolist()) > (VAGUE * median(sigmas.tolist())) ** 2:
-        return None
-    shared = (stamp + 1) * known.size * across * by_shift
-    return np.asarray(np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared))
+    is_vague = bool(across * median(by_shift.tolist()) > (VAGUE * median(sigmas.tolist())) ** 2)
+    shared = (stamps[is_vague] + 1) * known.size * across * by_shift
+    return np.sqrt(sigmas**2 + motion.covariance[2, 2] + shared), is_vague
 
 
 def consistent_subset(

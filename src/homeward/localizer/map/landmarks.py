@@ -25,7 +25,7 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.triangulation import triangulate
+from homeward.localizer.map.triangulation import triangulate, unexplained
 from homeward.localizer.tunables import (
     BASELINE,
     CANDIDATE_MEMORY_S,
@@ -34,6 +34,7 @@ from homeward.localizer.tunables import (
     INLIER,
     LINEAR,
     MAJORITY,
+    MARGIN,
     MAX_HOME_LANDMARKS,
     MAX_IDS,
     MAX_TRIALS,
@@ -215,17 +216,18 @@ class Landmarks:
         found = self._at_expected(name, rows) or self._triangulate(rows)
         found = found or self._at_range(name, rows)
         known = name in self.mapped
-        if found is None or (known and not self._has_moved(name, rows[found[1]], found[0])):
+        excess = self._excess(name, rows[found[1]], found[0]) if known and found else 0.0
+        if found is None or (known and self._is_undecided(name, rows[found[1]], found[0], excess)):
             waiting.next_trial = RETRY_GROWTH * len(rows)
             self._candidates[name] = waiting  # in the order of trials
             return False
         position, agree = found
         rows = rows[agree]
-        if known and self._fits_old_sightings(name, position):
-            self._drop(name)  # it never moved, but was badly initialised
-        elif known:
+        if excess >= MIN_SIGHTINGS:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
+        elif known:
+            self._drop(name)  # it was badly initialised
         elif self._has_returned(name, rows):
             self._restore(name)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
@@ -290,16 +292,31 @@ class Landmarks:
             return None
         return triangulate(eyes, rows[:, BEARING], self._line_sigmas(rows), self._parallax)
 
-    def _has_moved(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
-        """Return whether sightings that agree on a position (2,) prove that a landmark moved."""
-        return len(rows) >= ESTABLISHED and not self._is_swapped(name, rows, position)
+    def _excess(self, name: str, rows: np.ndarray, position: np.ndarray) -> float:
+        """Return how many sightings of a landmark two positions explain, but no single one does.
 
-    def _fits_old_sightings(self, name: str, position: np.ndarray) -> bool:
-        """Return whether the sightings before fit a new position (2,) of a landmark as well."""
-        rows = self.smoother.sightings
-        rows = rows[rows[:, LANDMARK] == self.mapped[name].number]
-        off = self._residuals(rows, position[None])[0]
-        return bool((off < INLIER * rows[:, SIGMA]).sum() >= MAJORITY * max(len(rows), 1))
+        The two are its position and another one (2,), on which the sightings `rows` agree.
+        """
+        landmark, table = self.mapped[name], self.smoother.sightings
+        old = table[table[:, LANDMARK] == landmark.number]
+        both, places = np.vstack([old, rows]), np.vstack([self.places([landmark])[0], position])
+        sigmas = np.concatenate([old[:, SIGMA], self._line_sigmas(rows)])
+        off = unexplained(self.smoother.cameras(both)[0], both[:, BEARING], sigmas, places)
+        before, since = off[:, : len(old)].sum(axis=1), off[:, len(old) :].sum(axis=1)
+        if landmark.established:  # then no other position explains the marginalised ones
+            before[1:] += landmark.sightings - len(old)
+        return float((before + since).min() - before.min() - since.min())
+
+    def _is_undecided(
+        self, name: str, rows: np.ndarray, position: np.ndarray, excess: float
+    ) -> bool:
+        """Return whether sightings that agree on a position (2,) do not show that it is there.
+
+        The landmark may have moved there, but not be seen often enough to decide; or another one
+        may be mistaken for it.
+        """
+        few = MARGIN < excess < MIN_SIGHTINGS and len(rows) < ESTABLISHED
+        return few or self._is_swapped(name, rows, position)
 
     def _has_returned(self, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings fit the former position of a landmark declared moved."""
@@ -341,12 +358,12 @@ class Landmarks:
     def reinitialise(self, names: list[str]) -> bool:
         """Reinitialise landmarks that are not where they were mapped; return whether any changed.
 
-        An established landmark has moved if its later sightings agree on another position. If they
-        do not, it may be out of sight, and others be mistaken for it.
+        Nothing changes while their later sightings do not agree on another position: they may be
+        out of sight, and others be mistaken for them.
         """
         initialised = False
         for name in names:
-            if self.mapped[name].established and name not in self.former:
+            if name not in self.former:
                 initialised |= self._is_due(name) and self._initialise(name)
             else:
                 self._drop(name)

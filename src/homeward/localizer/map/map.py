@@ -113,6 +113,9 @@ class Map:
         """Sightings of each landmark from the newest keyframe."""
         self._last_seen = ById[float]()
         """When each landmark was last seen [s]."""
+        self._is_vague, self._num_vague = False, 0
+        """Whether odometry to the newest frame is too uncertain for the map, so that its bearings
+        only show landmarks that are new or moved; number of such frames since the keyframe."""
         self._pending_rows: list[np.ndarray] = []
         """Sightings that have not been applied to the state yet."""
         self._ranges_counted = 0
@@ -232,6 +235,7 @@ class Map:
             self._solve_due = not self._apply_if_linear(self.smoother.state.update(seen))
         smoother.add_keyframe(t, motion, inlier_ratios)
         self._counts_here.clear()
+        self._num_vague = 0
         self._pending_rows = []
 
     def gate(self, frame: WeighedFrame, motion: Motion, view: View | None) -> Gated:
@@ -268,16 +272,21 @@ class Map:
     def inflate(self, gated: Gated) -> bool:
         """Inflate bearings between keyframes by the odometry noise; return whether they are useful.
 
-        They are not where odometry since the keyframe is too uncertain.
+        They are not where odometry since the keyframe is too uncertain and nothing is mapped. Where
+        it is uncertain and something is mapped, they only add to candidates.
         """
+        self._is_vague = False
         if gated.new_keyframe:
             return True
-        arguments = gated.motion, len(self._pending_rows) + 1, gated.prediction, self.smoother.state
+        stamp = len(self._pending_rows) + 1
+        stamps = stamp, stamp + self._num_vague
+        arguments = gated.motion, stamps, gated.prediction, self.smoother.state
         widened = inflate_by_odometry(gated.rows, *arguments)
         if widened is None:
             self._counts.reject(Rejection.VAGUE_ODOMETRY, len(gated.frame.names))
             return False
-        gated.rows[:, SIGMA] = widened
+        gated.rows[:, SIGMA], self._is_vague = widened
+        self._num_vague += self._is_vague
         return True
 
     def update(self, gated: Gated, moved: list[str]) -> bool:
@@ -349,6 +358,9 @@ class Map:
         kept = np.zeros(len(names), bool)
         rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
         for i, name in enumerate(names):
+            if self._is_vague and fits.get(name, False):
+                self._counts.reject(Rejection.VAGUE_ODOMETRY)
+                continue
             taken = self._counts_here[name] = self._counts_here.get(name, 0) + 1
             if taken > MAX_PER_KEYFRAME:
                 skipped += 1
@@ -371,7 +383,8 @@ class Map:
         accepted = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
         self.landmarks.add_accepted(t, fitting, accepted, directions[kept])
-        self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
+        if not self._is_vague:
+            self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
         return kept
 
     def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:

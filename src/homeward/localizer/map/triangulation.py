@@ -68,6 +68,20 @@ def triangulate(
     return position, agree
 
 
+def unexplained(
+    cameras: np.ndarray, bearings: np.ndarray, sigmas: np.ndarray, places: np.ndarray
+) -> np.ndarray:
+    """Return to what share positions do not explain sight lines (m,), in [0, 1], shape (k, m).
+
+    The positions are `places` (2,) each [m] and intersections of pairs of lines; the rest as in
+    `triangulate`.
+    """
+    lines = cameras[:, 2] + bearings
+    chosen = np.unique(np.linspace(0, lines.size - 1, MAX_LINES).astype(int))
+    points = _intersections(cameras[chosen, :2], lines[chosen], 0.0)
+    return _truncated(np.concatenate([places, points]), cameras, lines, sigmas)
+
+
 def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
     """Return whether the lines span at least the angle `parallax`."""
     around = wrap(lines[use] - lines[use][0])
@@ -109,8 +123,15 @@ def _costs(
     points: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
 ) -> np.ndarray:
     """Return the truncated squared residuals of each point, (k,): lines not explained."""
+    return np.asarray(_truncated(points, cameras, lines, sigmas).sum(axis=1))
+
+
+def _truncated(
+    points: np.ndarray, cameras: np.ndarray, lines: np.ndarray, sigmas: np.ndarray
+) -> np.ndarray:
+    """Return truncated squared residuals of lines by point, shape (k, m)."""
     residuals = _residuals(points, cameras, lines)
-    return np.asarray(np.minimum((residuals / (INLIER * sigmas)) ** 2, 1.0).sum(axis=1))
+    return np.asarray(np.minimum((residuals / (INLIER * sigmas)) ** 2, 1.0))
 
 
 def _residuals(points: np.ndarray, cameras: np.ndarray, lines: np.ndarray) -> np.ndarray:
