@@ -355,15 +355,16 @@ class Landmarks:
                 rejected.append(name)
         return rejected
 
-    def reinitialise(self, names: list[str]) -> bool:
+    def reinitialise(self, names: list[str], briefly: bool) -> bool:
         """Reinitialise landmarks that are not where they were mapped; return whether any changed.
 
         Nothing changes while their later sightings do not agree on another position: they may be
-        out of sight, and others be mistaken for them.
+        out of sight, and others be mistaken for them. Unless `briefly`, only established ones may
+        have moved: wrong camera extrinsics look like moves of landmarks seen from few directions.
         """
         initialised = False
         for name in names:
-            if name not in self.former:
+            if name not in self.former and (briefly or self.mapped[name].established):
                 initialised |= self._is_due(name) and self._initialise(name)
             else:
                 self._drop(name)

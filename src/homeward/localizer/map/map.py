@@ -299,7 +299,8 @@ class Map:
         directions = gated.camera[2] + gated.frame.bearings
         kept = self._add_sightings(gated.frame, rows, directions, gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
-        changed = bool(moved and self.landmarks.reinitialise(moved)) or fixed
+        briefly = not self._extrinsics.is_assumed
+        changed = bool(moved and self.landmarks.reinitialise(moved, briefly)) or fixed
         rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:

@@ -63,6 +63,11 @@ class Extrinsics:
         given, self._given = drive.sensor.model_fields_set, drive.sensor
         self._not_given = np.array([part not in given for part in ("yaw", "x", "y")])
 
+    @property
+    def is_assumed(self) -> bool:
+        """Whether a value that was not given is assumed to be zero."""
+        return bool(self._not_given.any()) and not self.contradicted
+
     def estimate(self, calibration: np.ndarray) -> Pose | None:
         """Return the camera's pose on the robot by a calibration (9,); None if as assumed."""
         off = calibration[MOUNT]
@@ -123,7 +128,7 @@ class Extrinsics:
         alone would estimate follows from its posterior: mean and variances (9,) in the map. `scale`
         is the median distance of the landmarks [m].
         """
-        if self.contradicted or not self._not_given.any():
+        if not self.is_assumed:
             return False
         tolerance = np.array([NEGLIGIBLE, STANDSTILL * scale, STANDSTILL * scale])
         wide, own = _free_sigmas(scale), self._information(variances)
