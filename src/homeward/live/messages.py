@@ -215,7 +215,7 @@ class SetStart(Strict):
 
 
 class SetExtrinsics(Mount):
-    """Extrinsics of a camera on the robot; the map begins again, except for a new camera."""
+    """Extrinsics of a camera on the robot; the map is reset, unless it is a new camera."""
 
     type: Literal["mount"] = "mount"
     x: Bounded = 0.0

@@ -296,8 +296,7 @@ class Map:
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
         rows, prediction = gated.rows, gated.prediction
-        directions = gated.camera[2] + gated.frame.bearings
-        kept = self._add_sightings(gated.frame, rows, directions, gated.fits)
+        kept = self._add_sightings(gated.frame, rows, gated.camera[2], gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         briefly = not self._extrinsics.is_assumed
         changed = bool(moved and self.landmarks.reinitialise(moved, briefly)) or fixed
@@ -317,8 +316,7 @@ class Map:
         self._add_keyframe(frame.t, motion, NO_TAIL)
         self.denied_at = self.smoother.newest
         view = self.view(Motion.identity(), frame.offset)
-        directions = view.pose[2] + frame.bearings
-        self._add_sightings(frame, self._rows(frame, view), directions, {})
+        self._add_sightings(frame, self._rows(frame, view), view.pose[2], {})
         self._correct(None)
 
     def revert_to(self, keyframe: int) -> None:
@@ -348,13 +346,12 @@ class Map:
         return rows
 
     def _add_sightings(
-        self,
-        frame: WeighedFrame,
-        rows: np.ndarray,
-        directions: np.ndarray,
-        fits: Mapping[str, bool],
+        self, frame: WeighedFrame, rows: np.ndarray, heading: float, fits: Mapping[str, bool]
     ) -> np.ndarray:
-        """Add accepted sightings to the window, others to candidates; return which, (m,) bool."""
+        """Add accepted sightings to the window, others to candidates; return which, (m,) bool.
+
+        `heading` [rad] is that of the camera in the odometry frame.
+        """
         t, names, skipped = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
         rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
@@ -383,7 +380,7 @@ class Map:
             self.smoother.frames.drop_newest()
         accepted = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
-        self.landmarks.add_accepted(t, fitting, accepted, directions[kept])
+        self.landmarks.add_accepted(t, fitting, accepted, heading + frame.bearings[kept])
         if not self._is_vague:
             self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
         return kept
