@@ -136,3 +136,18 @@ def test_a_right_motion_is_seldom_denied():
         drawn = noise + by_shift(10, 1.0) * sigma * rng.normal(size=(2000, 1))
         denied = np.mean([denies(r, stands(sigma), 0.0) for r in drawn])
         assert denied < 3.0 * gate.FALSE_ALARM
+
+
+def test_two_landmarks_show_a_turn_that_odometry_missed_only_if_both_are_off_by_the_same_angle():
+    turn = np.array([0.06, 0.07])
+
+    def contradicts(residual, apart):
+        seen = ahead(np.array(residual))
+        seen.jacobian[:, HEAD:] = np.array([[0.0, 1.0], [-math.sin(apart), math.cos(apart)]]) / 3.0
+        motion = Motion(np.zeros(3), np.diag([0.01, 0.01, 0.01]) ** 2, np.zeros((3, NC)))
+        return gate.contradicts_motion(seen, np.ones(2, bool), motion, 0.0)
+
+    assert contradicts(turn, 0.8)
+    assert not contradicts(0.1 * turn, 0.8)  # odometry may err by that
+    assert not contradicts([0.0, 0.07], 0.8)  # one landmark has moved
+    assert not contradicts(turn, 0.1)  # both may be on a box that has moved

@@ -26,6 +26,7 @@ from homeward.localizer.tunables import (
     BASELINE,
     FALSE_ALARM,
     INFLATION,
+    LINEAR,
     MAJORITY,
     MIN_BEARING_SIGMA,
     MINIMAL,
@@ -164,16 +165,30 @@ def contradicts_motion(
 ) -> bool:
     """Test accepted bearings (m,) jointly against the motion (chi-square); return whether it fails.
 
-    Each may pass the gate although the motion is wrong: wheels slip, or stand while it moves.
-    Prediction and motion are from the newest keyframe, where the robot has a `heading` [rad].
+    Each may pass the gate although the motion is wrong: wheels slip, or stand while it moves. Two
+    landmarks fit any motion, so they must be the only ones in view, with residuals of the same
+    angle: a turn that odometry missed. Prediction and motion are from the newest keyframe, where
+    the robot has a `heading` [rad].
     """
     prediction = prediction.only(accepted)
     count = prediction.residual.size
-    if count < MINIMAL:
+    if count < MINIMAL and not (count == accepted.size == 2 and _shows_turn(prediction)):
         return False
     covariance = prediction.innovation_covariance + _motion_covariance(motion, heading, prediction)
     _, weighted, vague = lapack.dposv(covariance, prediction.residual)
     return not vague and bool(prediction.residual @ weighted > chdtri(count, FALSE_ALARM))
+
+
+def _shows_turn(prediction: Prediction) -> bool:
+    """Return whether two landmarks in different directions have the same residual.
+
+    In similar directions, both may be on a body that was moved.
+    """
+    (ax, ay), (bx, by) = prediction.jacobian[:, HEAD:].tolist()
+    between = abs(math.atan2(ax * by - ay * bx, ax * bx + ay * by))
+    (first, common), (_, second) = prediction.innovation_covariance.tolist()
+    off, variance = np.diff(prediction.residual)[0], first + second - 2.0 * common
+    return between > LINEAR and bool(off**2 <= chdtri(1, FALSE_ALARM) * variance)
 
 
 def inflate_by_odometry(
