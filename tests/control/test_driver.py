@@ -130,7 +130,7 @@ def test_the_simulator_and_a_live_session_command_the_same_for_the_same_estimate
     session._refused, session.localisation.goal = "", goal
     command = {}
     session.belief = lambda now: command["belief"]
-    session.faults = session._blind = lambda now: ()
+    session.faults, session._blind = lambda now: (), lambda now: None
     pose, commands = Pose(-1.0, 0.4, 2.5), []
     for k in range(2000):
         t = k * DT

@@ -69,6 +69,10 @@ class Rig:
             0.0,
         )
 
+    def staying(self):
+        """Whether the robot stands, or turns on the spot."""
+        return not self.commands or self.commands[-1][1].v == 0.0
+
 
 def driving(rig):
     return rig.state == "driving" and rig.commands[-1][1].v > 0.1

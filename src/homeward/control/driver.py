@@ -7,7 +7,7 @@ import math
 from homeward.control.following import STAND
 from homeward.control.goals import Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
-from homeward.control.watchdog import Debounced, Fault
+from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault
 from homeward.estimator import Status
 from homeward.geometry.frames import Twist, position_sigma
 
@@ -33,9 +33,11 @@ class Driver:
         self._twist, self._last = STAND, -math.inf
         self._since = -math.inf
         """When the state began."""
-        self._localised_at = -math.inf
-        """When the robot was last localised."""
+        self._unlocalised = DrivingTime(math.inf)
+        """Since the robot was last localised."""
         self._uncertain = Debounced()
+        self._looked, self._look_rate = 0.0, 0.0
+        """Angle turned to see landmarks since the robot last drove [rad], and the rate [rad/s]."""
 
     @property
     def active(self) -> bool:
@@ -45,7 +47,8 @@ class Driver:
     def go(self, now: float, goal: Goal | None = None) -> None:
         """Start a drive; without a goal, as soon as `aim` sets one."""
         self._goal = self._controller = None
-        self._twist, self._localised_at, self.value, self._last = STAND, -math.inf, None, now
+        self._twist, self.value, self._last, self._looked = STAND, None, now, 0.0
+        self._unlocalised = DrivingTime(math.inf)
         self._enter(GoalState.HELD, "", now)
         self.aim(goal)
 
@@ -61,14 +64,27 @@ class Driver:
             self.value = None
             self._stand(GoalState.FAILED, reason, now)
 
-    def command(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Twist | None:
-        """Return the command at `now` [s], or None to send none, given faults of the sensors."""
+    def command(
+        self,
+        now: float,
+        belief: Belief,
+        faults: tuple[Fault, ...] = (),
+        blind: Blind | None = None,
+    ) -> Twist | None:
+        """Return the command at `now` [s], or None to send none, given faults of the sensors.
+
+        A `blind` robot without other faults turns on the spot until it is not, at most once round.
+        """
+        self._unlocalised.add(now - self._last, self._twist)
         dt, self._last = min(now - self._last, MAX_STEP_S), now
         if belief.status is Status.LOCALISED:
-            self._localised_at = now
+            self._unlocalised = DrivingTime(0.0)
         if not self.active:
             over = self.state is GoalState.IDLE or now - self._since > AFTERWARDS_S
             return None if over else STAND
+        back = None if blind is None or faults or belief.pose is None else blind.back
+        if blind is not None:
+            faults += (blind.fault,)
         fault = self.hindrance(now, belief, faults)
         pose_fault = None if faults else fault
         hindrance, self.value = fault or ("", None)
@@ -77,6 +93,9 @@ class Driver:
         output = self._controller.step(now, belief, hindrance)
         is_pose_fault = pose_fault is not None and output.reason == hindrance
         self.is_lost = output.is_lost or is_pose_fault
+        may_look = self._limits.search > 0.0 and self._looked < math.tau
+        if back is not None and output.state is GoalState.HELD and may_look:
+            return self._look(back, output.reason, dt, now)
         if output.state is GoalState.HELD:
             return self._hold(output.reason, now, self._controller.patience)
         if output.state is not GoalState.DRIVING:
@@ -85,6 +104,21 @@ class Driver:
             self._enter(GoalState.DRIVING, "", now)
         self.reason = output.reason
         self._twist = self._limits.accelerated(self._twist, output.twist, dt)
+        if self._twist.v:
+            self._looked = 0.0
+        return self._twist
+
+    def _look(self, back: float, why: str, dt: float, now: float) -> Twist:
+        """Turn on the spot, at first to the heading that had a landmark in view."""
+        if not self._looked:
+            rate = min(self._limits.search, self._limits.turn_rate)
+            self._look_rate = math.copysign(rate, back)
+        if self.state is not GoalState.DRIVING:
+            self._enter(GoalState.DRIVING, "", now)
+        self.reason = f"{why}; turning to see one"
+        turning = Twist(0.0, self._twist.omega)
+        self._twist = self._limits.accelerated(turning, Twist(0.0, self._look_rate), dt)
+        self._looked += abs(self._twist.omega) * dt
         return self._twist
 
     def hindrance(self, now: float, belief: Belief, faults: tuple[Fault, ...] = ()) -> Fault | None:
@@ -98,8 +132,9 @@ class Driver:
             return None if belief.pose is not None else Fault("no odometry")
         if belief.pose is None or belief.covariance is None:
             return Fault(f"lost, no pose: {belief.status.value}")
-        if belief.status is not Status.LOCALISED and now - self._localised_at > limits.coast:
-            return Fault(f"lost, not localised: {belief.status.value}", now - self._localised_at)
+        since = self._unlocalised.seconds
+        if belief.status is not Status.LOCALISED and since > limits.coast:
+            return Fault(f"lost, not localised: {belief.status.value}", since)
         sigma, limit = position_sigma(belief.covariance), limits.largest_sigma
         if self._uncertain.is_active(not sigma <= limit, now):
             return Fault(f"lost, too uncertain: sigma of more than {limit:g} m", sigma)

@@ -6,6 +6,7 @@ import math
 from collections import deque
 from typing import NamedTuple
 
+from homeward.geometry.frames import Twist
 from homeward.odometry.clock import Clock
 
 AHEAD_S = 2.0
@@ -36,6 +37,26 @@ class Debounced:
         if present:
             self._last = max(self._last, now)
         return present or self._last <= now < self._last + CLEARED_S
+
+
+class Blind(NamedTuple):
+    """A robot that has driven for too long without a landmark in view."""
+
+    fault: Fault
+    back: float
+    """Angle to the heading that it had with a landmark in view, wrapped [rad]."""
+
+
+class DrivingTime:
+    """Time since an event [s], without turns on the spot, which do not change the position."""
+
+    def __init__(self, seconds: float) -> None:
+        self.seconds = seconds
+
+    def add(self, dt: float, twist: Twist) -> None:
+        """Add the time `dt` [s] in which the robot had this command."""
+        if twist.v or not twist.omega:
+            self.seconds += dt
 
 
 class StampGate:

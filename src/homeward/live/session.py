@@ -15,11 +15,12 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
+from homeward.control.following import STAND
 from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
-from homeward.control.watchdog import Debounced, Fault, StampGate, Watchdog
+from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InternalError
-from homeward.estimator import Status
+from homeward.estimator import NO_BEARINGS_S, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
@@ -69,8 +70,12 @@ class Session:
         self._lags = {"bearings": Debounced(), "answers": Debounced()}
         self._frozen = FrozenCamera(robot.sensor.yaw)
         self._is_frozen, self._is_blind = Debounced(), Debounced()
-        self._last_sighting = math.inf
-        """Last time with landmarks in view of a camera that is not frozen [s]."""
+        self._unseen = DrivingTime(0.0)
+        """Since a landmark was in view of a camera that is not frozen."""
+        self._heading_seen = 0.0
+        """Heading at that time, in the odometry frame [rad]."""
+        self._twist, self._ticked = STAND, math.inf
+        """Last command, and its time [s]."""
         self._last_odometry = -math.inf
         self._obstacle: tuple[float, float] | None = None
         self._stopped = False
@@ -211,6 +216,8 @@ class Session:
         return failure
 
     def _command(self, now: float) -> msg.Command | None:
+        self._unseen.add(max(now - self._ticked, 0.0), self._twist)
+        self._ticked = now
         if self._refused:
             self.homing.fail(self._refused, now)
             self._refused = ""
@@ -221,7 +228,8 @@ class Session:
             if self._goal_message is None:
                 self.homing.aim(self.localisation.goal)
                 belief = self.belief(now)
-            twist = self.homing.command(now, belief, self.faults(now) + self._blind(now))
+            twist = self.homing.command(now, belief, self.faults(now), self._blind(now))
+        self._twist = twist or STAND
         if twist is None:
             return None
         return msg.Command(
@@ -266,12 +274,16 @@ class Session:
             found.append(Fault(Reason.FROZEN.words))
         return tuple(dict.fromkeys(found))
 
-    def _blind(self, now: float) -> tuple[Fault, ...]:
-        """Return the fault that no landmark was in view for too long to drive on odometry alone."""
-        limit, unseen = self.settings.limits.coast, now - self._last_sighting
-        if self._is_calibrated or not self._is_blind.is_active(unseen > limit, now):
-            return ()
-        return (Fault(f"no landmark in view for more than {limit:g} s", unseen),)
+    def _blind(self, now: float) -> Blind | None:
+        """Return the fault that the robot drove too long without a landmark in view, if it did."""
+        limit = self.settings.limits.coast
+        if self._is_calibrated:  # localised by odometry for a time, and not localised for `coast`
+            limit += NO_BEARINGS_S
+        unseen = self._unseen.seconds
+        if not self._is_blind.is_active(unseen > limit, now):
+            return None
+        back = float(wrap(self._heading_seen - self._odometry_pose(self._twists.newest).heading))
+        return Blind(Fault(f"no landmark in view for more than {limit:g} s", unseen), back)
 
     def diagnostics(self, now: float) -> msg.Diagnostics:
         """Return the state of the session at `now` [s]."""
@@ -279,8 +291,9 @@ class Session:
         counts = dict(self.counts)
         if estimator is not None:
             counts |= {why.words: n for why, n in dict(estimator.counts.rejected).items()}
-        faults = self.faults(now)
-        hindrance = self.homing.hindrance(now, self.belief(now), faults + self._blind(now))
+        faults, blind = self.faults(now), self._blind(now)
+        hindered = faults if blind is None else (*faults, blind.fault)
+        hindrance = self.homing.hindrance(now, self.belief(now), hindered)
         work, self._work_s = self._work_s, 0.0
         return msg.Diagnostics(
             status=estimate.status,
@@ -335,7 +348,9 @@ class Session:
             seen = {f"{name} {sample.camera}": b for name, b in sample.bearings.items()}
             frozen = self._frozen.add_bearings(t, seen, self._twists.at(t))
             if len(frozen) < len(sample.bearings):
-                self._last_sighting = now
+                self._unseen = DrivingTime(0.0)
+                if self._twists:
+                    self._heading_seen = self._odometry_pose(t).heading
             return t
         self._last_odometry = now
         t = self._odometry.record(sample.t, now)
