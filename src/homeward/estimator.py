@@ -268,25 +268,8 @@ class Estimator(Protocol):
 
 
 @runtime_checkable
-class UsesRanges(Protocol):
-    """An estimator whose method `bearings` takes ranges, too."""
-
-    uses_ranges: bool
-
-    def bearings(
-        self,
-        t: float,
-        sightings: Mapping[str, float],
-        sigmas: Mapping[str, float] | None = None,
-        ranges: Mapping[str, float] | None = None,
-        range_sigmas: Mapping[str, float] | None = None,
-    ) -> Estimate:
-        """Add all sightings of a stamp, with ranges and their standard deviations [m] by id."""
-
-
-@runtime_checkable
 class UsesCameras(Protocol):
-    """An estimator whose method `bearings` takes the name of the camera, too."""
+    """An estimator whose method `bearings` takes ranges and the name of the camera, too."""
 
     uses_cameras: bool
 
@@ -299,7 +282,30 @@ class UsesCameras(Protocol):
         range_sigmas: Mapping[str, float] | None = None,
         camera: str = "",
     ) -> Estimate:
-        """Add all sightings of one stamp and camera; see `UsesRanges`."""
+        """Add all sightings of one stamp and camera.
+
+        `ranges` and their standard deviations `range_sigmas` are by id [m].
+        """
+
+
+def add_frame(
+    estimator: Estimator,
+    t: float,
+    sightings: Mapping[str, float],
+    sigmas: Mapping[str, float] | None,
+    ranges: Mapping[str, float] | None = None,
+    range_sigmas: Mapping[str, float] | None = None,
+    camera: str = "",
+) -> Estimate:
+    """Add all sightings of one stamp and camera to any estimator; arguments as for `UsesCameras`.
+
+    An estimator that takes no ranges gets none. `InputError` if it takes one camera only.
+    """
+    if isinstance(estimator, UsesCameras):
+        return estimator.bearings(t, sightings, sigmas, ranges, range_sigmas, camera)
+    if camera:
+        raise InputError(f"the estimator {estimator.name} takes one camera; robust takes several")
+    return estimator.bearings(t, sightings, sigmas)
 
 
 @runtime_checkable

@@ -21,7 +21,7 @@ from homeward.estimator import (
     LandmarkEstimate,
     Status,
     UsesCameras,
-    UsesRanges,
+    add_frame,
 )
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
@@ -194,14 +194,8 @@ def run(
             innovations: tuple[Innovation, ...] = ()
             for _ in range(next(frames)):  # one of each camera
                 t, seen, sigmas = next(sightings)
-                (far, far_sigmas), camera = next(ranges), next(names)
-                sample = t, seen, sigmas or None
-                if camera and isinstance(estimator, UsesCameras):
-                    estimate = estimator.bearings(*sample, far, far_sigmas, camera)
-                elif has_ranges and isinstance(estimator, UsesRanges):
-                    estimate = estimator.bearings(*sample, far, far_sigmas)
-                else:
-                    estimate = estimator.bearings(*sample)
+                sample = t, seen, sigmas or None, *next(ranges), next(names)
+                estimate = add_frame(estimator, *sample)
                 innovations = (*innovations, *estimate.innovations)
             update_seconds.append(time.perf_counter() - start)
             if len(innovations) > len(estimate.innovations):

@@ -18,14 +18,7 @@ from homeward.drives.cameras.names import with_camera
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, OtherCamera, Start
 from homeward.errors import HomewardError, InputError, InternalError
-from homeward.estimator import (
-    Estimate,
-    Estimator,
-    LandmarkEstimate,
-    Status,
-    UsesCameras,
-    UsesRanges,
-)
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, add_frame
 from homeward.geometry.frames import Pose, between, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
@@ -254,15 +247,8 @@ class Localisation:
         if self.estimator is None:
             return _as_message(Estimate(message.t, Status.WAITING, NO_HOME), msg.Answer)
         sample = message.t, message.bearings, message.sigmas or None
-        if message.camera:
-            if not isinstance(self.estimator, UsesCameras):
-                raise InputError("several cameras need the estimator robust")
-            ranges = message.ranges, message.range_sigmas
-            estimate = self.estimator.bearings(*sample, *ranges, message.camera)
-        elif message.ranges and isinstance(self.estimator, UsesRanges):
-            estimate = self.estimator.bearings(*sample, message.ranges, message.range_sigmas)
-        else:
-            estimate = self.estimator.bearings(*sample)
+        ranges = message.ranges or None, message.range_sigmas or None
+        estimate = add_frame(self.estimator, *sample, *ranges, message.camera)
         if self._guide is not None and odom is not None and not message.camera:
             self._guide.add(odom, message.bearings)
         frame = None

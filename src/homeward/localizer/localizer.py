@@ -82,7 +82,7 @@ class Localizer:
     """
 
     name = "robust"
-    uses_ranges = uses_cameras = True
+    uses_cameras = True
     """Whether `bearings` takes ranges, and the name of a camera."""
 
     def __init__(
