@@ -134,7 +134,8 @@ class Robot:
 
     `see` gives the tags in view. Tasks are messages of the live protocol, done one after the other:
     `turn_home`, `go_to`, `go_home`. Before each goal the robot drives in circles until it is
-    localised. `home` is the true pose of home in the hall, for scoring.
+    localised; after a failure it turns on the spot. `home` is the true pose of home in the hall,
+    for scoring.
     """
 
     world: World
@@ -254,8 +255,9 @@ class Robot:
         )
         if searches:
             speed, turn = SEARCH
-            self.base.drive(speed if free > CLEAR else 0.0, turn)
-            self.doing = "circling until localised"
+            circles = self._status is not Status.LOCALISED and free > CLEAR
+            self.base.drive(speed if circles else 0.0, turn)
+            self.doing = "circling until localised" if circles else "turning to look round"
             return
         self._current = Outcome(self._todo.popleft())
         self._start(self._current)
