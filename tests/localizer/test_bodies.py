@@ -10,6 +10,7 @@ from homeward.geometry.frames import Twist
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.bodies import find_bodies
 from homeward.localizer.output.map_snapshot import moved_probabilities
+from homeward.localizer.tunables import MAX_TESTED
 
 PRIOR, SIZE = 0.1, 8.0
 CORNERS = [(-4.0, -3.0), (4.0, -3.0), (4.0, 3.0), (-4.0, 3.0)]
@@ -49,6 +50,37 @@ def test_one_of_two_tags_on_a_box_may_move_alone():
     found = moved([*CORNERS, *BOX], [*CORNERS, BOX[0], (2.0, 0.0)])
     assert found[:5].max() < 0.05
     assert found[5] > 0.95
+
+
+def test_moves_are_found_on_a_site_with_more_landmarks_than_are_tested_together():
+    middles = np.random.default_rng(2).uniform(0.0, SIZE, (2 * MAX_TESTED, 2))
+    places = np.concatenate([middles, np.add(middles, (0.2, 0.0))])  # the other tags of the boxes
+    box = np.tile(np.arange(len(middles)), 2)
+    now, wrong = places.copy(), np.isin(box, [3, MAX_TESTED - 1, MAX_TESTED + 1, 70, 95])
+    now[box == 3] += (0.5, 0.4)
+    now[wrong] += (0.4, -0.5)
+    wrong[MAX_TESTED + 5] = True  # a tag that moved alone
+    now[MAX_TESTED + 5] += (-0.6, 0.2)
+    found = moved(places, now)
+    assert found[wrong].min() > 0.95
+    assert found[~wrong].max() < 0.05
+
+
+def test_at_another_site_no_landmark_of_many_is_in_place():
+    rng = np.random.default_rng(3)
+    places, others = rng.uniform(0.0, SIZE, (2, 2 * MAX_TESTED, 2))
+    assert moved(places, others).mean() > 0.9
+
+
+def test_a_survey_reports_moves_of_all_its_landmarks():
+    rig = Rig(ring(MAX_TESTED + 12, 4), 4)
+    survey = {n: {"x": x, "y": y} for n, (x, y) in rig.landmarks.items()}
+    for name in ("L5", f"L{MAX_TESTED + 4}"):
+        x, y = rig.landmarks[name]
+        rig.landmarks[name] = (x - 0.5, y + 0.6)
+    known = {"frame": "home", "sigma": 0.02, "landmarks": survey}
+    rig.localizer = Localizer({}, known=known, **rig.settings.robot)
+    rig.drive(10.0)  # `Rig.check` compares the reported moves
 
 
 def test_bodies_are_small_and_disjoint():

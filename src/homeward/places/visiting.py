@@ -11,7 +11,7 @@ import numpy as np
 from homeward.errors import HomewardError
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.output.map_snapshot import MAX_TESTED, moved_probabilities
+from homeward.localizer.output.map_snapshot import moved_probabilities
 from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import (
@@ -236,18 +236,15 @@ def _moved_probabilities(place: Place, data: VisitData) -> tuple[dict[str, float
     """Return the probability that each common landmark moved, and the names of the others."""
     before, stays, found = place.aged(data.when), place.stays(data.when), dict[str, float]()
     common = [n for n in before.names if n in data.map.names]
-    groups = max(1, -(-len(common) // MAX_TESTED))
-    for some in (common[i::groups] for i in range(groups)):
-        if len(some) < 2:
-            continue
-        mine, theirs = before.marginal(some, ()).with_vague_datum(), data.map.marginal(some)
-        n, order = 2 * len(some), theirs.columns(mine.names)
+    if len(common) >= 2:
+        mine, theirs = before.marginal(common, ()).with_vague_datum(), data.map.marginal(common)
+        n, order = 2 * len(common), theirs.columns(mine.names)
         known = mine.positions, mine.covariance[:n, :n]
         mapped = theirs.mean[order], theirs.covariance[np.ix_(order, order)]
         prior = np.array([1.0 - max(stays[name], FORGOTTEN) for name in mine.names])
         about = mine.names, (*place.together, *data.together)
         wrong = moved_probabilities(known, mapped, prior, before.size, *about)
-        found |= dict(zip(mine.names, wrong.tolist(), strict=True))
+        found = dict(zip(mine.names, wrong.tolist(), strict=True))
     return found, [name for name, wrong in found.items() if wrong <= 0.5]
 
 

@@ -38,6 +38,12 @@ class Bodies:
         first = self.members.argmax(axis=1)[body]
         return body[member != first], member[member != first], first[member != first]
 
+    def among(self, items: np.ndarray) -> Bodies:
+        """Return the bodies among some of the items, by their indices."""
+        members = self.members[:, items]
+        several = members.sum(axis=1) > 1
+        return Bodies(members[several], self.one_body[several])
+
     def independent(self, items: np.ndarray) -> int:
         """Return the number of independent ones among items (k,), bool: a body counts once."""
         inside = (self.members & items).sum(axis=1) if self.members.size else np.zeros(0, int)

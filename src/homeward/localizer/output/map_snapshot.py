@@ -12,9 +12,8 @@ from homeward.localizer.map.bodies import find_bodies, given_bodies
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
-from homeward.localizer.tunables import MAX_TESTED
 
-__all__ = ["MAX_TESTED", "MapSnapshot", "align", "moved_probabilities", "rotated"]
+__all__ = ["MapSnapshot", "align", "moved_probabilities", "rotated"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +47,7 @@ def moved_probabilities(
     Parameters
     ----------
     before, now : tuple of ndarray, shapes (k, 2) and (2 k, 2 k)
-        Positions [m] and covariances [m^2], each map in a frame of its own; at most `MAX_TESTED`.
+        Positions [m] and covariances [m^2], each map in a frame of its own.
     prior : ndarray, shape (k,)
         Prior probability of each to have moved.
     size : float

@@ -7,6 +7,7 @@ contain slips of the pen.
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -19,14 +20,14 @@ from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
-    columns,
+    coordinates,
     distance_and_jacobian,
     rotated,
 )
-from homeward.localizer.motion.preintegration import NC
 from homeward.localizer.tunables import (
     EXCHANGED,
     IMPROBABLE,
+    MAX_TESTED,
     NUM_EXCHANGES,
     UNDECIDED,
     VAGUE_DATUM,
@@ -44,6 +45,70 @@ class SurveyTest(NamedTuple):
     """(k, k): that two landmarks both are at their own places."""
 
 
+@dataclass(frozen=True)
+class Residuals:
+    """Residuals of k surveyed places and m distances against the map; see `tested`."""
+
+    factors: SurveyFactors
+    size: float
+    """Of the site [m]."""
+    mapped: np.ndarray
+    """(k, 2): positions of the landmarks in the map [m]."""
+    of_map: np.ndarray
+    """(2 k + m, 2 k + m): covariance of coordinates in the map, and of distances [m^2]."""
+    off: np.ndarray
+    """(2 k + m,): residuals of the distances, after zeros [m]."""
+
+    @staticmethod
+    def of(factors: SurveyFactors, free: Marginal, ids: np.ndarray, size: float) -> Residuals:
+        """Return the residuals against a map `free`, whose landmarks are `ids` (n,), ascending."""
+        index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
+        k, m = index.size, len(pairs)
+        jacobian, off = np.zeros((2 * k + m, free.mean.size - HEAD)), np.zeros(2 * k + m)
+        jacobian[np.arange(2 * k), coordinates(index)] = 1.0
+        for i, pair in enumerate(pairs, 2 * k):
+            apart, jacobian[i, coordinates(pair)] = distance_and_jacobian(free.positions[pair])
+            off[i] = apart - factors.distances[i - 2 * k]
+        of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
+        of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
+        return Residuals(factors, size, free.positions[index], of_map, off)
+
+    @property
+    def item(self) -> np.ndarray:
+        """(2 k + m,): index of the place or distance of each residual."""
+        k, m = len(self.mapped), len(self.factors.pairs)
+        return np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
+
+    def only(self, places: np.ndarray) -> Residuals:
+        """Return the residuals of some places, by their indices, and of all distances."""
+        n = 2 * len(self.mapped)
+        rows = np.concatenate([coordinates(places), np.arange(n, self.off.size)])
+        factors, of_map = self.factors.only(places), self.of_map[np.ix_(rows, rows)]
+        return Residuals(factors, self.size, self.mapped[places], of_map, self.off[rows])
+
+    def about(self, inliers: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return all residuals and their covariance, with a vague datum around that of a set.
+
+        Of the surveyed places, that at `order` (k,) is a landmark's.
+        """
+        k, size = len(self.mapped), self.size
+        if not k:
+            return self.off, self.of_map
+        at, places = coordinates(order), self.factors.places[order]
+        covariance = self.factors.covariance[np.ix_(at, at)]
+        some = inliers[:k] if inliers[:k].sum() >= 2 else np.ones(k, bool)
+        of_some = covariance[np.ix_(np.repeat(some, 2), np.repeat(some, 2))]
+        pose = align(self.mapped[some], places[some], of_some).pose
+        rotate = rotation(pose[2])[:2, :2]
+        out, residual = places @ rotate.T, self.off.copy()
+        vague = np.zeros((self.off.size, 3))
+        vague[: 2 * k] = lever(out)[:, :2].reshape(-1, 3) * (size, size, 1.0)
+        known = self.of_map + VAGUE_DATUM**2 * vague @ vague.T
+        known[: 2 * k, : 2 * k] += rotated(covariance, rotate)
+        residual[: 2 * k] = (self.mapped - out - pose[:2]).ravel()
+        return residual, known
+
+
 def tested(
     factors: SurveyFactors,
     free: Marginal,
@@ -54,49 +119,102 @@ def tested(
 ) -> SurveyTest:
     """Test k places and m distances against the map.
 
-    An outlier may be anywhere on the site, and so may a body that moved; two landmarks may be
-    exchanged, each at the place of the other. Sets of inliers are compared by their evidence, datum
-    and map being uncertain as they are. A local search from the set of all flips the one, or the
-    body, that gains most, as long as any does; then it exchanges two, as long as that gains.
+    At most `MAX_TESTED` places, the first ones, are tested together, with the distances. The others
+    are tested given those of them that are in place, each one or body independently of the rest.
 
     `free` is the map without the survey, `ids` (n,) those of its landmarks, ascending, `prior` (k +
     m,) the prior probability of each to be an outlier, and `size` that of the site [m].
     `numpy.linalg.LinAlgError` if the map is too uncertain for the test.
     """
-    index, pairs = np.searchsorted(ids, factors.ids), np.searchsorted(ids, factors.pairs)
-    k, m, mapped = index.size, len(pairs), free.positions[index]
-    jacobian, off = np.zeros((2 * k + m, free.mean.size - HEAD)), np.zeros(m)
-    jacobian[np.arange(2 * k), columns(index) - NC] = 1.0
-    for i, pair in enumerate(pairs):
-        apart, jacobian[2 * k + i, columns(pair) - NC] = distance_and_jacobian(free.positions[pair])
-        off[i] = apart - factors.distances[i]
-    of_map = jacobian @ free.covariance[HEAD:, HEAD:] @ jacobian.T
-    of_map[2 * k :, 2 * k :] += np.diag(factors.distance_sigmas**2)
-    item = np.concatenate([np.repeat(np.arange(k), 2), k + np.arange(m)])
-    log_outlier = -np.bincount(item) * math.log(size)
-    more = _log_moved(bodies, factors, mapped, of_map, size) - bodies.members @ log_outlier[:k]
-    bodies = Bodies(np.pad(bodies.members, ((0, 0), (0, m))), bodies.one_body)
+    k, every = factors.ids.size, Residuals.of(factors, free, ids, size)
+    if k <= MAX_TESTED:
+        return _tested_together(every, prior, bodies)
+    first, rest = np.arange(MAX_TESTED), np.arange(MAX_TESTED, k)
+    together = np.concatenate([first, np.arange(k, prior.size)])
+    found = _tested_together(every.only(first), prior[together], bodies.among(first))
+    wrong = np.zeros(prior.size)
+    wrong[together] = found.wrong
+    wrong[rest] = _wrong_given(wrong, rest, every, prior, bodies)
+    both = np.minimum.outer(1.0 - wrong[:k], 1.0 - wrong[:k])  # they do not exclude each other
+    exchanged, at = np.zeros((k, k)), np.ix_(first, first)
+    both[at], exchanged[at] = found.both_right, found.exchanged
+    return SurveyTest(wrong, exchanged, both)
 
-    def linear(inliers: np.ndarray, order: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return all residuals and their covariance, with a vague datum around that of a set.
 
-        Of the surveyed places, that at `order` (k,) is a landmark's.
-        """
-        if not k:
-            return off, of_map
-        at, places = (2 * order[:, None] + (0, 1)).ravel(), factors.places[order]
-        covariance = factors.covariance[np.ix_(at, at)]
-        some = inliers[:k] if inliers[:k].sum() >= 2 else np.ones(k, bool)
-        of_some = covariance[np.ix_(np.repeat(some, 2), np.repeat(some, 2))]
-        pose = align(mapped[some], places[some], of_some).pose
-        rotate = rotation(pose[2])[:2, :2]
-        out = places @ rotate.T
-        vague = np.zeros((len(item), 3))
-        vague[: 2 * k] = lever(out)[:, :2].reshape(-1, 3) * (size, size, 1.0)
-        known = of_map + VAGUE_DATUM**2 * vague @ vague.T
-        known[: 2 * k, : 2 * k] += rotated(covariance, rotate)
-        residual = (mapped - out - pose[:2]).ravel()
-        return np.concatenate([residual, off]), known
+def _wrong_given(
+    wrong: np.ndarray, rest: np.ndarray, residuals: Residuals, prior: np.ndarray, bodies: Bodies
+) -> np.ndarray:
+    """Return the probability of each place of the `rest` (r,) to be an outlier, shape (r,).
+
+    Those of all others, in `wrong` (k + m,), decide which of them are inliers.
+    """
+    labels = _Labels.of(residuals, prior, bodies)
+    right = wrong < 0.5
+    right[rest] = False
+    within = labels.bodies.members & np.isin(np.arange(right.size), rest)
+    within = within[within.sum(axis=1) > 1]
+    changed = np.vstack([np.eye(right.size, dtype=bool)[rest], within])
+    about = residuals.about(right, np.arange(len(residuals.mapped)))
+    _, density = _weigh(right, residuals.item, *about, right | changed)
+    alone, as_one = np.split(density, [rest.size])
+    as_one = as_one - within[:, rest] @ alone
+
+    def log(sets: np.ndarray) -> np.ndarray:
+        inside = ~(~sets @ within.T)
+        return np.asarray(labels.log_prior(sets) + sets[:, rest] @ alone + inside @ as_one)
+
+    best = right.copy()
+    best[rest] = alone > labels.log_outlier[rest]
+    for _ in range(2 * rest.size):
+        found = log(np.vstack([best, best ^ changed]))
+        gains = found[1:] - found[0]
+        if not gains.max() > 0.0:
+            break
+        best = best ^ changed[gains.argmax()]
+    unit = np.eye(rest.size, dtype=bool) | (within[:, rest].T @ within[:, rest])
+    weights = (changed[:, rest] @ unit) * np.exp(np.minimum(gains, 0.0))[:, None]
+    out = ~best[rest] + (weights * ~(best ^ changed)[:, rest]).sum(axis=0)
+    return np.asarray(out / (1.0 + weights.sum(axis=0)))
+
+
+@dataclass(frozen=True)
+class _Labels:
+    """Prior of the labels, inlier or outlier, of places and distances."""
+
+    prior: np.ndarray
+    bodies: Bodies
+    log_outlier: np.ndarray
+    """(k + m,): log density of each as an outlier, which may be anywhere on the site."""
+    more: np.ndarray
+    """(b,): see `Bodies.log_labels`."""
+
+    @staticmethod
+    def of(residuals: Residuals, prior: np.ndarray, bodies: Bodies) -> _Labels:
+        """Return the prior; a body that moved may be anywhere on the site, too."""
+        k, m = len(residuals.mapped), len(residuals.factors.pairs)
+        log_outlier = -np.bincount(residuals.item, minlength=k + m) * math.log(residuals.size)
+        more = _log_moved(bodies, residuals) - bodies.members @ log_outlier[:k]
+        bodies = Bodies(np.pad(bodies.members, ((0, 0), (0, m))), bodies.one_body)
+        return _Labels(prior, bodies, log_outlier, more)
+
+    def log_prior(self, sets: np.ndarray) -> np.ndarray:
+        """Return the log prior (f,) of sets of inliers (f, k + m), with the outliers' density."""
+        log = self.bodies.log_labels(sets, self.prior, self.more)
+        return np.asarray(log + ~sets @ self.log_outlier)
+
+
+def _tested_together(residuals: Residuals, prior: np.ndarray, bodies: Bodies) -> SurveyTest:
+    """Test k places and m distances jointly.
+
+    An outlier may be anywhere on the site, and so may a body that moved; two landmarks may be
+    exchanged, each at the place of the other. Sets of inliers are compared by their evidence, datum
+    and map being uncertain as they are. A local search from the set of all flips the one, or the
+    body, that gains most, as long as any does; then it exchanges two, as long as that gains.
+    """
+    mapped, places, item = residuals.mapped, residuals.factors.places, residuals.item
+    k, m = len(mapped), len(residuals.factors.pairs)
+    labels = _Labels.of(residuals, prior, bodies)
+    bodies = labels.bodies
 
     found: dict[bytes, float] = {}
     """Evidence by the place of each landmark (k,) and the inliers (k + m,)."""
@@ -115,11 +233,11 @@ def tested(
             some = (bodies.members & inliers).any(axis=1, keepdims=True)
             changed = np.vstack([singles, bodies.members & (inliers == some)])
             sets = inliers ^ changed[~changed[:, fixed].any(axis=1)]  # both are exchanged, or none
-            evidence, gains = _weigh(inliers, item, *linear(inliers, order), sets)
+            evidence, gains = _weigh(inliers, item, *residuals.about(inliers, order), sets)
             all_sets = np.vstack([inliers, sets])
-            labels = bodies.log_labels(all_sets, prior, more) + ~all_sets @ log_outlier
-            gains += labels[1:] - labels[0]
-            evidence += float(labels[0]) + fixed.size // 2 * log_exchanged
+            log_prior = labels.log_prior(all_sets)
+            gains += log_prior[1:] - log_prior[0]
+            evidence += float(log_prior[0]) + fixed.size // 2 * log_exchanged
             found[np.concatenate([order, inliers]).tobytes()] = evidence
             for flipped, gain in zip(sets, gains.tolist(), strict=True):
                 found.setdefault(np.concatenate([order, flipped]).tobytes(), evidence + gain)
@@ -134,7 +252,7 @@ def tested(
         tried, least = [best], best[0] - UNDECIDED + log_exchanged
         orders = [order]
         for start in (every, best[1]):
-            for i, j in _exchangeable(mapped, factors.places, start[:k], order):
+            for i, j in _exchangeable(mapped, places, start[:k], order):
                 other, inliers = order.copy(), start.copy()
                 other[[i, j]], inliers[[i, j]] = order[[j, i]], True
                 tried.append(climb(inliers, other, least))
@@ -178,17 +296,18 @@ def _exchangeable(
     return list(zip(i[first].tolist(), j[first].tolist(), strict=True))
 
 
-def _log_moved(
-    bodies: Bodies, factors: SurveyFactors, mapped: np.ndarray, of_map: np.ndarray, size: float
-) -> np.ndarray:
-    """Return the log density (b,) of the positions `mapped` (k, 2) of each body if it moved."""
+def _log_moved(bodies: Bodies, residuals: Residuals) -> np.ndarray:
+    """Return the log density (b,) of the mapped positions of each body if it moved."""
+    factors, mapped, size = residuals.factors, residuals.mapped, residuals.size
     # A Gaussian as dense as the uniform density, on the site and in heading.
     vague, found = np.array([size, size, TWO_PI]) / math.sqrt(TWO_PI), []
     for of in bodies.members:
         rows = np.flatnonzero(np.repeat(of, 2))
         at, places = np.ix_(rows, rows), factors.places[of] - factors.places[of].mean(axis=0)
         there = align(mapped[of], places, factors.covariance[at])
-        known = of_map[at] + rotated(factors.covariance[at], rotation(there.pose[2])[:2, :2])
+        known = residuals.of_map[at] + rotated(
+            factors.covariance[at], rotation(there.pose[2])[:2, :2]
+        )
         by_pose = there.by_pose * vague
         found.append(_log_normal(there.residual.ravel(), known + by_pose @ by_pose.T))
     return np.array(found)

@@ -8,7 +8,7 @@ scale), and is eliminated.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -115,9 +115,17 @@ class SurveyFactors:
         """Return the factors of landmarks that are still in the smoother."""
         k, m = np.isin(self.ids, ids), np.isin(self.pairs, ids).all(axis=1)
         k &= k.sum() >= 2
-        coordinates = np.repeat(k, 2)
-        survey = self.ids[k], self.places[k], self.covariance[np.ix_(coordinates, coordinates)]
-        return SurveyFactors(*survey, self.pairs[m], self.distances[m], self.distance_sigmas[m])
+        pairs, distances, sigmas = self.pairs[m], self.distances[m], self.distance_sigmas[m]
+        some = self.only(k.nonzero()[0])
+        return replace(some, pairs=pairs, distances=distances, distance_sigmas=sigmas)
+
+    def only(self, places: np.ndarray) -> SurveyFactors:
+        """Return the factors of some places, by their indices (j,), and of all distances."""
+        at = coordinates(places)
+        covariance = self.covariance[np.ix_(at, at)]
+        return replace(
+            self, ids=self.ids[places], places=self.places[places], covariance=covariance
+        )
 
     @staticmethod
     def none() -> SurveyFactors:
@@ -154,7 +162,12 @@ def in_survey_frame(state: Marginal, factors: SurveyFactors, ids: np.ndarray) ->
 
 def columns(index: np.ndarray) -> np.ndarray:
     """Return the indices of landmarks (k,) among the shared unknowns, (2 k,)."""
-    return np.asarray((NC + 2 * index[:, None] + np.arange(2)).ravel())
+    return NC + coordinates(index)
+
+
+def coordinates(index: np.ndarray) -> np.ndarray:
+    """Return the indices of the coordinates of landmarks (k,), (2 k,)."""
+    return np.asarray((2 * index[:, None] + np.arange(2)).ravel())
 
 
 def distance_and_jacobian(two: np.ndarray) -> tuple[float, np.ndarray]:

@@ -13,10 +13,9 @@ from homeward.io.table import quoted
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
-from homeward.localizer.map.survey.factors import SurveyFactors
+from homeward.localizer.map.survey.factors import SurveyFactors, coordinates
 from homeward.localizer.motion.preintegration import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import MAX_TESTED
 
 
 class Survey:
@@ -84,7 +83,7 @@ class Survey:
         (n,) all ids of the map, ascending. `numpy.linalg.LinAlgError` when the map is too uncertain
         for a test; then nothing is changed.
         """
-        names = [n for n in self.places if n in numbers][:MAX_TESTED]  # the oldest ones
+        names = [n for n in self.places if n in numbers]  # the oldest ones first
         names = names if len(names) >= 2 else []
         pairs = [i for i, d in enumerate(self.known.distances) if {*d.between} <= {*numbers}]
         if not names and not pairs:
@@ -140,7 +139,7 @@ class Survey:
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
         """Return the covariance of surveyed coordinates, (2 k, 2 k) [m^2]."""
-        at = (2 * np.array([self._row(n) for n in names], int)[:, None] + (0, 1)).ravel()
+        at = coordinates(np.array([self._row(n) for n in names], int))
         return np.asarray(self._covariance[np.ix_(at, at)])
 
     def contradiction(self, in_view: frozenset[str]) -> str | None:
