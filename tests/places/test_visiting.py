@@ -75,6 +75,20 @@ def test_what_was_out_of_view_is_not_said_to_be_gone():
     assert len(after.persistence) == 20
 
 
+def test_unseen_tags_share_the_fate_of_the_seen_tag_on_their_box():
+    rng, places = np.random.default_rng(0), room()
+    groups = (("L1", "L2"), ("L3", "L4"))
+    place = new_place(places, rng)
+    places["L1"] = places["L1"] + (0.5, -0.4)
+    seen = {n: p for n, p in places.items() if n not in ("L2", "L4", "L5")}
+    visit = visit_data(seen, rng, frames=frames(seen), together=groups)
+    after = merged(place, visit)
+    assert "L2" not in after.persistence  # its former position is of no use
+    assert after.persistence["L4"].stands > 0.9
+    assert after.persistence["L5"].stands < 0.5
+    assert "L2" in merged(place, replace(visit, together=groups[1:])).persistence
+
+
 def test_another_place_is_kept_apart():
     rng = np.random.default_rng(0)
     place = new_place(room(seed=0), rng)

@@ -12,7 +12,7 @@ from homeward.errors import HomewardError
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.map_snapshot import moved_probabilities
-from homeward.localizer.tunables import CLOSE, INLIER, MIN_SIGHTINGS, VERIFIED
+from homeward.localizer.tunables import CLOSE, GIVEN_WRONG, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import (
     FORGOTTEN,
@@ -180,6 +180,7 @@ def _updated(
     """Return a place with the persistence of each landmark, events and the visit updated."""
     when, usual = data.when, before.usual_rate
     persistence, missed = dict[str, LandmarkPersistence](), _missed(before, data)
+    by_body = _in_place_by_bodies(before, data, tested)
     what = dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new")
     for name in place.map.names:
         was = before.persistence.get(name)
@@ -193,10 +194,13 @@ def _updated(
                 what[name] = "returned"
         elif name in tested:  # moved, to an uncertain position
             persistence[name] = was.updated(when, 1.0 - tested[name])
-        elif name in missed:
-            persistence[name] = was.was_missed(when, usual, missed[name])
         else:
-            persistence[name] = was
+            now = was.was_missed(when, usual, missed[name]) if name in missed else was
+            if name in by_body:
+                alone = now.stays(when, usual)
+                in_place = by_body[name] + GIVEN_WRONG * (alone - by_body[name])
+                now = was.updated(when, in_place)
+            persistence[name] = now
         if was is not None and persistence[name].stands < GONE <= was.stands:
             what[name] = "gone"
     forgotten = [n for n, s in persistence.items() if s.stays(when, usual) < FORGOTTEN]
@@ -246,6 +250,22 @@ def _moved_probabilities(place: Place, data: VisitData) -> tuple[dict[str, float
         wrong = moved_probabilities(known, mapped, prior, before.size, *about)
         found = dict(zip(mine.names, wrong.tolist(), strict=True))
     return found, [name for name, wrong in found.items() if wrong <= 0.5]
+
+
+def _in_place_by_bodies(
+    place: Place, data: VisitData, tested: dict[str, float]
+) -> dict[str, float]:
+    """Return the probability of landmarks that were not tested to be in place, by given groups.
+
+    Of a group that moves together, all tested landmarks are in place, or all moved.
+    """
+    found = dict[str, float]()
+    for group in dict.fromkeys((*place.together, *data.together)):
+        wrong = [tested[n] for n in group if n in tested]
+        if wrong and (max(wrong) <= 0.5 or min(wrong) > 0.5):
+            in_place = 1.0 - float(np.mean(wrong))
+            found |= {n: in_place for n in group if n in place.persistence and n not in tested}
+    return found
 
 
 def _missed(place: Place, data: VisitData) -> dict[str, float]:
