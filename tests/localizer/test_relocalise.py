@@ -106,3 +106,34 @@ def test_a_sight_line_seen_again_takes_no_place_of_others():
     found = search.find(landmarks, smoother.state)
     assert found is not None
     assert found[0][:2] == pytest.approx(LOST[:2], abs=0.1)
+
+
+def slipped(expected, seed, sigma=0.015):
+    """Find a robot at `LOST` that is expected elsewhere, to 1 cm and 0.01 rad."""
+    smoother, landmarks = mapped()
+    mean = smoother.state.mean.copy()
+    mean[:3] = expected
+    smoother.state = Marginal(mean, smoother.state.covariance)
+    rng, search = np.random.default_rng(seed), Search(Motion.identity())
+    names, sigmas = [str(i) for i in range(len(MARKS))], np.full(len(MARKS), sigma)
+    for camera in way(2, step=0.5):
+        seen = np.array([bearing(compose(LOST, camera), *mark) for mark in MARKS])
+        frame = WeighedFrame(0.0, names, wrap(seen + sigma * rng.normal(size=5)), sigmas)
+        motion = Motion(np.array(camera), np.zeros((3, 3)), np.zeros((3, NC)))
+        search.add_bearings(frame, motion, landmarks)
+    found = search.find(landmarks, smoother.state)
+    assert found is not None
+    off = found[0] - LOST
+    return math.hypot(off[0], off[1]), off @ np.linalg.solve(found[1], off)
+
+
+def test_a_robot_that_only_turned_keeps_its_position():
+    found = [slipped(np.add(LOST, [0.005, -0.005, 0.5]), seed) for seed in range(10)]
+    assert np.mean([error for error, _ in found]) < 0.015  # 2 cm by the lines alone
+    assert np.mean([nees for _, nees in found]) < 6.0
+
+
+def test_a_robot_that_slipped_away_does_not_keep_its_position():
+    found = [slipped(np.add(LOST, [-0.3, 0.2, 0.4]), seed) for seed in range(10)]
+    assert np.mean([error for error, _ in found]) < 0.1
+    assert np.mean([nees for _, nees in found]) < 6.0

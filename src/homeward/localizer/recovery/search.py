@@ -13,7 +13,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import HEAD, Marginal
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise, relocalise_near
-from homeward.localizer.tunables import CLOSE, LINEAR, RECENT
+from homeward.localizer.tunables import CLOSE, LINEAR, NEGLIGIBLE, RECENT
 from homeward.odometry.history import Driven
 
 Sighting: TypeAlias = tuple[str, float, float, Motion]
@@ -63,7 +63,9 @@ class Search:
         if self._lost:
             return relocalise(lines)
         began, by_head = state.pose_after(self._to_newest.inverse())
-        return relocalise(lines, (began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T))
+        expected = began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T
+        found = relocalise(lines, expected)
+        return None if found is None else _displaced(found, expected, _distance(lines, began))
 
 
 def find_by_frame(
@@ -81,11 +83,46 @@ def find_by_frame(
     lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)
     if lines is None:
         return None
-    distance = float(np.median(np.hypot(*(lines.positions - state.mean[:2]).T)))
+    distance = _distance(lines, state.mean)
     stationary = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
     moved = stationary + np.array([driven.path, driven.path, driven.turned])
     motions = [np.diag(sigmas**2) for sigmas in (stationary, moved)]
     return relocalise_near(lines, state.mean[:3], state.covariance[:3, :3], motions)
+
+
+def _displaced(
+    found: tuple[np.ndarray, np.ndarray], expected: tuple[np.ndarray, np.ndarray], distance: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose (3,) of a robot that slipped, and its covariance, (3, 3).
+
+    Both arguments are such: `found` by sight lines to landmarks at a median `distance` [m], and
+    `expected` without the slip, of unknown size: it may be a mere rotation, where the position by a
+    few lines would be far worse than the expected one. The sizes tried are equally probable before
+    the lines; the result has the mean and the covariance of their mixture.
+    """
+    off, (mean, known) = found[0] - expected[0], expected
+    off[2] = wrap(off[2])
+    log, steps, spreads = [], [], []
+    for shift in distance * np.array([0.0, NEGLIGIBLE, CLOSE, LINEAR]):
+        prior = known + np.diag([shift, shift, LINEAR]) ** 2
+        innovation = prior + found[1]
+        gain = np.linalg.solve(innovation, prior).T
+        log.append(
+            -0.5 * (off @ np.linalg.solve(innovation, off) + np.linalg.slogdet(innovation)[1])
+        )
+        steps.append(gain @ off)
+        spreads.append(prior - gain @ prior)
+    weights = np.exp(np.array(log) - max(log))
+    weights /= weights.sum()
+    step = weights @ steps
+    between = np.array(steps) - step
+    spread = np.einsum("i,ijk->jk", weights, spreads) + (between.T * weights) @ between
+    return mean + step, 0.5 * (spread + spread.T)
+
+
+def _distance(lines: SightLines, pose: np.ndarray) -> float:
+    """Return the median distance of landmarks from a pose [m]."""
+    return float(np.median(np.hypot(*(lines.positions - pose[:2]).T)))
 
 
 def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:
