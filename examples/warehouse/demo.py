@@ -69,9 +69,13 @@ class Helper:
 
 def named(robot: Robot) -> set[str]:
     """Return the boxes of which any tag is reported as moved: tags move with their box."""
-    chance = {m.landmark: m.moved_probability or 0.0 for m in robot.landmarks}
-    boxes = robot.world.boxes
-    return {box.name for box in boxes if any(chance.get(str(t), 0.0) > 0.5 for t in box.tags)}
+    moved = {m.landmark for m in robot.landmarks if (m.moved_probability or 0.0) > 0.5}
+    return with_tags(robot.world, moved)
+
+
+def with_tags(world: World, tags: set[str]) -> set[str]:
+    """Return the names of the boxes with any of the tags."""
+    return {box.name for box in world.boxes if not tags.isdisjoint(map(str, box.tags))}
 
 
 def report(robot: Robot, moved: set[str], seen_again: set[str]) -> str:

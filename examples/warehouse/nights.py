@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.peers.surveyed import Resection, SurveyedEkf
-from examples.warehouse.demo import HOME, MIN_SIGHTINGS, named
+from examples.warehouse.demo import HOME, MIN_SIGHTINGS, named, with_tags
 from examples.warehouse.detections import Camera, Simulated
 from examples.warehouse.robot import SETTINGS, Eye, Robot
 from examples.warehouse.world import World
@@ -73,8 +73,13 @@ class Day:
     moved: frozenset[str]
     """Boxes that moved since the place last had them, seen often enough before and today."""
     named: frozenset[str]
+    """Boxes that the robot named during the day ..."""
     wrong: frozenset[str]
-    """Named boxes that did not move."""
+    """... and those of them that did not move since the place last had any of their tags."""
+    merge_named: frozenset[str]
+    """Boxes that the merge into the place named in the evening ..."""
+    merge_wrong: frozenset[str]
+    """... and those of them that did not move."""
     lasted_s: float
     merged: str
     peers: dict[str, float]
@@ -93,6 +98,9 @@ class Warehouse:
         self.folder = folder
         self.mapped: dict[str, tuple[Pose, int]] = {}
         """Pose of each box when it was last merged into the place, and its sightings there."""
+        self.placed: dict[str, Pose] = {}
+        """Pose of its box when the place last had a position of each tag of the place."""
+        self.box_of = {str(tag): box.name for box in self.world.boxes for tag in box.tags}
         self.survey = {
             name: SurveyedLandmark(x=float(x), y=float(y)) for name, (x, y) in self._tags().items()
         }
@@ -191,8 +199,16 @@ class Warehouse:
         here = {box.name: Pose(box.x, box.y, box.yaw) for box in self.world.boxes}
         moved = {n for n, (pose, _) in self.mapped.items() if here[n] != pose}
         often = {n for n in moved if min(times.get(n, 0), self.mapped[n][1]) >= MIN_SIGHTINGS}
-        found = named(robot)
+        found, merge_found, box_of = named(robot), set[str](), self.box_of
+        shifted = {t for t, pose in self.placed.items() if here[box_of[t]] != pose}
+        shifted_boxes = with_tags(self.world, shifted)
         if is_merged:
+            place = files.load_place(self.folder, files.newest(self.folder))
+            events = (e for e in place.events if e.visit == place.visits[-1].number)
+            merge_found = with_tags(self.world, {e.landmark for e in events if e.what == "moved"})
+            now = {m.landmark: here[box_of[m.landmark]] for m in robot.landmarks if m.x is not None}
+            both = self.placed | now
+            self.placed = {t: both[t] for t in place.map.names}
             for name in [n for n, count in times.items() if count]:
                 before = 0 if name in moved else self.mapped.get(name, (None, 0))[1]
                 self.mapped[name] = here[name], before + times[name]
@@ -206,7 +222,9 @@ class Warehouse:
             float(error.max()) if len(error) else math.nan,
             frozenset(often),
             frozenset(found),
-            frozenset(found - moved),
+            frozenset(found - shifted_boxes),
+            frozenset(merge_found),
+            frozenset(merge_found - shifted_boxes),
             self.world.t - began,
             words,
             self._peers(robot, samples),
@@ -245,7 +263,10 @@ def main() -> None:
     parser.add_argument("--rendered", action="store_true")
     given = parser.parse_args()
     days: list[Day] = []
-    print("day first[s] goals failures rmse[cm] max[cm] moved named wrong EKF[cm] resection[cm]")
+    print(
+        "day first[s] goals failures rmse[cm] max[cm] moved named wrong merge: named wrong"
+        " EKF[cm] resection[cm]"
+    )
     with tempfile.TemporaryDirectory() as scratch:
         hall = Warehouse(given.seed, given.days, given.rendered, Path(scratch) / "warehouse")
         for number in range(given.days):
@@ -257,6 +278,7 @@ def main() -> None:
                 f"{number:3} {day.first_s:8.1f} {day.reached:2}/{day.goals:2} {day.failures:8}"
                 f" {100 * day.rmse:8.1f} {100 * day.largest:7.1f} {len(day.moved):5}"
                 f" {len(day.named & day.moved):5} {len(day.wrong):5}"
+                f" {len(day.merge_named & day.moved):12} {len(day.merge_wrong):5}"
                 f" {100 * day.peers['EKF']:7.1f} {100 * day.peers['resection']:10.1f}"
                 f"  {day.lasted_s:.0f} s, touched {', '.join(day.contacts) or 'nothing'}"
                 f"; {day.merged}",
@@ -268,9 +290,18 @@ def main() -> None:
 def summary(days: list[Day]) -> str:
     """Return the figures of all days but the first, which creates the place."""
     later = days[1:] or days
-    moved, found = sum(len(d.moved) for d in later), sum(len(d.named) for d in later)
-    wrong = sum(len(d.wrong) for d in later)
-    hits = sum(len(d.named & d.moved) for d in later)
+    moved = sum(len(d.moved) for d in later)
+
+    def counts(named: list[frozenset[str]], wrong: list[frozenset[str]]) -> str:
+        hits = sum(len(n & d.moved) for n, d in zip(named, later, strict=True))
+        found, bad = sum(map(len, named)), sum(map(len, wrong))
+        return (
+            f"{hits} (recall {hits / max(moved, 1):.2f}), wrongly {bad} "
+            f"(precision {(found - bad) / max(found, 1):.2f})"
+        )
+
+    during = counts([d.named for d in later], [d.wrong for d in later])
+    evening = counts([d.merge_named for d in later], [d.merge_wrong for d in later])
     share = 100 * sum(d.reached for d in days) / sum(d.goals for d in days)
     return "\n".join(
         [
@@ -278,8 +309,7 @@ def summary(days: list[Day]) -> str:
             f"days with a contact: {sum(bool(d.contacts) for d in days)} of {len(days)}",
             f"first localised pose: median {np.median([d.first_s for d in later]):.1f} s, worst "
             f"{max(d.first_s for d in later):.1f} s",
-            f"moved boxes: {moved}, named {hits} (recall {hits / max(moved, 1):.2f}), wrongly "
-            f"named {wrong} (precision {(found - wrong) / max(found, 1):.2f})",
+            f"moved boxes: {moved}, named during the day {during}; by the merge {evening}",
             f"days with an error above {MAX_ERROR_M} m while localised: "
             f"{sum(d.largest > MAX_ERROR_M for d in days)}; largest "
             f"{max(d.largest for d in days):.2f} m",
