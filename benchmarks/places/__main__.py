@@ -146,7 +146,7 @@ def home_error(place: Place, hall: Warehouse) -> float:
         return math.nan
     truth = [between(HOME.pose, Pose(*hall.places[n], 0.0))[:2] for n in fresh]
     q = np.array(truth) @ [1.0, 1.0j]
-    some = place.map.only(fresh)
+    some = place.map.marginal(fresh)
     order = [some.names.index(n) for n in fresh]
     p = some.positions[order] @ np.array([1.0, 1.0j])
     weight = some.sigmas[order] ** -2.0
