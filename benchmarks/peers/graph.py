@@ -20,7 +20,7 @@ from benchmarks.peers.online import (
     parallax,
     start_belief,
 )
-from benchmarks.peers.surveyed import consensus
+from benchmarks.peers.surveyed import consensus, surveyed
 from homeward.drives.drive import Drive
 from homeward.geometry.frames import Pose, Twist
 from homeward.track import run
@@ -30,6 +30,7 @@ LAG_S, SOLVE_S = 20.0, 1.0  # length of the smoother, and interval between its s
 CAUCHY = 1.0  # scale of the kernel [sigmas]
 PARALLAX = 0.1  # angle between two sightings from which a landmark enters the graph [rad]
 FLOOR = 1e-9  # added to the variances of odometry [m^2, rad^2]
+SURVEY_M = 0.01  # of surveyed landmarks
 MAP_SIGMA = 0.02  # of the directions of mapped landmarks, for the resection of home [rad]
 MIN_AGREEING = 5  # home bearings for that, and half of those of mapped landmarks
 INLIERS = 0.99  # probability of an inlier's threshold, for GNC
@@ -189,6 +190,25 @@ class FixedLag(Baseline):
         turn = np.eye(3)
         turn[:2, :2] = pose.rotation().matrix()
         return Pose(pose.x(), pose.y(), pose.theta()), turn @ adjoint @ P @ adjoint.T @ turn.T
+
+
+class SurveyedLag(FixedLag):
+    """The smoother from the true start, with landmarks that are surveyed; the others are mapped."""
+
+    def __init__(self, drive: Drive, cauchy: float = CAUCHY, lag: float = LAG_S) -> None:
+        super().__init__(drive, cauchy, lag)
+        self.survey = surveyed(drive)
+
+    def _wait(self, t: float, key: int, name: str, bearing: float) -> None:
+        if name not in self.survey:
+            super()._wait(t, key, name, bearing)
+            return
+        landmark = self.keys[name] = gtsam.symbol("l", len(self.keys))
+        there = np.array(self.survey[name])
+        noise = gtsam.noiseModel.Isotropic.Sigma(2, SURVEY_M)
+        self._add(gtsam.PriorFactorPoint2(landmark, there, noise))
+        self._value(landmark, there)
+        self._sighting(key, name, bearing)
 
 
 class Batch(Solved):

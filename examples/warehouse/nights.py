@@ -5,15 +5,18 @@
 somewhere else (kidnapped robot), and nothing is reset by hand. It drives to 20 goals in the place,
 which it updates at the end of the day. Detections are simulated with the errors of rendered ones;
 `--rendered` detects tags in images. Peers see the same odometry and bearings: an EKF with the
-survey of day 0 and the true start of each day, and the resection of each frame in that survey.
+survey of day 0 and the true start of each day, the resection of each frame in that survey, and with
+`--gtsam` (extra `bench`) GTSAM's fixed-lag smoother with survey, start and a Cauchy kernel.
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
 import tempfile
 from collections import Counter
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -27,7 +30,7 @@ from examples.warehouse.world import World
 from homeward.drives.drive import Drive, Samples, Truth
 from homeward.drives.settings import KnownLandmarks, Start, SurveyedLandmark
 from homeward.errors import HomewardError
-from homeward.estimator import Status
+from homeward.estimator import Estimator, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar
 from homeward.live import messages as msg
 from homeward.live.place_session import PlaceSession
@@ -48,6 +51,7 @@ MOVE, LEAVE = 0.10, 0.05
 REACHED_M, MAX_ERROR_M = 0.05, 0.3
 PEER_MAX_M = 10.0
 """Larger errors of peers count as this [m]."""
+Peer = Callable[[Drive], Estimator]
 DAY_S = 900.0
 """A day ends after this time, also if goals are left [s]."""
 FIRST_DAY = 20000.0
@@ -89,13 +93,15 @@ class Day:
 class Warehouse:
     """The hall over days, and what the place has of it."""
 
-    def __init__(self, seed: int, days: int, rendered: bool, folder: Path) -> None:
+    def __init__(
+        self, seed: int, days: int, rendered: bool, folder: Path, peers: Mapping[str, Peer]
+    ) -> None:
         boxes = 56
         spare = round(LEAVE * boxes) * (days - 1)
         self.world = World(seed, boxes=boxes, spare=min(spare, 146 - boxes), start=HOME)
         self.eye: Eye = Camera(self.world, seed) if rendered else Simulated(self.world, seed)
         self.rng = np.random.default_rng([seed, 5])
-        self.folder = folder
+        self.folder, self.peers = folder, peers
         self.mapped: dict[str, tuple[Pose, int]] = {}
         """Pose of each box when it was last merged into the place, and its sightings there."""
         self.placed: dict[str, Pose] = {}
@@ -247,7 +253,7 @@ class Warehouse:
             known=KnownLandmarks(frame="home", landmarks=self.survey),
         )
         found = {}
-        for name, peer in (("EKF", SurveyedEkf), ("resection", Resection)):
+        for name, peer in self.peers.items():
             off = errors(run(drive, peer(drive)), drive.truth)
             capped = np.minimum(off.position, PEER_MAX_M)
             found[name] = float(np.sqrt(np.mean(capped**2))) if off.t.size else math.nan
@@ -261,14 +267,18 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rendered", action="store_true")
+    parser.add_argument("--gtsam", action="store_true")
     given = parser.parse_args()
     days: list[Day] = []
+    peers: dict[str, Peer] = {"EKF": SurveyedEkf, "resection": Resection}
+    if given.gtsam:
+        peers["GTSAM"] = importlib.import_module("benchmarks.peers.graph").SurveyedLag
     print(
         "day first[s] goals failures rmse[cm] max[cm] moved named wrong merge: named wrong"
-        " EKF[cm] resection[cm]"
+        + "".join(f" {name + '[cm]':>13}" for name in peers)
     )
     with tempfile.TemporaryDirectory() as scratch:
-        hall = Warehouse(given.seed, given.days, given.rendered, Path(scratch) / "warehouse")
+        hall = Warehouse(given.seed, given.days, given.rendered, Path(scratch) / "warehouse", peers)
         for number in range(given.days):
             if number:
                 hall.night()
@@ -279,8 +289,8 @@ def main() -> None:
                 f" {100 * day.rmse:8.1f} {100 * day.largest:7.1f} {len(day.moved):5}"
                 f" {len(day.named & day.moved):5} {len(day.wrong):5}"
                 f" {len(day.merge_named & day.moved):12} {len(day.merge_wrong):5}"
-                f" {100 * day.peers['EKF']:7.1f} {100 * day.peers['resection']:10.1f}"
-                f"  {day.lasted_s:.0f} s, touched {', '.join(day.contacts) or 'nothing'}"
+                + "".join(f" {100 * day.peers[name]:13.1f}" for name in peers)
+                + f"  {day.lasted_s:.0f} s, touched {', '.join(day.contacts) or 'nothing'}"
                 f"; {day.merged}",
                 flush=True,
             )
