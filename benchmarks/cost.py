@@ -15,7 +15,8 @@ import numpy as np
 from benchmarks import monte_carlo
 from benchmarks.peers import surveyed
 from homeward.drives.drive import Drive
-from homeward.drives.settings import KnownLandmarks, Start
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import Start
 from homeward.estimator import Estimator
 from homeward.geometry.frames import to_polar
 from homeward.lab.simulation import scenario as sim

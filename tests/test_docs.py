@@ -15,7 +15,7 @@ from typer.exceptions import TyperException
 
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.io.settings import parse_settings
 

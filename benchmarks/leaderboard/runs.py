@@ -15,7 +15,7 @@ from benchmarks.consistency.trial import SurveyedTrial
 from benchmarks.leaderboard.families import real, simulated
 from benchmarks.monte_carlo import Run, run_all
 from benchmarks.peers.extrinsics import is_offset, of_camera, of_robot
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.lab.studies.study.trial import Trial
 from homeward.plugins import ESTIMATORS, load
 from homeward.registry import NEED_START, estimator_names, make_estimator, needs_start

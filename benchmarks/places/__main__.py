@@ -27,7 +27,7 @@ from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from benchmarks.survey.peers import Resection
 from homeward.drives.drive import Drive
 from homeward.drives.importers.mrclam import read_mrclam
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import Place

@@ -23,7 +23,8 @@ from benchmarks.survey.hall import DT, EVERY, SPEED_SIGMA, TURN_SIGMA, Hall, mak
 from benchmarks.survey.peers import Follower, ParticleFilter, Resection
 from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.drives.importers.mrclam import read_mrclam
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings
 from homeward.geometry.frames import Pose, to_polar
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth

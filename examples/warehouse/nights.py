@@ -28,7 +28,8 @@ from examples.warehouse.detections import Camera, Simulated
 from examples.warehouse.robot import SETTINGS, Eye, Robot
 from examples.warehouse.world import World
 from homeward.drives.drive import Drive, Samples, Truth
-from homeward.drives.settings import KnownLandmarks, Start, SurveyedLandmark
+from homeward.drives.landmarks import KnownLandmarks, SurveyedLandmark
+from homeward.drives.settings import Start
 from homeward.errors import HomewardError
 from homeward.estimator import Estimator, Status
 from homeward.geometry.frames import Pose, compose, inverse, to_polar

@@ -8,7 +8,7 @@ import pytest
 from rig import Rig, ring
 
 from homeward.drives.folder import read_folder
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.estimator import Status
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.state import HEAD, Marginal

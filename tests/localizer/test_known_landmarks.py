@@ -9,7 +9,7 @@ import pytest
 from rig import NEES, Rig, ring
 
 from homeward.drives.drive import Drive, Odometry, Sightings
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Twist

@@ -9,7 +9,8 @@ import pytest
 from rig import Rig, Wheels, ring
 
 import homeward
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings
 from homeward.estimator import Status
 from homeward.geometry.frames import compose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame

@@ -8,8 +8,9 @@ import pytest
 from rig import DT, Rig, eight, ring, still
 
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.landmarks import KnownLandmarks, SurveyedLandmark
 from homeward.drives.one_clock import with_clock_remarks
-from homeward.drives.settings import KnownLandmarks, Sensor, SurveyedLandmark
+from homeward.drives.settings import Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.bearing_noise import BearingNoise

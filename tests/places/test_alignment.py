@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from visited import new_place, room
 
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.places.alignment import align_place

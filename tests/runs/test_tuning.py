@@ -9,7 +9,8 @@ from cli.commands import call, first_seconds
 
 from benchmarks.odometry_noise import drive_of
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
-from homeward.drives.settings import DriveSettings, KnownLandmarks, RobotSettings, Sensor
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings, RobotSettings, Sensor
 from homeward.errors import HomewardError
 from homeward.io.settings import parse_settings
 from homeward.runs import tuning

@@ -86,7 +86,7 @@ def align(
     json: AsJson = False,
 ) -> None:
     """Print the pose of a place's first home in another map, such as an occupancy map."""
-    from homeward.drives.settings import KnownLandmarks
+    from homeward.drives.landmarks import KnownLandmarks
     from homeward.io.settings import read_settings
     from homeward.places.alignment import align_place
     from homeward.places.files import load_place

@@ -11,7 +11,8 @@ from typing import Any, Self, cast
 
 import numpy as np
 
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings
 from homeward.estimator import ByValue
 from homeward.geometry.angles import interpolate, wrap
 from homeward.geometry.frames import Pose, between

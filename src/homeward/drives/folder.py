@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.log import is_log
-from homeward.drives.settings import HOME_TIMES, DriveSettings, KnownLandmarks
+from homeward.drives.settings import HOME_TIMES, DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.naming import listing, natural

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 from typing import Any, cast
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import DriveSettings, KnownLandmarks, Robot
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError
 from homeward.estimator import real
 from homeward.io.settings import Model, validated

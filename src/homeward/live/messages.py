@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from homeward.drives.settings import Mount, Surveyed
+from homeward.drives.landmarks import Surveyed
+from homeward.drives.settings import Mount
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.io.checks import AfterValidator, Field

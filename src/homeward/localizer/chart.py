@@ -12,7 +12,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
-from homeward.drives.settings import DriveSettings, KnownLandmarks, Mount
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings, Mount
 from homeward.estimator import NO_BEARINGS_S, Counts, Estimate, Innovation, LandmarkEstimate, Status
 from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame

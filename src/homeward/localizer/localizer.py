@@ -17,7 +17,8 @@ import numpy as np
 
 from homeward.drives.cameras.names import Cameras, with_camera
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
-from homeward.drives.settings import DriveSettings, KnownLandmarks, OtherCamera, Robot
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings, OtherCamera, Robot
 from homeward.estimator import (
     Counts,
     Estimate,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, position_sigma

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.drives.settings import KnownLandmarks, SurveyedLandmark
+from homeward.drives.landmarks import KnownLandmarks, SurveyedLandmark
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, position_sigma
 from homeward.io.table import quoted

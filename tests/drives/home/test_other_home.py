@@ -5,7 +5,8 @@ import dataclasses
 import pytest
 
 from homeward.drives.home.when import with_home
-from homeward.drives.settings import HomeWhen, KnownLandmarks, Mount
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import HomeWhen, Mount
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.settings import validated

@@ -7,7 +7,8 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById

@@ -15,7 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.drives.settings import DriveSettings, KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
 from homeward.localizer.map.factors import WeighedSightings, weigh_sightings

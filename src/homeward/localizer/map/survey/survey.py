@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.io.naming import natural
 from homeward.io.table import quoted
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
