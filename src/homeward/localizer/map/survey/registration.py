@@ -9,10 +9,10 @@ import numpy as np
 from homeward.geometry.se2 import compose
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.factors import in_survey_frame
+from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.survey.factors import SurveyFactors, in_survey_frame
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.tunables import MINIMAL
+from homeward.localizer.tunables import CLOSE, MINIMAL
 
 
 class Registration:
@@ -88,4 +88,24 @@ class Registration:
             self.expect(datum.pose, set(self.survey.places))
         same = np.array_equal(now.ids, before.ids) and np.array_equal(now.pairs, before.pairs)
         if not (same and np.array_equal(now.places, before.places)):
+            self._move_to_survey(before)
             smoother.solve()
+
+    def _move_to_survey(self, before: SurveyFactors) -> None:
+        """Move new inliers of the survey to their surveyed positions if they are far from these.
+
+        Sightings may hardly determine them, so that the solution would not converge from there; and
+        each inlier moves the frame of the survey, which is that of the inliers `before`.
+        """
+        smoother = self._smoother
+        now, state, known = smoother.survey, smoother.state, before.among(smoother.ids)
+        if known.ids.size < MINIMAL:
+            return
+        pose = known.datum(state.positions, smoother.index(known.ids)).pose
+        places = compose(pose, np.column_stack([now.places, np.zeros(now.ids.size)]))[:, :2]
+        index = smoother.index(now.ids)
+        far = np.hypot(*(places - state.positions[index]).T) > CLOSE * state.scale
+        far &= ~np.isin(now.ids, known.ids)
+        mean = state.mean.copy()
+        mean[HEAD:].reshape(-1, 2)[index[far]] = places[far]
+        smoother.state = Marginal(mean, state.covariance)
