@@ -341,7 +341,7 @@ class Localizer:
             covariance,
             found.best.home if known and found is not None else None,
             observed.with_noise(chart.noise),
-            observed.mounts,
+            observed.mounts(state.calibration),
         )
 
     def _select_in_view(self, sightings: dict[str, float]) -> dict[str, float]:

@@ -60,9 +60,12 @@ class HomeObservation:
 
     def fix_camera(self, calibration: np.ndarray) -> None:
         """Fix the camera's pose at home to the present estimate: it is not the drive's any more."""
-        if self.same_camera:
-            self.mount = self.mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-            self.same_camera = False
+        self.mount, self.same_camera = self._estimated_mount(calibration), False
+
+    def _estimated_mount(self, calibration: np.ndarray) -> np.ndarray:
+        """Return the camera's pose on the robot at home, (3,), from a calibration (9,)."""
+        off = calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+        return self.mount + off if self.same_camera else self.mount
 
     def yaw(self, calibration: np.ndarray, found_out: bool) -> float:
         """Return the yaw of the camera on the robot at home, as given or as estimated [rad]."""
@@ -83,11 +86,14 @@ class HomeObservation:
             for n, bearing, sigma in zip(names, *columns, strict=True)
         }
 
-    @property
-    def mounts(self) -> dict[str, np.ndarray]:
-        """Poses (3,) of the cameras of home bearings on the robot, by landmark."""
+    def mounts(self, calibration: np.ndarray) -> dict[str, np.ndarray]:
+        """Return the poses (3,) of the cameras of home bearings on the robot, by landmark.
+
+        They are estimates from a calibration (9,), since `sensor` may be assumed or inaccurate.
+        """
         cameras = {n: self._drive.in_first(b.camera) for n, b in self.bearings.items()}
-        return {n: self.mount if o is None else compose(self.mount, o) for n, o in cameras.items()}
+        first = self._estimated_mount(calibration)
+        return {n: first if o is None else compose(first, o) for n, o in cameras.items()}
 
     def offsets(self, names: Sequence[str]) -> np.ndarray | None:
         """Return the poses (k, 3) of the cameras of home bearings, as in `HomeProblem`."""
