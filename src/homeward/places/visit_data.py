@@ -174,7 +174,8 @@ def collect_visit_along(
     """Return the visit data of a drive, given poses (m, 3) at its frames, NaN where missing."""
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
     good = np.isfinite(poses[:, 0])
-    mounts = np.broadcast_to(np.array(drive.settings.sensor.pose), poses.shape)
+    sensor = localizer.mount or drive.settings.sensor.pose
+    mounts = np.broadcast_to(np.array(sensor), poses.shape)
     offsets = drive.settings.offsets([*drive.sightings.cameras()])
     mounts = mounts if offsets is None else compose(mounts, offsets)
     cameras, poses = compose(poses[good], mounts[good]), poses[good]
