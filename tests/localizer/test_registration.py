@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from homeward.drives.settings import KnownLandmarks
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
