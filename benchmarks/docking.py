@@ -10,7 +10,8 @@ pose, and docks. Run:
 """
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -108,6 +109,21 @@ def dock(seed: int, moved: bool = True) -> Docked:
     return Docked(state, reason, t, math.hypot(robot.x, robot.y), abs(float(wrap(robot.heading))))
 
 
+def summary(runs: Sequence[Any]) -> str:
+    """Return the share of dockings that succeeded, and quantiles of errors, in words.
+
+    Runs are as `Docked`, here or in `examples.warehouse.dockings`.
+    """
+    position = 1e3 * np.array([run.position for run in runs])
+    heading = np.degrees([run.heading for run in runs])
+    return (
+        f"{sum(run.succeeded for run in runs)} of {len(runs)} within 10 mm and 1 degree; position "
+        f"median {np.median(position):.1f} mm, 99 % {np.quantile(position, 0.99):.1f} mm; heading "
+        f"median {np.median(heading):.2f}, 99 % {np.quantile(heading, 0.99):.2f} degrees; "
+        f"median duration {np.median([run.seconds for run in runs]):.0f} s"
+    )
+
+
 def main() -> None:
     given = monte_carlo.parsed(__doc__, runs=100, first_seed=0)
     runs = []
@@ -119,14 +135,7 @@ def main() -> None:
                 f"{1e3 * found.position:.1f} mm, {math.degrees(found.heading):.2f} degrees",
                 flush=True,
             )
-    position = 1e3 * np.array([run.position for run in runs])
-    heading = np.degrees([run.heading for run in runs])
-    print(
-        f"{sum(run.succeeded for run in runs)} of {len(runs)} within 10 mm and 1 degree; position "
-        f"median {np.median(position):.1f} mm, 99 % {np.quantile(position, 0.99):.1f} mm; heading "
-        f"median {np.median(heading):.2f}, 99 % {np.quantile(heading, 0.99):.2f} degrees; "
-        f"median duration {np.median([run.seconds for run in runs]):.0f} s"
-    )
+    print(summary(runs))
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.docking import summary
 from examples.warehouse.detections import Camera, Simulated
 from examples.warehouse.robot import SETTINGS, Eye, Robot
 from examples.warehouse.world import World
@@ -25,7 +26,7 @@ from homeward.live import messages as msg
 DOCK = Pose(1.8, 4.0, 0.0)
 """In the hall, with 1.2 m of free floor behind it."""
 NEAR_M = 3.0
-"""The box that is moved is at most so far from the dock [m]."""
+"""Maximum distance of the moved box from the dock [m]."""
 REACHED_M, REACHED_RAD = 0.01, math.radians(1.0)
 LONGEST_S = 300.0
 
@@ -106,15 +107,7 @@ def main() -> None:
                     f"contacts {', '.join(run.contacts) or 'none'}",
                     flush=True,
                 )
-    position = 1e3 * np.array([run.position for run in runs])
-    heading = np.degrees([run.heading for run in runs])
-    print(
-        f"{sum(run.succeeded for run in runs)} of {len(runs)} within 10 mm and 1 degree; position "
-        f"median {np.median(position):.1f} mm, 99 % {np.quantile(position, 0.99):.1f} mm; heading "
-        f"median {np.median(heading):.2f}, 99 % {np.quantile(heading, 0.99):.2f} degrees; median "
-        f"duration {np.median([run.seconds for run in runs]):.0f} s; "
-        f"{sum(run.failures for run in runs)} attempts that failed"
-    )
+    print(f"{summary(runs)}; {sum(run.failures for run in runs)} attempts that failed")
 
 
 if __name__ == "__main__":
