@@ -23,7 +23,7 @@ def driven(seed: int) -> tuple[np.ndarray, tuple[float, ...], tuple[float, float
         world.advance(0.02)
         measured.append(base.measure())
     world.move(world.present[0])
-    return world.tags()[1], world.pose, tuple(np.mean(measured[25:], axis=0))
+    return world.tags()[1], world.robots[0].pose, tuple(np.mean(measured[25:], axis=0))
 
 
 def test_a_seed_gives_the_same_warehouse_and_the_same_drive():
@@ -59,7 +59,7 @@ def test_a_rendered_tag_is_detected_at_3_m_with_its_true_bearing():
     seen = camera.see()
     camera.close()
     assert list(seen.bearings) == [str(box.tags[0])]
-    _, _, heading = world.pose
+    _, _, heading = world.robots[0].pose
     assert seen.bearings[str(box.tags[0])] == pytest.approx(-heading, abs=0.005)
     (names, corners) = corners_in_view(world)
     assert names == list(seen.bearings)
@@ -74,3 +74,40 @@ def test_a_simulated_detection_is_hidden_by_a_box_in_front():
         front.place(one, 1.7 + near + one.half[0], 4.0, 0.3, math.pi)
     front.advance(0.2)
     assert list(Simulated(front).see().bearings) == [str(front.boxes[1].tags[0])]
+
+
+def test_two_robots_sense_each_other_and_drive_each_by_itself():
+    world = World(0, boxes=0, people=0, starts=((3.0, 4.0, 0.0), (5.0, 4.0, math.pi)))
+    first, second = Base(world, 0), Base(world, 1)
+    world.advance(0.2)
+    for one in (first, second):  # from the front of the robot to the mast of the other
+        assert one.free_ahead() == pytest.approx(2.0 - 0.26 - 0.185, abs=0.03)
+    second.drive(0.3, 0.0)
+    for _ in range(50):
+        world.advance(0.02)
+    here, there = (robot.pose for robot in world.robots)
+    assert here[:2] == pytest.approx((3.0, 4.0), abs=0.01)
+    assert there[:2] == pytest.approx((4.72, 4.0), abs=0.05)
+    world.robots[1].carry(3.4, 4.0, math.pi)
+    world.advance(0.02)
+    assert any("2" in name for name in world.robots[0].touches())
+
+
+def test_scan_matching_follows_a_robot_in_the_hall_it_was_mapped_in():
+    pytest.importorskip("small_gicp", reason="needs the extra bench")
+    from examples.warehouse.laser import LaserPeer
+    from homeward.drives.drive import Samples
+    from homeward.geometry.frames import Pose
+
+    world = World(3, people=0)
+    base, laser, errors = Base(world), LaserPeer(world, 3), []
+    for speed in (0.4, -0.4):  # a day to map, and a day back
+        samples = Samples()
+        for tick in range(100):
+            base.drive(speed, 0.2)
+            samples.add_twist(world.t, *base.measure())
+            if tick % 6 == 0:
+                laser.scan(Pose(*world.robots[0].pose))
+            world.advance(0.02)
+        errors.append(laser.rmse(samples.odometry()))
+    assert max(errors) < 0.01

@@ -56,7 +56,7 @@ class Helper:
         for k in world.rng.permutation(len(world.present)):
             box = world.present[k]
             tags = set(map(str, box.tags))
-            is_far = math.dist((box.x, box.y), world.pose[:2]) > 2.0
+            is_far = math.dist((box.x, box.y), world.robots[0].pose[:2]) > 2.0
             known = max(seen[t] for t in tags) >= MIN_SIGHTINGS
             if is_far and known and not tags & in_view and box.name not in self.moved:
                 self.moved[box.name] = world.t, Pose(box.x, box.y, box.yaw), box.z
@@ -122,7 +122,7 @@ def main() -> None:
     given = parser.parse_args()
     began = time.perf_counter()
     shutil.rmtree(given.out / "drive", ignore_errors=True)
-    world = World(given.seed, start=HOME)
+    world = World(given.seed, starts=(HOME,))
     camera = Camera(world, given.seed)
     goals = [msg.GoTo(x=x - HOME.x, y=y - HOME.y) for one in ROUNDS for x, y in one]
     settings = SETTINGS.model_copy(update={"together": world.together})

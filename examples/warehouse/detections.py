@@ -32,7 +32,7 @@ class Camera:
 
     def __init__(self, world: World, seed: int = 0) -> None:
         self._world, self._rng = world, np.random.default_rng([seed, 2])
-        world.model.camera("front").fovy[:] = math.degrees(2 * math.atan(SIZE[1] / 2 / FOCAL))
+        world.robots[0].camera.fovy[:] = math.degrees(2 * math.atan(SIZE[1] / 2 / FOCAL))
         self._renderer = mujoco.Renderer(world.model, SIZE[1], SIZE[0])
         self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         self._front_end = TagFrontEnd(LENS, FAMILY)
@@ -65,12 +65,13 @@ REPORTED_PX = np.array([0.05, 0.048, 0.033, 0.032, 0.031, 0.031, 0.031, 0.032])
 class Simulated:
     """The same camera without images: tags in view, with the errors measured on the images."""
 
-    def __init__(self, world: World, seed: int = 0) -> None:
-        self._world, self._rng = world, np.random.default_rng([seed, 3])
+    def __init__(self, world: World, seed: int = 0, robot: int = 0) -> None:
+        self._world, self._robot = world, robot
+        self._rng = np.random.default_rng([seed, 3] + [robot] * (robot > 0))
 
     def see(self) -> TagBearings:
         """Return the tags in view now."""
-        names, corners = corners_in_view(self._world)
+        names, corners = corners_in_view(self._world, self._robot)
         side = _shortest(corners)
         found = self._rng.random(len(names)) < np.interp(side, SIDE_PX, DETECTED)
         corners, side = corners[found], side[found]
@@ -85,10 +86,10 @@ class Simulated:
         )
 
 
-def corners_in_view(world: World) -> tuple[list[str], np.ndarray]:
-    """Return ids and true corners (n, 4, 2) [px] of the tags that nothing hides."""
+def corners_in_view(world: World, robot: int = 0) -> tuple[list[str], np.ndarray]:
+    """Return ids and true corners (n, 4, 2) [px] of the tags that a robot sees."""
     names, at, normals = world.tags()
-    camera = world.model.camera("front").id
+    camera = world.robots[robot].camera.id
     eye, axes = world.data.cam_xpos[camera], world.data.cam_xmat[camera].reshape(3, 3)
     right = np.stack([-normals[:, 1], normals[:, 0], np.zeros(len(at))], axis=-1)[:, None]
     up = np.array([0.0, 0.0, 1.0])
@@ -108,10 +109,9 @@ def corners_in_view(world: World) -> tuple[list[str], np.ndarray]:
     targets = np.concatenate([points[rows_in], at[rows_in][:, None]], axis=1).reshape(-1, 3) - eye
     far = np.linalg.norm(targets, axis=1)
     hit, distance = np.zeros(len(far), np.int32), np.zeros(len(far))
-    robot = world.model.body("robot").id
-    rays = (targets / far[:, None]).ravel()
+    rays, body = (targets / far[:, None]).ravel(), world.robots[robot].body
     mujoco.mj_multiRay(
-        world.model, world.data, eye, rays, None, 1, robot, hit, distance, None, len(far), 20.0
+        world.model, world.data, eye, rays, None, 1, body, hit, distance, None, len(far), 20.0
     )
     free = (np.abs(distance - far) < 0.03).reshape(-1, 5).all(axis=1)
     return [names[k] for k in rows_in[free]], corners[rows_in[free]]
@@ -130,7 +130,7 @@ def compare(frames: int, seed: int = 0) -> str:
     rows, false = [], 0
     for _ in range(frames):
         x, y = rng.uniform(1.2, 10.8), rng.choice([1.55, 4.0, 6.45]) + rng.uniform(-0.4, 0.4)
-        world.carry(x, y, rng.uniform(-math.pi, math.pi))
+        world.robots[0].carry(x, y, rng.uniform(-math.pi, math.pi))
         world.data.time += 1.0
         world.advance(0.1)
         mujoco.mj_forward(world.model, world.data)

@@ -56,7 +56,7 @@ class Docked(NamedTuple):
 
 def dock(seed: int, is_rendered: bool) -> Docked:
     """Let a robot dock in a warehouse of its own."""
-    world = World(seed, start=DOCK)
+    world = World(seed, starts=(DOCK,))
     eye: Eye = Camera(world, seed) if is_rendered else Simulated(world, seed)
     rng = np.random.default_rng([seed, 7])
     away = DOCK.x + rng.uniform(3.0, 7.0), DOCK.y + rng.uniform(-0.3, 0.3)

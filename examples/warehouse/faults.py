@@ -108,9 +108,9 @@ def frozen(robot: FaultyRobot, on: bool) -> None:
 def shifted(robot: FaultyRobot, on: bool) -> None:
     """The camera is knocked, and looks 5 degrees to the left from then on."""
     turn = math.radians(5.0) / 2
-    w, x, y, z = robot.world.model.camera("front").quat
+    w, x, y, z = robot.vehicle.camera.quat
     c, s = math.cos(turn), math.sin(turn)
-    robot.world.model.camera("front").quat[:] = (
+    robot.vehicle.camera.quat[:] = (
         c * w - s * z,
         c * x - s * y,
         c * y + s * x,
@@ -132,7 +132,7 @@ def dropped(robot: FaultyRobot, on: bool) -> None:
     """A box falls 1 m in front of the robot, and is cleared away later."""
     box = robot.world.boxes[-1]
     if on:
-        x, y, heading = robot.world.pose
+        x, y, heading = robot.vehicle.pose
         at = x + 1.25 * math.cos(heading), y + 1.25 * math.sin(heading)
         robot.world.place(box, *at, 0.0, heading)
     else:
@@ -185,13 +185,13 @@ class Effect:
 def effect(name: str, seed: int) -> Effect:
     """Return what a fault does."""
     inject, lasts = FAULTS[name]
-    world = World(seed, spare=1, people=0, start=HOME)
+    world = World(seed, spare=1, people=0, starts=(HOME,))
     settings = SETTINGS.model_copy(update={"together": world.together})
     with tempfile.TemporaryDirectory() as scratch:
         recorder = partial(Recorder, Path(scratch) / "drive", robot=settings, homes={})
         tasks = [msg.TurnHome(), msg.GoTo(x=GOAL[0], y=GOAL[1])]
         robot = FaultyRobot(world, Simulated(world, seed), tasks, HOME, settings, recorder=recorder)
-        while world.pose[0] < AT_X and world.t < 120.0:
+        while robot.vehicle.pose[0] < AT_X and world.t < 120.0:
             robot.tick()
         began, events, answers = world.t, len(robot.events), len(robot.moments)
         inject(robot, True)

@@ -7,6 +7,7 @@ which it updates at the end of the day. Detections are simulated with the errors
 `--rendered` detects tags in images. Peers see the same odometry and bearings: an EKF with the
 survey of day 0 and the true start of each day, the resection of each frame in that survey, and with
 `--gtsam` (extra `bench`) GTSAM's fixed-lag smoother with survey, start and a Cauchy kernel.
+`--laser` (extra `bench`) adds a robot with a laser scanner: scan matching in the map of day 0.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -38,6 +40,9 @@ from homeward.live.place_session import PlaceSession
 from homeward.places import files
 from homeward.runs.scoring import errors
 from homeward.track import run
+
+if TYPE_CHECKING:
+    from examples.warehouse.laser import LaserPeer
 
 NODES = {
     "w": (1.8, 4.0), "m": (6.0, 4.0), "e": (10.2, 4.0),
@@ -95,14 +100,25 @@ class Warehouse:
     """The hall over days, and what the place has of it."""
 
     def __init__(
-        self, seed: int, days: int, rendered: bool, folder: Path, peers: Mapping[str, Peer]
+        self,
+        seed: int,
+        days: int,
+        rendered: bool,
+        folder: Path,
+        peers: Mapping[str, Peer],
+        has_laser: bool = False,
     ) -> None:
         boxes = 56
         spare = round(LEAVE * boxes) * (days - 1)
-        self.world = World(seed, boxes=boxes, spare=min(spare, 146 - boxes), start=HOME)
+        self.world = World(seed, boxes=boxes, spare=min(spare, 146 - boxes), starts=(HOME,))
         self.eye: Eye = Camera(self.world, seed) if rendered else Simulated(self.world, seed)
         self.rng = np.random.default_rng([seed, 5])
         self.folder, self.peers = folder, peers
+        self.laser: LaserPeer | None = None
+        if has_laser:
+            self.laser = importlib.import_module("examples.warehouse.laser").LaserPeer(
+                self.world, seed
+            )
         self.mapped: dict[str, tuple[Pose, int]] = {}
         """Pose of each box when it was last merged into the place, and its sightings there."""
         self.placed: dict[str, Pose] = {}
@@ -133,7 +149,7 @@ class Warehouse:
             world.move(box)
         a, b = EDGES[self.rng.integers(len(EDGES))].split()
         x, y = np.array(NODES[a]) + self.rng.random() * np.subtract(NODES[b], NODES[a])
-        world.carry(float(x), float(y), float(self.rng.uniform(-math.pi, math.pi)))
+        world.robots[0].carry(float(x), float(y), float(self.rng.uniform(-math.pi, math.pi)))
 
     def goals(self, number: int) -> list[tuple[float, float]]:
         """Return goals in the hall along free ways, from the node next to the robot."""
@@ -141,7 +157,7 @@ class Warehouse:
         for a, b in map(str.split, EDGES):
             ways.setdefault(a, []).append(b)
             ways.setdefault(b, []).append(a)
-        here = self.world.pose[:2]
+        here = self.world.robots[0].pose[:2]
         at, found = min(NODES, key=lambda n: math.dist(NODES[n], here)), []
         before = ""
         for _ in range(number):
@@ -176,6 +192,8 @@ class Warehouse:
                 seen.update(robot.seen.bearings.keys())
                 t = robot.truth[-1][0]
                 samples.add_bearings(t, robot.seen.bearings, robot.seen.sigmas)
+                if self.laser is not None:
+                    self.laser.scan(robot.true_pose())
         robot.session.request_landmarks()
         for out in robot.session.process():
             robot._on_output(out)
@@ -258,6 +276,8 @@ class Warehouse:
             off = errors(run(drive, peer(drive)), drive.truth)
             capped = np.minimum(off.position, PEER_MAX_M)
             found[name] = float(np.sqrt(np.mean(capped**2))) if off.t.size else math.nan
+        if self.laser is not None:
+            found["laser"] = self.laser.rmse(drive.odometry)
         return found
 
 
@@ -269,6 +289,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rendered", action="store_true")
     parser.add_argument("--gtsam", action="store_true")
+    parser.add_argument("--laser", action="store_true")
     given = parser.parse_args()
     days: list[Day] = []
     peers: dict[str, Peer] = {"EKF": SurveyedEkf, "resection": Resection}
@@ -276,10 +297,11 @@ def main() -> None:
         peers["GTSAM"] = importlib.import_module("benchmarks.peers.graph").SurveyedLag
     print(
         "day first[s] goals failures rmse[cm] max[cm] moved named wrong merge: named wrong"
-        + "".join(f" {name + '[cm]':>13}" for name in peers)
+        + "".join(f" {name + '[cm]':>13}" for name in (*peers, *["laser"] * given.laser))
     )
     with tempfile.TemporaryDirectory() as scratch:
-        hall = Warehouse(given.seed, given.days, given.rendered, Path(scratch) / "warehouse", peers)
+        folder = Path(scratch) / "warehouse"
+        hall = Warehouse(given.seed, given.days, given.rendered, folder, peers, given.laser)
         for number in range(given.days):
             if number:
                 hall.night()
@@ -290,7 +312,7 @@ def main() -> None:
                 f" {100 * day.rmse:8.1f} {100 * day.largest:7.1f} {len(day.moved):5}"
                 f" {len(day.named & day.moved):5} {len(day.wrong):5}"
                 f" {len(day.merge_named & day.moved):12} {len(day.merge_wrong):5}"
-                + "".join(f" {100 * day.peers[name]:13.1f}" for name in peers)
+                + "".join(f" {100 * day.peers[name]:13.1f}" for name in day.peers)
                 + f"  {day.lasted_s:.0f} s, touched {', '.join(day.contacts) or 'nothing'}"
                 f"; {day.merged}",
                 flush=True,

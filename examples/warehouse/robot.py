@@ -16,7 +16,8 @@ from typing import Protocol
 import mujoco
 import numpy as np
 
-from examples.warehouse.world import CAMERA_X, RADIUS, TRACK, World
+from examples.warehouse.vehicle import CAMERA_X, RADIUS, TRACK
+from examples.warehouse.world import World
 from homeward.control.limits import Limits
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
 from homeward.estimator import Status
@@ -64,14 +65,14 @@ class Eye(Protocol):
 class Base:
     """Two wheels with encoders, and a scanner that looks ahead."""
 
-    def __init__(self, world: World) -> None:
-        self._world = world
+    def __init__(self, world: World, number: int = 0) -> None:
+        self._world, self._robot = world, world.robots[number]
         self._counts = self._read()
 
     def drive(self, v: float, omega: float) -> None:
         """Set the velocity that the motors aim at [m/s, rad/s]."""
-        for name, side in (("left", -0.5), ("right", 0.5)):
-            self._world.data.actuator(name).ctrl[0] = (v + side * TRACK * omega) / RADIUS
+        half = TRACK / 2 * omega
+        self._robot.turn_wheels((v - half) / RADIUS, (v + half) / RADIUS)
 
     def measure(self) -> tuple[float, float]:
         """Return the mean velocity since the last call, one tick ago [m/s, rad/s]."""
@@ -82,20 +83,19 @@ class Base:
     def free_ahead(self) -> float:
         """Return the free distance in front of the robot [m], at most 4."""
         world, found = self._world, 4.0
-        x, y, heading = world.pose
+        x, y, heading = self._robot.pose
         c, s, hit = math.cos(heading), math.sin(heading), np.zeros(1, np.int32)
         for side in (-0.24, -0.12, 0.0, 0.12, 0.24):
             at = np.array([x + 0.26 * c - side * s, y + 0.26 * s + side * c, 0.22])
             ahead = np.array([c, s, 0.0])
-            robot = world.model.body("robot").id
-            distance = mujoco.mj_ray(world.model, world.data, at, ahead, None, 1, robot, hit)
+            body = self._robot.body
+            distance = mujoco.mj_ray(world.model, world.data, at, ahead, None, 1, body, hit)
             if distance >= 0:
                 found = min(found, distance)
         return found
 
     def _read(self) -> np.ndarray:
-        angles = [float(self._world.data.joint(name).qpos[0]) for name in ("left", "right")]
-        return np.floor(np.array(angles) / math.tau * TICKS_PER_TURN)
+        return np.floor(np.array(self._robot.wheel_angles) / math.tau * TICKS_PER_TURN)
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,8 @@ class Robot:
     place: PlaceSession | None = None
     recorder: Callable[..., Recorder] | None = None
     limits: Limits = LIMITS
+    number: int = 0
+    """Of its vehicle in the world."""
 
     def __post_init__(self) -> None:
         self._live = LiveSettings(limits=self.limits)
@@ -153,7 +155,7 @@ class Robot:
         self.recording = None if self.recorder is None else self.recorder(settings=self._live)
         if self.recording is not None:
             self.session.watch(self.recording.keep)
-        self.base = Base(self.world)
+        self.base, self.vehicle = Base(self.world, self.number), self.world.robots[self.number]
         self.outcomes: list[Outcome] = []
         self.moments: list[Moment] = []
         self.events: list[tuple[float, str]] = []
@@ -190,11 +192,17 @@ class Robot:
 
     def true_pose(self) -> Pose:
         """Return the true pose in the home frame, for scoring."""
-        return Pose(*map(float, compose(inverse(self.home), Pose(*self.world.pose))))
+        return Pose(*map(float, compose(inverse(self.home), Pose(*self.vehicle.pose))))
 
     def tick(self) -> None:
         """Sense, decide, and drive for `TICK_S`."""
-        world, session, now = self.world, self.session, self.world.t
+        self.act()
+        self.world.advance(TICK_S)
+        self.note_contacts()
+
+    def act(self) -> None:
+        """Sense, decide, and set the velocity for the next `TICK_S`."""
+        session, now = self.session, self.world.t
         v, omega = self.base.measure()
         stamp = max(now - TICK_S, 0.0)
         self.measured.append((stamp, v, omega))
@@ -211,9 +219,11 @@ class Robot:
         for out in session.process():
             self._on_output(out)
         self._command(session.tick(now), free)
-        world.advance(TICK_S)
-        self.collisions |= {(int(now), name) for name in world.touches()}
         self._ticks += 1
+
+    def note_contacts(self) -> None:
+        """Note what the robot touches now."""
+        self.collisions |= {(int(self.world.t), name) for name in self.vehicle.touches()}
 
     def look(self, now: float) -> None:
         """Take an image; its bearings are sent `LATENCY_TICKS` later."""

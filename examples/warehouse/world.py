@@ -13,6 +13,8 @@ import cv2
 import mujoco
 import numpy as np
 
+from examples.warehouse.vehicle import Start, Vehicle, part, robot_xml
+
 LENGTH, WIDTH, HEIGHT = 12.0, 8.0, 3.0
 """Of the hall, along x, y and z [m]."""
 TAG = 0.2
@@ -22,12 +24,6 @@ SHEET = TAG * 10 / 8
 FAMILY = "36h11"
 STEP_S = 0.002
 """Step of the physics [s]."""
-RADIUS, TRACK = 0.1, 0.4
-"""Nominal wheel radius and distance between the wheels [m]; the real wheels differ a little."""
-WORN = 1.004, 0.998
-"""Real radius of the left and the right wheel, as a share of the nominal one."""
-CAMERA_X, CAMERA_Z = 0.2, 0.45
-"""Position of the camera on the robot [m]; it looks ahead."""
 RACKS = (2.7, 5.3)
 """y of the two racks, which run along x from `RACK_X[0]` to `RACK_X[1]` [m]."""
 RACK_X, RACK_DEPTH = (3.0, 9.0), 0.9
@@ -84,11 +80,14 @@ class Person:
         x, y = (float(np.interp(self.at, self._ends, axis)) for axis in self.path.T)
         return x, y
 
-    def walk(self, dt: float, robot: tuple[float, float]) -> None:
-        """Walk for `dt` [s], and turn round in front of the robot."""
-        before = math.dist(self.position, robot)
+    def walk(self, dt: float, robots: list[tuple[float, float]]) -> None:
+        """Walk for `dt` [s], and turn round in front of a robot."""
+        before = [math.dist(self.position, robot) for robot in robots]
         self.at = float(np.clip(self.at + self.direction * self.speed * dt, 0.0, self.length))
-        approaches = before < 1.3 and math.dist(self.position, robot) < before
+        approaches = any(
+            far < 1.3 and math.dist(self.position, robot) < far
+            for robot, far in zip(robots, before, strict=True)
+        )
         if approaches or self.at in (0.0, self.length):
             self.direction = -self.direction
 
@@ -120,8 +119,8 @@ class World:
         Number of boxes outside the hall, for `arrive`.
     people : int
         Number of people, at most 3.
-    start : tuple
-        x, y [m] and heading [rad] of the robot.
+    starts : tuple
+        x, y [m] and heading [rad] of each robot.
     """
 
     def __init__(
@@ -130,7 +129,7 @@ class World:
         boxes: int = 56,
         spare: int = 0,
         people: int = 2,
-        start: tuple[float, float, float] = (1.5, 4.0, 0.0),
+        starts: tuple[Start, ...] = ((1.5, 4.0, 0.0),),
     ) -> None:
         self.rng = np.random.default_rng([seed, 1])
         self.slots = slots()
@@ -146,9 +145,9 @@ class World:
             Person(np.array(path), float(self.rng.uniform(0.6, 1.0)), float(self.rng.uniform(0, 5)))
             for path in paths[:people]
         ]
-        self.model = mujoco.MjModel.from_xml_string(*self._mjcf(start))
+        self.model = mujoco.MjModel.from_xml_string(*self._mjcf(starts))
         self.data = mujoco.MjData(self.model)
-        self._robot = self.model.body("robot").id
+        self.robots = [Vehicle(self.model, self.data, k) for k in range(len(starts))]
         self._lamps = self.model.light_diffuse.copy()
         self._phase = self.rng.uniform(0, math.tau, len(self._lamps))
         for box, slot in zip(self.boxes[:boxes], self._free()[:boxes], strict=True):
@@ -227,40 +226,15 @@ class World:
         """Time [s]."""
         return float(self.data.time)
 
-    @property
-    def pose(self) -> tuple[float, float, float]:
-        """True x, y [m] and heading [rad] of the robot."""
-        x, y, _, w, i, j, k = self.data.joint("base").qpos.tolist()
-        return x, y, math.atan2(2 * (w * k + i * j), 1 - 2 * (j * j + k * k))
-
-    def carry(self, x: float, y: float, heading: float) -> None:
-        """Carry the robot elsewhere (kidnapped robot); its encoders do not notice."""
-        base = self.data.joint("base")
-        base.qpos[:] = x, y, RADIUS, math.cos(heading / 2), 0, 0, math.sin(heading / 2)
-        base.qvel[:] = 0
-        mujoco.mj_forward(self.model, self.data)
-
     def advance(self, dt: float) -> None:
         """Let `dt` [s] pass."""
         for person in self.people:
-            person.walk(dt, self.pose[:2])
+            person.walk(dt, [robot.pose[:2] for robot in self.robots])
         self._pose_people()
         wave = 0.8 + 0.25 * np.sin(0.15 * self.t + self._phase)
         self.model.light_diffuse[:] = self._lamps * wave[:, None]
         for _ in range(round(dt / STEP_S)):
             mujoco.mj_step(self.model, self.data)
-
-    def touches(self) -> set[str]:
-        """Return the names of the things that the robot touches, except the floor."""
-        model, pairs = self.model, self.data.contact.geom
-        mine = model.body_rootid[model.geom_bodyid[pairs]] == self._robot
-        found = set()
-        for pair, (first, second) in zip(pairs, mine, strict=True):
-            geom = model.geom(int(pair[0] if second else pair[1]))
-            if first != second and geom.name != "floor":
-                body = model.body(geom.bodyid[0])
-                found.add(body.name if body.id else geom.name)
-        return found
 
     def _pose_people(self) -> None:
         for k, person in enumerate(self.people):
@@ -269,7 +243,7 @@ class World:
 
     # MJCF.
 
-    def _mjcf(self, start: tuple[float, float, float]) -> tuple[str, dict[str, bytes]]:
+    def _mjcf(self, starts: tuple[Start, ...]) -> tuple[str, dict[str, bytes]]:
         """Return the model as MJCF, and its pictures."""
         pictures = {"floor.png": _png(self._floor())}
         assets, bodies = [], []
@@ -291,6 +265,11 @@ class World:
             f'<light pos="{x} {y} {HEIGHT}" dir="0 0 -1" diffuse=".42 .42 .4" specular="0 0 0"'
             f' cutoff="85" exponent="1" attenuation="1 0 0.02" castshadow="{shadow}"/>'
             for x, y, shadow in ((2.0, 4.0, "false"), (6.0, 4.0, "true"), (10.0, 4.0, "false"))
+        )
+        motors = "\n".join(
+            f'<velocity name="{wheel}" joint="{wheel}" kv="20" forcerange="-5 5"/>'
+            for k in range(len(starts))
+            for wheel in (part("left", k), part("right", k))
         )
         text = f"""
 <mujoco model="warehouse">
@@ -314,11 +293,10 @@ class World:
       size="{LENGTH / 2} {WIDTH / 2} .1" material="floor" friction=".7 .005 .0001"/>
     {self._hall_xml()}
     {"".join(bodies)}
-    {_robot_xml(start)}
+    {"".join(robot_xml(starts, k) for k in range(len(starts)))}
   </worldbody>
   <actuator>
-    <velocity name="left" joint="left" kv="20" forcerange="-5 5"/>
-    <velocity name="right" joint="right" kv="20" forcerange="-5 5"/>
+    {motors}
   </actuator>
 </mujoco>"""
         return text, pictures
@@ -400,37 +378,6 @@ class World:
             f' rgba="{red} {green} {blue} 1"/>'
             '<geom type="sphere" pos="0 0 1.62" size=".12" rgba=".85 .65 .5 1"/></body>\n'
         )
-
-
-def _robot_xml(start: tuple[float, float, float]) -> str:
-    x, y, heading = start
-    wheels = "".join(
-        f'<body name="{side} wheel" pos="0 {sign * TRACK / 2} 0"><joint name="{side}" axis="0 1 0"'
-        f' damping=".02"/><geom name="{side} tyre" type="cylinder" size="{RADIUS * worn} .02"'
-        ' zaxis="0 1 0" mass="1" friction=".8 .005 .0001" condim="4" rgba=".1 .1 .1 1"/>'
-        f'<geom type="box" size=".06 .021 .012" mass="0" contype="0" conaffinity="0"'
-        ' rgba=".8 .8 .8 1"/></body>'
-        for side, sign, worn in (("left", 1, WORN[0]), ("right", -1, WORN[1]))
-    )
-    casters = "".join(
-        f'<geom type="sphere" pos="{cx} 0 -.059" size=".04" mass=".2" friction=".02 .001 .0001"'
-        ' condim="3" priority="1" rgba=".3 .3 .3 1"/>'
-        for cx in (-0.2, 0.2)
-    )
-    return f"""
-<body name="robot" pos="{x} {y} {RADIUS}"
-  quat="{math.cos(heading / 2)} 0 0 {math.sin(heading / 2)}">
-  <freejoint name="base"/>
-  <geom name="chassis" type="box" size=".25 .17 .05" pos="0 0 .03" mass="14" rgba=".1 .45 .7 1"/>
-  <geom name="deck" type="box" size=".24 .16 .015" pos="0 0 .1" mass="2" rgba=".9 .9 .92 1"/>
-  <geom name="mast" type="box" size=".025 .025 .13" pos="{CAMERA_X - 0.04} 0 .22" mass=".5"
-    rgba=".25 .27 .3 1"/>
-  <geom name="head" type="box" size=".03 .06 .03" pos="{CAMERA_X - 0.034} 0 {CAMERA_Z - RADIUS}"
-    mass=".3" rgba=".15 .15 .15 1"/>
-  {casters}{wheels}
-  <camera name="front" pos="{CAMERA_X} 0 {CAMERA_Z - RADIUS}" xyaxes="0 -1 0 0 0 1"
-    fovy="1.1226"/>
-</body>"""
 
 
 def _png(image: np.ndarray) -> bytes:

@@ -1,0 +1,232 @@
+"""Two robots in one hall share a place live, while boxes are moved.
+
+`python -m examples.warehouse.two_robots [--seed 0] [--seconds 180] [--moves 3]`. One robot has
+mapped the hall on the day before. Then `homeward place serve` serves the place, and two robots that
+stand elsewhere (kidnapped robots) join it over TCP and patrol the outer aisles, half a round apart.
+Every 30 s a box is moved that neither has in view. Printed are the figures of each robot, and the
+time from the first sighting of each moved box by one robot until the other has its new position
+from the server. The server runs on the wall clock, so the simulation is at most as fast as it, and
+runs with the same seed differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+from itertools import cycle, islice
+from pathlib import Path
+
+import numpy as np
+
+from examples.warehouse.demo import HOME
+from examples.warehouse.detections import Simulated, corners_in_view
+from examples.warehouse.nights import NODES, REACHED_M
+from examples.warehouse.robot import SETTINGS, TICK_S, Robot
+from examples.warehouse.world import Box, World
+from homeward.errors import HomewardError
+from homeward.estimator import Status
+from homeward.geometry.frames import Pose, compose, inverse
+from homeward.live import messages as msg
+from homeward.live.place_session import PlaceSession
+from homeward.live.shared.client import SCHEME, join_place
+from homeward.places.place import DAY_S
+
+ROUND = ("w", "nw", "n", "ne", "e", "se", "s", "sw")
+"""Goals of a round, clockwise, so that the robots do not meet."""
+MAPPING_S = 400.0
+"""The day before ends after this time [s]."""
+FIRST_MOVE_S, MOVE_S = 40.0, 30.0
+"""Time of the first move, and between moves [s]."""
+FAR_M = 2.0
+"""Minimum distance of a box that is moved from the robots [m]."""
+KNOWN_M = 0.25
+"""A position with a smaller error is known [m]."""
+CHECK_TICKS = 5
+
+
+@dataclass
+class Move:
+    """A box that was moved, and who knew it when."""
+
+    box: Box
+    t: float
+    """[s] on the clock of the simulation, as `seen_t`."""
+    seen_by: int | None = None
+    """Robot that had a tag of the box in view first ..."""
+    seen_t: float = math.nan
+    seen_wall: float = math.nan
+    """... and when, on the wall clock [s]."""
+    known_wall: float = math.nan
+    """When the other robot had its new position from the server [s]."""
+
+
+def goals(first: str, number: int) -> list[msg.Input]:
+    """Return goals along the round, from the one after `first`."""
+    begin = ROUND.index(first) + 1
+    there = [NODES[name] for name in islice(cycle(ROUND), begin, begin + number)]
+    inside = [compose(inverse(HOME), Pose(x, y, 0.0)) for x, y in there]
+    return [msg.GoTo(x=float(p.x), y=float(p.y)) for p in inside]
+
+
+def map_hall(robot: Robot) -> None:
+    """Drive once round the hall, and write the place."""
+    while not robot.done and robot.world.t < MAPPING_S:
+        robot.tick()
+    robot.session.localisation.finalise()
+
+
+class Patrol:
+    """The two robots in the place of a server."""
+
+    def __init__(self, world: World, seed: int, where: str, seconds: float) -> None:
+        self.world, self.began, self.seconds = world, world.t, seconds
+        settings = SETTINGS.model_copy(update={"together": world.together})
+        rng = np.random.default_rng([seed, 6])
+        self.robots = []
+        self.places: list[PlaceSession] = []
+        for k, node in enumerate(("w", "e")):
+            world.robots[k].carry(*NODES[node], float(rng.uniform(-math.pi, math.pi)))
+            self.places.append(join_place(where, update=True))
+            self.robots.append(
+                Robot(
+                    world, Simulated(world, seed, k), goals(node, 100), HOME, settings,
+                    self.places[k], number=k,
+                )
+            )  # fmt: skip
+        self.moves: list[Move] = []
+        self._rng, self._wall = rng, time.monotonic()
+
+    def drive(self, moves: int) -> None:
+        """Drive, while boxes are moved."""
+        ticks = 0
+        while (t := self.world.t - self.began) < self.seconds:
+            time.sleep(max(self._wall + t - time.monotonic(), 0.0))
+            for robot in self.robots:
+                robot.act()
+            self.world.advance(TICK_S)
+            for robot in self.robots:
+                robot.note_contacts()
+            if len(self.moves) < moves and t >= FIRST_MOVE_S + MOVE_S * len(self.moves):
+                self._move()
+            ticks += 1
+            if ticks % CHECK_TICKS == 0:
+                self._check()
+
+    @property
+    def slowness(self) -> float:
+        """Wall time of a second of the simulation so far [s]."""
+        return (time.monotonic() - self._wall) / max(self.world.t - self.began, 1e-9)
+
+    def _move(self) -> None:
+        """Move a box that is in the place, and that no robot has in view."""
+        place = self.places[0].place
+        assert place is not None
+        in_view = {n for k in range(2) for n in corners_in_view(self.world, k)[0]}
+        for k in self._rng.permutation(len(self.world.present)):
+            box = self.world.present[k]
+            tags = set(map(str, box.tags))
+            near = [math.dist((box.x, box.y), r.vehicle.pose[:2]) for r in self.robots]
+            if min(near) > FAR_M and tags & {*place.map.names} and not tags & in_view:
+                self.world.move(box)
+                self.moves.append(Move(box, self.world.t))
+                return
+
+    def _check(self) -> None:
+        """Note which robot sees a moved box, and whether the other knows its position."""
+        now = time.monotonic()
+        names, at, _ = self.world.tags()
+        for move in self.moves:
+            tags = [str(tag) for tag in move.box.tags]
+            if move.seen_by is None:
+                for k, robot in enumerate(self.robots):
+                    if robot.seen is not None and not robot.seen.bearings.keys().isdisjoint(tags):
+                        move.seen_by, move.seen_t, move.seen_wall = k, self.world.t, now
+            elif math.isnan(move.known_wall):
+                place = self.places[1 - move.seen_by].place
+                assert place is not None
+                known = dict(zip(place.map.names, place.map.positions, strict=True))
+                for tag in set(tags) & known.keys():
+                    there = compose(inverse(HOME), Pose(*at[names.index(tag), :2], 0.0))
+                    if math.dist(known[tag], there[:2]) < KNOWN_M:
+                        move.known_wall = now
+
+    def report(self) -> str:
+        """Return the figures of the robots and of the moved boxes."""
+        lines = []
+        for k, robot in enumerate(self.robots, start=1):
+            localised = [m for m in robot.moments if m.status is Status.LOCALISED]
+            error = np.array([m.error for m in localised]) if localised else np.array([math.nan])
+            arrived = [
+                math.dist(o.at[:2], (o.task.x, o.task.y)) < REACHED_M
+                for o in robot.outcomes
+                if isinstance(o.task, msg.GoTo) and o.state == "arrived" and o.at is not None
+            ]
+            first = localised[0].t - self.began if localised else math.inf
+            lines.append(
+                f"robot {k}: first pose after {first:.1f} s; {sum(arrived)} of {len(arrived)} "
+                f"goals within {100 * REACHED_M:.0f} cm, failed attempts "
+                f"{sum(o.state == 'failed' for o in robot.outcomes)}; position error RMSE "
+                f"{100 * math.sqrt(np.mean(error**2)):.1f} cm, largest {100 * error.max():.1f} cm; "
+                f"touched {', '.join(sorted({n for _, n in robot.collisions})) or 'nothing'}"
+            )
+        for move in self.moves:
+            words = f"box {move.box.name} moved at {move.t - self.began:.0f} s: "
+            if move.seen_by is None:
+                lines.append(words + "not seen again")
+                continue
+            delay = move.known_wall - move.seen_wall
+            after = "not" if math.isnan(delay) else f"{delay:.1f} s later"
+            lines.append(
+                words
+                + f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, known "
+                f"to robot {2 - move.seen_by} from the server {after}"
+            )
+        lines.append(f"a second of the simulation took {self.slowness:.1f} s")
+        return "\n".join(lines)
+
+
+def main() -> None:
+    """Map the hall, serve the place, and let two robots patrol."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--seconds", type=float, default=180.0)
+    parser.add_argument("--moves", type=int, default=3)
+    given = parser.parse_args()
+    world = World(given.seed, starts=(HOME, Pose(11.2, 7.4, math.pi)))
+    settings = SETTINGS.model_copy(update={"together": world.together})
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = Path(scratch) / "warehouse"
+        yesterday = PlaceSession("warehouse", time.time() / DAY_S - 1.0, True, folder)
+        tasks = [msg.TurnHome(), *goals("w", 8)]
+        map_hall(Robot(world, Simulated(world, given.seed), tasks, HOME, settings, yesterday))
+        server = subprocess.Popen(
+            [sys.executable, "-u", "-m", "homeward", "place", "serve", str(folder), "--tcp", "0"],
+            stdout=subprocess.PIPE,
+            text=True,
+            env=os.environ | {"XDG_STATE_HOME": scratch},
+        )
+        try:
+            assert server.stdout is not None
+            port = server.stdout.readline().split()[-1]
+            patrol = Patrol(world, given.seed, f"{SCHEME}127.0.0.1:{port}", given.seconds)
+            patrol.drive(given.moves)
+            print(patrol.report(), flush=True)
+            for k, robot in enumerate(patrol.robots, start=1):
+                try:
+                    words = robot.session.localisation.finalise()
+                except HomewardError as error:
+                    words = str(error)
+                print(f"robot {k}, at the end: {words}")
+        finally:
+            server.terminate()
+            server.wait()
+
+
+if __name__ == "__main__":
+    main()
