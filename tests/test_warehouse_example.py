@@ -41,6 +41,20 @@ def test_the_robot_drives_as_commanded_and_its_wheels_measure_it():
     assert 0.15 < heading < 0.35
 
 
+def test_the_robot_turns_as_far_as_its_wheels():
+    world = World(0, boxes=0, people=0)
+    world.advance(0.5)
+    base, (robot,), turned = Base(world), world.robots, 0.0
+    began = robot.pose[2]
+    for tick in range(80):
+        base.drive(0.0, min(1.0, 0.06 * tick) if tick < 60 else 0.0)
+        world.advance(0.02)
+        turned += 0.02 * base.measure()[1]
+        true = math.remainder(robot.pose[2] - began, math.tau)
+        assert turned == pytest.approx(true, abs=math.radians(0.5))
+    assert turned > 0.9
+
+
 def facing_one_box() -> tuple[World, Box]:
     """Return a hall whose only box stands 3 m in front of the robot."""
     world = World(0, boxes=1, people=0)

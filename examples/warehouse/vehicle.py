@@ -12,6 +12,9 @@ RADIUS, TRACK = 0.1, 0.4
 """Nominal wheel radius and distance between the wheels [m]; the real wheels differ a little."""
 WORN = 1.004, 0.998
 """Real radius of the left and the right wheel, as a share of the nominal one."""
+ROTOR = 0.05
+"""Inertia of a motor behind its gear [kg m^2]. Much less, and the physics, which makes the motor's
+torque implicit after the friction of the floor, would turn the robot further than its wheels."""
 CAMERA_X, CAMERA_Z = 0.2, 0.45
 """Position of the camera on the robot [m]; it looks ahead."""
 
@@ -79,7 +82,7 @@ def robot_xml(starts: tuple[Start, ...], number: int) -> str:
     ) * (len(starts) > 1)
     wheels = "".join(
         f'<body name="{side} wheel{mark}" pos="0 {sign * TRACK / 2} 0"><joint name="{side}{mark}"'
-        f' axis="0 1 0" damping=".02"/>'
+        f' axis="0 1 0" damping=".02" armature="{ROTOR}"/>'
         f'<geom name="{side} tyre{mark}" type="cylinder" size="{RADIUS * worn} .02"'
         ' zaxis="0 1 0" mass="1" friction=".8 .005 .0001" condim="4" rgba=".1 .1 .1 1"/>'
         f'<geom type="box" size=".06 .021 .012" mass="0" contype="0" conaffinity="0"'

@@ -267,7 +267,7 @@ class World:
             for x, y, shadow in ((2.0, 4.0, "false"), (6.0, 4.0, "true"), (10.0, 4.0, "false"))
         )
         motors = "\n".join(
-            f'<velocity name="{wheel}" joint="{wheel}" kv="20" forcerange="-5 5"/>'
+            f'<velocity name="{wheel}" joint="{wheel}" kv="10" forcerange="-5 5"/>'
             for k in range(len(starts))
             for wheel in (part("left", k), part("right", k))
         )
