@@ -22,7 +22,6 @@ from homeward.localizer.output.pose import (
     PoseEstimate,
     centre,
     combined_estimate,
-    landmark_distance,
     other_hypotheses,
 )
 from homeward.localizer.output.status import IntegrityMonitor
@@ -121,10 +120,18 @@ def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_ar
     off = samples - np.array(answer.pose)
     around = off.T @ off / len(off)
     widest = np.linalg.eigvalsh(around[:2, :2])[-1]
-    sagitta = widest / (2 * landmark_distance(both.best, both.best.home))
+    sagitta = widest / (2 * both.best.landmark_distance(both.best.home))
     around[[0, 1], [0, 1]] += sagitta**2
     assert answer.covariance == pytest.approx(around, rel=0.02, abs=1e-6)
     assert np.trace(answer.covariance) > 1.05 * np.trace(parts[0].covariance)
+
+
+@pytest.mark.parametrize(("share", "probability"), [(0.01, 0.0), (0.1, 0.4)])
+def test_a_home_nearby_is_the_same_however_certain_both_are(share, probability):
+    best = two_hypotheses().best
+    shift = share * best.landmark_distance(best.home) * np.array([0.6, 0.8, 0.0])
+    other = dataclasses.replace(best, step=best.step + shift)
+    assert Hypotheses((best, other), np.array([0.6, 0.4])).rivals(0.01) == probability
 
 
 def test_a_best_hypothesis_that_became_certain_leaves_a_covariance():

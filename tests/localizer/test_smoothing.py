@@ -85,7 +85,7 @@ def test_where_another_home_is_as_probable_no_row_is_called_localised():
     assert set(track.status) == {Status.UNVERIFIED}
     (reason,) = set(track.reason)
     assert reason.startswith("another home has probability ")
-    assert 0.4 < float(reason.split()[-1]) <= 0.5
+    assert 0.3 < float(reason.split()[-1]) <= 0.5  # less those nearby
     assert deviations(track, drive.truth).max() < 4.0  # the other home is in the covariance
 
 

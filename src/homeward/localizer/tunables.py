@@ -48,6 +48,9 @@ CLOSE = LINEAR / 3
 one [landmark distance]."""
 NEGLIGIBLE = LINEAR / 10
 """A tenth of that is linear to 0.03 %: corrections up to this need no relinearisation."""
+SAME_BEARINGS = 0.02
+"""Homes this close are one: their bearings differ by no more than the default noise of one bearing
+[rad, landmark distance]."""
 STANDSTILL = 0.01
 """Motion below which the robot counts as standing still: half the default bearing noise [rad,
 landmark distance]."""

@@ -7,6 +7,7 @@ and of each home bearing is in `evidence`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -66,6 +67,12 @@ class HomeFit:
         off = self.home - home
         off[2] = wrap(off[2])
         return bool(off @ self.information @ off < SAME_HOME**2)
+
+    def landmark_distance(self, place: np.ndarray) -> float:
+        """Return the median distance of home's landmarks from a place [m]; infinite without any."""
+        d = np.concatenate([self.problem.landmarks, self.problem.surveyed]) - place[:2]
+        squares = sorted((d * d).sum(axis=1).tolist())
+        return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
 
     @cached_property
     def state(self) -> np.ndarray:

@@ -31,6 +31,7 @@ from homeward.localizer.tunables import (
     NUM_EXCHANGES,
     NUM_NEIGHBOURS,
     PROBABLE,
+    SAME_BEARINGS,
     UNDECIDED,
 )
 
@@ -84,7 +85,11 @@ class Hypotheses:
         return max(f.log_evidence for f in (*self.fits, *self.unconverged))
 
     def rivals(self, deviations: float) -> float:
-        """Return the probability of hypotheses with home elsewhere than the best one."""
+        """Return the probability of hypotheses with home elsewhere than the best one.
+
+        A home from which all bearings are the same, but for noise, is not elsewhere: the covariance
+        of the mixture contains both.
+        """
         if len(self.fits) == 1:
             return 0.0
         best = self.best
@@ -95,7 +100,9 @@ class Hypotheses:
         finest = [f if f.problem.assumed.noise_scale < scale else best for f in self.fits]
         covariances = np.array([f.covariance for f in finest]) + 1e-12 * np.eye(3)
         apart = (off * np.linalg.solve(covariances, off[:, :, None])[:, :, 0]).sum(axis=1)
-        return float(self.weights @ (apart > deviations**2))
+        reach = best.landmark_distance(best.home)
+        away = np.maximum(np.hypot(off[:, 0], off[:, 1]) / reach, np.abs(off[:, 2]))
+        return float(self.weights @ ((apart > deviations**2) & (away > SAME_BEARINGS)))
 
 
 def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None:

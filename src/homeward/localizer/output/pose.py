@@ -153,7 +153,7 @@ def combined_estimate(
     # A large uncertainty is curved around the landmarks: add the sagitta of the arc.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
-    sagitta = largest / (2.0 * landmark_distance(best, best.home))
+    sagitta = largest / (2.0 * best.landmark_distance(best.home))
     covariance[0, 0] += sagitta**2
     covariance[1, 1] += sagitta**2
     return PoseEstimate.of(pose + others.shift, covariance)
@@ -187,10 +187,3 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
         if step @ products @ step < CENTRE_CONVERGED**2:
             break
     return np.asarray(share @ points)
-
-
-def landmark_distance(fit: HomeFit, place: np.ndarray) -> float:
-    """Return the median distance of home's landmarks from a place [m]; infinite without any."""
-    d = np.concatenate([fit.problem.landmarks, fit.problem.surveyed]) - place[:2]
-    squares = sorted((d * d).sum(axis=1).tolist())
-    return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
