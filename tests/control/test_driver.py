@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control.driver import AFTERWARDS_S, Driver
+from homeward.control.driver import AFTERWARDS_S, LOST_S, Driver
 from homeward.control.following import STAND, Path
 from homeward.control.goals import Belief, GoalState, PointGoal, RouteGoal, TurnGoal
 from homeward.control.limits import Limits
@@ -75,7 +75,7 @@ DOUBTS = {
 
 @pytest.mark.parametrize("why", [*DOUBTS, "no odometry"])
 def test_it_stops_on_a_doubt_or_a_fault_goes_on_after_it_and_gives_up_at_last(why):
-    limits, pose = Limits(), Pose(-2.0, 0.0, 0.0)
+    limits, pose = Limits(search=0.0), Pose(-2.0, 0.0, 0.0)
     driver, faults = Driver(limits), () if why in DOUBTS else (Fault("no odometry for 0.15 s"),)
     doubted = DOUBTS.get(why, belief)
     driver.go(0.0, HOME)
@@ -95,6 +95,44 @@ def test_it_stops_on_a_doubt_or_a_fault_goes_on_after_it_and_gives_up_at_last(wh
     assert driver.command(end, doubted(pose), faults) == STAND
     assert driver.state is GoalState.FAILED
     assert driver.command(end + AFTERWARDS_S + DT, belief(pose)) is None
+
+
+@pytest.mark.parametrize("why", DOUBTS)
+def test_a_robot_that_lost_its_pose_rests_then_turns_once_round_and_gives_up_at_last(why):
+    limits, pose = Limits(coast=0.0), Pose(-2.0, 0.0, 0.0)
+    driver, doubted = Driver(limits), DOUBTS[why]
+    driver.go(0.0, HOME)
+    driver.command(0.0, belief(pose))
+    t, turned, began = DT, 0.0, math.inf
+    while driver.active:
+        twist = driver.command(t, doubted(pose))
+        assert twist.v == 0.0
+        if twist.omega:
+            began = min(began, t)
+            assert "turning to find it" in driver.reason
+        turned, t = turned + twist.omega * DT, t + DT
+    assert began == pytest.approx(LOST_S, abs=5 * DT)
+    assert turned == pytest.approx(math.tau, abs=0.1)
+    assert driver.state is GoalState.FAILED
+    assert why in driver.reason
+    assert t == pytest.approx(began + math.tau / limits.search + limits.patience, abs=0.5)
+
+
+@pytest.mark.parametrize("why", DOUBTS)
+def test_a_robot_that_finds_its_pose_while_it_turns_drives_on(why):
+    driver, pose = Driver(Limits(coast=0.0)), Pose(-2.0, 0.0, 0.0)
+    driver.go(0.0, HOME)
+    for t in np.arange(0.0, 10.0, DT).tolist():
+        twist = driver.command(t, belief(pose) if t < 1.0 or t > 5.0 else DOUBTS[why](pose))
+    assert driver.state is GoalState.DRIVING
+    assert twist.v > 0.0
+
+
+def test_a_robot_that_was_never_localised_does_not_turn():
+    driver = Driver(Limits())
+    driver.go(0.0, HOME)
+    for t in np.arange(0.0, 9.0, DT).tolist():
+        assert driver.command(t, Belief(Status.MAPPING, None, None)) == STAND
 
 
 def test_it_has_not_arrived_where_it_is_not_localised():

@@ -13,6 +13,8 @@ from homeward.geometry.frames import Twist, position_sigma
 
 AFTERWARDS_S = 1.0
 """Time after the end of a drive for which zero commands are sent [s]."""
+LOST_S = 2.0
+"""A pose that comes back at rest does so within this time, before a lost robot turns [s]."""
 MAX_STEP_S = 0.1
 """Maximum time step for the limits of acceleration [s]."""
 
@@ -37,7 +39,8 @@ class Driver:
         """Since the robot was last localised."""
         self._uncertain = Debounced()
         self._looked, self._look_rate = 0.0, 0.0
-        """Angle turned to see landmarks since the robot last drove [rad], and the rate [rad/s]."""
+        """Angle turned to see landmarks, or to find the pose, since the robot last drove [rad], and
+        the rate [rad/s]."""
 
     @property
     def active(self) -> bool:
@@ -73,7 +76,8 @@ class Driver:
     ) -> Twist | None:
         """Return the command at `now` [s], or None to send none, given faults of the sensors.
 
-        A `blind` robot without other faults turns on the spot until it is not, at most once round.
+        A `blind` robot without other faults turns on the spot until it is not, at most once round;
+        so does one that has lost its pose on this drive.
         """
         self._unlocalised.add(now - self._last, self._twist)
         dt, self._last = min(now - self._last, MAX_STEP_S), now
@@ -93,9 +97,11 @@ class Driver:
         output = self._controller.step(now, belief, hindrance)
         is_pose_fault = pose_fault is not None and output.reason == hindrance
         self.is_lost = output.is_lost or is_pose_fault
-        may_look = self._limits.search > 0.0 and self._looked < math.tau
-        if back is not None and output.state is GoalState.HELD and may_look:
-            return self._look(back, output.reason, dt, now)
+        if output.state is GoalState.HELD and self._limits.search and self._looked < math.tau:
+            if back is not None:
+                return self._look(back, f"{output.reason}; turning to see one", dt, now)
+            if is_pose_fault and self._is_lost_for_long(now):
+                return self._look(0.0, f"{output.reason}; turning to find it", dt, now)
         if output.state is GoalState.HELD:
             return self._hold(output.reason, now, self._controller.patience)
         if output.state is not GoalState.DRIVING:
@@ -108,14 +114,20 @@ class Driver:
             self._looked = 0.0
         return self._twist
 
+    def _is_lost_for_long(self, now: float) -> bool:
+        """Return whether the robot was localised on this drive, and is at rest or turns since."""
+        was_localised = math.isfinite(self._unlocalised.seconds)
+        waited = self.state is GoalState.HELD and now - self._since > LOST_S
+        return was_localised and (waited or self._looked > 0.0)
+
     def _look(self, back: float, why: str, dt: float, now: float) -> Twist:
-        """Turn on the spot, at first to the heading that had a landmark in view."""
+        """Turn on the spot by `back` [rad] and on, for the reason `why`."""
         if not self._looked:
             rate = min(self._limits.search, self._limits.turn_rate)
             self._look_rate = math.copysign(rate, back)
         if self.state is not GoalState.DRIVING:
             self._enter(GoalState.DRIVING, "", now)
-        self.reason = f"{why}; turning to see one"
+        self.reason = why
         turning = Twist(0.0, self._twist.omega)
         self._twist = self._limits.accelerated(turning, Twist(0.0, self._look_rate), dt)
         self._looked += abs(self._twist.omega) * dt

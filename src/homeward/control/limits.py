@@ -34,8 +34,8 @@ class Limits(Strict):
     without a landmark in view, 2 s more if the noise of odometry is given [s]. Turns on the spot do
     not count."""
     search: NonNegative = 0.5
-    """Rate at which the robot turns on the spot to see a landmark when none is in view; 0: it does
-    not, for robots that need more room to turn [rad/s]."""
+    """Rate at which the robot turns on the spot to see a landmark when none is in view, or to find
+    its pose when it is lost; 0: it does not, for robots that need more room to turn [rad/s]."""
     patience: PositiveOrInf = 10.0
     """The robot gives up after being stopped for this time, for any reasons [s]."""
     obstacle_distance: NonNegative = 0.3

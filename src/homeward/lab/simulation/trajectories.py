@@ -232,7 +232,8 @@ class GoalControl(Control):
         looks_round: bool = False,
         blocked: tuple[float, float] | None = None,
     ) -> None:
-        self.driver, self._goal = Driver(limits), goal
+        # A lost robot searches on circles here, and need not turn on the spot before.
+        self.driver, self._goal = Driver(limits.model_copy(update={"search": 0.0})), goal
         self._search = Search(limits.speed, view)
         self._blocked = blocked or (math.inf, math.inf)
         self._looks_round, self._looks_until = looks_round, -math.inf
