@@ -7,7 +7,6 @@ import pytest
 from refusals import refusal
 from valid_drive import VALID, put
 
-from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.importers.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
@@ -37,21 +36,6 @@ def mrclam_folder(tmp_path):
     (folder / "Robot1_Odometry.dat").write_text("0 0.1 0\n")
     (folder / "Robot1_Measurement.dat").write_text("0 63 1.0 0.5\n")
     return folder
-
-
-def test_opens_a_drive_folder(drive_folder):
-    drive = open_drive(str(drive_folder))
-    assert drive.name == "plain"
-    assert drive.home["a"].bearing == 0.25
-
-
-def test_opens_an_mrclam_folder(mrclam_folder):
-    drive = read_mrclam(mrclam_folder, 1, HOME)
-    assert drive.name == "mrclam-robot1"
-    assert drive.home["6"].bearing == pytest.approx(-0.3)
-    noisy = read_mrclam(mrclam_folder, 1, HOME, 0.1, 1)
-    assert noisy.home["6"].sigma == 0.1
-    assert noisy.home["6"].bearing != drive.home["6"].bearing
 
 
 def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
@@ -119,13 +103,6 @@ def test_refuses_what_no_reader_knows(tmp_path):
     (tmp_path / "file.txt").write_text("hello")
     assert refusal(open_drive, tmp_path / "file.txt").startswith(
         "neither a folder of images (images.csv) nor a drive folder"
-    )
-
-
-def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
-    (drive_folder / "home.csv").unlink()
-    assert refusal(open_drive, drive_folder) == (
-        f"not a complete drive folder: no home.csv; {HOME_ADVICE}"
     )
 
 
