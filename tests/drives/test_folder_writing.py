@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import outcome
 from valid_drive import VALID, put, spoilt
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
@@ -103,12 +104,6 @@ def test_writes_only_what_is_known(tmp_path):
     )
 
 
-def test_a_new_folder_is_as_open_as_any_other(tmp_path):
-    drive = read_folder(put(tmp_path / "run"))
-    write_folder(drive, tmp_path / "copy")
-    assert (tmp_path / "copy").stat().st_mode == (tmp_path / "run").stat().st_mode
-
-
 def test_an_existing_folder_keeps_what_is_not_of_a_drive(tmp_path):
     folder = put(tmp_path / "old")
     (folder / "command.txt").write_text("mine")
@@ -168,21 +163,13 @@ FILLINGS = [
 def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
     name, content = case
     folder = put(tmp_path_factory.mktemp("fuzz") / "run", **{name.replace(".", "_"): content})
-    drive, message = outcome(folder)
+    drive, message = outcome(read_folder, folder)
     if drive is None:
         assert len(message.splitlines()) == 1
         assert name in message
     else:
         assert np.isfinite(drive.odometry.t).all()
         assert (np.abs(drive.sightings.bearing) <= math.pi).all()
-
-
-def outcome(folder):
-    """Return what is read, or the message with which it is refused."""
-    try:
-        return read_folder(folder), ""
-    except InputError as error:
-        return None, str(error)
 
 
 def test_any_line_of_a_commented_drive_yaml_is_valid_without_its_comment_sign(tmp_path):
