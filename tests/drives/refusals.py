@@ -14,11 +14,3 @@ def refusal(read, path, *arguments, **choices):
     assert message.startswith(str(path))
     assert len(message) < 600 + len(str(path))
     return message.removeprefix(str(path)).lstrip("/: ")
-
-
-def outcome(read, path, *arguments):
-    """What is read, or None and the message with which it is refused."""
-    try:
-        return read(path, *arguments), ""
-    except InputError as error:
-        return None, str(error)

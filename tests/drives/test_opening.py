@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+import test_mrclam
 from refusals import refusal
 from valid_drive import VALID, put
 
@@ -12,30 +13,16 @@ from homeward.drives.importers.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.info import log_info
-from homeward.geometry.frames import Pose
-
-HOME = Pose(2.0, 0.0, 0.3)
 
 
 @pytest.fixture
 def drive_folder(tmp_path):
-    folder = tmp_path / "plain"
-    folder.mkdir()
-    (folder / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
-    (folder / "bearings.csv").write_text("t,landmark,bearing\n0,a,0.5\n")
-    (folder / "home.csv").write_text("landmark,bearing\na,0.25\n")
-    return folder
+    return put(tmp_path / "plain", drive_yaml=None, truth_csv=None)
 
 
 @pytest.fixture
 def mrclam_folder(tmp_path):
-    folder = tmp_path / "mrclam"
-    folder.mkdir()
-    (folder / "Barcodes.dat").write_text("1 5\n6 63\n")
-    (folder / "Landmark_Groundtruth.dat").write_text("6 3.0 0.0 0.1 0.1\n")
-    (folder / "Robot1_Odometry.dat").write_text("0 0.1 0\n")
-    (folder / "Robot1_Measurement.dat").write_text("0 63 1.0 0.5\n")
-    return folder
+    return test_mrclam.put(tmp_path / "mrclam")
 
 
 def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
@@ -135,9 +122,8 @@ def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings
 
 def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
     (mrclam_folder / "Robot1_Measurement.dat").write_text("100 63 1.0 0.5\n")
-    assert "is 100.0 s after the last of the odometry" in refusal(
-        read_mrclam, mrclam_folder, 1, HOME
-    )
+    late = refusal(read_mrclam, mrclam_folder, 1, test_mrclam.HOME)
+    assert "is 89.5 s after the last of the odometry" in late
 
 
 @pytest.mark.parametrize(
