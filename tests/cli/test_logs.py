@@ -7,7 +7,6 @@ import pytest
 import yaml
 from commands import call, done, first_seconds, refused
 
-from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import DriveSettings
 from homeward.io.settings import read_settings
@@ -113,14 +112,6 @@ def test_info_reports_why_a_drive_would_be_refused(tmp_path):
     words = refused(call("run", folder, "--out", tmp_path / "out"))
     assert "the first of the bearings is 4,8" in words
     assert last == f"Note: homeward run cannot use it: {words.partition('drive: ')[2]}."
-
-
-def test_info_reports_bearings_beyond_the_odometry(tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(sample_drive(), folder)
-    file = folder / "odometry.csv"
-    file.write_text("\n".join(file.read_text().splitlines()[:500]) + "\n")
-    assert OUTSIDE in call("info", folder).stdout
 
 
 def test_convert_there_and_back(log, tmp_path):
