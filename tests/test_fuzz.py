@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.fuzz import ONCE_FAILED, PARTS, spoilt, try_case, valid
 
-CASES = 20
+CASES = 30
 
 
 @pytest.mark.parametrize("part", PARTS)

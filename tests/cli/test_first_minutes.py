@@ -183,22 +183,8 @@ def test_a_drive_of_the_same_name_gets_a_folder_of_its_own(short, tmp_path, monk
 
 
 BAD_INPUTS = [
-    (["run", "nowhere"], "no such file"),
     (["run", "bad"], "bearings.csv, row 3"),
-    (["run", "sample", "--set", "windwo=3"], "did you mean window?"),
-    (["run", "sample", "--estimator", "ekf", "--smooth"], "cannot smooth"),
-    (["run", "sample", "--set", "engine=native"], "unknown key"),
-    (["simulate", "nowhere"], "presets"),
-    (["simulate", "circle", "--set", "estimator=kalman"], "kalman"),
-    (["simulate", "warehouse", "--set", "landmarks.spacing=9"], "landmarks"),
-    (["simulate", "study", "--images", "--set", "furnish.boxes=100"], "boxes"),
-    (["study", "paper", "--set", "runs=0"], "runs"),
-    (["study", "nowhere"], "nowhere"),
-    (["view", "short"], "rerun FOLDER/rerun.rbl FOLDER/run.mcap"),
-    (["plan", "--landmarks", "0"], "landmarks"),
     (["plan", "--drive", "bad"], "bearings.csv, row 3"),
-    (["plan", "--drive", "sample", "--window", "0"], "window"),
-    (["plan", "nowhere"], "plans"),
     (["plan", "off.yaml"], "outside the outline"),
     (["see", "a.png", "b.png"], "a.png"),
     (["see", "short"], "images.csv"),

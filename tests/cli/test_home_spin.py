@@ -110,13 +110,6 @@ def test_home_is_taken_from_a_rest_by_an_option_alike_on_run_import_and_convert(
         assert option in advice
 
 
-def test_import_takes_home_from_a_turn(narrow, tmp_path):
-    out, files = tmp_path / "mine", (narrow / "odometry.csv", narrow / "bearings.csv")
-    picture = ("--picture", tmp_path / "seen.png")
-    done(call("import", *files, *picture, "--home-spin", "0,14", "--out", out))
-    assert len(read_folder(out).home) >= 10
-
-
 def test_a_log_has_its_turn_too(narrow, tmp_path):
     log, topics, out = tmp_path / "log.mcap", tmp_path / "topics.yaml", tmp_path / "folder"
     done(call("convert", narrow, log, "--home-spin", "0,14"))

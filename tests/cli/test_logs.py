@@ -7,7 +7,6 @@ import pytest
 import yaml
 from commands import call, done, first_seconds, refused
 
-from homeward.drives.one_clock import OUTSIDE
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import DriveSettings
 from homeward.io.settings import read_settings
@@ -63,11 +62,6 @@ def test_info_of_a_drive_without_home_names_all_ways_to_give_it_and_the_next_com
     assert words.endswith(f"Next: homeward run '{folder}' --home-at 0\n")
 
 
-def test_info_of_a_folder_that_is_no_drive_is_refused(tmp_path):
-    shutil.copy(sample_drive() / "odometry.csv", tmp_path / "wheels.csv")
-    assert "convert its tables with `homeward import" in refused(call("info", tmp_path))
-
-
 def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
     images, mrclam = tmp_path / "images", tmp_path / "mrclam"
     shutil.copytree(sample_drive(), images)
@@ -100,6 +94,7 @@ def test_a_log_without_a_part_names_the_way_out(file, head, advice, advice_for_f
     done(call("convert", folder, log))
     assert f"name {advice} in a topics file" in refused(call("run", log, "--out", out))
     assert advice_for_folder in refused(call("run", folder, "--out", out))
+    assert f"homeward run cannot use it: {file} has no rows." in call("info", folder).stdout
 
 
 def test_info_reports_why_a_drive_would_be_refused(tmp_path):
@@ -117,14 +112,6 @@ def test_info_reports_why_a_drive_would_be_refused(tmp_path):
     words = refused(call("run", folder, "--out", tmp_path / "out"))
     assert "the first of the bearings is 4,8" in words
     assert last == f"Note: homeward run cannot use it: {words.partition('drive: ')[2]}."
-
-
-def test_info_reports_bearings_beyond_the_odometry(tmp_path):
-    folder = tmp_path / "drive"
-    shutil.copytree(sample_drive(), folder)
-    file = folder / "odometry.csv"
-    file.write_text("\n".join(file.read_text().splitlines()[:500]) + "\n")
-    assert OUTSIDE in call("info", folder).stdout
 
 
 def test_convert_there_and_back(log, tmp_path):
@@ -153,25 +140,3 @@ def test_what_fits_no_log_is_refused(log, tmp_path):
     topics.write_text("clock: header\n")
     assert "topics are for logs" in refused(call("run", sample_drive(), "--topics", topics))
     assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
-
-
-@pytest.mark.parametrize(
-    ("name", "header", "words"),
-    [
-        ("bearings.csv", "t,landmark,bearing", "no sightings"),
-        ("home.csv", "landmark,bearing", "no home bearings found"),
-    ],
-)
-def test_a_drive_that_saw_nothing_does_not_run(tmp_path, name, header, words):
-    folder = tmp_path / "blind"
-    shutil.copytree(sample_drive(), folder)
-    (folder / name).write_text(f"{header}\n")
-    assert words in refused(call("run", folder, "--out", tmp_path / "out"))
-    assert not (tmp_path / "out").exists()
-    assert f"homeward run cannot use it: {name} has no rows." in call("info", folder).stdout
-
-
-def test_the_sample_is_converted_by_its_name(tmp_path):
-    done(call("convert", "sample", tmp_path / "folder"))
-    for name in ("odometry.csv", "bearings.csv", "home.csv"):
-        assert (tmp_path / "folder" / name).read_bytes() == (sample_drive() / name).read_bytes()

@@ -64,10 +64,3 @@ def test_an_empty_drive_is_drawn_too():
     figure.draw_without_rendering()
     above = figure.bbox.y1 - figure.axes[0].get_window_extent().y1
     assert above < 0.3 * figure.dpi, "room is left above the map"
-
-
-def test_other_peoples_folders_are_left_alone(tmp_path):
-    (tmp_path / "mine.txt").write_text("mine")
-    answer = call("plan", "--landmarks", 2, "--out", tmp_path)
-    assert answer.exit_code == 2
-    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]

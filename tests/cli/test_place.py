@@ -33,13 +33,12 @@ def visited(tmp_path_factory):
     folder = tmp_path_factory.mktemp("places")
     hall, out = folder / "hall", folder / "out"
     day = first_seconds(folder / "day", 40.0)
-    first = call("run", day, "--place", hall, "--update", "--when", "2026-11-01", "--out", out)
-    assert first.exit_code == 0, first.output
+    when = "--when", "2026-11-01"
+    first = done(call("run", day, "--place", hall, "--update", *when, "--out", out))
     assert "hall: a new place, with 11 landmarks." in first.output
     more = "--update", "--store-home", "dock 3", "--store-route", "round", "--when", "2026-11-02"
     again = another_day(folder / "another-day")
-    second = call("run", again, "--place", hall, *more, "--out", folder / "second")
-    assert second.exit_code == 0, second.output
+    second = done(call("run", again, "--place", hall, *more, "--out", folder / "second"))
     assert "hall: 11 stayed" in second.output
     assert "first after" not in second.output
     return folder
@@ -110,9 +109,8 @@ def test_a_run_notes_that_its_drive_made_the_map(hall, visited, tmp_path):
 
 def test_a_run_in_a_place_repeats_to_the_last_bit(hall, tmp_path):
     drive = first_seconds(tmp_path / "drive", 10.0)
-    assert call("run", drive, "--place", hall, "--out", tmp_path / "out").exit_code == 0
-    again = call("run", tmp_path / "out" / "run.yaml", "--out", tmp_path / "again")
-    assert again.exit_code == 0, again.output
+    done(call("run", drive, "--place", hall, "--out", tmp_path / "out"))
+    done(call("run", tmp_path / "out" / "run.yaml", "--out", tmp_path / "again"))
     one, other = (tmp_path / n / "estimate.csv" for n in ("out", "again"))
     assert one.read_bytes() == other.read_bytes()
 
@@ -154,7 +152,7 @@ def test_a_route_is_repeated_to_the_last_bit(hall, tmp_path):
     assert "ended (time up)" in said.output
     file = tmp_path / "one" / "scenario.yaml"
     assert "version: 2" in file.read_text()
-    assert call("place", "forget", hall, "--route", "round").exit_code == 0
+    done(call("place", "forget", hall, "--route", "round"))
     done(call("simulate", file, "--out", tmp_path / "other"))
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "other" / path.name).read_bytes()
@@ -186,8 +184,7 @@ def test_merge(hall, visited, tmp_path):
     place = load_place(visited / "hall")
     others = tuple(replace(v, evidence=f"other{v.number}") for v in place.visits)
     save_place(replace(place, visits=others), tmp_path / "other")
-    said = call("place", "merge", hall, tmp_path / "other")
-    assert said.exit_code == 0, said.output
+    done(call("place", "merge", hall, tmp_path / "other"))
     assert "home of hall" in load_place(hall).homes
     for copy in (hall, tmp_path / "other"):
         assert "would count twice" in refused(call("place", "merge", hall, copy))
@@ -195,7 +192,7 @@ def test_merge(hall, visited, tmp_path):
 
 def test_view_writes_a_page(hall, tmp_path):
     page = tmp_path / "pages" / "hall.html"
-    assert call("place", "view", hall, "--out", page).exit_code == 0
+    done(call("place", "view", hall, "--out", page))
     text = page.read_text(encoding="utf-8")
     assert "<svg" in text
     assert "L06" in text

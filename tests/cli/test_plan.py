@@ -77,20 +77,6 @@ def test_one_place_has_the_result_of_the_map(example):
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
-    [
-        (["warehouse", "--from", "3,1.6"], "warehouse: --from: (3, 1.6) is inside shelves.0"),
-        (["warehouse", "--from=-1,2"], "is outside the outline"),
-        (["warehouse", "--from", "5"], "two numbers separated by commas"),
-        (["warehouse", "--from", "nan,2"], "must be finite"),
-        (["--landmarks", "3", "--from", "1,2"], "--from needs PLAN"),
-    ],
-)
-def test_places_off_the_floor_are_refused(words, complaint):
-    assert complaint in refused(call("plan", *words))
-
-
-@pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"landmarks": {}}, "No landmarks"),

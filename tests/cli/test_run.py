@@ -49,20 +49,6 @@ def test_what_looks_wrong_with_the_input_is_said_on_the_terminal(short, tmp_path
     assert line.startswith(f"Note: {beyond} bearings beyond a full turn")
 
 
-@pytest.mark.parametrize("command", ["run", "info", "convert"])
-def test_stamps_in_milliseconds_are_remarked_on_the_terminal(tmp_path, command):
-    short = first_seconds(tmp_path / "short", 2.0)
-    for name in ("odometry.csv", "bearings.csv", "truth.csv"):
-        head, *rows = (short / name).read_text().splitlines()
-        cells = [row.partition(",") for row in rows]
-        late = [f"{round(1000 * float(t))},{rest}" for t, _, rest in cells]
-        (short / name).write_text("\n".join([head, *late]) + "\n")
-    where = {"run": ["--out", tmp_path / "out"], "info": [], "convert": [tmp_path / "x.mcap"]}
-    result = done(call(command, short, *where[command]))
-    assert "odometry rows with a median interval of 50.0 s" in " ".join(result.stdout.split())
-    assert "convert the stamps to seconds if they are in milliseconds" in result.stdout
-
-
 def test_smoothing_is_said_and_repeats(short, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     result = done(call("run", short, "--smooth", "--out", first))
@@ -99,17 +85,6 @@ def test_run_repeats_bit_for_bit_from_its_run_yaml(short, tmp_path):
     assert yaml.safe_load((first / "run.yaml").read_text())["settings"]["gate"] is None
 
 
-def test_a_run_replaces_an_earlier_one_and_nothing_else(short, tmp_path):
-    out = tmp_path / "out"
-    done(call("run", short, "--out", out))
-    done(call("run", short, "--out", out, "--estimator", "ekf"))
-    foreign = tmp_path / "foreign"
-    foreign.mkdir()
-    (foreign / "thesis.tex").write_text("irreplaceable")
-    assert str(foreign) in refused(call("run", short, "--out", foreign))
-    assert [p.name for p in foreign.iterdir()] == ["thesis.tex"]
-
-
 def test_a_start_from_ground_truth_is_noted(short, tmp_path):
     out = tmp_path / "out"
     ekf = ["--estimator", "ekf"]
@@ -125,23 +100,6 @@ def test_a_start_from_ground_truth_is_noted(short, tmp_path):
     (short / "truth.csv").unlink()
     assert "start prior" in refused(call("run", short, *ekf, "--out", out))
     assert "no ground truth" in refused(call("run", short, "--out", out, "--start", "truth"))
-
-
-def test_run_without_ground_truth_has_no_errors(short, tmp_path):
-    (short / "truth.csv").unlink()
-    out = tmp_path / "out"
-    done(call("run", short, "--out", out))
-    assert "position_rmse_m" not in json.loads((out / "metrics.json").read_text())
-
-
-def test_a_bad_file_is_named_with_its_row_and_nothing_is_written(short, tmp_path):
-    lines = (short / "bearings.csv").read_text().splitlines()
-    lines[4] = lines[4].rsplit(",", 1)[0] + ",north"
-    (short / "bearings.csv").write_text("\n".join(lines) + "\n")
-    line = refused(call("run", short, "--out", tmp_path / "out"))
-    assert "bearings.csv, row 5" in line
-    assert "north" in line
-    assert not (tmp_path / "out").exists()
 
 
 def test_run_yaml_takes_no_changes_and_must_be_one(short, tmp_path):
@@ -192,17 +150,6 @@ def test_real_drive_runs_to_the_end(data_dir, tmp_path):
     assert metrics["position_rmse_m"] < 2.0
     line = refused(call("run", drive, "--out", tmp_path / "b"))
     assert f"homeward import mrclam {drive.resolve()} --robot 1 --home" in line
-
-
-def test_help_names_every_command():
-    result = call("--help")
-    assert all(word in result.stdout for word in ("run", "simulate", "study"))
-
-
-def test_sample_ships_with_its_command():
-    folder = Path(sample_drive())
-    assert (folder / "COMMAND.txt").read_text().startswith("homeward simulate ")
-    assert sum(p.stat().st_size for p in folder.iterdir()) < 500_000
 
 
 def test_without_a_compiler_the_run_names_the_engine_that_ran(short, tmp_path, monkeypatch):

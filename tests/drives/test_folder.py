@@ -11,6 +11,7 @@ from valid_drive import VALID, put
 from homeward.drives.folder import (
     BAD_RANGES,
     BEYOND_A_TURN,
+    HOME_ADVICE,
     REPEATED_SIGHTINGS,
     read_folder,
     write_folder,
@@ -253,7 +254,10 @@ def test_refuses_what_is_no_drive(tmp_path):
     assert refusal(read_folder, tmp_path / "empty").startswith(
         "not a complete drive folder: no odometry.csv, bear"
     )
-    assert "no home.csv" in refusal(read_folder, put(tmp_path / "lacks", home_csv=None))
+    lacks = put(tmp_path / "lacks", home_csv=None)
+    assert refusal(read_folder, lacks) == (
+        f"not a complete drive folder: no home.csv; {HOME_ADVICE}"
+    )
     (tmp_path / "file").write_text("t,v,omega\n")
     assert refusal(read_folder, tmp_path / "file") == "not a folder"
     folder = put(tmp_path / "nested", odometry_csv=None)

@@ -2,6 +2,7 @@
 
 import csv
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,58 +21,51 @@ from homeward.runs.report.canvas import png
 from homeward.runs.report.imported import draw_drive
 
 
-def rows(name):
+def write(folder, **texts):
+    """Files of these texts, CSV where the name has no suffix."""
+    paths = [folder / (name if "." in name else f"{name}.csv") for name in texts]
+    for path, text in zip(paths, texts.values(), strict=True):
+        path.write_text(text, encoding="utf-8")
+    return paths
+
+
+def imported(folder, *given, **texts):
+    """The drive of such files; `given` is as for `understand`."""
+    return drive_of(understand(write(folder, **texts), *given), "imported")
+
+
+def table(head, rows):
+    return "\n".join([head, *rows]) + "\n"
+
+
+def sample_rows(name):
+    """The first rows of a file of the sample, as numbers where they are."""
     with (sample_drive() / name).open() as stream:
-        return list(csv.DictReader(stream))[:400]
+        for row in list(csv.DictReader(stream))[:400]:
+            yield SimpleNamespace(**{k: v if k == "landmark" else float(v) for k, v in row.items()})
 
 
-@pytest.fixture
-def odd(tmp_path):
+def test_other_separators_marks_names_and_units_are_the_same_drive(tmp_path):
     """The sample's beginning in ms, mm/s, deg/s and deg, with other separators and marks."""
-
-    def write(name, head, lines):
-        (tmp_path / name).write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
-        return tmp_path / name
-
-    degrees = lambda text: repr(math.degrees(float(text)))  # noqa: E731
-    return [
-        write(
-            "wheels.csv",
-            "Time [ms];Speed [mm/s];Yaw rate [deg/s]",
-            (
-                f"{1e3 * float(r['t'])};{1e3 * float(r['v'])};{degrees(r['omega'])}".replace(
-                    ".", ","
-                )
-                for r in rows("odometry.csv")
-            ),
-        ),
-        write(
-            "seen.txt",
-            "# time  tag_id   angle",
-            (
-                f"{1e3 * float(r['t'])}  {r['landmark']}   {degrees(r['bearing'])}"
-                for r in rows("bearings.csv")
-            ),
-        ),
-        write(
-            "home.tsv",
-            "marker\tbearing_deg",
-            (f"{r['landmark']}\t{degrees(r['bearing'])}" for r in rows("home.csv")),
-        ),
-        write(
-            "mocap.csv",
-            "timestamp_us,pos_x (cm),pos_y (cm),yaw (deg)",
-            (
-                f"{1e6 * float(r['t'])},{1e2 * float(r['x'])},{1e2 * float(r['y'])},"
-                f"{degrees(r['heading'])}"
-                for r in rows("truth.csv")
-            ),
-        ),
+    wheels = [
+        f"{1e3 * r.t};{1e3 * r.v};{math.degrees(r.omega)}" for r in sample_rows("odometry.csv")
     ]
-
-
-def test_other_separators_marks_names_and_units_are_the_same_drive(odd):
-    found = understand(odd)
+    seen = [
+        f"{1e3 * r.t}  {r.landmark}   {math.degrees(r.bearing)}"
+        for r in sample_rows("bearings.csv")
+    ]
+    home = [f"{r.landmark}\t{math.degrees(r.bearing)}" for r in sample_rows("home.csv")]
+    truth = [
+        f"{1e6 * r.t},{1e2 * r.x},{1e2 * r.y},{math.degrees(r.heading)}"
+        for r in sample_rows("truth.csv")
+    ]
+    texts = {
+        "wheels.csv": table("Time [ms];Speed [mm/s];Yaw rate [deg/s]", wheels).replace(".", ","),
+        "seen.txt": table("# time  tag_id   angle", seen),
+        "home.tsv": table("marker\tbearing_deg", home),
+        "mocap.csv": table("timestamp_us,pos_x (cm),pos_y (cm),yaw (deg)", truth),
+    }
+    found = understand(write(tmp_path, **texts))
     drive, plain = drive_of(found, "odd"), read_folder(sample_drive())
     for mine, same in (
         *((getattr(drive.odometry, k), getattr(plain.odometry, k)) for k in ("t", "v", "omega")),
@@ -90,37 +84,33 @@ def test_other_separators_marks_names_and_units_are_the_same_drive(odd):
 
 
 def test_no_header_and_a_sign_are_told(tmp_path):
-    bare = tmp_path / "bare.csv"
-    bare.write_text("0,0.1,10\n0.1,0.1,20\n")
+    bare = write(tmp_path, bare="0,0.1,10\n0.1,0.1,20\n")
     with pytest.raises(InputError, match=r"not recognised as .* Its columns are '1', '2', '3'"):
-        understand([bare])
-    found = understand([bare], ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
+        understand(bare)
+    found = understand(bare, ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
     assert [one.source for one in found] == ["specified"] * 3
     table = found[0].table
     assert table["omega"] == pytest.approx(np.radians([-10, -20]))
 
 
-def written(folder, **texts):
-    """The files of these texts, without their headers."""
-    for name, text in texts.items():
-        (folder / f"{name}.csv").write_text(text.partition("\n")[2])
-    return [folder / f"{name}.csv" for name in texts]
+def bare(text):
+    """The text without its header."""
+    return text.partition("\n")[2]
 
 
 def test_numbers_of_columns_are_no_landmarks(tmp_path):
     """Columns 1, 2, 3 of a file without a header were taken for tags of these names."""
     seen, home = SEEN.replace("L", ""), AT_HOME.replace("L", "")
-    files = written(tmp_path, odometry=TWISTS, bearings=seen, home=home)
-    plain = drive_of(understand(files, FILES_TOLD), "plain")
+    without = {"odometry": bare(TWISTS), "bearings": bare(seen), "home": bare(home)}
+    plain = imported(tmp_path, FILES_TOLD, **without)
     assert plain.odometry.v.tolist() == [0.1, 0.2, 0.3]
     assert plain.sightings.landmark.tolist() == ["1", "2", "1"]
     assert plain.home["2"].bearing == -0.5
     # One of them without a header: no file need be named.
-    for name, text in (("bearings", seen), ("home", home)):
-        (tmp_path / f"{name}.csv").write_text(text)
-    drive = drive_of(understand(files, ["t=1, v=2, omega=-3"]), "one")
+    one = without | {"bearings": seen, "home": home}
+    drive = imported(tmp_path, ["t=1, v=2, omega=-3"], **one)
     assert drive.odometry.omega.tolist() == [-0.2, 0.1, 0.0]
-    written(tmp_path, bearings=seen)
+    files = write(tmp_path, **one | {"bearings": bare(seen)})
     with pytest.raises(InputError, match=r"give its roles, as in --columns 'bearings.csv: t=1"):
         understand(files, ["t=1, v=2, omega=3"])
     with pytest.raises(InputError, match="no file has a column '3'"):
@@ -154,16 +144,11 @@ def echoed(t, a):
 
 @pytest.mark.parametrize("name", ["odom.tum", "robot_pose.txt"])
 def test_a_tum_trajectory_is_odometry_or_the_true_path(tmp_path, name):
-    (tmp_path / name).write_text(circle(tum))
-    (tmp_path / "b.csv").write_text(SEEN)
-    (tmp_path / "h.csv").write_text(AT_HOME)
-    files = [tmp_path / each for each in (name, "b.csv", "h.csv")]
-    drive = drive_of(understand(files), "tum")
+    seen = {"b": SEEN, "h": AT_HOME}
+    drive = imported(tmp_path, **{name: circle(tum)}, **seen)
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
-    (tmp_path / "truth.tum").write_text(circle(tum))
-    (tmp_path / "odometry.csv").write_text(TWISTS)
-    files = [*files[1:], tmp_path / "truth.tum", tmp_path / "odometry.csv"]
+    files = write(tmp_path, **seen, **{"truth.tum": circle(tum)}, odometry=TWISTS)
     heading = drive_of(understand(files), "tum").truth.heading
     assert heading == pytest.approx(np.linspace(0, np.pi, 5))
     with pytest.raises(InputError, match="no odometry found"):
@@ -174,43 +159,41 @@ def test_a_tum_trajectory_is_odometry_or_the_true_path(tmp_path, name):
 
 
 def test_odometry_as_ros2_topic_echo_prints_it(tmp_path):
-    files = [tmp_path / name for name in ("echo.csv", "b.csv", "h.csv")]
-    texts = circle(echoed), SEEN.replace("0.", "1."), AT_HOME
-    for file, text in zip(files, texts, strict=True):
-        file.write_text(text)
-    drive = drive_of(understand(files), "echo")
+    seen = {"b": SEEN.replace("0.", "1."), "h": AT_HOME}
+    drive = imported(tmp_path, echo=circle(echoed), **seen)
     assert drive.odometry.t.tolist() == [1.0, 1.25, 1.5, 1.75, 2.0]
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 5)
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 5)
     # Poses alone, of a PoseStamped.
-    cells = [row.split(",") for row in texts[0].splitlines()]
-    files[0].write_text("".join(",".join([*row[:3], *row[4:11]]) + "\n" for row in cells))
-    poses = drive_of(understand(files), "poses").odometry
+    cells = [row.split(",") for row in circle(echoed).splitlines()]
+    alone = "".join(",".join([*row[:3], *row[4:11]]) + "\n" for row in cells)
+    poses = imported(tmp_path, echo=alone, **seen).odometry
     assert poses.omega == pytest.approx([np.pi] * 4 + [0])
 
 
 def test_a_column_may_be_told_by_its_whole_name_or_given_another_unit(tmp_path):
-    file = tmp_path / "a.csv"
-    file.write_text("Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
+    file = write(tmp_path, a="Time [ms],v,w,when\n0,0.1,0,0\n1000,0.1,0,1\n")
     for text, unit in (("t=Time [ms]", "ms"), ("t=Time [ms][s]", "s"), ("t=when", "s")):
-        (found,) = (one for one in understand([file], [text]) if one.column.role == "t")
+        (found,) = (one for one in understand(file, [text]) if one.column.role == "t")
         assert (found.unit, found.source) == (unit, "specified")
 
 
 def test_commas_may_stand_in_the_names_of_columns(tmp_path):
-    file = tmp_path / "a.csv"
-    file.write_text('when,"Speed, filtered",w\n0,0.1,0\n0.1,0.1,0\n')
-    found = understand([file], ["t=when, v=Speed, filtered[m/s]"])
+    file = write(tmp_path, a='when,"Speed, filtered",w\n0,0.1,0\n0.1,0.1,0\n')
+    found = understand(file, ["t=when, v=Speed, filtered[m/s]"])
     assert [one.column.name for one in found] == ["when", "Speed, filtered", "w"]
 
 
 def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
     """A deviation of 0.57 deg is none of 0.57 rad, nor is home ahead of a robot full of radians."""
-    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
-    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
-    seen.write_text("t,std,id,bearing\n0,0.57,A,12.5\n0.1,0.57,B,-80\n")
-    home.write_text("id,bearing,std\nA,-3.5,0.57\nB,5.25,\n")
-    found = understand([odometry, seen, home])
+    found = understand(
+        write(
+            tmp_path,
+            odometry="t,v,w\n0,0.1,0\n0.1,0.1,0\n",
+            seen="t,std,id,bearing\n0,0.57,A,12.5\n0.1,0.57,B,-80\n",
+            home="id,bearing,std\nA,-3.5,0.57\nB,5.25,\n",
+        )
+    )
     drive = drive_of(found, "degrees")
     assert drive.sightings.sigma == pytest.approx(np.radians([0.57, 0.57]))
     assert drive.home["A"].bearing == pytest.approx(math.radians(-3.5))
@@ -221,24 +204,18 @@ def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
 
 
 def test_numbers_may_head_the_columns_of_landmarks(tmp_path):
-    odometry, seen, home = (tmp_path / f"{name}.csv" for name in ("odometry", "seen", "home"))
-    odometry.write_text("t,v,w\n0,0.1,0\n0.1,0.1,0\n")
-    seen.write_text("t,7,12\n0,0.5,\n0.1,,-1.25\n")
-    home.write_text("landmark,bearing\n7,0.4\n12,0.1\n")
-    drive = drive_of(understand([odometry, seen, home]), "tags")
+    seen, home = "t,7,12\n0,0.5,\n0.1,,-1.25\n", "landmark,bearing\n7,0.4\n12,0.1\n"
+    drive = imported(tmp_path, odometry=TWISTS, seen=seen, home=home)
     assert drive.sightings.landmark.tolist() == ["7", "12"]
     assert drive.sightings.bearing.tolist() == [0.5, -1.25]
 
 
 def test_a_bag_as_ros_prints_it_has_unix_time_in_nanoseconds(tmp_path):
-    log = tmp_path / "odom.csv"
     head = "%time,field.header.seq,field.twist.twist.linear.x,field.twist.twist.angular.z"
     stamps = (1_700_000_000_000_000_000, 1_700_000_000_050_000_000)
-    log.write_text("\n".join([head, *(f"{t},1,0.1,0.2" for t in stamps)]))
-    seen, home = tmp_path / "b.csv", tmp_path / "h.csv"
-    seen.write_text("stamp,id,bearing\n1700000000000000000,A,0.5\n")
-    home.write_text("id,bearing\nA,0.4\n")
-    found = understand([home, seen, log])
+    seen = "stamp,id,bearing\n1700000000000000000,A,0.5\n"
+    odom = table(head, (f"{t},1,0.1,0.2" for t in stamps))
+    found = understand(write(tmp_path, home="id,bearing\nA,0.4\n", seen=seen, odom=odom))
     assert found[0].range == "1700000000 to 1700000000.05 s"
     drive = drive_of(found, "bag")
     assert drive.settings.epoch == 1_700_000_000
@@ -319,14 +296,12 @@ def test_oddities_are_understood(tmp_path, odd, encoding):
 
 
 def test_dates_are_unix_time_and_numbers_are_names(tmp_path):
-    files = {
-        "odometry.csv": "time,v,omega\n2026-11-23 12:00:00.5,0.1,0\n2026-11-23 12:00:01,0.1,0\n",
-        "bearings.csv": "time,id,bearing\n2026-11-23T13:00:00.75+01:00,3.0,0.5\n",
-        "home.csv": "id,bearing\n3,0.25\n",
-    }
-    for name, text in files.items():
-        (tmp_path / name).write_text(text)
-    drive = drive_of(understand([tmp_path / name for name in files]), "dates")
+    drive = imported(
+        tmp_path,
+        odometry="time,v,omega\n2026-11-23 12:00:00.5,0.1,0\n2026-11-23 12:00:01,0.1,0\n",
+        bearings="time,id,bearing\n2026-11-23T13:00:00.75+01:00,3.0,0.5\n",
+        home="id,bearing\n3,0.25\n",
+    )
     assert drive.settings.epoch == 1795435200
     assert drive.odometry.t.tolist() == [0.5, 1.0]
     assert drive.sightings.t.tolist() == [0.75]
@@ -345,28 +320,21 @@ def test_headings_beyond_a_turn_have_the_unit_that_fits_the_path(
         np.degrees(1.0) if unit == "deg" else 1.0
     )
     rows = zip(0.1 * np.arange(angle.size), direction * x, direction * y, heading, strict=True)
-    path = tmp_path / "odom.csv"
-    path.write_text("t,x,y,theta\n" + "".join(f"{t},{a},{b},{c}\n" for t, a, b, c in rows))
-    found = {one.column.role: (one.unit, one.source) for one in understand([path])}
+    path = write(tmp_path, odom=table("t,x,y,theta", (f"{t},{a},{b},{c}" for t, a, b, c in rows)))
+    found = {one.column.role: (one.unit, one.source) for one in understand(path)}
     assert found["heading"] == (unit, "guessed: along the path")
 
 
 def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
     """Half a turn to the left on a circle of 1 m, as quaternions; and the truth as TUM has it."""
-    turn = np.linspace(0, np.pi, 5)
-    odom = ["t,position.x,position.y,orientation.x,orientation.y,orientation.z,orientation.w"]
-    truth = ["# timestamp tx ty tz qx qy qz qw"]
-    for t, a in enumerate(turn):
-        half = f"{math.sin(a / 2)}", f"{math.cos(a / 2)}"
-        odom.append(",".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0", "0", *half]))
-        truth.append(" ".join([str(t), f"{math.sin(a)}", f"{1 - math.cos(a)}", "0 0 0", *half]))
-    texts = {"my-odom.csv": odom, "mocap.txt": truth, "b.csv": [SEEN], "h.csv": [AT_HOME]}
-    for name, lines in texts.items():
-        (tmp_path / name).write_text("\n".join(lines) + "\n")
-    drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
+    head = "t,position.x,position.y,orientation.x,orientation.y,orientation.z,orientation.w\n"
+    rows = circle(lambda t, a: ",".join(tum(t, a).split(" 0 ", 1)).replace(" ", ","))
+    truth = "# timestamp tx ty tz qx qy qz qw\n" + circle(tum)
+    texts = {"my-odom.csv": head + rows, "mocap.txt": truth, "b.csv": SEEN, "h.csv": AT_HOME}
+    drive = imported(tmp_path, **texts)
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
     assert drive.odometry.omega == pytest.approx([np.pi / 4] * 4 + [0])
-    assert drive.truth.heading == pytest.approx(turn)
+    assert drive.truth.heading == pytest.approx(np.linspace(0, np.pi, 5))
     (tmp_path / "my-odom.csv").rename(tmp_path / "robot_pose.csv")
     drive = drive_of(understand(sorted(tmp_path.iterdir())), "poses")
     assert drive.odometry.v == pytest.approx([np.pi / 4] * 4 + [0])
@@ -374,10 +342,8 @@ def test_poses_are_odometry_where_the_file_says_so_and_else_the_truth(tmp_path):
 
 
 def test_odometry_and_bearings_may_share_a_file(tmp_path):
-    log, home = tmp_path / "log.csv", tmp_path / "home.csv"
-    log.write_text("t,v,w,id,bearing\n0,0.1,0,,\n0.05,,,A,0.3\n0.1,0.2,0,,\n")
-    home.write_text("id,bearing\nA,0.4\n")
-    drive = drive_of(understand([log, home]), "log")
+    log = "t,v,w,id,bearing\n0,0.1,0,,\n0.05,,,A,0.3\n0.1,0.2,0,,\n"
+    drive = imported(tmp_path, log=log, home="id,bearing\nA,0.4\n")
     assert drive.odometry.v.tolist() == [0.1, 0.2]
     assert drive.sightings.landmark.tolist() == ["A"]
 
@@ -436,25 +402,21 @@ def test_units_in_names(name, quantity, unit):
     ],
 )
 def test_what_is_wrong_is_said_in_one_line(tmp_path, text, columns, complaint):
-    file = tmp_path / "odd.csv"
-    file.write_text(text)
     with pytest.raises(InputError, match=complaint) as found:
-        drive_of(understand([file], columns), "odd")
+        imported(tmp_path, columns, odd=text)
     assert len(str(found.value).splitlines()) == 1
 
 
 def test_too_many_columns_are_refused_and_5000_landmarks_are_imported_and_drawn(tmp_path):
-    commas, wide, home = (tmp_path / f"{name}.csv" for name in ("commas", "wide", "home"))
     for count in (100_000, 1_000_000):
-        commas.write_text("," * count + "\n")
         with pytest.raises(InputError, match="columns; at most 10,000 are allowed"):
-            understand([commas])
+            understand(write(tmp_path, commas="," * count + "\n"))
     ids = [f"L{k}" for k in range(5000)]
-    wide.write_text(f"t,{','.join(ids)}\n" + f"0{',0.5' * 5000}\n")
-    home.write_text("id,bearing\n" + "".join(f"{name},0.5\n" for name in ids))
-    odometry = tmp_path / "odometry.csv"
-    odometry.write_text(TWISTS)
-    drive = drive_of(understand([odometry, wide, home]), "wide")
+    wide, home = (
+        f"t,{','.join(ids)}\n0{',0.5' * 5000}\n",
+        table("id,bearing", (f"{i},0.5" for i in ids)),
+    )
+    drive = imported(tmp_path, odometry=TWISTS, wide=wide, home=home)
     assert drive.sightings.t.size == len(drive.home) == 5000
     png(draw_drive(drive))
 
@@ -487,29 +449,23 @@ def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, c
 
 
 def test_a_decimal_comma_is_none_where_commas_part_fields(tmp_path):
-    file = tmp_path / "a.csv"
-    file.write_text("t,v\n1,5\n")
-    assert not sheet(file).decimal_comma
+    assert not sheet(*write(tmp_path, a="t,v\n1,5\n")).decimal_comma
 
 
 def test_stamps_of_one_clock_in_two_units_are_understood(tmp_path):
-    odometry = "\n".join(f"{1_700_000_000_000_000_000 + k * 100_000_000},1,0" for k in range(50))
-    (tmp_path / "odom.csv").write_text(f"t,v,w\n{odometry}\n")
-    seen = "\n".join(f"{1_700_000_000 + k / 10},a,0.5" for k in range(50))
-    (tmp_path / "seen.csv").write_text(f"t,id,angle\n{seen}\n")
-    (tmp_path / "home.csv").write_text("id,angle\na,0.3\n")
-    drive = drive_of(understand(sorted(tmp_path.iterdir())), "two units")
+    odom = (f"{1_700_000_000_000_000_000 + k * 100_000_000},1,0" for k in range(50))
+    seen = (f"{1_700_000_000 + k / 10},a,0.5" for k in range(50))
+    tables = {"odom": table("t,v,w", odom), "seen": table("t,id,angle", seen)}
+    drive = imported(tmp_path, **tables, home="id,angle\na,0.3\n")
     assert drive.span == pytest.approx((0.0, 4.9), abs=1e-3)
 
 
 def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     hours = ["2026-11-23 12:00:00", "", "nan", "2026-11-23 12:00:00.5"]
-    (tmp_path / "odom.csv").write_text("date,v,w\n" + "".join(f"{h},1,0\n" for h in hours))
-    found = understand([tmp_path / "odom.csv"])
+    found = understand(write(tmp_path, odom=table("date,v,w", (f"{h},1,0" for h in hours))))
     assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
-    (tmp_path / "odom.csv").write_text("date,v,w\n23.11.2026 12:00:00,1,0\n")
     with pytest.raises(InputError, match="neither a number nor a time like 2026-11-23 12:00"):
-        understand([tmp_path / "odom.csv"])
+        understand(write(tmp_path, odom="date,v,w\n23.11.2026 12:00:00,1,0\n"))
 
 
 @pytest.mark.parametrize(
@@ -522,10 +478,9 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     ],
 )
 def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
-    (tmp_path / "odom.csv").write_text("t,v,w\n0,1,0\n0.5,1,0\n")
-    (tmp_path / "seen.csv").write_text("t,id,angle\n0,1,0\n0,2,1\n0,3,2\n")
-    (tmp_path / "home.csv").write_text("id,angle\n" + "".join(f"{name},0.1\n" for name in home))
-    told = home_warnings(drive_of(understand(sorted(tmp_path.iterdir())), "names"))
+    seen = "t,id,angle\n0,1,0\n0,2,1\n0,3,2\n"
+    at_home = table("id,angle", (f"{name},0.1" for name in home))
+    told = home_warnings(imported(tmp_path, odom=TWISTS, seen=seen, home=at_home))
     assert len(told) == bool(says)
     assert all(words in told[0] for words in says)
 
@@ -536,39 +491,37 @@ def test_who_calls_landmarks_at_home_otherwise_is_told(tmp_path, home, says):
 def test_a_column_of_distances_becomes_ranges(tmp_path, head, factor):
     rows = [(0.1 * i, "ab"[i % 2], 0.2, 1.5 + 0.1 * i) for i in range(20)]
     lines = [f"{t:.1f},{name},{bearing},{factor * r:.6g}" for t, name, bearing, r in rows]
-    (tmp_path / "tags.csv").write_text("\n".join([f"t,id,bearing,{head}", *lines]))
-    odometry = "\n".join(["t,v,omega", *(f"{0.1 * i:.1f},0.2,0.1" for i in range(20))])
-    (tmp_path / "odometry.csv").write_text(odometry)
-    (tmp_path / "home.csv").write_text("landmark,bearing\na,0.1\nb,0.2")
-    paths = [tmp_path / name for name in ("tags.csv", "odometry.csv", "home.csv")]
-    drive = drive_of(understand(paths, ()), "tags")
+    drive = imported(
+        tmp_path,
+        tags=table(f"t,id,bearing,{head}", lines),
+        odometry=table("t,v,omega", (f"{0.1 * i:.1f},0.2,0.1" for i in range(20))),
+        home="landmark,bearing\na,0.1\nb,0.2",
+    )
     assert drive.sightings.range == pytest.approx([r for *_, r in rows], rel=1e-5)
 
 
 def test_home_bearings_recorded_for_some_seconds_are_averaged(tmp_path):
-    for name, text in {"odometry": TWISTS, "bearings": SEEN}.items():
-        (tmp_path / f"{name}.csv").write_text(text)
-    home = tmp_path / "home.csv"
-    home.write_text("t,landmark,bearing\n0,L1,0.25\n0,L2,3.14\n1,L1,0.27\n1,L2,-3.14\n")
-    files = [tmp_path / "odometry.csv", tmp_path / "bearings.csv", home]
+    home = "t,landmark,bearing\n0,L1,0.25\n0,L2,3.14\n1,L1,0.27\n1,L2,-3.14\n"
+    files = write(tmp_path, odometry=TWISTS, bearings=SEEN, home=home)
     with pytest.raises(InputError, match=r"use --as home\.csv=KIND .* such as home"):
         understand(files)
     drive = drive_of(understand(files, (), ["home.csv=home"]), "")
     assert drive.home["L1"].bearing == pytest.approx(0.26)
     assert abs(drive.home["L2"].bearing) == pytest.approx(math.pi)
     assert "4 rows of home bearings, averaged for each landmark" in drive.remark_lines
-    home.write_text("landmark,bearing\nL1,0.25\nL1,0.75\n")
+    files[2].write_text("landmark,bearing\nL1,0.25\nL1,0.75\n")
     with pytest.raises(InputError, match="row 3: landmark is 'L1', which already has a row"):
         drive_of(understand(files), "")
 
 
 def test_the_camera_of_each_bearing_is_kept(tmp_path):
-    (tmp_path / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n1,0.1,0\n2,0.1,0\n")
-    seen = ["t,tag,camera,angle,camera_x", "0,A,front,0.1,3", "0,B,rear,0.2,4", "1,A,front,0.15,3"]
-    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
-    (tmp_path / "home.csv").write_text("tag,angle,cam\nA,0.1,front\nB,0.2,rear\n")
-    found = understand([tmp_path / name for name in ("odometry.csv", "seen.csv", "home.csv")])
-    drive = drive_of(found, "two")
+    seen = ["0,A,front,0.1,3", "0,B,rear,0.2,4", "1,A,front,0.15,3"]
+    drive = imported(
+        tmp_path,
+        odometry=TWISTS,
+        seen=table("t,tag,camera,angle,camera_x", seen),
+        home="tag,angle,cam\nA,0.1,front\nB,0.2,rear\n",
+    )
     assert drive.sightings.camera.tolist() == ["front", "rear", "front"]
     assert {name: home.camera for name, home in drive.home.items()} == {"A": "front", "B": "rear"}
     with pytest.raises(InputError, match=r"cameras 'front' and 'rear'.*add cameras:"):
@@ -578,14 +531,12 @@ def test_the_camera_of_each_bearing_is_kept(tmp_path):
 def test_clockwise_bearings_of_two_cameras_are_found(tmp_path):
     """The cameras, of different yaw, see the same landmarks in turn."""
     t = np.arange(0.0, 40.0, 0.5)
-    rows = [f"{at},0.0,0.3" for at in t]
-    (tmp_path / "odometry.csv").write_text("\n".join(["t,v,omega", *rows]) + "\n")
-    names, yaws = ("front", "rear"), (0.0, 2.0)
-    seen = ["t,tag,camera,bearing"]
+    odometry = table("t,v,omega", (f"{at},0.0,0.3" for at in t))
+    names, yaws, seen = ("front", "rear"), (0.0, 2.0), []
     for k, at in enumerate(t):
         for tag, place in enumerate((0.3, 2.0, 4.0)):
             bearing = -wrap(place - 0.3 * at - yaws[k % 2])
             seen.append(f"{at},{tag},{names[k % 2]},{bearing}")
-    (tmp_path / "seen.csv").write_text("\n".join(seen) + "\n")
-    found = understand([tmp_path / name for name in ("odometry.csv", "seen.csv")])
+    seen = table("t,tag,camera,bearing", seen)
+    found = understand(write(tmp_path, odometry=odometry, seen=seen))
     assert any("bearings with changed sign" in reason for one in found for reason in one.remarks)

@@ -4,9 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
 from refusals import refusal
-from valid_drive import spoilt
 
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.errors import InputError
@@ -117,14 +115,10 @@ HOSTILE = [
     (LANDMARKS, None, "Landmark_Groundtruth.dat: cannot be read: No such file"),
     (LANDMARKS, b"", "Landmark_Groundtruth.dat: no rows"),
     (LANDMARKS, b"6 1 2\n", "Landmark_Groundtruth.dat, row 1: 3 fields, but the header has 5"),
-    (LANDMARKS, b"6 1 nan 0 0\n", "Landmark_Groundtruth.dat, row 1: y is 'nan', not a finite num"),
     (LANDMARKS, b"6 1 2 0 0\n6 1 2 0 0\n", "Landmark_Groundtruth.dat, row 2: subject is '6.0', wh"),
     (ODOMETRY, b"", "Robot1_Odometry.dat: no rows"),
     (ODOMETRY, b"# c\n0 0 0\n1 0\n", "Robot1_Odometry.dat, row 3: 2 fields, but the header has 3"),
     (ODOMETRY, b"2 0 0\n0 0 0\n", "Robot1_Odometry.dat, row 2: time runs backwards by 2 s: 0.0"),
-    (ODOMETRY, b"0 0 0\n1 inf 0\n", "Robot1_Odometry.dat, row 2: v is 'inf', not a finite number"),
-    (ODOMETRY, b"0 0 0\n1 \xfe 0\n", "Robot1_Odometry.dat, row 2: not UTF-8 text"),
-    (ODOMETRY, b"0 0 0\n1 0\x00 0\n", "Robot1_Odometry.dat, row 2: v is '0\\x00', not a finite"),
     (MEASUREMENT, None, "Robot1_Measurement.dat: cannot be read: No such file"),
     (MEASUREMENT, b"2 63 1 0\n0 63 1 0\n", "Robot1_Measurement.dat, row 2: time runs backwards"),
     (MEASUREMENT, b"1 63 1 0,5\n", "Robot1_Measurement.dat, row 1: bearing is '0,5', not a finite"),
@@ -152,25 +146,6 @@ def test_refuses_choices_that_make_no_sense(tmp_path):
         read_mrclam(folder, 1, HOME, home_noise=math.inf)
     with pytest.raises(InputError, match="seed is -1"):
         read_mrclam(folder, 1, HOME, home_noise=0.1, seed=-1)
-
-
-@settings(deadline=None, max_examples=100)
-@given(case=spoilt(VALID, [b"", b"#", b"\n", b"-", b"9" * 400]))
-def test_any_damage_reads_or_is_refused(tmp_path_factory, case):
-    drive, message = outcome(put(tmp_path_factory.mktemp("fuzz") / "set", dict([case])))
-    if drive is None:
-        assert len(message.splitlines()) == 1
-        assert case[0] in message
-    else:
-        assert np.isfinite([seen.bearing for seen in drive.home.values()]).all()
-
-
-def outcome(folder):
-    """Return what is read, or the message with which it is refused."""
-    try:
-        return read_mrclam(folder, 1, HOME), ""
-    except InputError as error:
-        return None, str(error)
 
 
 REAL_HOME = Pose(2.0, 0.0, 0.3)

@@ -4,54 +4,25 @@ import math
 
 import numpy as np
 import pytest
+import test_mrclam
 from refusals import refusal
 from valid_drive import VALID, put
 
-from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.importers.reading import understand
 from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.info import log_info
-from homeward.geometry.frames import Pose
-
-HOME = Pose(2.0, 0.0, 0.3)
 
 
 @pytest.fixture
 def drive_folder(tmp_path):
-    folder = tmp_path / "plain"
-    folder.mkdir()
-    (folder / "odometry.csv").write_text("t,v,omega\n0,0.1,0\n")
-    (folder / "bearings.csv").write_text("t,landmark,bearing\n0,a,0.5\n")
-    (folder / "home.csv").write_text("landmark,bearing\na,0.25\n")
-    return folder
+    return put(tmp_path / "plain", drive_yaml=None, truth_csv=None)
 
 
 @pytest.fixture
 def mrclam_folder(tmp_path):
-    folder = tmp_path / "mrclam"
-    folder.mkdir()
-    (folder / "Barcodes.dat").write_text("1 5\n6 63\n")
-    (folder / "Landmark_Groundtruth.dat").write_text("6 3.0 0.0 0.1 0.1\n")
-    (folder / "Robot1_Odometry.dat").write_text("0 0.1 0\n")
-    (folder / "Robot1_Measurement.dat").write_text("0 63 1.0 0.5\n")
-    return folder
-
-
-def test_opens_a_drive_folder(drive_folder):
-    drive = open_drive(str(drive_folder))
-    assert drive.name == "plain"
-    assert drive.home["a"].bearing == 0.25
-
-
-def test_opens_an_mrclam_folder(mrclam_folder):
-    drive = read_mrclam(mrclam_folder, 1, HOME)
-    assert drive.name == "mrclam-robot1"
-    assert drive.home["6"].bearing == pytest.approx(-0.3)
-    noisy = read_mrclam(mrclam_folder, 1, HOME, 0.1, 1)
-    assert noisy.home["6"].sigma == 0.1
-    assert noisy.home["6"].bearing != drive.home["6"].bearing
+    return test_mrclam.put(tmp_path / "mrclam")
 
 
 def test_late_bearings_are_put_on_time_by_whoever_reads_them(tmp_path):
@@ -122,13 +93,6 @@ def test_refuses_what_no_reader_knows(tmp_path):
     )
 
 
-def test_half_a_drive_folder_is_told_what_it_lacks(drive_folder):
-    (drive_folder / "home.csv").unlink()
-    assert refusal(open_drive, drive_folder) == (
-        f"not a complete drive folder: no home.csv; {HOME_ADVICE}"
-    )
-
-
 def test_of_a_folder_of_logs_one_is_to_be_named(tmp_path):
     (tmp_path / "monday.bag").write_bytes(b"#ROSBAG V2.0\n")
     assert refusal(open_drive, tmp_path) == "a folder of logs; give one: 'monday.bag'"
@@ -158,9 +122,8 @@ def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings
 
 def test_clocks_of_other_drives_are_compared_too(mrclam_folder):
     (mrclam_folder / "Robot1_Measurement.dat").write_text("100 63 1.0 0.5\n")
-    assert "is 100.0 s after the last of the odometry" in refusal(
-        read_mrclam, mrclam_folder, 1, HOME
-    )
+    late = refusal(read_mrclam, mrclam_folder, 1, test_mrclam.HOME)
+    assert "is 89.5 s after the last of the odometry" in late
 
 
 @pytest.mark.parametrize(

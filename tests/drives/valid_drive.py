@@ -1,7 +1,5 @@
 """A drive folder that is as it should be, and how to spoil it."""
 
-from hypothesis import strategies as st
-
 VALID = {
     "odometry.csv": b"t,v,omega\n0.0,0.1,0.0\n0.5,0.1,0.2\n1.0,0.1,-0.2\n",
     "bearings.csv": b"t,landmark,bearing,sigma\n0.1,a,0.5,0.01\n0.1,b,-0.5,\n0.6,a,0.4,0.02\n",
@@ -19,15 +17,3 @@ def put(folder, **changed):
         if content is not None:
             (folder / name).write_bytes(content)
     return folder
-
-
-@st.composite
-def spoilt(draw, valid, fillings):
-    """Draw one of the valid files, with some of its bytes cut, doubled or replaced."""
-    name = draw(st.sampled_from(sorted(valid)))
-    content = valid[name]
-    for _ in range(draw(st.integers(1, 4))):
-        a, b = sorted(draw(st.tuples(*[st.integers(0, len(content))] * 2)))
-        filling = draw(st.sampled_from(fillings) | st.binary(max_size=3))
-        content = content[:a] + filling + content[draw(st.sampled_from([a, b])) :]
-    return name, content

@@ -9,6 +9,7 @@ import math
 import sys
 import time
 from dataclasses import dataclass, field
+from types import new_class
 
 from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
@@ -34,122 +35,53 @@ from homeward.live.messages import (
 )
 from homeward.live.messages import Command as Commanded
 
+DEFAULTS = {str: "", int32: 0, uint32: 0, float64: 0.0}
+COVARIANCE = array[float64, 36]
 
-def ros(kind):
-    """What DDS calls a message of ROS."""
+
+def struct(kind, **fields):
+    """A message type of ROS as DDS has it; fields begin at zero, empty, or not rotated."""
     package, name = kind.split("/")
-    return f"{package}::msg::dds_::{name}_"
+    made = {"__annotations__": fields}
+    for each, of in fields.items():
+        if of in DEFAULTS:
+            made[each] = 1.0 if each == "w" else DEFAULTS[of]
+        elif of is COVARIANCE:
+            made[each] = field(default_factory=lambda: [0.0] * 36)
+        else:
+            made[each] = field(default_factory=of if isinstance(of, type) else list)
+    typename = f"{package}::msg::dds_::{name}_"
+    kind = new_class(name, (IdlStruct,), {"typename": typename}, lambda body: body.update(made))
+    return final(dataclass(kind))
 
 
-@dataclass
-@final
-class Time(IdlStruct, typename=ros("builtin_interfaces/Time")):
-    sec: int32 = 0
-    nanosec: uint32 = 0
-
-
-@dataclass
-@final
-class Header(IdlStruct, typename=ros("std_msgs/Header")):
-    stamp: Time = field(default_factory=Time)
-    frame_id: str = ""
-
-
-@dataclass
-@final
-class String(IdlStruct, typename=ros("std_msgs/String")):
-    data: str = ""
-
-
-@dataclass
-@final
-class Point(IdlStruct, typename=ros("geometry_msgs/Point")):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-@final
-class Vector3(IdlStruct, typename=ros("geometry_msgs/Vector3")):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-
-
-@dataclass
-@final
-class Quaternion(IdlStruct, typename=ros("geometry_msgs/Quaternion")):
-    x: float64 = 0.0
-    y: float64 = 0.0
-    z: float64 = 0.0
-    w: float64 = 1.0
-
-
-@dataclass
-@final
-class Pose(IdlStruct, typename=ros("geometry_msgs/Pose")):
-    position: Point = field(default_factory=Point)
-    orientation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-@final
-class PoseArray(IdlStruct, typename=ros("geometry_msgs/PoseArray")):
-    header: Header = field(default_factory=Header)
-    poses: sequence[Pose] = field(default_factory=list)
-
-
-@dataclass
-@final
-class PoseWithCovariance(IdlStruct, typename=ros("geometry_msgs/PoseWithCovariance")):
-    pose: Pose = field(default_factory=Pose)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-@final
-class PoseWithCovarianceStamped(IdlStruct, typename=ros("geometry_msgs/PoseWithCovarianceStamped")):
-    header: Header = field(default_factory=Header)
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-
-
-@dataclass
-@final
-class Twist(IdlStruct, typename=ros("geometry_msgs/Twist")):
-    linear: Vector3 = field(default_factory=Vector3)
-    angular: Vector3 = field(default_factory=Vector3)
-
-
-@dataclass
-@final
-class TwistWithCovariance(IdlStruct, typename=ros("geometry_msgs/TwistWithCovariance")):
-    twist: Twist = field(default_factory=Twist)
-    covariance: array[float64, 36] = field(default_factory=lambda: [0.0] * 36)
-
-
-@dataclass
-@final
-class Odometry(IdlStruct, typename=ros("nav_msgs/Odometry")):
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = "base_link"
-    pose: PoseWithCovariance = field(default_factory=PoseWithCovariance)
-    twist: TwistWithCovariance = field(default_factory=TwistWithCovariance)
-
-
-@dataclass
-@final
-class Transform(IdlStruct, typename=ros("geometry_msgs/Transform")):
-    translation: Vector3 = field(default_factory=Vector3)
-    rotation: Quaternion = field(default_factory=Quaternion)
-
-
-@dataclass
-@final
-class TransformStamped(IdlStruct, typename=ros("geometry_msgs/TransformStamped")):
-    header: Header = field(default_factory=Header)
-    child_frame_id: str = ""
-    transform: Transform = field(default_factory=Transform)
+Time = struct("builtin_interfaces/Time", sec=int32, nanosec=uint32)
+Header = struct("std_msgs/Header", stamp=Time, frame_id=str)
+String = struct("std_msgs/String", data=str)
+Point = struct("geometry_msgs/Point", x=float64, y=float64, z=float64)
+Vector3 = struct("geometry_msgs/Vector3", x=float64, y=float64, z=float64)
+Quaternion = struct("geometry_msgs/Quaternion", x=float64, y=float64, z=float64, w=float64)
+Pose = struct("geometry_msgs/Pose", position=Point, orientation=Quaternion)
+PoseArray = struct("geometry_msgs/PoseArray", header=Header, poses=sequence[Pose])
+PoseWithCovariance = struct("geometry_msgs/PoseWithCovariance", pose=Pose, covariance=COVARIANCE)
+PoseWithCovarianceStamped = struct(
+    "geometry_msgs/PoseWithCovarianceStamped", header=Header, pose=PoseWithCovariance
+)
+Twist = struct("geometry_msgs/Twist", linear=Vector3, angular=Vector3)
+TwistWithCovariance = struct(
+    "geometry_msgs/TwistWithCovariance", twist=Twist, covariance=COVARIANCE
+)
+Odometry = struct(
+    "nav_msgs/Odometry",
+    header=Header,
+    child_frame_id=str,
+    pose=PoseWithCovariance,
+    twist=TwistWithCovariance,
+)
+Transform = struct("geometry_msgs/Transform", translation=Vector3, rotation=Quaternion)
+TransformStamped = struct(
+    "geometry_msgs/TransformStamped", header=Header, child_frame_id=str, transform=Transform
+)
 
 
 PARTICIPANT = DomainParticipant(int(sys.argv[1]))
@@ -184,7 +116,8 @@ class Robot:
 
     def say(self, message):
         if isinstance(message, OdometryIn):
-            result = Odometry(header=self.header(message.t, "odom"))
+            header = self.header(message.t, "odom")
+            result = Odometry(header=header, child_frame_id="base_link")
             result.twist.twist.linear.x, result.twist.twist.angular.z = message.v, message.omega
             self.odometry.write(result)
         elif isinstance(message, BearingsIn):

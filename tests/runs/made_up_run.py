@@ -77,6 +77,20 @@ def made_up(ids=("a", "b", "c", "d"), seconds=20.0, truth=True):
     return drive, track
 
 
+def first_rows(track, rows):
+    """So many rows of the track, without a landmark."""
+    return dataclasses.replace(
+        track,
+        **{k: getattr(track, k)[:rows] for k in ("t", "x", "y", "heading", "covariance")},
+        status=track.status[:rows],
+        reason=track.reason[:rows],
+        innovations=Innovations(*(np.empty(0, kind) for kind in (float, str, float, float, bool))),
+        update_seconds=track.update_seconds[:0],
+        landmarks=[],
+        history=LandmarkHistory(),
+    )
+
+
 def _history(t, ids):
     """The first landmark turns out to have moved half-way; the last is never placed."""
     x = np.tile(1.0 + np.arange(len(ids)) / 4, (t.size, 1))

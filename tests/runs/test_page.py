@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from made_up_run import FILES, SETTINGS, made_up
+from made_up_run import FILES, SETTINGS, first_rows, made_up
 
 from homeward.estimator import LandmarkEstimate
 from homeward.runs.report.folder import write_run
@@ -29,6 +29,13 @@ HOSTILE = [
     "$",
     "棚🚚",
     "",
+    "9" * 5000,
+    "=cmd|' /C calc'!A0",
+    "@SUM(A1)",
+    "-2+3",
+    "$\\frac$",
+    "mark 10",
+    "٣",
 ]
 
 
@@ -124,16 +131,7 @@ def test_hostile_names_survive_every_file(tmp_path):
 @pytest.mark.parametrize("rows", [0, 1, 2])
 def test_short_tracks_make_a_page_too(tmp_path, rows, truth):
     drive, track = made_up(truth=truth)
-    short = dataclasses.replace(
-        track,
-        **{k: getattr(track, k)[:rows] for k in ("t", "x", "y", "heading", "covariance")},
-        status=track.status[:rows],
-        reason=track.reason[:rows],
-        innovations=Innovations(*(np.empty(0, kind) for kind in (float, str, float, float, bool))),
-        update_seconds=track.update_seconds[:0],
-        landmarks=[],
-    )
-    assert write_run(tmp_path, drive, short, {})
+    assert write_run(tmp_path, drive, first_rows(track, rows), {})
     assert {p.name for p in tmp_path.iterdir()} == FILES
 
 

@@ -1,6 +1,5 @@
 """run.mcap and trajectory.tum, read back by rosbags, by Rerun and by evo."""
 
-import dataclasses
 import json
 import math
 import os
@@ -14,12 +13,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 from rosbags.highlevel import AnyReader
-from runs.made_up_run import MOUNTS, SETTINGS, made_up, of_two_cameras
+from runs.made_up_run import MOUNTS, SETTINGS, first_rows, made_up, of_two_cameras
 
 from homeward.drives.drive import Odometry
 from homeward.drives.images import Images
 from homeward.drives.settings import DriveSettings
-from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose
 from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.runs.report.files import write_trajectory
@@ -27,7 +25,6 @@ from homeward.runs.report.folder import write_run
 from homeward.runs.report.mcap import write_recording
 from homeward.runs.report.palette import BLUE, MOVED, MUTED
 from homeward.runs.scoring import score
-from homeward.track import Innovations, LandmarkHistory
 
 NANO = 10**9
 HOSTILE = ("a/b", "", "line\nbreak", "棚🚚 <b>")
@@ -317,16 +314,7 @@ def test_any_name_of_a_landmark_is_written(tmp_path):
 @pytest.mark.parametrize("rows", [0, 1, 20])
 def test_a_run_with_little_to_show_is_written_too(tmp_path, rows):
     drive, track = made_up(truth=False)
-    little = dataclasses.replace(
-        track,
-        **{k: getattr(track, k)[:rows] for k in ("t", "x", "y", "heading", "covariance")},
-        status=[Status.MAPPING] * rows,
-        reason=track.reason[:rows],
-        innovations=Innovations(*(np.empty(0, kind) for kind in (float, str, float, float, bool))),
-        landmarks=[],
-        history=LandmarkHistory(),
-    )
-    write_recording(tmp_path / "run.mcap", drive, little)
+    write_recording(tmp_path / "run.mcap", drive, first_rows(track, rows))
     assert len(read(tmp_path / "run.mcap", "/homeward/home")) == (rows > 0)
 
 

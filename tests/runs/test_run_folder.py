@@ -4,7 +4,6 @@ import csv
 import dataclasses
 import json
 import math
-import os
 
 import numpy as np
 import pytest
@@ -13,7 +12,6 @@ from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.io import writing as output
 from homeward.runs.report import page
 from homeward.runs.report.folder import write_run
 
@@ -120,50 +118,6 @@ def test_a_folder_that_is_no_run_is_refused_and_left_alone(tmp_path):
     assert "\n" not in str(caught.value)
     assert [p.name for p in tmp_path.iterdir()] == ["estimate.csv"]
     assert (tmp_path / "estimate.csv").read_text() == "mine"
-
-
-def test_a_file_in_place_of_the_folder_is_refused(tmp_path):
-    (tmp_path / "out").write_text("mine")
-    for out in (tmp_path / "out", tmp_path / "out" / "below"):
-        with pytest.raises(InputError):
-            write_run(out, *made_up(), {})
-
-
-@pytest.mark.parametrize("failure", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_nothing_is_half_written(tmp_path, monkeypatch, unplotted, failure):
-    def fail(file, *_):
-        file.write_text("half")
-        raise failure
-
-    old, new = tmp_path / "old", tmp_path / "new"
-    write_run(old, *made_up(), {"run": 1})
-    before = {p.name: p.read_bytes() for p in old.iterdir()}
-    monkeypatch.setattr(page, "write_page", fail)
-    raised = InputError if isinstance(failure, OSError) else KeyboardInterrupt
-    for out in (old, new):
-        with pytest.raises(raised):
-            write_run(out, *made_up(), {"run": 2})
-    assert {p.name: p.read_bytes() for p in old.iterdir()} == before
-    assert not new.exists()
-
-
-@pytest.mark.usefixtures("unplotted")
-def test_a_folder_that_is_not_whole_does_not_look_whole(tmp_path, monkeypatch):
-    moved = []
-
-    replace = os.replace
-
-    def fail_at_last(source, target):
-        if target.parent != tmp_path:
-            return replace(source, target)
-        moved.append(target.name)
-        if len(moved) == len(FILES):
-            raise OSError(5, "Input/output error")
-
-    monkeypatch.setattr(output.os, "replace", fail_at_last)
-    with pytest.raises(InputError, match="Input/output error"):
-        write_run(tmp_path, *made_up(), {})
-    assert moved[-1] == "run.yaml"
 
 
 def test_the_same_run_writes_the_same_bytes(tmp_path):

@@ -232,7 +232,8 @@ class MessageCameras:
 
     def add_transforms(self, message: Any) -> None:
         """Add the transforms of a tf2_msgs/TFMessage."""
-        self._transforms.add(0.0, message)
+        for given in message.transforms:
+            self._transforms.put(given)
         if self._awaited is not None:
             found = mount(self._transforms, self._awaited, self.kind, self.topics[0])
             if found is not None:

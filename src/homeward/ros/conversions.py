@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose
 from homeward.drives.ros.measurements.bearings import TagDetector
+from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL
 from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
@@ -50,8 +51,6 @@ PLANAR = (0, 1, 5)
 MAX_RANGE_M = 1e4
 """Free distance for scanners with infinite range, such as simulated ones [m]."""
 _SPHERE, _LINES, _TEXT = 2, 5, 9
-OPTICAL = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-"""From a camera's frame, x ahead and y to the left, to its optical frame (REP 103)."""
 RAY_M = 5.0
 """Length at which a sighting without a range is drawn [m]."""
 
@@ -260,13 +259,13 @@ def tag_out(tag: TagPose, header: Any) -> Any:
     """Return a geometry_msgs/PoseWithCovarianceStamped in the optical frame of the camera."""
     message = message_class(POSE)()
     message.header = header
-    turn = OPTICAL @ tag.rotation
-    place, quaternion = OPTICAL @ tag.position, Rotation.from_matrix(turn).as_quat()
+    turn = BODY_IN_OPTICAL @ tag.rotation
+    place, quaternion = BODY_IN_OPTICAL @ tag.position, Rotation.from_matrix(turn).as_quat()
     for axis, value in zip("xyz", place.tolist(), strict=True):
         setattr(message.pose.pose.position, axis, value)
     for axis, value in zip("xyzw", quaternion.tolist(), strict=True):
         setattr(message.pose.pose.orientation, axis, value)
-    both = np.kron(np.eye(2), OPTICAL)
+    both = np.kron(np.eye(2), BODY_IN_OPTICAL)
     message.pose.covariance = (both @ tag.covariance @ both.T).ravel().tolist()
     return message
 

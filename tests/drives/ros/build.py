@@ -42,6 +42,13 @@ def odometry(log, stamp, v, omega, x=0.0, y=0.0, heading=0.0, sideways=0.0):
     )
 
 
+def joints(log, stamp, names, **values):
+    """A JointState with some of position, velocity and effort."""
+    values = dict.fromkeys(("position", "velocity", "effort"), np.empty(0)) | values
+    header = log.header(stamp, "")
+    return log.make("sensor_msgs/msg/JointState", header=header, name=list(names), **values)
+
+
 def stamps(n, start=EPOCH, step=0.1):
     return [start * SECOND + round(i * step * SECOND) for i in range(n)]
 

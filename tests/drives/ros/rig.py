@@ -11,6 +11,7 @@ from homeward.drives.ros.settings import BEARINGS, POSE
 from homeward.drives.ros.writing import writing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between
+from homeward.odometry.dead_reckoning import dead_reckoning
 
 NANO = 10**9
 LANDMARKS = 12
@@ -36,17 +37,6 @@ def odometry_of(bag, topic):
 
 def stamp_of(message):
     return message.header.stamp.sec * NANO + message.header.stamp.nanosec
-
-
-def dead_reckoned(odometry: Odometry) -> Pose:
-    """The poses to which the twists of an odometry lead, from the origin; arrays of shape (n,)."""
-    dt = np.append(np.minimum(np.diff(odometry.t), 1.0), 0.0)
-    heading = np.concatenate([[0.0], np.cumsum(odometry.omega * dt)[:-1]])
-    middle = heading + odometry.omega * dt / 2
-    way = odometry.v * dt * np.sinc(odometry.omega * dt / (2 * np.pi))
-    x = np.concatenate([[0.0], np.cumsum(way * np.cos(middle))[:-1]])
-    y = np.concatenate([[0.0], np.cumsum(way * np.sin(middle))[:-1]])
-    return Pose(x, y, heading)
 
 
 class Scene:
@@ -100,7 +90,7 @@ def with_sightings(bag: Path, topic: str, target: Path, every: int, until=np.inf
     met = [(r, m) for r, m in met if r - met[0][0] <= until * NANO]
     t = [stamp_of(m) / NANO for _, m in met]
     twists = np.array([(m.twist.twist.linear.x, m.twist.twist.angular.z) for _, m in met])
-    scene = Scene(t, dead_reckoned(Odometry(np.array(t), *twists.T)))
+    scene = Scene(t, dead_reckoning(Odometry(np.array(t), *twists.T), np.array(t)))
     with writing(target) as log:
         first = stamp_of(met[0][1])
         log.write("/home_view", first, bearings_message(log, first, scene.ids, scene.at_home))

@@ -10,7 +10,6 @@ from drives.ros.rig import NANO, bearings_message
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.cameras.lens import Lens
 from homeward.drives.ros.measurements.bearings import TAGS
 from homeward.drives.ros.messages.decoding import typestore
 from homeward.errors import InputError
@@ -186,39 +185,6 @@ def test_detections_by_their_own_id_or_their_likeliest_class(made):
     assert drive.sightings.landmark.tolist() == ["chair 1", "door"]
     assert drive.sightings.bearing.tolist() == pytest.approx([-math.pi / 4, 0.0])
     assert drive.remarks == {"sightings without an id, left out": 1}
-
-
-@pytest.mark.parametrize(
-    ("model", "k"),
-    [
-        ("plumb_bob", (-0.28, 0.07, 2e-4, 1e-5, 0.0)),
-        ("rational_polynomial", (0.5, 0.1, 1e-4, 2e-4, 0.01, 0.8, 0.2, 0.03)),
-        ("equidistant", (-0.02, 0.005, -0.001, 0.0002)),
-    ],
-)
-def test_a_lens_is_undone(model, k):
-    bearing, up = (
-        g.ravel() for g in np.meshgrid(np.linspace(-0.7, 0.7, 15), np.linspace(-0.3, 0.3, 5))
-    )
-    x, y = np.tan(-bearing), up
-    r2 = x * x + y * y
-    if model == "equidistant":
-        angle = np.arctan(np.sqrt(r2))
-        a2 = angle**2
-        scale = (
-            angle
-            * (1 + a2 * (k[0] + a2 * (k[1] + a2 * (k[2] + a2 * k[3]))))
-            / np.sqrt(np.maximum(r2, 1e-30))
-        )
-        xd, yd = x * scale, y * scale
-    else:
-        k1, k2, p1, p2, k3, k4, k5, k6 = (*k, 0.0, 0.0, 0.0)[:8]
-        radial = (1 + k1 * r2 + k2 * r2**2 + k3 * r2**3) / (1 + k4 * r2 + k5 * r2**2 + k6 * r2**3)
-        xd = x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x)
-        yd = y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
-    camera = Lens(fx=500, fy=510, cx=320, cy=240, model=model, distortion=k)
-    there = camera.directions(500 * xd + 320, 510 * yd + 240)[0]
-    assert there == pytest.approx(bearing, abs=1e-6)
 
 
 def test_corners_as_eight_numbers(made):

@@ -27,21 +27,21 @@ def nested(kind, levels=18, fields=100):
     for level in range(levels):
         text += LINE + f"p/T{level}\n"
         text += "".join(f"p/T{level + 1}{kind} a{i}\n" for i in range(fields))
-    return (
-        text
-        + LINE
-        + f"p/T{levels}\nfloat64 x\n"
-        + crafted.HEADER_TEXT.format(seq="")
-        + (crafted.TIME_TEXT)
-    )
+    text += LINE + f"p/T{levels}\nfloat64 x\n"
+    return text + crafted.HEADER_TEXT.format(seq="") + crafted.TIME_TEXT
 
 
 @pytest.mark.parametrize(
-    ("kind", "words"), [("[0]", "length 0"), ("", "values"), ("[]", "values"), ("[2]", "values")]
+    ("definition", "words"),
+    [
+        *((nested("[0]"), "length 0"), (nested(""), "values"), (nested("[2]"), "values")),
+        *((nested("[]"), "values"), (nested("", 60, 1), "types deep")),
+        (nested("[]", 60, 2), "types deep"),
+    ],
 )
-def test_types_that_hold_each_other_many_times(tmp_path, kind, words):
+def test_types_that_hold_each_other_many_times(tmp_path, definition, words):
     path = tmp_path / "nested.mcap"
-    path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=nested(kind))))
+    path.write_bytes(mcap(mcap_messages(FIVE_CDR, definition=definition)))
     assert path.stat().st_size < 54_000
     assert words in refusal(open_drive, path)
 
@@ -60,6 +60,7 @@ def test_types_that_hold_each_other_within_reason_are_read():
         (crafted.DEFINITION.replace("float64 v ", "float64 v\nfloat64 v ", 1), "conflicting"),
         (crafted.DEFINITION.replace("float64 v ", "float64 __init__ ", 1), "cannot be read"),
         ("float64 x\n" * 20_000, "characters is too long"),
+        ("std_msgs/Header header\n" + " \n" * 100_000, "characters is too long"),
     ],
 )
 def test_definitions_that_no_code_can_be_made_of(tmp_path, text, words):

@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from drives.ros.build import stamps
+from drives.ros.build import point, stamps, transforms
 from drives.ros.rig import bearings_message
+from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.camera import tilt_matrix
 from homeward.drives.ros.measurements.bearings import BEARINGS, POSE_ARRAY, TAGS
@@ -22,58 +23,42 @@ def turn(yaw=0.0, pitch=0.0, roll=0.0):
     return np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ tilt_matrix(roll, pitch)
 
 
-def quaternion(matrix):
-    """By the largest column of the symmetric matrix of products, as Bar-Itzhack has it."""
-    m = matrix
-    k = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], 0, 0, 0],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], 0, 0],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], 0],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], np.trace(m)],
-        ]
-    )
-    return dict(zip("xyzw", np.linalg.eigh(k, UPLO="L")[1][:, -1], strict=True))
-
-
 def told(parent, child, matrix=None, shift=(0.0, 0.0, 0.0), q=None):
-    """A TFMessage of one transform."""
-    rotation = q or quaternion(np.eye(3) if matrix is None else matrix)
-    vector = dict(zip("xyz", shift, strict=True))
+    """A TransformStamped."""
+    parts = q or Rotation.from_matrix(np.eye(3) if matrix is None else matrix).as_quat()
     inner = SimpleNamespace(
-        rotation=SimpleNamespace(**rotation), translation=SimpleNamespace(**vector)
+        rotation=SimpleNamespace(**dict(zip("xyzw", parts, strict=True))),
+        translation=SimpleNamespace(**dict(zip("xyz", shift, strict=True))),
     )
     header = SimpleNamespace(frame_id=parent)
-    return SimpleNamespace(
-        transforms=[SimpleNamespace(header=header, child_frame_id=child, transform=inner)]
-    )
+    return SimpleNamespace(header=header, child_frame_id=child, transform=inner)
 
 
-def tree(*messages):
-    transforms = Transforms()
-    for message in messages:
-        transforms.add(0.0, message)
-    return transforms
+def tree(*transforms):
+    known = Transforms()
+    for transform in transforms:
+        known.put(transform)
+    return known
 
 
-def seen(transforms, camera="camera", kind=POSE_ARRAY, base="base_link"):
-    return mount(transforms, MountFrames(camera=camera, base=base), kind, BearingsTopic(topic="b"))
+def seen(known, camera="camera", kind=POSE_ARRAY, base="base_link"):
+    return mount(known, MountFrames(camera=camera, base=base), kind, BearingsTopic(topic="b"))
 
 
 @pytest.mark.parametrize("yaw", [0.0, 0.7, -3.0, math.pi / 2])
 def test_a_chain_of_frames_tells_the_mount_and_an_optical_frame_looks_along_z(yaw):
     mast = turn(0.4)
     eye = mast.T @ turn(yaw)
-    transforms = tree(
+    known = tree(
         told("/base_footprint", "base_link", shift=(5.0, 5.0, 0.1)),
         told("base_link", "mast", mast, (0.1, 0.2, 1.0)),
         told("mast", "camera", eye, tuple(mast.T @ (0.1, -0.3, 0.2))),
         told("camera", "camera_optical_frame", BODY_IN_OPTICAL.T),
     )
     for camera in ("camera", "/camera_optical_frame"):
-        sits, _ = seen(transforms, camera)
+        sits, _ = seen(known, camera)
         assert sits.pose == pytest.approx((0.2, -0.1, yaw))
-    back, _ = seen(transforms, "base_footprint", base="mast")
+    back, _ = seen(known, "base_footprint", base="mast")
     assert back.yaw == pytest.approx(-0.4)
 
 
@@ -99,21 +84,13 @@ def test_what_is_no_tree_is_refused_and_what_is_not_tied_yet_is_waited_for():
         seen(circle)
     for bad in (0.0, math.nan):
         with pytest.raises(InputError, match="a quaternion is zero"):
-            tree(told("base_link", "camera", q=dict.fromkeys("xyzw", bad)))
+            tree(told("base_link", "camera", q=[bad] * 4))
 
 
 def static(log, t, matrix, shift, camera="camera"):
     """A message of ROS that has a camera on the robot."""
-    rotation = log.make("geometry_msgs/msg/Quaternion", **quaternion(matrix))
-    vector = log.make("geometry_msgs/msg/Vector3", x=shift[0], y=shift[1], z=0.0)
-    inner = log.make("geometry_msgs/msg/Transform", translation=vector, rotation=rotation)
-    stamped = log.make(
-        "geometry_msgs/msg/TransformStamped",
-        header=log.header(t, "base_link"),
-        child_frame_id=camera,
-        transform=inner,
-    )
-    return log.make("tf2_msgs/msg/TFMessage", transforms=[stamped])
+    place = (*shift, 0.0, *Rotation.from_matrix(matrix).as_quat())
+    return transforms(log, t, {("base_link", camera): place})
 
 
 @pytest.mark.parametrize("suffix", [".mcap", ".db3"])  # tf2_msgs of ROS 1 is not written here
@@ -147,20 +124,18 @@ FRONT, REAR = (0.2, 0.1, 0.3), (0.2, 0.1, -2.5)
 """Extrinsics of two cameras [m, m, rad]."""
 
 
-def of_two_cameras(log, point=None, transforms=(), rear="rear"):
-    """Both see landmark a ahead; as a bearing, or as a `point` in space (m ahead, m left)."""
+def of_two_cameras(log, place=None, mounts=(), rear="rear"):
+    """Both see landmark a ahead; as a bearing, or as a `place` in space (m ahead, m left)."""
     for t in stamps(3):
         for k, frame in enumerate(("front", rear)):
-            if point is None:
+            if place is None:
                 message = bearings_message(log, t, [f"a{k}"], [0.1])
             else:
-                placed = log.make("geometry_msgs/msg/Point", x=point[0], y=point[1], z=0.0)
-                message = log.make(
-                    "geometry_msgs/msg/PointStamped", header=log.header(t, frame), point=placed
-                )
+                kind, at = "geometry_msgs/msg/PointStamped", point(log, *place, 0.0)
+                message = log.make(kind, header=log.header(t, frame), point=at)
             message.header.frame_id = frame
             log.write(f"/b{k}", t, message)
-        for frame, (x, y, yaw) in transforms:
+        for frame, (x, y, yaw) in mounts:
             log.write("/tf_static", t, static(log, t, turn(yaw), (x, y), frame))
 
 
@@ -178,8 +153,8 @@ def seen_by(drive):
 def test_two_cameras_have_a_mount_each(made):
     """In the topics file or in /tf_static; bearings are given for the first camera."""
     by_hand = made(of_two_cameras, TWO.format(sensor(FRONT), sensor(REAR)))
-    transforms = ("front", FRONT), ("rear", REAR)
-    by_transforms = made(lambda log: of_two_cameras(log, None, transforms), TWO.format("", ""))
+    mounts = ("front", FRONT), ("rear", REAR)
+    by_transforms = made(lambda log: of_two_cameras(log, None, mounts), TWO.format("", ""))
     one_each = made(of_two_cameras, TWO.format("", sensor(REAR)) + f"drive: {{{sensor(FRONT)}}}\n")
     for drive in (by_hand, by_transforms, one_each):
         assert drive.settings.sensor.pose == pytest.approx(FRONT)
@@ -190,7 +165,7 @@ def test_two_cameras_have_a_mount_each(made):
     for words, rear, told, tf in (
         (r"/b0 \(frame front\) is one of several cameras", "rear", ("", ""), ()),
         (r"/b1 \(frame rear\) is one of several cameras", "rear", (sensor(FRONT), ""), ()),
-        (r"/b1 \(frame not named\) is one of", "", ("", ""), transforms),
+        (r"/b1 \(frame not named\) is one of", "", ("", ""), mounts),
     ):
         with pytest.raises(InputError, match=words):
             made(lambda log, r=rear, t=tf: of_two_cameras(log, None, t, r), TWO.format(*told))
@@ -199,8 +174,8 @@ def test_two_cameras_have_a_mount_each(made):
 def test_bearings_of_cameras_apart_keep_their_camera(made):
     behind = (-0.2, 0.1, 3.0)
     by_hand = made(of_two_cameras, TWO.format(sensor(FRONT), sensor(behind)))
-    transforms = ("front", FRONT), ("rear", behind)
-    by_transforms = made(lambda log: of_two_cameras(log, None, transforms), TWO.format("", ""))
+    mounts = ("front", FRONT), ("rear", behind)
+    by_transforms = made(lambda log: of_two_cameras(log, None, mounts), TWO.format("", ""))
     for drive in (by_hand, by_transforms):
         assert seen_by(drive) == pytest.approx({"a0": 0.1, "a1": 0.1})
         assert [*drive.sightings.cameras()] == ["", "/b1"] * 3

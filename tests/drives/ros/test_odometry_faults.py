@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from drives.ros.build import odometry, stamps
+from drives.ros.build import joints, odometry, stamps
 
 from homeward.drives.ros.measurements.contradiction import contradiction
 from homeward.drives.wheels import WRAPPED
@@ -176,19 +176,18 @@ def test_poses_without_orientation_are_refused(made):
 TICK = 2 * math.pi / 4096
 
 
-def drive_of_wheels(made, change, tick=TICK, names=("left_wheel", "right_wheel")):
+def drive_of_wheels(made, change, tick=TICK):
     """A robot of two wheels at 6 rad/s and more, whose counters `change`; 20 Hz, 60 s."""
 
     def fill(log):
-        nothing = np.empty(0)
         for i, stamp in enumerate(stamps(1200, step=0.05)):
             turned = np.round(np.array([6.0, 7.0]) * i * 0.05 / TICK)
-            values = {"position": change(i, turned) * tick, "velocity": nothing, "effort": nothing}
-            header = log.header(stamp, "")
             log.write(
                 "/joints",
                 stamp,
-                log.make("sensor_msgs/msg/JointState", header=header, name=list(names), **values),
+                joints(
+                    log, stamp, ["left_wheel", "right_wheel"], position=change(i, turned) * tick
+                ),
             )
 
     radius = 0.033 * TICK / tick

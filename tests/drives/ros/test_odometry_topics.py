@@ -5,7 +5,7 @@ import re
 
 import numpy as np
 import pytest
-from drives.ros.build import EPOCH, SUFFIXES, odometry, pose, stamps, twist
+from drives.ros.build import EPOCH, SUFFIXES, joints, odometry, pose, stamps, twist
 from rosbags.typesys import get_types_from_msg
 
 from homeward.errors import InputError
@@ -64,13 +64,9 @@ def test_odometry_without_a_twist_is_differentiated_and_backwards_is_backwards(m
 def test_wheels(made, by):
     def fill(log):
         for i, t in enumerate(stamps(10)):
-            turned, nothing = np.array([0.5 * i, 1.0 * i, 9.0]), np.empty(0)
-            values = {"position": nothing, "velocity": nothing, "effort": nothing}
-            values[by] = turned if by == "position" else np.array([5.0, 10.0, 9.0])
+            turned = [0.5 * i, 1.0 * i, 9.0] if by == "position" else [5.0, 10.0, 9.0]
             names = ["left_wheel", "right_wheel", "arm"]
-            header = log.header(t, "")
-            message = log.make("sensor_msgs/msg/JointState", header=header, name=names, **values)
-            log.write("/joints", t, message)
+            log.write("/joints", t, joints(log, t, names, **{by: np.array(turned)}))
 
     told = "odometry: {topic: /joints, wheel_radius: 0.1, track_width: 0.4"
     drive = made(fill, told + "}\n", odometry_too=False)
@@ -87,11 +83,8 @@ def test_wheels(made, by):
 def test_wheel_positions_in_ticks(made):
     def fill(log):
         for i, t in enumerate(stamps(10)):
-            names, ticks = ["left", "right"], np.array([50.0 * i, 100.0 * i])
-            fields = {"position": ticks, "velocity": np.empty(0), "effort": np.empty(0)}
-            header = log.header(t, "")
-            message = log.make("sensor_msgs/msg/JointState", header=header, name=names, **fields)
-            log.write("/joints", t, message)
+            ticks = np.array([50.0 * i, 100.0 * i])
+            log.write("/joints", t, joints(log, t, ["left", "right"], position=ticks))
 
     wheels = "wheel_radius: 0.1, track_width: 0.4, ticks_per_turn: 1000"
     drive = made(fill, f"odometry: {{topic: /joints, {wheels}}}\n", odometry_too=False)

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
-from homeward.drives.folder import read_folder, write_folder
+from homeward.drives.folder import write_folder
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
@@ -17,7 +17,6 @@ from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.registry import make_estimator
-from homeward.runs.single_run import sample_drive
 from homeward.track import run
 
 SUFFIXES = (".mcap", ".bag", ".db3")
@@ -91,12 +90,6 @@ def test_a_drive_without_the_optional_things(tmp_path):
     for suffix in SUFFIXES:
         save_drive(drive, tmp_path / f"bare{suffix}")
         assert_same(drive, open_drive(tmp_path / f"bare{suffix}"))
-
-
-def test_the_sample_drive(tmp_path):
-    drive = read_folder(sample_drive())
-    save_drive(drive, tmp_path / "sample.mcap")
-    assert_same(drive, open_drive(tmp_path / "sample.mcap"))
 
 
 @pytest.mark.usefixtures("lab")

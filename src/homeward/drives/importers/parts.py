@@ -17,7 +17,6 @@ from homeward.drives.importers.columns import (
     long,
     words_in,
 )
-from homeward.drives.importers.heading_unit import heading_unit
 from homeward.drives.importers.pixels import (
     PIXEL_ROLES,
     Pixels,
@@ -38,6 +37,10 @@ UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""
 INCOMPLETE = "incomplete rows of {}, left out"
 UNSEEN = "landmarks out of view (0 or -1), or without a ray in the camera model"
+MAX_POSES = 2000
+"""Maximum number of poses that are compared; steps between fewer poses have less noise."""
+MIN_FIT = 0.7
+"""Minimum fit of a path along its headings [1]; random directions have 0."""
 
 
 @dataclass(frozen=True)
@@ -221,7 +224,7 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
     is_pose = column.role == "heading" and {"x", "y"} <= set(table.columns)
     if is_pose and largest > 1.01 * math.tau:
         # Headings that count the turns exceed a turn in radians, too.
-        unit = heading_unit(table["x"], table["y"], column.sign * table["heading"])
+        unit = _heading_unit(table["x"], table["y"], column.sign * table["heading"])
         if unit is not None:
             return unit, "guessed: along the path"
     if column.quantity in ("angle", "rate") and largest > 1.01 * math.tau:
@@ -235,6 +238,26 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
             table.file,
         )
     return column.si, "guessed"
+
+
+def _heading_unit(x: np.ndarray, y: np.ndarray, heading: np.ndarray) -> str | None:
+    """Return deg or rad, in which headings of poses, shape (n,), fit the path; None if unclear.
+
+    The fit is the length of the mean of exp(2i (direction - heading)) over the path: driving
+    backwards and a constant rotation of either frame do not change it.
+    """
+    kept = slice(None, None, 1 + x.size // MAX_POSES)
+    step = np.diff(x[kept] + 1j * y[kept])
+    length = np.abs(step).sum()
+    if not length > 0:
+        return None
+    twice = step**2 / np.where(step == 0, 1.0, np.abs(step))
+    fit = {
+        unit: abs((twice * np.exp(-2j * scale * heading[kept][:-1])).sum()) / length
+        for unit, scale in (("deg", math.radians(1.0)), ("rad", 1.0))
+    }
+    best, other = sorted(fit, key=lambda unit: -fit[unit])
+    return best if fit[best] > MIN_FIT and fit[other] < fit[best] - 0.2 else None
 
 
 def _unix_unit(t: np.ndarray) -> str | None:

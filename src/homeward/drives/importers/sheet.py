@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 from homeward.drives.importers.columns import Column, is_unit
-from homeward.drives.importers.other_formats import refuse_other_formats
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
 from homeward.io.table import Form, Parser, identifiers, numbers_or_nan, quoted, text_lines
@@ -49,6 +48,32 @@ ECHOED = {
 """The columns of stamped messages in ``ros2 topic echo --csv``, by their number."""
 UNIT_NORM = 0.01
 """Maximum deviation of a quaternion's norm from 1; two digits in a file cause half of it."""
+EXPORT, UNPACK = "export it as CSV", "unpack it"
+FORMATS = (
+    ((b"PK\x03\x04",), "a spreadsheet or zip archive", "export it as CSV, or unpack it"),
+    ((b"\xd0\xcf\x11\xe0",), "a spreadsheet", EXPORT),
+    ((b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"BZh", b"\xfd7zXZ"), "a compressed file", UNPACK),
+    ((b"\x93NUMPY",), "a numpy array", "write it as CSV with numpy.savetxt"),
+    (tuple(bytes([0x80, n]) for n in range(2, 6)), "a Python pickle", EXPORT),
+    ((b"\x89HDF", b"MATLAB"), "a MATLAB or HDF5 file", "export it as CSV, as with writetable"),
+    ((b"PAR1", b"ARROW1"), "a Parquet or Arrow file", EXPORT),
+    ((b"\x89PNG", b"\xff\xd8\xff"), "an image", "use `homeward see` on a folder of images"),
+    ((b"%PDF",), "a PDF", "give the table that it shows as CSV"),
+    ((b"versionhttps://git-lfs",), "a pointer of Git LFS", "fetch the file with `git lfs pull`"),
+    ((b"<!DOCTYPE", b"<html", b"<?xml"), "a web page or XML", "download the file itself as CSV"),
+    (
+        (b'{"tags":[{"ID"', b'{"field":{'),
+        "a field layout of WPILib",
+        "copy it to landmarks.yaml in the drive folder",
+    ),
+    (
+        (b"header:stamp:", b"---header:stamp:"),
+        "the output of `ros2 topic echo`",
+        "use `ros2 topic echo --csv`, or record a bag",
+    ),
+    ((b'{"', b"[{", b"[["), "JSON", EXPORT),
+)
+"""First bytes, also without white space; description and advice."""
 
 
 def layout(rows: Sequence[Sequence[str]]) -> tuple[str, ...] | None:
@@ -248,12 +273,22 @@ def _encoding(path: Path) -> str:
         begin = stream.read(2**16)
     if begin.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
-    refuse_other_formats(begin, path)
+    _refuse_other_formats(begin, path)
     try:
         codecs.getincrementaldecoder("utf-8")().decode(begin)
     except UnicodeDecodeError:
         return "cp1252"
     return "utf-8-sig"
+
+
+def _refuse_other_formats(begin: bytes, path: Path) -> None:
+    """Raise `InputError` with advice where a file that begins so has a format of no text table."""
+    plain = b"".join(begin[:64].split())
+    for starts, what, advice in FORMATS:
+        if begin.startswith(starts) or plain.startswith(starts):
+            raise InputError(f"{what}, not a text table; {advice}", path)
+    if b"\0" in begin:
+        raise InputError("a binary file, not a text table; export its data as a CSV file", path)
 
 
 def _delimiter(rows: Sequence[str], path: Path) -> tuple[str, int]:

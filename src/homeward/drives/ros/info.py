@@ -39,8 +39,7 @@ from homeward.drives.ros.topics.choosing import (
     choose,
     use_of,
 )
-from homeward.drives.ros.topics.survey import OnProgress, Topic, TopicSurvey, survey
-from homeward.drives.ros.topics.tag_frames import MIN_TAGS
+from homeward.drives.ros.topics.survey import MIN_TAGS, OnProgress, Topic, TopicSurvey, survey
 from homeward.errors import InputError
 from homeward.io.naming import command
 from homeward.io.settings import read_settings, settings_yaml

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from homeward.drives.ros.measurements.bearings import TRANSFORMS, axes_of, has_bearings
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
@@ -50,11 +51,6 @@ class Transforms:
         self._followed: dict[str, tuple[Any, ...]] = {}
         self._moving: set[str] = set()
 
-    def add(self, _: float, message: Any) -> None:
-        """Add a tf2_msgs/TFMessage of /tf_static."""
-        for given in message.transforms:
-            self.put(given)
-
     def put(self, given: Any) -> None:
         """Add a geometry_msgs/TransformStamped."""
         shift, q = given.transform.translation, given.transform.rotation
@@ -72,8 +68,10 @@ class Transforms:
         first = self._followed.setdefault(child, values)
         if first is values and (q.x or q.y or q.z or q.w):
             self.put(given)
-        elif first[0] != values[0] or max(map(_distance, first[1:], values[1:])) > MAX_CHANGE:
-            self._moving.add(child)
+        else:
+            changes = (abs(a - b) for a, b in zip(first[1:], values[1:], strict=True))
+            if first[0] != values[0] or max(changes) > MAX_CHANGE:
+                self._moving.add(child)
 
     def find(self, base: str, frame: str) -> Placed | None:
         """Return the pose of a frame in the base frame; None while no transforms connect them."""
@@ -140,19 +138,12 @@ def not_connected(frames: MountFrames) -> str:
     return f"no transforms on {TF_STATIC} or {TF} connect {frames.camera} to {frames.base}"
 
 
-def _distance(a: float, b: float) -> float:
-    return abs(a - b)
-
-
 def _rotation(q: Any) -> np.ndarray:
     """Return the matrix (3, 3) of a quaternion."""
-    u, w = np.array([q.x, q.y, q.z], float), float(q.w)
-    norm = float(u @ u) + w * w
-    if not (norm > 0 and math.isfinite(norm)):
+    parts = np.array([q.x, q.y, q.z, q.w], float)
+    if not 0.0 < parts @ parts < math.inf:
         raise InputError(f"{TF_STATIC}: a quaternion is zero or not finite")
-    cross = np.array([[0.0, -u[2], u[1]], [u[2], 0.0, -u[0]], [-u[1], u[0], 0.0]])
-    turn = (w * w - u @ u) * np.eye(3) + 2.0 * np.outer(u, u) + 2.0 * w * cross
-    return np.asarray(turn / norm)
+    return np.asarray(Rotation.from_quat(parts).as_matrix())
 
 
 MAX_DISTANCE = 0.01

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import re
 import struct
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -15,9 +16,11 @@ from homeward.drives.one_clock import require_overlap
 from homeward.drives.ros.log import Channel, Log, Message
 from homeward.drives.ros.measurements.bearings import (
     ALL_READERS,
+    FIXED_FRAMES,
     IN_PARTS,
     OF_ONE_LANDMARK,
     TRANSFORMS,
+    frame_of,
 )
 from homeward.drives.ros.measurements.odometry import POSES, TWISTS, WHEELS
 from homeward.drives.ros.measurements.structure import Fields
@@ -31,7 +34,6 @@ from homeward.drives.ros.messages.stamps import (
     seconds,
 )
 from homeward.drives.ros.settings import PICTURES, LogSettings
-from homeward.drives.ros.topics.tag_frames import TagFrames, tag_frames
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
@@ -40,6 +42,10 @@ IS_READ = frozenset((*ALL_READERS, *PICTURES, *TWISTS, *POSES, *WHEELS))
 """Types that are read; the fields of others are found by their names."""
 PROGRESS_EVERY = 2000
 """Number of messages between progress reports."""
+_TAG_FRAME = re.compile(r"([A-Za-z][\w:./-]*[:_./-])\d+", re.ASCII)
+"""A prefix that ends in a separator, and the integer id of the tag."""
+MIN_TAGS = 3
+"""Minimum number of frames with one prefix and parent that count as tags."""
 OnProgress = Callable[[float], None]
 
 
@@ -94,6 +100,20 @@ class Topic:
         return float(np.diff(np.sort(self.stamps)).max()) / NANO
 
 
+class TagFrames(NamedTuple):
+    """Frames in /tf whose names look like tags, as in ``tag36h11:7``, with one prefix."""
+
+    topic: str
+    frames: str
+    """The pattern of their names, as in ``tag36h11:*``."""
+    parents: tuple[str, ...]
+    """The frames that they are relative to, such as a camera."""
+    num_tags: int
+
+    def __str__(self) -> str:
+        return f"{self.frames} ({self.num_tags} frames in {', '.join(self.parents)})"
+
+
 @dataclass(frozen=True)
 class TopicSurvey:
     """The topics of a log."""
@@ -110,7 +130,7 @@ class TopicSurvey:
     def tag_frames(self) -> tuple[TagFrames, ...]:
         """Sets of frames whose names look like tags, found in one more pass through /tf."""
         names = [t.name for t in self.topics if t.type in TRANSFORMS and t.name != "/tf_static"]
-        return tag_frames(self.log, names) if names else ()
+        return _tag_frames(self.log, names) if names else ()
 
     def fields(self, name: str) -> Fields:
         """Return the fields of a topic's type; `InputError` where its definition is missing."""
@@ -166,6 +186,43 @@ def survey(
         for (name, kind), (receive, header) in sorted(records.items(), key=lambda item: item[0])
     )
     return TopicSurvey(log, tuple(topics), kept, channels)
+
+
+def _tag_frames(log: Log, topics: Collection[str]) -> tuple[TagFrames, ...]:
+    """Return the sets of frames in `topics` that look like tags; read the log once.
+
+    A set has at least `MIN_TAGS` frames in a parent that is not fixed in the world, and one of
+    them moves: wheels and other parts of the robot do not.
+    """
+    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
+
+    decoder = Decoder()
+    first: dict[tuple[str, str, str], dict[str, Any]] = {}
+    moving: set[tuple[str, str]] = set()
+    unreadable: set[str] = set()
+    for message in log.messages(topics=topics):
+        topic, kind = message.channel.topic, message.channel.type
+        if kind not in TRANSFORMS or topic in unreadable:
+            continue
+        try:
+            for given in decoder.decode(message.channel, message.data).transforms:
+                name = given.child_frame_id.strip("/")
+                if (match := _TAG_FRAME.fullmatch(name)) and frame_of(given) not in FIXED_FRAMES:
+                    prefix, shift = match[1], given.transform.translation
+                    place = shift.x, shift.y, shift.z
+                    tags = first.setdefault((topic, prefix, frame_of(given)), {})
+                    if tags.setdefault(name, place) != place:
+                        moving.add((topic, prefix))
+        except (AttributeError, InputError):  # refused where the topics file names it
+            unreadable.add(topic)
+    sets: dict[tuple[str, str], dict[str, set[str]]] = {}
+    for (topic, prefix, parent), tags in first.items():
+        if len(tags) >= MIN_TAGS and (topic, prefix) in moving:
+            sets.setdefault((topic, prefix), {})[parent] = set(tags)
+    return tuple(
+        TagFrames(topic, f"{prefix}*", tuple(sorted(names)), len(set().union(*names.values())))
+        for (topic, prefix), names in sorted(sets.items())
+    )
 
 
 OTHER_CLOCKS = (
