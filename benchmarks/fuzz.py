@@ -44,8 +44,7 @@ from homeward.lab.planning.settings import load_plan
 from homeward.lab.simulation.render.room.presets import load_room, room
 from homeward.lab.simulation.simulate import PRESETS, load_scenario, scenario_yaml
 from homeward.lab.studies.blocks.store import BlockStore
-from homeward.lab.studies.study.plan import make_plan
-from homeward.lab.studies.study.settings import load_study
+from homeward.lab.studies.study.plan import load_study, make_plan
 from homeward.registry import make_estimator
 from homeward.runs.single_run import load_run
 from homeward.vision.cameras.image_files import read_grey

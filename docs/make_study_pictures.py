@@ -13,9 +13,8 @@ from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import store_of
 from homeward.lab.studies.paper.layouts import LayoutSettings, open_store
 from homeward.lab.studies.paper.reproduction import study_layouts
-from homeward.lab.studies.study.plan import make_plan
+from homeward.lab.studies.study.plan import load_study, make_plan
 from homeward.lab.studies.study.results import run_study
-from homeward.lab.studies.study.settings import load_study
 from homeward.runs.report.canvas import png
 
 IMAGES = Path(__file__).parent / "images"

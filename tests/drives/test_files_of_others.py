@@ -20,7 +20,7 @@ from homeward.io.settings import MAX_DEPTH, MAX_SETTINGS_BYTES, nested, read_set
 from homeward.lab.planning.settings import load_plan
 from homeward.lab.simulation.render.room.presets import load_room
 from homeward.lab.simulation.simulate import load_scenario
-from homeward.lab.studies.study.settings import load_study
+from homeward.lab.studies.study.plan import load_study
 from homeward.runs.single_run import load_run
 from homeward.vision.recorded.settings import read_image_settings
 

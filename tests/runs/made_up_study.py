@@ -3,10 +3,9 @@
 import numpy as np
 import yaml
 
-from homeward.lab.studies.study.plan import make_plan
+from homeward.lab.studies.study.plan import load_study, make_plan
 from homeward.lab.studies.study.results import Results
 from homeward.lab.studies.study.runs import RUN, SERIES
-from homeward.lab.studies.study.settings import load_study
 
 
 def made_up_study(folder, decades=1.0, label="A-EKF", **changes):

@@ -11,8 +11,7 @@ from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose, to_polar
 from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.homing.direction_voting import MIN_ALIKE
-from homeward.vision.homing.fix import DIRECTION_HOLD_S
+from homeward.vision.homing.fix import DIRECTION_HOLD_S, MIN_ALIKE
 from homeward.vision.homing.visual_homing import VisualHoming
 
 SPEED, TURN = 0.25, 0.5

@@ -16,7 +16,6 @@ from homeward.geometry.angles import wrap
 from homeward.vision import Equirectangular, Mask, compare, extract
 from homeward.vision.cameras.image_files import read_mask
 from homeward.vision.cameras.ring import Ring
-from homeward.vision.features.detection import read_features
 from homeward.vision.front_end import FrontEnd
 from homeward.vision.recorded.settings import read_image_settings
 
@@ -189,9 +188,3 @@ def test_a_mask_that_cannot_be_used_is_named_in_one_line(files, tmp_path, make, 
 def test_a_mask_of_another_shape_is_refused_online(pictures):
     with pytest.raises(InputError, match="a mask of 256x128 pixels for a panorama of 512x128"):
         extract(pictures[0], CAMERA, Mask.of(PAINTED[:, :256]))
-
-
-def test_a_frame_is_masked_as_home_was(files):
-    _, home = read_features(files / "home.png", CAMERA, mask=files / "mask.png")
-    _, now = read_features(files / "now.png", CAMERA, like=home)
-    assert now.mask is home.mask is not None

@@ -13,7 +13,7 @@ from homeward.estimator import LandmarkEstimate
 from homeward.geometry.frames import Pose
 from homeward.vision import Equirectangular, VisualHoming, compare, extract
 from homeward.vision.front_end import home_name
-from homeward.vision.homing.moved_landmark_filter import MovedLandmarkFilter
+from homeward.vision.homing.visual_homing import MovedLandmarkFilter
 
 STILL = LandmarkEstimate("h9", 2.0, 0.0, 2.0, 0.05, 0.0, 0.0, 0.01, moved=False)
 

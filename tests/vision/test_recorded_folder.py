@@ -23,7 +23,6 @@ from homeward.lab.simulation.render.room.presets import room
 from homeward.lab.simulation.simulate import changed_scenario
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.reasons import Rejection
 from homeward.registry import ESTIMATORS, make_estimator
 from homeward.runs.scoring import errors
 from homeward.track import run
@@ -133,18 +132,6 @@ def test_what_comes_later_changes_nothing_before(drive, track, share):
     assert_same(run(cut, make_estimator("robust", cut)), track, int((track.t < end).sum()) - 1)
 
 
-def test_later_pictures_alone_change_nothing_before(drive, track):
-    (begin, _), half = drive.span, len(drive.pictures) // 2
-    kept, rest = drive.pictures[:half], drive.pictures[half:]
-    swapped = tuple((t, seen) for (t, _), (_, seen) in zip(rest, rest[::-1], strict=True))
-    other = replace(drive, pictures=kept + swapped)
-    rows = int((track.t < rest[0][0]).sum())
-    assert rest[0][0] > begin
-    again = run(other, make_estimator("robust", other))
-    assert_same(again, track, rows)
-    assert again.reason[rows:] != track.reason[rows:]
-
-
 def test_without_pictures_it_is_the_localiser(drive):
     blind = replace(drive, pictures=tuple((t, None) for t, _ in drive.pictures))
     estimator = make_estimator("robust", blind)
@@ -165,15 +152,6 @@ def test_pictures_of_another_place_are_no_reason_to_be_sure(drive):
     track = run(other, make_estimator("robust", other))
     assert track.status[-1] is Status.UNVERIFIED
     assert track.reason[-1] == "home according to the map, but the pictures do not match"
-
-
-def test_pictures_out_of_order_are_counted_and_do_no_harm(drive, track):
-    mixed = (*drive.pictures[:6], *drive.pictures[2:5], *drive.pictures[6:])
-    other = replace(drive, pictures=mixed)
-    again = run(other, make_estimator("robust", other))
-    late = sum(seen is not None for _, seen in drive.pictures[2:5])
-    assert again.counts.rejected[Rejection.LATE_PICTURE] == late
-    assert_same(again, track, track.t.size)
 
 
 def test_a_home_that_no_picture_is_like_is_said_to_be_unseen(folder, tmp_path):

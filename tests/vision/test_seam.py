@@ -15,7 +15,7 @@ from homeward.errors import InputError  # noqa: E402
 from homeward.vision import Equirectangular  # noqa: E402
 from homeward.vision.cameras.image_files import read_grey  # noqa: E402
 from homeward.vision.cameras.panoramic import Cylindrical  # noqa: E402
-from homeward.vision.checks.seam import MIN_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
+from homeward.vision.checks import MIN_EVIDENCE, require_panoramas, seam_evidence  # noqa: E402
 
 SEEDS = range(12)
 CAMERA = Equirectangular()

@@ -12,7 +12,7 @@ from vision_scene import look as draw
 from vision_scene import make_room, write_pictures
 
 from homeward.vision import Mask, compare, extract
-from homeward.vision.checks.self_occlusion import SelfOcclusionDetector, find_self_occlusion
+from homeward.vision.checks import SelfOcclusionDetector, find_self_occlusion
 
 STEP = 0.2
 """What the robot turns by from frame to frame [rad]."""

@@ -16,8 +16,7 @@ from homeward.geometry.angles import wrap
 from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
-from homeward.vision.features.matching import thinned
-from homeward.vision.features.self_similarity import self_similar
+from homeward.vision.features.matching import self_similar, thinned
 from homeward.vision.geometry.a_contrario import assess, assess_unrepeated
 from homeward.vision.geometry.epipolar import Motion
 from homeward.vision.geometry.ransac import estimate_motion

@@ -12,8 +12,7 @@ from homeward.lab.simulation.render.drive import Eye, panorama_of
 from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.front_end import MIN_SIGHTINGS, FrontEnd
-from homeward.vision.geometry.epipolar import Motion
-from homeward.vision.geometry.tilt import AS_HOME, Tilt
+from homeward.vision.geometry.epipolar import AS_HOME, Motion, Tilt
 
 JITTER = 0.03
 """[rad]"""

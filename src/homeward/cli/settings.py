@@ -21,7 +21,7 @@ OTHERS = {
         "lab.simulation.render.room.settings:RenderScenario",
     ),
     "paper": ("homeward study paper --set ...", "lab.studies.paper.settings:PaperSettings"),
-    "study": ("the YAML file of homeward study", "lab.studies.study.settings:StudySettings"),
+    "study": ("the YAML file of homeward study", "lab.studies.study.plan:StudySettings"),
     "plan": ("the YAML file of homeward plan", "lab.planning.settings:Plan"),
     "drive": ("drive.yaml of a drive folder", "drives.settings:DriveSettings"),
     "robot": ("robot.yaml, for --robot-file", "drives.settings:RobotSettings"),

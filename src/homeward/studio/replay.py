@@ -21,7 +21,7 @@ from homeward.registry import ESTIMATORS, make_estimator
 from homeward.runs.single_run import with_start
 from homeward.studio.messages import Adjust, Estimators, Plain, Request
 from homeward.studio.rival import MOVED, ellipse, is_overconfident, scores
-from homeward.studio.undo import Undo
+from homeward.studio.session import Undo
 from homeward.track import Track, run
 
 MAX_ROWS = 2000

@@ -18,13 +18,12 @@ from homeward.lab.bounds import RunningBound
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Scenario
 from homeward.registry import make_estimator
+from homeward.runs.scoring import CHI_SQUARE_3_95, normalised_squared
 
 MOVED = 0.5
 """Minimum probability of a landmark that is shown as moved."""
 LANDMARKS_S = 0.5
 """Interval of updates of landmark estimates [s of the drive]."""
-NEES_95 = 7.8
-"""95 % quantile of chi-square with three degrees of freedom."""
 
 
 class Rival:
@@ -111,7 +110,7 @@ def _placed(home: Pose, x: float, y: float) -> list[float]:
 
 def is_overconfident(nees: float) -> bool:
     """Whether ground truth is outside the 95 % region of the estimate."""
-    return bool(nees > NEES_95)
+    return bool(nees > CHI_SQUARE_3_95)
 
 
 def scores(
@@ -120,8 +119,7 @@ def scores(
     """Return position errors [m] and NEES of poses (m, 3), each of shape (m,)."""
     error = pose - true
     error[:, 2] = wrap(error[:, 2])
-    solved = np.linalg.pinv(covariance, hermitian=True) @ error[..., None]
-    return np.hypot(error[:, 0], error[:, 1]), np.einsum("ki,ki->k", error, solved[..., 0])
+    return np.hypot(error[:, 0], error[:, 1]), normalised_squared(error, covariance)
 
 
 def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:

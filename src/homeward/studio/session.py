@@ -1,26 +1,108 @@
 """An interactive scene: a robot in a simulated world, and estimators side by side.
 
-It has no clocks and sockets: `step` drives for one period of the odometry, `do` executes requests
-of the page, `picture` and `scene` return the drawing in room coordinates.
+The robot is controlled by keys, a homing law, the scene's path, or not at all. A session has no
+clocks and sockets: `step` drives for one period of the odometry, `do` executes requests of the
+page, `picture` and `scene` return the drawing in room coordinates.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+import math
+from collections import deque
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
+from homeward.control.following import STAND
+from homeward.control.goals import Belief
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, between, compose
+from homeward.geometry.frames import Pose, Twist, between, compose
 from homeward.lab.simulation.live_robot import LiveRobot
-from homeward.lab.simulation.scenario import Listed, Moved, Scenario
+from homeward.lab.simulation.scenario import Homing, Listed, Moved, Scenario
 from homeward.lab.simulation.simulate import changed_scenario, scenario_yaml
+from homeward.lab.simulation.trajectories import Control, exact, make_control
 from homeward.registry import ESTIMATORS
 from homeward.studio import messages as msg
 from homeward.studio import scenes
 from homeward.studio.rival import Best, Rival
-from homeward.studio.steering import Steering
-from homeward.studio.undo import Undo
+from homeward.studio.scenes import with_start
+
+MAX_CHANGES = 100
+
+
+class Undo:
+    """The last changes, each with a function that reverts it; a stroke counts as one change."""
+
+    def __init__(self) -> None:
+        self._done: deque[tuple[Hashable, Callable[[], None]]] = deque(maxlen=MAX_CHANGES)
+
+    def __len__(self) -> int:
+        return len(self._done)
+
+    def remember(self, stroke: Hashable, back: Callable[[], None]) -> None:
+        """Store how to revert a change, unless it continues a stroke; None is no stroke."""
+        if stroke is None or not self._done or self._done[-1][0] != stroke:
+            self._done.append((stroke, back))
+
+    def back(self) -> None:
+        """Revert the last change; `InputError` without one."""
+        if not self._done:
+            raise InputError("there is nothing to undo")
+        self._done.pop()[1]()
+
+
+KEYS_HOLD_S, KEYS_TURN = 0.4, 1.0
+"""Time after which keys that are not repeated count as released [s], and their yaw rate [rad/s]."""
+
+
+class Steering:
+    """Source of commands for the robot of a scenario."""
+
+    def __init__(self, scenario: Scenario, robot: LiveRobot, asked: msg.Steer) -> None:
+        self._scenario, self._robot = scenario, robot
+        self._keys, self._keys_until = STAND, -math.inf
+        self.steer(asked)
+
+    def steer(self, asked: msg.Steer) -> None:
+        """Change the control, from the current pose."""
+        self._control = None if asked.by in ("keys", "nobody") else self._make(asked)
+        self.asked, self.done = asked, False
+
+    def _make(self, asked: msg.Steer) -> Control:
+        now, home = with_start(self._scenario, self._robot.pose), self._robot.drive.home_bearings()
+        drive = now.trajectory
+        if asked.by == "law":
+            drive = Homing(law=asked.law, speed=drive.speed)
+        now = now.model_copy(update={"trajectory": drive, "estimator": asked.pose_source})
+        return make_control(now, self._robot.pose, home)
+
+    def hold(self, keys: msg.Keys) -> None:
+        """Set the state of the keys."""
+        self._keys = Twist(self._scenario.trajectory.speed * keys.v, KEYS_TURN * keys.omega)
+        self._keys_until = self._robot.t + KEYS_HOLD_S
+
+    def twist(self, rivals: Sequence[Rival], seen: Mapping[str, float]) -> Twist:
+        """Return the command now; `seen` are the last bearings by id [rad]."""
+        t = self._robot.t
+        if self._control is None:
+            return self._keys if self.asked.by == "keys" and t < self._keys_until else STAND
+        belief = self._belief(rivals)
+        if belief.pose is not None:
+            turn = self._scenario.sensor.yaw + belief.pose.heading
+            belief = belief._replace(seen={i: float(wrap(b + turn)) for i, b in seen.items()})
+        twist = self._control.twist(t, belief)
+        if twist is None:
+            self._control, self.done = None, True
+        return twist or STAND
+
+    def _belief(self, rivals: Sequence[Rival]) -> Belief:
+        """Return the estimate for the control."""
+        for rival in rivals:
+            if rival.name == self.asked.pose_source:
+                estimate = rival.estimate
+                return Belief(estimate.status, estimate.pose, estimate.covariance)
+        return exact(self._robot.pose)
+
 
 WAIT_FOR = "Wait up to 30 s of driving: robust needs several sightings of it to report it as moved."
 

@@ -5,7 +5,7 @@
 >>> seen.accepted, seen.heading, seen.home_direction
 """
 
-from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.grey import Mask
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring, find_ring
 from homeward.vision.comparison import Comparison, compare

@@ -12,10 +12,15 @@ from homeward.io.blas_threads import single_threaded_blas
 from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
-from homeward.vision.features.matching import RATIO, match, propagate_matches, thinned
-from homeward.vision.features.moved_groups import moved_groups
+from homeward.vision.features.matching import (
+    RATIO,
+    match,
+    moved_groups,
+    propagate_matches,
+    self_similar,
+    thinned,
+)
 from homeward.vision.features.patch_alignment import Alignment, align_patches, similarity
-from homeward.vision.features.self_similarity import self_similar
 from homeward.vision.geometry.a_contrario import (
     WITHIN,
     Acceptance,
@@ -25,10 +30,9 @@ from homeward.vision.geometry.a_contrario import (
     dominant_object,
     explain,
 )
-from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs
+from homeward.vision.geometry.epipolar import INLIER, Motion, Pairs, Tilt
 from homeward.vision.geometry.ransac import APART, estimate_motion
 from homeward.vision.geometry.refinement import Fit, irls, jackknife_covariance, refine
-from homeward.vision.geometry.tilt import Tilt
 
 MAX_DIRECTION_SIGMA = np.radians(30.0)
 """The direction is known where its standard deviation is smaller than this [rad]."""

@@ -17,7 +17,7 @@ from homeward.vision.cameras.grey import require_like_home
 from homeward.vision.cameras.panoramic import Panorama, sector_of
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import Features, extract
-from homeward.vision.geometry.tilt import AS_HOME, Tilt
+from homeward.vision.geometry.epipolar import AS_HOME, Tilt
 
 KEEP_SHARE = 0.5
 """A keyframe is replaced when it has fewer inliers than this share of its maximum."""

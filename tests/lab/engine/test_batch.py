@@ -6,7 +6,7 @@ from lab.model_by_hand import scene
 
 from homeward.control.laws import homing
 from homeward.geometry.frames import from_polar
-from homeward.lab.engine.batch import interpreted as noise
+from homeward.lab.engine.batch import execution as noise
 from homeward.lab.engine.batch.execution import run_recorded
 from homeward.lab.engine.batch.homing import homing_program, run_homing
 from homeward.lab.engine.program import stages

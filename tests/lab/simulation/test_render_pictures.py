@@ -95,21 +95,6 @@ def test_edges_are_smoothed():
     assert np.quantile(abs(small - shrunk), 0.99) < 12
 
 
-@pytest.mark.parametrize("projection", ["equirectangular", "cylindrical"])
-def test_the_truth_of_a_pixel_is_on_its_ray(projection):
-    camera = {"width": 128, "height": 32, "projection": projection, "roll": 0.05, "pitch": -0.1}
-    eye = Eye(scenario(boxes=crate(), camera=camera))
-    truth, view = eye.truth(0.0, HERE, 1), eye.view(HERE, 1)
-    local = (truth.point - view.position) @ view.rotation
-    columns = (math.pi - np.arctan2(local[..., 1], local[..., 0])) * 128 / (2 * math.pi) - 0.5
-    np.testing.assert_allclose(columns, np.broadcast_to(np.arange(128), columns.shape), atol=1e-9)
-    slope = local[..., 2] / np.hypot(local[..., 0], local[..., 1])
-    above = slope if projection == "cylindrical" else np.arctan(slope)
-    rows = 15.5 - above * 128 / (2 * math.pi)
-    np.testing.assert_allclose(rows, np.broadcast_to(np.arange(32)[:, None], rows.shape), atol=1e-9)
-    np.testing.assert_allclose(np.linalg.norm(local, axis=-1), truth.distance, rtol=1e-12)
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_textures_repeat_without_a_seam(kind):
     tile = paint(Texture(kind, 3))

@@ -38,6 +38,7 @@ MODELS = [
     FISHEYE,
     {"projection": "ring", "width": 160},
     {"projection": "cylindrical"},
+    {"projection": "equirectangular", "height": 80},
 ]
 
 

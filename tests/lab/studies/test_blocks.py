@@ -55,18 +55,6 @@ def test_a_changed_study_is_refused_and_the_change_named(tmp_path, changed, word
     assert "b-0" in store_in(tmp_path)
 
 
-@pytest.mark.parametrize("damage", [b"", b"PK\x03\x04 nothing", None])
-def test_a_damaged_block_counts_as_missing(tmp_path, damage):
-    store = store_in(tmp_path)
-    store.save("b-0", {"a": np.arange(1000.0)})
-    path = tmp_path / "blocks" / "b-0.npz"
-    whole = path.read_bytes()
-    path.write_bytes(whole[: len(whole) // 2] if damage is None else damage)
-    assert "b-0" not in store
-    with pytest.raises(InputError, match="damaged"):
-        store.load("b-0")
-
-
 def test_a_block_of_another_study_counts_as_missing(tmp_path):
     other = store_in(tmp_path / "a", {"runs": 1})
     other.save("b-0", {"a": np.zeros(1)})

@@ -10,7 +10,7 @@ from cli.commands import call, done, first_seconds, refused
 from lab.studies.chores import in_this_process
 
 from homeward.drives.opening import open_drive
-from homeward.lab.studies.study.settings import load_study
+from homeward.lab.studies.study.plan import load_study
 from homeward.lab.studies.study.trial import (
     Recording,
     falsified,

@@ -22,10 +22,9 @@ from homeward.lab.simulation.simulate import simulate
 from homeward.lab.studies.blocks.finish import Where
 from homeward.lab.studies.blocks.store import store_of
 from homeward.lab.studies.study import runs as runs_module
-from homeward.lab.studies.study.plan import make_plan
+from homeward.lab.studies.study.plan import StudySettings, load_study, make_plan
 from homeward.lab.studies.study.results import _gather, to_dataset, write_netcdf
 from homeward.lab.studies.study.runs import RUN, SERIES, run_block, run_seed
-from homeward.lab.studies.study.settings import StudySettings, load_study
 from homeward.lab.studies.study.statistics import quantiles, wilson
 from homeward.lab.studies.study.summary import lines, over_time, summary, table
 from homeward.registry import make_estimator

@@ -123,9 +123,7 @@ def compare(
 ) -> None:
     """Report the rotation of the camera since home, and the direction of home."""
     from homeward.io.writing import check_output
-    from homeward.vision.checks.camera_settings import better_settings
-    from homeward.vision.checks.seam import require_panoramas
-    from homeward.vision.checks.self_occlusion import find_self_occlusion
+    from homeward.vision.checks import better_settings, find_self_occlusion, require_panoramas
     from homeward.vision.comparison import compare as compare_views
     from homeward.vision.features.detection import read_features
     from homeward.vision.recorded.settings import read_image_settings

@@ -64,9 +64,8 @@ def study(
     from homeward.lab.report.study.page import DATA, PAGE, headline, write_study
     from homeward.lab.studies.blocks.finish import StudyBlocks, Where
     from homeward.lab.studies.blocks.store import MARKER, store_of
-    from homeward.lab.studies.study.plan import make_plan
+    from homeward.lab.studies.study.plan import load_study, make_plan
     from homeward.lab.studies.study.results import run_study
-    from homeward.lab.studies.study.settings import load_study
     from homeward.lab.studies.study.summary import failures, lines
 
     where = Where(scheduler, workers)

@@ -15,8 +15,7 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from homeward.errors import InputError, naming_file
 from homeward.io.reading import naming, opened
-from homeward.vision.cameras.grey import MAX_PIXELS, eight_bits, require_size
-from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.grey import MAX_PIXELS, Mask, eight_bits, require_size
 from homeward.vision.cameras.panoramic import Panorama
 
 FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "PPM", "WEBP", "GIF")

@@ -18,8 +18,7 @@ from homeward.drives.settings import Finite
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.checks import Field
-from homeward.vision.cameras.grey import as_grey
-from homeward.vision.cameras.mask import Mask
+from homeward.vision.cameras.grey import Mask, as_grey
 from homeward.vision.opencv import opencv
 
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -10,9 +10,8 @@ from pathlib import Path
 import numpy as np
 
 from homeward.errors import InputError, naming_file
-from homeward.vision.cameras.grey import as_grey, require_like_home
+from homeward.vision.cameras.grey import Mask, as_grey, require_like_home
 from homeward.vision.cameras.image_files import read_grey, read_mask
-from homeward.vision.cameras.mask import Mask
 from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.patch_alignment import Pyramid, enlarged
 from homeward.vision.opencv import opencv

@@ -1,4 +1,4 @@
-"""Matching: descriptors of two panoramas, and patches next to a match, aligned from its affine map.
+"""Matching: descriptors, propagation to patches nearby, moved groups, self-similarity.
 
 Match propagation: Lhuillier and Quan, "Match propagation for image-based modeling and rendering",
 PAMI 2002. Only a tenth of a panorama's features are matched: most are not detected twice, or look
@@ -6,6 +6,20 @@ like several others. But the map of an aligned patch predicts the positions of i
 detected now or not. They are aligned from there, and then their neighbours. No motion is assumed,
 so these are separate measurements, about four for each match. They are correct or wrong together
 with their match, and are no evidence that the panoramas show the same.
+
+Moved groups: outliers that share a similarity transform are on an object that was moved. The
+features of one object keep their arrangement. Position, size and orientation of a match's two
+features give the similarity that maps the object from one panorama to the other (Lowe, "Distinctive
+image features from scale-invariant keypoints", IJCV 2004, section 7.3). If enough outliers nearby
+have the same similarity, they are assumed to be one object.
+
+Self-similarity: patches that recur on the floor or the ceiling, such as tiles. In perspective, no
+two tiles of one floor look the same. But tiles of another room do, seen from the same position
+relative to their joints: their features are matched, and agree on a motion. Repetition appears only
+in the view from above (inverse perspective mapping: Mallot et al., Biological Cybernetics 1991).
+The height is not needed: a direction gives the position on a level plane in units of that height.
+So each patch is aligned with its own panorama at every other feature of the plane, starting from
+the map of a shift along the plane.
 """
 
 from __future__ import annotations
@@ -15,8 +29,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from homeward.vision.cameras.panoramic import Panorama
 from homeward.vision.features.detection import Features
-from homeward.vision.features.patch_alignment import STEPS, Alignment, align_patches, radius_of
+from homeward.vision.features.patch_alignment import (
+    STEPS,
+    Alignment,
+    align_patches,
+    areas,
+    radius_of,
+)
 
 RATIO = 0.85
 """Maximum ratio of the distances to the nearest and the second descriptor (Lowe, IJCV 2004)."""
@@ -150,3 +171,108 @@ def _on_cylinder(places: np.ndarray, width: int) -> np.ndarray:
     turn = 2 * math.pi / width
     across = places[:, 0] * turn
     return np.column_stack([np.cos(across) / turn, np.sin(across) / turn, places[:, 1]])
+
+
+OBJECT_EXTENT = 0.35
+"""Maximum angle between two features of one object [rad]."""
+TOLERANCE = 0.3
+"""Maximum error of a feature's position, as a share of its distance, in addition to its size."""
+MAX_SCALE, MAX_TURN = 1.6, 0.5
+"""Maximum ratio of scales, and difference of rotations [rad], within one object."""
+MIN_MATCHES = 4
+"""Minimum number of matches that share one similarity."""
+
+
+def moved_groups(
+    home: Features, now: Features, rows: np.ndarray, candidates: np.ndarray
+) -> np.ndarray:
+    """Return which matches, rows (n, 2) of both, are on moved objects: (n,) bool.
+
+    Candidates, (n,) bool, are the outliers of the motion.
+    """
+    moved = np.zeros(len(rows), bool)
+    chosen = np.flatnonzero(candidates)
+    if chosen.size < MIN_MATCHES:
+        return moved
+    i, j = rows[chosen].T
+    a, b = _offsets(home, i), _offsets(now, j)
+    ratio = np.log((now.size[j] / now.shape[1]) / (home.size[i] / home.shape[1]))
+    # Image rows run downwards; OpenCV's angle and the offsets have the same sense.
+    turn = now.angle[j] - home.angle[i]
+    carried = a * np.exp(ratio + 1j * turn)[:, None]
+    reach = TOLERANCE * np.abs(carried) + _angular(now, now.size[j])[:, None]
+    follows = (
+        (np.abs(b - carried) <= reach)
+        & (np.abs(a) < OBJECT_EXTENT)
+        & (np.abs(b) < OBJECT_EXTENT)
+        & (np.abs(ratio[:, None] - ratio[None, :]) < np.log(MAX_SCALE))
+        & (np.abs(np.angle(np.exp(1j * (turn[:, None] - turn[None, :])))) < MAX_TURN)
+    )
+    # Several features at one position count once.
+    apart = np.abs(a) > _angular(home, home.size[i])[:, None] / 2
+    support = (follows & apart).sum(axis=1) + 1
+    for seed in np.flatnonzero(support >= MIN_MATCHES):
+        moved[chosen[follows[seed]]] = True
+    return moved
+
+
+def _offsets(view: Features, rows: np.ndarray) -> np.ndarray:
+    """Return the image vector from each feature (row) to each (column), x + iy [rad]."""
+    scale = 2 * np.pi / view.shape[1]
+    x, y = view.column[rows] * scale, view.row[rows] * scale
+    dx = np.angle(np.exp(1j * (x[None, :] - x[:, None])))
+    return np.asarray(dx + 1j * (y[None, :] - y[:, None]))
+
+
+def _angular(view: Features, pixels: np.ndarray) -> np.ndarray:
+    return np.asarray(pixels * 2 * np.pi / view.shape[1])
+
+
+MIN_ANGLE = np.radians(10.0)
+"""Minimum angle of tested features from the horizon, where a plane is too foreshortened, and from
+the vertical, where a panorama is [rad]."""
+APART = 1.5
+"""Minimum distance of another feature, in radii of the patch: otherwise it overlaps itself."""
+
+
+def self_similar(view: Features, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return which features, in rows (n,) of a view, recur elsewhere on their level plane."""
+    found = np.zeros(len(rows), bool)
+    for up in (-view.elevation, view.elevation):
+        plane = (up > MIN_ANGLE) & (up < np.pi / 2 - MIN_ANGLE)
+        mine = np.flatnonzero(plane[rows])
+        others = thinned(np.flatnonzero(plane), 500)
+        found[mine] = _recur(view, rows[mine], others, camera)
+    return found
+
+
+def _recur(view: Features, rows: np.ndarray, others: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return which features, in rows (n,), look like one of the others, in rows (m,)."""
+    maps = _scale(view, others, camera) @ np.linalg.inv(_scale(view, rows, camera))[:, None]
+    area = areas(maps.reshape(-1, 2, 2)).reshape(maps.shape[:2])
+    place = np.column_stack([view.column, view.row])
+    step = place[others] - place[rows, None]
+    step[..., 0] -= view.shape[1] * np.rint(step[..., 0] / view.shape[1])
+    apart = np.hypot(*np.moveaxis(step, -1, 0))
+    grown = view.size[others] / (view.size[rows, None] * np.sqrt(area))
+    tried = (area > 1 / MAX_GROWTH) & (area < MAX_GROWTH)
+    tried &= np.abs(np.log(grown)) < np.log(MAX_SCALE)
+    tried &= apart > APART * radius_of(view.size[rows], view.pyramid)[:, None]
+    one, other = np.nonzero(tried)
+    start = np.dstack([maps[one, other], place[others[other]]])
+    at_home, size = place[rows[one]], view.size[rows[one]]
+    found = align_patches(view.pyramid, view.pyramid, at_home, size, start, STEPS // 2)
+    alike = found.found & (found.correlation > MIN_CORRELATION)
+    return np.bincount(one[alike], minlength=len(rows)) > 0
+
+
+def _scale(view: Features, rows: np.ndarray, camera: Panorama) -> np.ndarray:
+    """Return the image motion per step on the level plane, (n, 2, 2) [px per height]."""
+    directions, slope = camera.directions_and_slope(view.column[rows], view.row[rows], view.shape)
+    azimuth, elevation = directions.T
+    far = 1 / np.tan(np.abs(elevation))
+    c, s = np.cos(azimuth), np.sin(azimuth)
+    nearer = -np.sign(elevation) / (1 + far**2)  # derivative of elevation by distance
+    turned = np.stack([-s / far, c / far], axis=-1)
+    raised = np.stack([c, s], axis=-1) * nearer[:, None]
+    return np.asarray(np.linalg.inv(slope) @ np.stack([turned, raised], axis=1))

@@ -25,13 +25,16 @@ from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import is_there, require_folder
 from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.vision.cameras.image_files import read_grey
-from homeward.vision.checks.camera_settings import better_settings
-from homeward.vision.checks.seam import require_panoramas
-from homeward.vision.checks.self_occlusion import SelfOcclusion, SelfOcclusionDetector
+from homeward.vision.checks import (
+    SelfOcclusion,
+    SelfOcclusionDetector,
+    better_settings,
+    require_panoramas,
+)
 from homeward.vision.comparison import Comparison
 from homeward.vision.features.detection import read_features
 from homeward.vision.front_end import FrameBearings, FrontEnd
-from homeward.vision.homing.moved_landmark_filter import LASTING_SIGHTINGS
+from homeward.vision.homing.visual_homing import LASTING_SIGHTINGS
 from homeward.vision.recorded.estimator import ImageDrive
 from homeward.vision.recorded.settings import IMAGE_SETTINGS, ImageSettings, settings_in
 

@@ -17,8 +17,7 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, from_polar, polar_covariance_to_pose
-from homeward.lab.engine.batch import compiled
-from homeward.lab.engine.batch.execution import SLOWER, execute
+from homeward.lab.engine.batch.execution import SLOWER, execute, source
 from homeward.lab.engine.batch.job import Given, Job, given_values
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.lab.engine.estimators.runner import FilterRunner, Numbers, in_steps
@@ -269,7 +268,7 @@ def _histories(
     job = Job(program, runs, longest, at_start, at_steps, final=(), history=HISTORY)
     saved = more * SAVED_S * runs * longest
     result, _ = choose(
-        engine, saved, lambda: compiled.source(job), lambda: execute(job, "native", 1), SLOWER
+        engine, saved, lambda: source(job), lambda: execute(job, "native", 1), SLOWER
     )
     return None if result is None else result.history
 

@@ -1,6 +1,6 @@
 /* Philox4x32-10, a counter-based generator (Salmon and others, "Parallel random numbers: as easy
  * as 1, 2, 3", 2011): numbers depend only on seed, run, step and place, never on lanes, blocks or
- * threads. homeward.lab.engine.batch.interpreted is the same in NumPy. */
+ * threads. homeward.lab.engine.batch.execution is the same in NumPy. */
 
 INLINE void philox(WU c[4], uint64_t seed) {
   uint64_t k0 = seed & 0xffffffff, k1 = seed >> 32;

@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 
 from homeward.lab.engine.native.emit import Code, emit
-from homeward.lab.engine.program.stages import OBSERVE, Generic, Program, Stage, Symbolic
+from homeward.lab.engine.program.stages import OBSERVE, Program, Stage, Symbolic
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 from homeward.native.cache import default_folder
@@ -71,7 +71,6 @@ class Source:
         if isinstance(stage, Symbolic):
             functions.append(emit(name, stage.function, self.places))
             return name
-        assert isinstance(stage, Generic)
         if stage.predicts:
             functions.append(self._generic(stage.kind, stage.propagate))
             return "generic_predict_all"

@@ -7,7 +7,6 @@ symbolic, grow only with the size of their matrices, and visit only the landmark
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -55,21 +54,8 @@ def allocate(shapes: Shapes) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     return memory, views
 
 
-class Stage(ABC):
-    """A function that reads and writes named variables."""
-
-    @property
-    @abstractmethod
-    def shapes(self) -> Shapes:
-        """Shapes of its variables."""
-
-    @abstractmethod
-    def on(self, variables: Variables) -> Execute:
-        """Return the stage, interpreted, as a function that works in place on variables."""
-
-
 @dataclass(frozen=True)
-class Symbolic(Stage):
+class Symbolic:
     """A CasADi function, dense, with named inputs and outputs (a suffix ``_out`` is dropped)."""
 
     function: ca.Function
@@ -131,7 +117,7 @@ def _view(flat: np.ndarray) -> memoryview:
 
 
 @dataclass(frozen=True)
-class Generic(Stage):
+class Generic:
     """A step of a filter with many landmarks, as loops over matrices instead of symbols."""
 
     kind: ExtendedKalmanFilter
@@ -158,6 +144,10 @@ class Generic(Stage):
         if isinstance(self.kind, UnscentedFilter):
             return _unscented_predict(self.kind, variables)
         return _predict(self.propagate, variables)
+
+
+Stage = Symbolic | Generic
+"""A function that reads and writes named variables."""
 
 
 def _predict(propagate: ca.Function, variables: Variables) -> Execute:

@@ -1,1 +1,0 @@
-"""Checks of a camera and its settings from its own pictures."""
