@@ -32,9 +32,9 @@ def data() -> Path:
     return Path(os.environ.get("HOMEWARD_DATA", default))
 
 
-def surveyed_places() -> dict[str, np.ndarray]:
-    """Return the surveyed positions of the landmarks of MRCLAM set 6 [m]."""
-    table = np.loadtxt(data() / "MRCLAM_Dataset6" / "Landmark_Groundtruth.dat")
+def surveyed_places(folder: str = "MRCLAM_Dataset6") -> dict[str, np.ndarray]:
+    """Return the surveyed positions of the landmarks of an MRCLAM set [m]."""
+    table = np.loadtxt(data() / folder / "Landmark_Groundtruth.dat")
     return {str(int(row[0])): row[1:3] for row in table}
 
 

@@ -6,7 +6,7 @@ from lab.studies.chores import in_this_process
 
 from benchmarks.leaderboard import __main__ as command
 from benchmarks.leaderboard.board import by_family, entries, overall, page
-from benchmarks.leaderboard.families import Family
+from benchmarks.leaderboard.families import HELD_OUT, Family, numbers
 from benchmarks.leaderboard.runs import BASELINE, every, one
 from benchmarks.monte_carlo import Run
 
@@ -68,6 +68,13 @@ def test_the_command_writes_the_page(tmp_path, monkeypatch, capsys):
     said = "`python -m benchmarks.leaderboard --quick --family table --estimator robust"
     assert said in text
     assert str(tmp_path) not in text
+
+
+def test_real_drives_are_either_for_development_or_held_out():
+    known, held_out = (Family("", one, real=True, held_out=k, copies=4) for k in (False, True))
+    assert [len(numbers(known, 2, k)) for k in (True, False)] == [8, 0]
+    assert [len(numbers(held_out, 2, k)) for k in (True, False)] == [0, 8]
+    assert numbers(Family("", one), 3, False)[0] == HELD_OUT
 
 
 @pytest.mark.parametrize("name", ["utias-6", "utias-6-moved", "utias-6-half"])

@@ -1,14 +1,14 @@
 """All estimators on the same drives; writes docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
-...] [--seeds 10] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on drives of the
-families of the consistency gate with fresh seeds, on which no choice was made. The others are
-compared with the first estimator. `--quick` means one seed. With `--keep` it can be stopped and
-continued, also with further estimators.
+...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on
+drives of the families of the consistency gate with fresh seeds, on which no choice was made, and on
+MRCLAM set 1. The others are compared with the first estimator. `--quick` means one seed. With
+`--keep` it can be stopped and continued, also with further estimators.
 
-`--development [--real-seeds 2]` writes docs/appendix/leaderboard-development.md: the seeds on which
-the localiser was developed, and MRCLAM set 6 if it is available (in HOMEWARD_DATA, else in
-../shared/data).
+`--development` writes docs/appendix/leaderboard-development.md: the seeds on which the localiser
+was developed, and MRCLAM set 6. The recorded drives are used if they are available (in
+HOMEWARD_DATA, else in ../shared/data).
 """
 
 import sys
@@ -42,7 +42,6 @@ def main() -> None:
     work = [
         (name, number)
         for name in options.family
-        if development or not families[name].real
         for number in numbers(families[name], seeds[families[name].real], development)
     ]
     work.sort(key=lambda drive: drive[1])  # so that all families have runs when stopped early

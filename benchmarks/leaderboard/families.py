@@ -1,11 +1,13 @@
 """The drives: simulated families of the consistency gate, and real ones, original and harder."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import partial
 
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import SurveyedTrial
+from benchmarks.leaderboard.set_1 import DRIVES, SET_1, set_1_trial
 from benchmarks.mrclam import HOME, data, surveyed_places
 from homeward.geometry.frames import Pose, between
 from homeward.lab.studies.study.trial import Recording, Trial, recorded_trial
@@ -25,6 +27,7 @@ class Family:
     about: str
     make: Callable[[int], Trial]  # returns the drive of a number
     real: bool = False
+    held_out: bool = False  # whether no choice was made on these real drives
     copies: int = 1  # number of drives per seed
 
 
@@ -36,27 +39,34 @@ def simulated() -> dict[str, Family]:
 
 
 def numbers(family: Family, seeds: int, development: bool) -> range:
-    """Return the numbers of a family's drives; real drives are all for development."""
+    """Return the numbers of a family's drives; none of real ones that are of the other kind."""
+    if family.real and family.held_out == development:
+        return range(0)
     first = 0 if development else HELD_OUT
     return range(first, first + family.copies * seeds)
 
 
 def real() -> dict[str, Family]:
     """Return the families of real drives whose data are available, by name."""
-    if not (data() / SET_6).is_dir():
-        return {}
-    about = "UTIAS MRCLAM set 6, five robots, a camera of 66 deg"
-    wrong = f"the same, errors of 0.2 to 0.6 rad in {FALSIFIED} of 15 home bearings"
-    half = "the same, half of the sightings dropped"
-    changes = {
-        "utias-6": (about, {}),
-        "utias-6-moved": (wrong, {"falsified": FALSIFIED}),
-        "utias-6-half": (half, {"dropped": 0.5}),
-    }
-    return {
-        name: Family(words, partial(_recorded, change), real=True, copies=len(ROBOTS))
-        for name, (words, change) in changes.items()
-    }
+    found = {}
+    if (data() / SET_6).is_dir():
+        about = "UTIAS MRCLAM set 6, five robots, a camera of 66 deg"
+        wrong = f"the same, errors of 0.2 to 0.6 rad in {FALSIFIED} of 15 home bearings"
+        half = "the same, half of the sightings dropped"
+        changes = {
+            "utias-6": (about, {}),
+            "utias-6-moved": (wrong, {"falsified": FALSIFIED}),
+            "utias-6-half": (half, {"dropped": 0.5}),
+        }
+        found = {
+            name: Family(words, partial(_recorded, change), real=True, copies=len(ROBOTS))
+            for name, (words, change) in changes.items()
+        }
+    if (data() / SET_1).is_dir():
+        about = "UTIAS MRCLAM set 1, two robots from two homes, a camera of 66 deg"
+        make = partial(set_1_trial, home_noise=math.radians(HOME_NOISE_DEG))
+        found["utias-1"] = Family(about, make, real=True, held_out=True, copies=len(DRIVES))
+    return found
 
 
 def _recorded(change: dict[str, float], number: int) -> Trial:

@@ -73,14 +73,19 @@ def of_camera(drive: Drive) -> Drive:
     )
 
 
+def camera_pose(drive: Drive, robot: Pose, t: float) -> Pose:
+    """Return the camera's position and direction of motion at `t` [s], from the camera at home."""
+    mount, at_home = drive.settings.sensor, drive.settings.home_mount
+    x, y, heading = compose(robot, Pose(mount.x, mount.y, float(_at(drive, np.array([t]))[0])))
+    return Pose(x - at_home.x, y - at_home.y, heading)
+
+
 def _start(drive: Drive) -> Start | None:
     """Return the start prior of the camera, as wide as that of the robot."""
-    start, mount, at_home = drive.settings.start, drive.settings.sensor, drive.settings.home_mount
+    start, mount = drive.settings.start, drive.settings.sensor
     if start is None:
         return None
-    turned = float(_at(drive, np.array([drive.span[0]]))[0])
-    camera = compose(from_polar(start.polar), Pose(mount.x, mount.y, turned))
-    polar = to_polar(Pose(camera.x - at_home.x, camera.y - at_home.y, camera.heading))
+    polar = to_polar(camera_pose(drive, from_polar(start.polar), drive.span[0]))
     lever = math.hypot(mount.x, mount.y) * start.sigma_alpha
     across = math.hypot(start.R * start.sigma_theta, lever)
     return Start(
