@@ -66,3 +66,12 @@ def test_ekf_is_overconfident_from_home_noise_and_its_linearisation_alone():
     assert wrong == 0.0
     assert nees < 4.0  # 3 if consistent
     assert figures(whole, False)[1] > 2 * nees
+
+
+def test_landmarks_that_walk_do_not_end_gtsam():
+    if find_spec("gtsam") is None:
+        pytest.skip("GTSAM is not installed: pip install -e '.[bench]'")
+    whole = SCENARIOS["walkers"].make(6)
+    off = errors(follow_one(whole, "benchmarks.peers.graph:lag"), whole.drive.truth)
+    assert off.t[-1] > 0.9 * whole.drive.truth.t[-1]
+    assert np.median(off.position) < 0.2

@@ -31,6 +31,7 @@ CAUCHY = 1.0  # scale of the kernel [sigmas]
 PARALLAX = 0.1  # angle between two sightings from which a landmark enters the graph [rad]
 FLOOR = 1e-9  # added to the variances of odometry [m^2, rad^2]
 SURVEY_M = 0.01  # of surveyed landmarks
+WEAK = 100.0  # priors of landmarks [m] and home, whose sightings may all be outliers of the kernel
 MAP_SIGMA = 0.02  # of the directions of mapped landmarks, for the resection of home [rad]
 MIN_AGREEING = 5  # home bearings for that, and half of those of mapped landmarks
 INLIERS = 0.99  # probability of an inlier's threshold, for GNC
@@ -139,6 +140,8 @@ class FixedLag(Baseline):
             return
         self.keys[name] = gtsam.symbol("l", len(self.keys))
         self._value(self.keys[name], point)
+        weak = gtsam.noiseModel.Isotropic.Sigma(2, WEAK)
+        self._add(gtsam.PriorFactorPoint2(self.keys[name], point, weak))
         for k, b in self.waiting.pop(name):
             self._sighting(k, name, b)
         if self.has_home and name in self.home:
@@ -174,7 +177,9 @@ class FixedLag(Baseline):
         found = consensus(there, self.home, sigma, Pose(0.0, 0.0, 0.0), None, MIN_AGREEING)
         if found is not None:
             self.has_home = True
-            self._value(H, _pose2(found[0]))
+            home, weak = _pose2(found[0]), gtsam.noiseModel.Isotropic.Sigma(3, WEAK)
+            self._value(H, home)
+            self._add(gtsam.PriorFactorPose2(H, home, weak))
             for name in self.keys.keys() & self.home.keys():
                 self._sighting(H, name, self.home[name])
 
