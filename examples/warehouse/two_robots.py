@@ -4,9 +4,9 @@
 mapped the hall on the day before. Then `homeward place serve` serves the place, and two robots that
 stand elsewhere (kidnapped robots) join it over TCP and patrol the outer aisles, half a round apart.
 Every 30 s a box is moved that neither has in view. Printed are the figures of each robot, and the
-time from the first sighting of each moved box by one robot until the other has its new position
-from the server. The server runs on the wall clock, so the simulation is at most as fast as it, and
-runs with the same seed differ.
+times from the first sighting of each moved box by one robot until its own map has the new position,
+and until the other robot has it from the server. The server runs on the wall clock, so the
+simulation is at most as fast as it, and runs with the same seed differ.
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import cycle, islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -62,6 +64,8 @@ class Move:
     seen_t: float = math.nan
     seen_wall: float = math.nan
     """... and when, on the wall clock [s]."""
+    mapped_wall: float = math.nan
+    """When that robot's own map had its new position, on the wall clock [s]."""
     known_wall: float = math.nan
     """When the other robot had its new position from the server [s]."""
 
@@ -72,6 +76,12 @@ def goals(first: str, number: int) -> list[msg.Input]:
     there = [NODES[name] for name in islice(cycle(ROUND), begin, begin + number)]
     inside = [compose(inverse(HOME), Pose(x, y, 0.0)) for x, y in there]
     return [msg.GoTo(x=float(p.x), y=float(p.y)) for p in inside]
+
+
+def _is_known(positions: Mapping[str, Any], true: Mapping[str, Any]) -> bool:
+    """Return whether any of the tags has about its true position."""
+    both = positions.keys() & true.keys()
+    return any(math.dist(positions[n], true[n]) < KNOWN_M for n in both)
 
 
 def map_hall(robot: Robot) -> None:
@@ -147,14 +157,17 @@ class Patrol:
                 for k, robot in enumerate(self.robots):
                     if robot.seen is not None and not robot.seen.bearings.keys().isdisjoint(tags):
                         move.seen_by, move.seen_t, move.seen_wall = k, self.world.t, now
-            elif math.isnan(move.known_wall):
-                place = self.places[1 - move.seen_by].place
-                assert place is not None
-                known = dict(zip(place.map.names, place.map.positions, strict=True))
-                for tag in set(tags) & known.keys():
-                    there = compose(inverse(HOME), Pose(*at[names.index(tag), :2], 0.0))
-                    if math.dist(known[tag], there[:2]) < KNOWN_M:
-                        move.known_wall = now
+                continue
+            there = [compose(inverse(HOME), Pose(*at[names.index(n), :2], 0.0))[:2] for n in tags]
+            true = dict(zip(tags, there, strict=True))
+            own = {m.landmark: (m.x, m.y) for m in self.robots[move.seen_by].landmarks if m.x}
+            if math.isnan(move.mapped_wall) and _is_known(own, true):
+                move.mapped_wall = now
+            place = self.places[1 - move.seen_by].place
+            assert place is not None
+            others = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
+            if math.isnan(move.known_wall) and _is_known(others, true):
+                move.known_wall = now
 
     def report(self) -> str:
         """Return the figures of the robots and of the moved boxes."""
@@ -180,12 +193,13 @@ class Patrol:
             if move.seen_by is None:
                 lines.append(words + "not seen again")
                 continue
-            delay = move.known_wall - move.seen_wall
-            after = "not" if math.isnan(delay) else f"{delay:.1f} s later"
+            mapped, known = (
+                "never" if math.isnan(t) else f"{t - move.seen_wall:.1f} s later"
+                for t in (move.mapped_wall, move.known_wall)
+            )
             lines.append(
-                words
-                + f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, known "
-                f"to robot {2 - move.seen_by} from the server {after}"
+                words + f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, "
+                f"in its map {mapped}, known to robot {2 - move.seen_by} {known}"
             )
         lines.append(f"a second of the simulation took {self.slowness:.1f} s")
         return "\n".join(lines)
