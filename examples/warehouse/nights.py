@@ -96,6 +96,23 @@ class Day:
     """Position RMSE of the peers [m]."""
 
 
+def true_positions(world: World) -> dict[str, tuple[float, float]]:
+    """Return the true positions of the tags in the home frame [m]."""
+    names, at, _ = world.tags()
+    c, s = math.cos(HOME.heading), math.sin(HOME.heading)
+    x, y = (at[:, :2] - HOME[:2]).T
+    return dict(zip(names, zip(c * x + s * y, c * y - s * x, strict=True), strict=True))
+
+
+def goals_within(robot: Robot) -> list[bool]:
+    """Return for each goal at which the robot arrived whether it is truly within `REACHED_M`."""
+    return [
+        math.dist(o.at[:2], (o.task.x, o.task.y)) < REACHED_M
+        for o in robot.outcomes
+        if isinstance(o.task, msg.GoTo) and o.state == "arrived" and o.at is not None
+    ]
+
+
 class Warehouse:
     """The hall over days, and what the place has of it."""
 
@@ -125,15 +142,9 @@ class Warehouse:
         """Pose of its box when the place last had a position of each tag of the place."""
         self.box_of = {str(tag): box.name for box in self.world.boxes for tag in box.tags}
         self.survey = {
-            name: SurveyedLandmark(x=float(x), y=float(y)) for name, (x, y) in self._tags().items()
+            name: SurveyedLandmark(x=float(x), y=float(y))
+            for name, (x, y) in true_positions(self.world).items()
         }
-
-    def _tags(self) -> dict[str, tuple[float, float]]:
-        """Return the true positions of the tags in the home frame."""
-        names, at, _ = self.world.tags()
-        c, s = math.cos(HOME.heading), math.sin(HOME.heading)
-        x, y = (at[:, :2] - HOME[:2]).T
-        return dict(zip(names, zip(c * x + s * y, c * y - s * x, strict=True), strict=True))
 
     def night(self) -> None:
         """Move, remove and add boxes, and carry the robot elsewhere."""
@@ -216,10 +227,6 @@ class Warehouse:
     ) -> Day:
         localised = [m for m in robot.moments if m.status is Status.LOCALISED]
         error = np.array([m.error for m in localised])
-        reached = 0
-        for o in robot.outcomes:
-            if isinstance(o.task, msg.GoTo) and o.state == "arrived" and o.at is not None:
-                reached += math.dist(o.at[:2], (o.task.x, o.task.y)) < REACHED_M
         times = {b.name: max(seen[str(t)] for t in b.tags) for b in self.world.present}
         here = {box.name: Pose(box.x, box.y, box.yaw) for box in self.world.boxes}
         moved = {n for n, (pose, _) in self.mapped.items() if here[n] != pose}
@@ -240,7 +247,7 @@ class Warehouse:
         return Day(
             localised[0].t - began if localised else math.inf,
             goals,
-            reached,
+            sum(goals_within(robot)),
             sum(o.state == "failed" for o in robot.outcomes),
             tuple(sorted({name for _, name in robot.collisions})),
             float(np.sqrt(np.mean(error**2))) if len(error) else math.nan,

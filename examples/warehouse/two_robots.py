@@ -28,7 +28,7 @@ import numpy as np
 
 from examples.warehouse.demo import HOME
 from examples.warehouse.detections import Simulated, corners_in_view
-from examples.warehouse.nights import NODES, REACHED_M
+from examples.warehouse.nights import NODES, REACHED_M, goals_within, true_positions
 from examples.warehouse.robot import SETTINGS, TICK_S, Robot
 from examples.warehouse.world import Box, World
 from homeward.errors import HomewardError
@@ -54,7 +54,7 @@ CHECK_TICKS = 5
 
 @dataclass
 class Move:
-    """A box that was moved, and who knew it when."""
+    """A box that was moved, and when the robots had its new position."""
 
     box: Box
     t: float
@@ -129,8 +129,8 @@ class Patrol:
                 self._check()
 
     @property
-    def slowness(self) -> float:
-        """Wall time of a second of the simulation so far [s]."""
+    def seconds_per_second(self) -> float:
+        """Seconds on the wall clock for each second of the simulation."""
         return (time.monotonic() - self._wall) / max(self.world.t - self.began, 1e-9)
 
     def _move(self) -> None:
@@ -150,7 +150,7 @@ class Patrol:
     def _check(self) -> None:
         """Note which robot sees a moved box, and whether the other knows its position."""
         now = time.monotonic()
-        names, at, _ = self.world.tags()
+        positions = true_positions(self.world)
         for move in self.moves:
             tags = [str(tag) for tag in move.box.tags]
             if move.seen_by is None:
@@ -158,9 +158,9 @@ class Patrol:
                     if robot.seen is not None and not robot.seen.bearings.keys().isdisjoint(tags):
                         move.seen_by, move.seen_t, move.seen_wall = k, self.world.t, now
                 continue
-            there = [compose(inverse(HOME), Pose(*at[names.index(n), :2], 0.0))[:2] for n in tags]
-            true = dict(zip(tags, there, strict=True))
-            own = {m.landmark: (m.x, m.y) for m in self.robots[move.seen_by].landmarks if m.x}
+            true = {tag: positions[tag] for tag in tags}
+            mapped = (m for m in self.robots[move.seen_by].landmarks if m.x is not None)
+            own = {m.landmark: (m.x, m.y) for m in mapped}
             if math.isnan(move.mapped_wall) and _is_known(own, true):
                 move.mapped_wall = now
             place = self.places[1 - move.seen_by].place
@@ -175,11 +175,7 @@ class Patrol:
         for k, robot in enumerate(self.robots, start=1):
             localised = [m for m in robot.moments if m.status is Status.LOCALISED]
             error = np.array([m.error for m in localised]) if localised else np.array([math.nan])
-            arrived = [
-                math.dist(o.at[:2], (o.task.x, o.task.y)) < REACHED_M
-                for o in robot.outcomes
-                if isinstance(o.task, msg.GoTo) and o.state == "arrived" and o.at is not None
-            ]
+            arrived = goals_within(robot)
             first = localised[0].t - self.began if localised else math.inf
             lines.append(
                 f"robot {k}: first pose after {first:.1f} s; {sum(arrived)} of {len(arrived)} "
@@ -201,7 +197,7 @@ class Patrol:
                 words + f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, "
                 f"in its map {mapped}, known to robot {2 - move.seen_by} {known}"
             )
-        lines.append(f"a second of the simulation took {self.slowness:.1f} s")
+        lines.append(f"a second of the simulation took {self.seconds_per_second:.1f} s")
         return "\n".join(lines)
 
 
