@@ -28,7 +28,8 @@ INTERPRETER = (
     "drives/ros/test_round_trip",
     "drives/test_folder",
     "drives/test_landmarks_yaml",
-    "lab/engine/native",
+    "lab/engine/native/test_native_cache",
+    "lab/engine/native/test_native_program",
     "live/test_live_messages",
     "live/test_server",
     "lab/studies/test_blocks",
@@ -40,7 +41,7 @@ INTERPRETER = (
     "test_plugins",
 )
 """Tests whose result can depend on the Python version: imports, command line, text and YAML files,
-validation, pickling, subprocesses, threads and sockets. Numerical results are tested once."""
+validation, pickling, subprocesses, threads and sockets. Numerical results and C are tested once."""
 
 
 CORE = (

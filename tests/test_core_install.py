@@ -40,11 +40,6 @@ try:
 except InputError as error:
     print(error)
 """
-COMMAND = """
-from homeward.__main__ import main
-
-main()
-"""
 SEVERAL = """
 import json
 import os
@@ -86,6 +81,13 @@ def alone(code, *words, core=CORE, cwd=None):
     return subprocess.run(done, capture_output=True, text=True, cwd=cwd, check=False)
 
 
+def commands_alone(folder, *commands):
+    """Exit status, output and files written of commands where nothing but the core is installed."""
+    done = alone(SEVERAL, json.dumps(commands), cwd=folder)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
 def test_the_localiser_and_live_sessions_need_the_core_alone():
     done = alone(LIBRARY)
     assert done.returncode == 0, done.stderr
@@ -101,9 +103,7 @@ def test_a_robot_needs_numpy_scipy_and_yaml_alone():
 
 
 def test_a_command_says_in_one_line_which_extra_it_needs(tmp_path):
-    done = alone(SEVERAL, json.dumps([*NEEDS, *NEEDS_NONE]), cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    results = json.loads(done.stdout)
+    results = commands_alone(tmp_path, *NEEDS, *NEEDS_NONE)
     for (words, extra), (status, said, written) in zip(NEEDS.items(), results, strict=False):
         assert status == 2, words
         (line,) = said.splitlines()
@@ -115,18 +115,20 @@ def test_a_command_says_in_one_line_which_extra_it_needs(tmp_path):
 
 
 def test_a_run_needs_the_core_alone_and_leaves_no_page_of_another(tmp_path):
-    words = ("run", "drive", "--out", "out")
-    alone(COMMAND, "simulate", "circle", "--out", "drive", cwd=tmp_path)
-    (tmp_path / "out").mkdir()
+    drive, out = str(tmp_path / "drive"), tmp_path / "out"
+    words = ("run", drive, "--out", str(out))
+    out.mkdir()
     for name in ("run.yaml", "report.html", "run.mcap"):
-        (tmp_path / "out" / name).touch()
-    done = alone(COMMAND, *words, cwd=tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert "Files: out" in done.stdout
-    assert "no report.html and no run.mcap: pages and pictures need the extra report" in done.stdout
-    written = {file.name for file in (tmp_path / "out").iterdir()}
+        (out / name).touch()
+    simulated = ("simulate", "circle", "--set", "trajectory.duration=20", "--out", drive)
+    results = commands_alone(tmp_path, simulated, words, (*words, "--json"))
+    assert [status for status, *_ in results] == [0, 0, 0], results
+    _, (_, said, _), (_, facts, _) = results
+    assert f"Files: {out}" in " ".join(said.split())
+    reason = "no report.html and no run.mcap: pages and pictures need the extra report"
+    assert reason in " ".join(said.split())
+    written = {file.name for file in out.iterdir()}
     assert written == {
         *("estimate.csv", "landmarks.csv", "metrics.json", "run.yaml", "trajectory.tum")
     }
-    told = json.loads(alone(COMMAND, *words, "--json", cwd=tmp_path).stdout)
-    assert told["report"] is None
+    assert json.loads(facts)["report"] is None

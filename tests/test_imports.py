@@ -1,6 +1,6 @@
 """Every module imports without a warning, on each supported Python; class names are unique."""
 
-import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -36,7 +36,6 @@ def test_no_class_name_has_two_meanings_in_one_house():
     for file in source.rglob("*.py"):
         path = file.relative_to(source)
         house = path.parts[0] if path.parts[0] in ("lab", "studio", "vision") else "core"
-        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
-            if isinstance(node, ast.ClassDef):
-                found.setdefault((house, node.name), []).append(path.as_posix())
+        for name in re.findall(r"^ *class (\w+)[(:]", file.read_text("utf-8"), re.MULTILINE):
+            found.setdefault((house, name), []).append(path.as_posix())
     assert {name: files for name, files in found.items() if len(files) > 1} == {}

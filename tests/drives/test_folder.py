@@ -17,6 +17,7 @@ from homeward.drives.folder import (
     write_folder,
 )
 from homeward.drives.settings import DriveSettings
+from homeward.io.table import CHUNK
 
 
 def test_reads_every_file(tmp_path):
@@ -276,8 +277,8 @@ def test_a_yaml_key_without_a_value_counts_as_absent(tmp_path):
     assert drive.settings == DriveSettings()
 
 
-def test_a_million_rows(tmp_path):
-    n = 10**6
+def test_rows_of_several_chunks_are_read_in_order(tmp_path):
+    n = 20 * CHUNK + 1
     rows = "".join(f"{i / 64},{i % 500},{i / n}\n" for i in range(n))
     folder = put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode())
     sightings = read_folder(folder).sightings
