@@ -17,7 +17,7 @@ import pytest
 import typer
 import yaml
 from commands import call, first_seconds, refused
-from lab.studies.chores import in_this_process
+from lab.studies.chores import draw_no_figures, in_this_process
 from typer.testing import CliRunner
 
 import homeward
@@ -242,6 +242,7 @@ def test_pictures_in_which_nothing_is_found_are_no_answer(short, tmp_path, monke
 
 def test_a_study_whose_every_run_fails_is_no_answer(tmp_path, monkeypatch):
     monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
+    draw_no_figures(monkeypatch)
     study = {"runs": 1, "scenario": "warehouse", "loop": "open", "estimators": ["ekf"]}
     study["set"] = {"start.prior": False, "trajectory.duration": 2.0}
     (tmp_path / "failing.yaml").write_text(yaml.safe_dump(study))

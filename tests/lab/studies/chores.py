@@ -39,3 +39,8 @@ def in_this_process(function, arguments, processes):
     """Stand in for a pool of processes where a test is not about it."""
     for name, argument in arguments.items():
         yield name, function(argument)
+
+
+def draw_no_figures(monkeypatch):
+    """Write pages of studies without figures, where a test is not about them."""
+    monkeypatch.setattr("homeward.lab.report.study.page.figures", lambda results: [])

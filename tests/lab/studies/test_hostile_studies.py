@@ -7,6 +7,7 @@ import sys
 import numpy as np
 import pytest
 from cli.commands import done
+from lab.studies.chores import draw_no_figures
 from lab.studies.test_study import QUICK, call, computed, plan_of, written
 
 from homeward.drives.opening import open_drive
@@ -117,10 +118,11 @@ def test_a_full_disk_leaves_no_half_of_a_drive(tmp_path, name):
 
 
 @pytest.mark.parametrize("size", [300, 20_000, 41_000])
-def test_a_study_goes_on_when_there_is_room_again(tmp_path, size):
+def test_a_study_goes_on_when_there_is_room_again(tmp_path, size, monkeypatch):
     """Whatever was to be written when there was none left: marker, manifest, block or results."""
     file, out = written(tmp_path, runs=1, grid={}, estimators=["ekf"]), tmp_path / "out"
     words = ("study", file, "--out", out, "--workers", "1")
+    draw_no_figures(monkeypatch)
     with_a_full_disk(size, *words)
     check_output(out, MARKER)
     assert not out.exists() or not [p for p in out.rglob("*") if "writing" in p.name]

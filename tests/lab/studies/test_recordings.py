@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import yaml
 from cli.commands import call, done, first_seconds, refused
-from lab.studies.chores import in_this_process
+from lab.studies.chores import draw_no_figures, in_this_process
 
 from homeward.drives.opening import open_drive
 from homeward.lab.studies.study.plan import load_study
@@ -73,6 +73,7 @@ def test_a_trial_knows_what_was_falsified_and_only_that():
 
 def test_a_study_of_drives_and_scenarios_stands_in_one_table(short, tmp_path, monkeypatch):
     monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
+    draw_no_figures(monkeypatch)
     entry = {"drive": "short", "label": "real", "grid": {"dropped": [0.0, 0.3]}}
     changes = {"scenario": "circle", "set": {"trajectory.duration": 3}}
     path = study(tmp_path, drives=[entry], **changes)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import yaml
 from cli.commands import call, done, refused
-from lab.studies.chores import in_this_process
+from lab.studies.chores import draw_no_figures, in_this_process
 
 from homeward.errors import InputError
 from homeward.io.reading import shipped_yaml
@@ -316,6 +316,7 @@ def test_a_stopped_study_goes_on_from_its_finished_blocks(tmp_path, how, monkeyp
     assert 2 <= len(kept) < 12
     assert not (out / "results.nc").exists()
     monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
+    draw_no_figures(monkeypatch)
     done(call("study", path, "--out", out))
     assert len(list(blocks.glob("*.npz"))) == 12
     assert {name: (blocks / name).stat().st_mtime_ns for name in kept} == kept

@@ -103,6 +103,8 @@ def drawn(
     Returns its caption, which must need no escaping, and its SVG for a page.
     """
     drawing = svg(figure, caption)
+    # The PNG has the layout of the SVG: computing it again takes the most time.
+    figure.set_layout_engine("none")
     (folder / f"{name}.png").write_bytes(png(figure))
     if vector:
         (folder / f"{name}.svg").write_text(svg_file(drawing), encoding="utf-8")
