@@ -9,7 +9,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from homeward.drives.drive import HomeBearing
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNoise, Sensor
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
@@ -79,6 +79,22 @@ class Wheels(OdometryIntegrator):
         """Take a twist, which may be late."""
         self.rewind(t)
         self.twists.add(t, v, omega)
+
+
+class Recorder:
+    """Keeps samples, in the place of a localiser."""
+
+    def __init__(self):
+        self.twists, self.seen = [], []
+
+    def odometry(self, *twist):
+        """Keep a twist."""
+        self.twists.append(twist)
+
+    def bearings(self, t, sightings, _):
+        """Keep sightings."""
+        self.seen += [(t, name, value) for name, value in sightings.items()]
+        return Estimate(t, Status.WAITING, "only recorded")
 
 
 @dataclass
@@ -198,3 +214,21 @@ class Rig:
     def moved(self) -> set[str]:
         """Return the landmarks that are said to have been moved."""
         return {m.landmark for m in self.localizer.landmarks() if m.moved}
+
+    def record(self) -> Rig:
+        """Only record samples from now on, without a localiser; return the rig."""
+        self.localizer, self.promise = Recorder(), None
+        return self
+
+    def recorded(self, sigma: float = math.nan) -> Drive:
+        """Return what was driven so far, each bearing with this deviation [rad]."""
+        t, names, values = zip(*self.localizer.seen, strict=True)
+        sightings = Sightings(
+            np.array(t), np.array(names, object), np.array(values), np.full(len(t), sigma)
+        )
+        truth = Truth(
+            np.array([answer.t for answer, _ in self.answers]),
+            *np.array([pose for _, pose in self.answers]).T,
+        )
+        odometry = Odometry(*np.array(self.localizer.twists).T)
+        return Drive("recorded", odometry, sightings, self.home, self.settings, truth)

@@ -5,7 +5,6 @@ import math
 import numpy as np
 import pytest
 from rig import Rig, ring
-from test_found_out import Logged
 
 from benchmarks.kidnapped import CARRIED, calamity, hall, replay
 from homeward.estimator import Status
@@ -148,12 +147,12 @@ def mix_up(rig, seconds):
 
 
 def test_smoothing_knows_nothing_of_the_time_before_its_map_was_begun():
-    rig = Logged(ring(10))
+    rig = Rig(ring(10)).record()
     mix_up(rig, 10)
     honest = rig.t
     rig.pose = Pose(-1.0, 0.6, 2.0)
     rig.drive(25)
-    track = smooth(rig.logged())
+    track = smooth(rig.recorded())
     truth = {round(a.t, 6): p for a, p in rig.answers}
     for t, x, y, status in zip(track.t.tolist(), track.x, track.y, track.status, strict=True):
         if status is Status.LOCALISED and t > honest + 5.0 and round(t, 6) in truth:

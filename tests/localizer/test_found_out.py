@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, another_room, ring
 
-from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings, Mount, Start
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose
@@ -21,51 +21,23 @@ from homeward.reasons import Reason, too_few_agree
 from homeward.track import run
 
 
-class Logged(Rig):
-    """A robot that keeps its samples, for a drive."""
-
-    def __post_init__(self):
-        super().__post_init__()
-        self.twists, self.seen = [], []
-        feel, see = self.localizer.odometry, self.localizer.bearings
-
-        def odometry(t, v, omega):
-            self.twists.append((t, v, omega))
-            feel(t, v, omega)
-
-        def bearings(t, sightings, sigmas):
-            self.seen.extend((t, n, b) for n, b in sightings.items())
-            return see(t, sightings, sigmas)
-
-        self.localizer.odometry, self.localizer.bearings = odometry, bearings
-
-    def logged(self):
-        """What was driven so far."""
-        t, names, bearings = zip(*self.seen, strict=True)
-        sightings = Sightings(
-            np.array(t), np.array(names, object), np.array(bearings), np.full(len(t), np.nan)
-        )
-        odometry = Odometry(*np.array(self.twists).T)
-        return Drive("logged", odometry, sightings, self.home, self.settings)
-
-
 def test_smoothing_makes_no_pose_in_the_mirror():
-    rig = Logged(ring(10), promise=None)
+    rig = Rig(ring(10)).record()
     rig.home = {n: HomeBearing(-b.bearing, b.sigma) for n, b in rig.home.items()}
     rig.drive(25, see=lambda seen: {n: -b for n, b in seen.items()})
-    track = smooth(rig.logged())
+    track = smooth(rig.recorded())
     assert track.reason[-1] == Reason.SIGNS_REVERSED.words
     assert not track.has_pose[-1]
 
 
 def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
-    rig = Logged(ring(10))
+    rig = Rig(ring(10)).record()
     near = another_room(rig)
     rig.drive(40, see=near)
     carried = rig.t
     rig.pose = Pose(rig.pose.x + 40.0, rig.pose.y + 30.0, rig.pose.heading + 1.0)
     rig.drive(20, see=near)
-    track = smooth(rig.logged())
+    track = smooth(rig.recorded())
     after = track.t > carried + 0.5
     status = np.array([s is Status.LOCALISED for s in track.status])
     assert status[~after].mean() > 0.5
@@ -77,12 +49,12 @@ def test_smoothing_is_not_sure_where_the_robot_may_have_been_carried_off():
 
 @pytest.mark.parametrize("given", [BEARING_SIGMA / 10, None])
 def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
-    rig = Logged(ring(10), mount=Pose(0.2, 0.0, 0.0), promise=None)
+    rig = Rig(ring(10), mount=Pose(0.2, 0.0, 0.0)).record()
     start, rig.pose = rig.pose, Pose(0.0, 0.0, 0.0)
     rig.home = {n: HomeBearing(b) for n, b in rig.look().items()}
     rig.pose = start
     rig.drive(60)
-    drive = rig.logged()
+    drive = rig.recorded()
     sensor = drive.settings.sensor.model_copy(update={"bearing_sigma": given})
     told = drive.settings.model_copy(update={"sensor": sensor})
     track = smooth(dataclasses.replace(drive, settings=told))
@@ -99,12 +71,12 @@ def test_smoothing_with_a_camera_and_a_noise_that_were_not_as_told(given):
 
 @pytest.mark.parametrize("wrong", [False, True])
 def test_a_wrong_start_is_found_out_and_told(wrong):
-    rig = Logged(ring(10))
+    rig = Rig(ring(10)).record()
     begin = rig.pose
     rig.drive(40)
     R, theta = math.hypot(begin.x, begin.y), math.atan2(begin.y, begin.x)
     start = Start(R=R + wrong, theta=theta + wrong, alpha=begin.heading - wrong)
-    drive = rig.logged()
+    drive = rig.recorded()
     told = drive.settings.model_copy(update={"start": start})
     track = run(drive, Localizer(drive.home, **told.robot))
     truth = rig.answers[-1][1]

@@ -72,9 +72,7 @@ def drive(delay, time_constant, seconds=90.0, given=NOTHING):
     return localizer, np.array(off)
 
 
-@pytest.mark.parametrize(
-    ("delay", "time_constant"), [(0.1, 0.2), (0.0, 0.25), (0.2, 0.0), (0.0, 0.0)]
-)
+@pytest.mark.parametrize(("delay", "time_constant"), [(0.0, 0.25), (0.2, 0.0), (0.0, 0.0)])
 def test_delay_and_time_constant_of_a_robot_are_estimated(delay, time_constant):
     localizer, off = drive(delay, time_constant)
     found = localizer.chart.map.smoother.state.calibration[[DELAY, TIME_CONSTANT]]

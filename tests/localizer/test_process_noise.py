@@ -189,9 +189,9 @@ def test_a_steady_speed_has_no_noise_of_samples():
     assert np.mean(steady) == pytest.approx(0.3, abs=0.03)
 
 
-@pytest.mark.parametrize(("size", "times"), [(0.1, 0.3), (1.0, 0.1), (1.0, 3.0)])
-def test_nothing_told_costs_little(size, times):
-    rmse, nees, pose, at_best, _, _ = row(*drive_of(size, times, 0, 80.0), False)
+@pytest.mark.parametrize("times", [0.1, 3.0])
+def test_nothing_told_costs_little(times):
+    rmse, nees, pose, at_best, _, _ = row(*drive_of(1.0, times, 0, 80.0), False)
     assert rmse < 1.25 * at_best
     assert 2.2 < nees < 3.5
     assert pose > 90.0
@@ -212,10 +212,9 @@ def test_what_is_usual_of_odometry_counts_until_it_is_learnt():
     assert (told.scale_prior(0.1) == 1.0).all()
 
 
-@pytest.mark.parametrize("seed", [0, 3])
-def test_a_table_top_is_a_small_room(seed):
+def test_a_table_top_is_a_small_room():
     def rmse(size):
-        drive = drive_of(1.0, 0.3, seed, 90.0)[1].drive
+        drive = drive_of(1.0, 0.3, 3, 90.0)[1].drive
         way, truth = drive.odometry, drive.truth
         drive = dataclasses.replace(
             drive,

@@ -152,7 +152,7 @@ def test_a_camera_that_looks_elsewhere_gives_no_pose_after_20_s(degrees, given):
     home = {n: HomeBearing(float(wrap(b.bearing - turn)), b.sigma) for n, b in rig.home.items()}
     sensor = Sensor(x=0.0, y=0.0, yaw=0.0) if given else Sensor(x=0.0, y=0.0)
     rig.localizer = Localizer(home, **rig.settings.robot | {"sensor": sensor})
-    answer = rig.drive(40, see=lambda seen: {n: float(wrap(b - turn)) for n, b in seen.items()})
+    answer = rig.drive(30, see=lambda seen: {n: float(wrap(b - turn)) for n, b in seen.items()})
     assert answer.reason == Reason.CAMERA_YAW.words
     assert f"they fit {degrees} degrees" in rig.localizer.notes[-1]
     localised = [a for a, _ in rig.answers if a.status is Status.LOCALISED and a.t > 120.0]

@@ -52,9 +52,8 @@ def beyond(answers):
     return np.mean(off)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_spinning_wheels_leave_a_pose_and_no_false_one(seed):
-    rig = Rig(ring(8, seed), seed, promise=None)
+def test_spinning_wheels_leave_a_pose_and_no_false_one():
+    rig = Rig(ring(8, 1), 1, promise=None)
     rig.drive(40, see=ahead)
     begun = len(rig.answers)
     drive(rig, 15, still, lambda _: Twist(0.5, 1.0))

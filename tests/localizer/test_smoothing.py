@@ -7,9 +7,8 @@ import numpy as np
 import pytest
 from rig import BEARING_SIGMA, Rig, ring
 
-from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.folder import read_folder
-from homeward.estimator import Estimate, Status
+from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
@@ -20,35 +19,11 @@ ELSEWHERE = Pose(-1.2, 0.5, 0.3)
 """Another home, from which some landmarks were seen under their home bearings."""
 
 
-class Recorder:
-    """Stands where the localiser does, and keeps what it is fed."""
-
-    def __init__(self):
-        self.twists, self.seen = [], []
-
-    def odometry(self, *twist):
-        """Keep a twist."""
-        self.twists.append(twist)
-
-    def bearings(self, t, sightings, _):
-        """Keep sightings."""
-        self.seen += [(t, name, value) for name, value in sightings.items()]
-        return Estimate(t, Status.WAITING, "only recorded")
-
-
 def recorded(landmarks, faults, seconds=40):
     """A drive among landmarks, the home bearings of some of them being wrong."""
-    rig = Rig(landmarks, seed=3, faults=faults, promise=None)
-    rig.localizer = Recorder()
+    rig = Rig(landmarks, seed=3, faults=faults).record()
     rig.drive(seconds)
-    t, names, values = zip(*rig.localizer.seen, strict=True)
-    sightings = Sightings(
-        np.array(t), np.array(names), np.array(values), np.full(len(t), BEARING_SIGMA)
-    )
-    stamps = np.array([answer.t for answer, _ in rig.answers])
-    truth = Truth(stamps, *np.array([pose for _, pose in rig.answers]).T)
-    odometry = Odometry(*np.array(rig.localizer.twists).T)
-    return Drive("recorded", odometry, sightings, rig.home, rig.settings, truth)
+    return rig.recorded(BEARING_SIGMA)
 
 
 def seen_from_elsewhere(landmarks, names):
@@ -120,18 +95,19 @@ def heading_deviations(track, truth):
 
 
 @pytest.mark.parametrize(
-    ("seconds", "turn", "blind"), [(1.0, 0.6, 1.5), (3.0, 1.2, 0.5), (3.0, 1.2, 2.0)]
+    ("blind", "lost"),
+    [(0.5, 0.01), (2.0, 0.15)],  # in the second, a new map begins
 )
-def test_after_a_slip_poses_are_right_or_absent(seconds, turn, blind):
+def test_after_a_slip_poses_are_right_or_absent(blind, lost):
     drive = recorded(ring(10), {}, seconds=60)
     begin = drive.odometry.t[0] + 20.0
     o, seen = drive.odometry, drive.sightings
-    slips = (o.t >= begin) & (o.t < begin + seconds)
+    slips = (o.t >= begin) & (o.t < begin + 3.0)
     ahead = np.abs(seen.bearing) < 1.3
     dark = (seen.t >= begin) & (seen.t < begin + blind)
     drive = dataclasses.replace(
         drive,
-        odometry=dataclasses.replace(o, omega=o.omega + slips * turn / seconds),
+        odometry=dataclasses.replace(o, omega=o.omega + 0.4 * slips),
         sightings=seen.rows(ahead & ~dark),
     )
     track = smooth(drive)
@@ -139,7 +115,6 @@ def test_after_a_slip_poses_are_right_or_absent(seconds, turn, blind):
     assert (off > 4.0).mean() < 0.01
     assert deviations(track, drive.truth).max() < 4.0
     assert track.has_pose[track.t > begin + 9.0].mean() > 0.85
-    lost = 0.15 if (seconds, blind) == (3.0, 2.0) else 0.01  # there, a new map begins
     assert track.has_pose.mean() > 1.0 - lost
 
 
