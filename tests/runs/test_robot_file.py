@@ -26,7 +26,7 @@ from homeward.runs.calibration import Value, _from_truth, as_keys, combined, for
 TOO_LONG = 0.05
 """The speed of the simulated odometry is too large by this share."""
 CHANGES = {
-    "trajectory.duration": 70.0,
+    "trajectory.duration": 50.0,
     "rates.odometry": 10.0,
     "rates.bearings": 2.5,
     "odometry.speed_scale": TOO_LONG,

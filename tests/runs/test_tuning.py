@@ -39,7 +39,7 @@ def without_noise(seconds):
 
 
 def test_the_noise_of_a_drive_is_identified_and_consistent():
-    drive, true = without_noise(30.0)
+    drive, true = without_noise(24.0)
     fractions = []
     found = tune([drive], fractions.append)
     assert fractions == sorted(fractions)

@@ -57,14 +57,15 @@ def test_deviations_are_those_of_noisy_corners_and_tilts(name):
     camera, shape = CAMERAS[name]
     camera = camera.model_copy(update={"tilt_sigma": 0.01})
     rng = np.random.default_rng(4)
-    errors = []
+    seen, middles = [], []
     for _ in range(4000):
         corners, middle = tag_in_space(rng)
         shaken = tilt_matrix(*(0.01 * rng.standard_normal(2)))
-        seen = np.column_stack(camera.pixels(*angles(corners @ shaken), shape))
-        seen = seen + 0.3 * rng.standard_normal((4, 2))
-        bearing, sigma = tag_bearings(seen[None], 0.3, camera, shape)
-        errors.append((bearing[0] - angles(middle)[0]) / sigma[0])
+        pixels = np.column_stack(camera.pixels(*angles(corners @ shaken), shape))
+        seen.append(pixels + 0.3 * rng.standard_normal((4, 2)))
+        middles.append(middle)
+    bearing, sigma = tag_bearings(np.array(seen), 0.3, camera, shape)
+    errors = (bearing - angles(np.array(middles))[0]) / sigma
     # The variance of 4,000 has a deviation of 2.2 %.
     assert np.var(errors) == pytest.approx(1.0, abs=0.09)
 

@@ -105,8 +105,9 @@ CASES = KINDS | {
 
 
 @needs_cpp
-@pytest.mark.parametrize("group", [1, 4])
-@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize(
+    ("name", "group"), [*((name, 4) for name in CASES), ("ekf", 1), ("a-ekf, one of 5", 1)]
+)
 def test_the_kernel_does_what_the_processor_does(name, group, monkeypatch, tmp_path):
     history = ("state", "covariance", "pose", "control", "error", "nees", "bearings", "active")
     job = homing_job(monkeypatch, CASES[name], history=history)
