@@ -62,20 +62,28 @@ def pytest_xdist_auto_num_workers() -> Generator[None, int, int]:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Import no other tests where only those of the interpreter or of the core are wanted."""
-    wanted = {"interpreter": _is_of_interpreter, "core": _is_of_core}.get(config.option.markexpr)
+    """Import no tests that are not wanted: those of the core, of the interpreter, or the others."""
+    wanted = {
+        "interpreter": _is_of_interpreter,
+        "core": _is_of_core,
+        "not core": lambda file: not _is_of_core(file),
+    }.get(config.option.markexpr)
     if wanted is None:
         return None
-    if collection_path.parent.name == "tests" and collection_path.is_dir():
-        within = CORE if config.option.markexpr == "core" else INTERPRETER
+    if collection_path.name.startswith("test_"):
+        return not wanted(collection_path) or None
+    within = {"core": CORE, "interpreter": INTERPRETER}.get(config.option.markexpr)
+    if within and collection_path.parent.name == "tests" and collection_path.is_dir():
         return not any(name.startswith(f"{collection_path.name}/") for name in within) or None
-    return (collection_path.name.startswith("test_") and not wanted(collection_path)) or None
+    return None
 
 
+@cache
 def _is_of_interpreter(file: Path) -> bool:
     return file.relative_to(Path(__file__).parent).as_posix().startswith(INTERPRETER)
 
 
+@cache
 def _is_of_core(file: Path) -> bool:
     name = file.relative_to(Path(__file__).parent).as_posix()
     return name.startswith(CORE) and not OUTSIDE_CORE.search(file.read_text(encoding="utf-8"))
