@@ -19,13 +19,14 @@ from visited import mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
-from homeward.estimator import Estimate, Status
+from homeward.estimator import Estimate, Innovation, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.live.messages import BearingsIn, Reset, line_of
 from homeward.live.server import Address
 from homeward.live.shared import client
 from homeward.live.shared import server as serving
 from homeward.live.shared.client import join_place
+from homeward.live.shared.fits import Fits
 from homeward.live.shared.merging import QUARANTINED, SharedPlace
 from homeward.live.shared.messages import place_message, place_of, visit_message, visit_of
 from homeward.live.shared.server import PlaceServer
@@ -270,6 +271,19 @@ def test_a_robot_reports_since_when_it_has_not_seen_a_landmark_where_its_map_has
     t, message = link.versions[-1]
     assert message.ages["L03"] == pytest.approx(t - since, abs=0.3)
     assert max(age for name, age in message.ages.items() if name != "L03") < 1.0
+
+
+@pytest.mark.parametrize(("fit", "outdated"), [(False, {"left"}), (True, set())])
+def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdated):
+    fits = Fits()
+    for k in range(30):
+        seen = ("front", "left") if k < 10 else ("front",)
+        accepted = {"front": fit or not 10 <= k < 20, "left": True}
+        innovations = [Innovation(name, 0.0, 0.01, accepted[name]) for name in seen]
+        estimate = Estimate(0.1 * k, Status.LOCALISED, "", innovations=tuple(innovations))
+        fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(seen, 0.0)), estimate)
+    assert fits.outdated([("front", "left"), ("other",)]) == outdated
+    assert fits.last == pytest.approx({"front": 2.9, "left": 0.9})
 
 
 @contextlib.contextmanager

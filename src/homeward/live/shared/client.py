@@ -31,6 +31,7 @@ from homeward.live.place_session import (
     require_enough,
 )
 from homeward.live.server import WRONG_TOKEN, Address, address, given_token
+from homeward.live.shared.fits import Fits
 from homeward.live.shared.messages import (
     MAX_LINE,
     Join,
@@ -54,9 +55,6 @@ SHARE_S = 3.0
 CHANGE_S = 1.0
 """... during that time after a change of the robot's map, and while the server waits for a version
 that confirms a change of the place."""
-NEW_MISFITS = 3
-"""A landmark was mapped, or mapped elsewhere, if a sighting fits its position after this number did
-not: fewer are outliers."""
 TIMEOUT_S = 20.0
 """A server that does not answer for this time after a visit is disconnected [s]."""
 FINISH_S = 30.0
@@ -266,11 +264,7 @@ class SharedPlaceSession(PlaceSession):
             self._link.visit, self._last = secrets.token_hex(8), None
         self._frames: list[tuple[Pose, list[str]]] = []
         self._frame_s, self._frame_at, self._newest = FRAME_S, -1e300, 0.0
-        self._fitted: dict[str, float] = {}
-        """When a sighting of each landmark last fitted the robot's own map [s] ..."""
-        self._misfits: dict[str, int] = {}
-        """... and the number of sightings since then, while it is not mapped where it is."""
-        self._changed_at = self._shared_at = -1e300
+        self._fits, self._shared_at = Fits(), -1e300
         self._link.is_unconfirmed = False
 
     def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
@@ -288,7 +282,7 @@ class SharedPlaceSession(PlaceSession):
         """Add bearings and the answer to them."""
         super().see(message, estimate)
         self._newest = message.t
-        self._count_fits(message, estimate)
+        self._fits.add(message, estimate)
         if estimate.pose is None or abs(message.t - self._frame_at) < self._frame_s:
             return
         self._frame_at = message.t
@@ -297,19 +291,9 @@ class SharedPlaceSession(PlaceSession):
             del self._frames[::2]
             self._frame_s *= 2.0
 
-    def _count_fits(self, message: BearingsIn, estimate: Estimate) -> None:
-        """Update when each landmark was where the robot's own map has it."""
-        fits = [i.landmark for i in estimate.innovations if i.accepted]
-        for name in message.bearings.keys() - {*fits}:
-            self._misfits[name] = self._misfits.get(name, 0) + 1
-        for name in fits:
-            self._fitted[name] = message.t
-            if self._misfits.pop(name, 0) >= NEW_MISFITS:
-                self._changed_at = message.t
-
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
         """Send the visit so far while the robot is localised: changes soon, the rest in time."""
-        is_changing = estimate.t - self._changed_at < SHARE_S or self._link.is_unconfirmed
+        is_changing = estimate.t - self._fits.changed_at < SHARE_S or self._link.is_unconfirmed
         interval = CHANGE_S if is_changing else SHARE_S
         if not self.update or abs(estimate.t - self._shared_at) < interval:
             return
@@ -338,7 +322,8 @@ class SharedPlaceSession(PlaceSession):
         self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False
     ) -> VisitMessage:
         assert self.place is not None
-        require_enough(own := own_map(localizer))
+        own, together = own_map(localizer), drive.settings.together
+        require_enough(own := own.marginal({*own.names} - self._fits.outdated(together)))
         sensor = drive.settings.sensor
         poses = np.array([pose for pose, _ in self._frames]).reshape(-1, 3)
         cameras = compose(poses, np.broadcast_to(np.array(sensor.pose), poses.shape))
@@ -350,8 +335,8 @@ class SharedPlaceSession(PlaceSession):
         if is_last:  # a recording of this session is then recognised
             evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
         about = self._link.visit, evidence, self.when, own, None, home
-        visit = self._with_stored(VisitData(*about, together=drive.settings.together))
-        ages = {n: max(self._newest - t, 0.0) for n, t in self._fitted.items()}
+        visit = self._with_stored(VisitData(*about, together=together))
+        ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
         return visit_message(visit, counts, ages, home, is_last)
 
     def _receive(self, place: Place) -> None:
