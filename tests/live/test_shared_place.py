@@ -162,6 +162,24 @@ def test_a_wrong_robot_does_not_change_the_place_of_the_others(folder):
     assert load_place(folder).visits[-1].verdict == "apart"
 
 
+def test_a_robot_with_a_distorted_map_does_not_bend_the_place_of_the_others(folder):
+    """All landmarks are shifted together: each alone by little more than chance."""
+    place = load_place(folder)
+    bend = np.zeros_like(place.map.mean)
+    bend[1:40:2] = 0.03 * (place.map.positions[:, 0] / 5.0) ** 2
+    variances = np.where(np.arange(bend.size) < 40, 1e-4, 1e-6)
+    bent = replace(place.map, covariance=np.diag(variances) + np.outer(bend, bend))
+    save_place(replace(place, map=bent), folder, 1)
+    shared, true = SharedPlace(folder), dict(zip(bent.names, bent.positions, strict=True))
+    share(shared, visited("right", true))
+    clean = shared.with_all()
+    shifts = 12.0 * bend[:40].reshape(-1, 2)
+    share(shared, visited("bent", {n: true[n] + s for n, s in zip(true, shifts, strict=True)}))
+    assert shared.visits["right"].changes is not None
+    assert shared.visits["bent"].changes is None
+    assert np.array_equal(shared.with_all().map.mean, clean.map.mean)
+
+
 def test_a_restarted_server_has_all_visits(folder):
     shared = SharedPlace(folder)
     for message in 2 * [visited("one", pushed(room(), "L3")), visited("two", room(30))]:

@@ -75,17 +75,22 @@ def merged(place: Place, data: VisitData) -> Place:
     tested, stayed = _moved_probabilities(place, data)
     stays = place.stays(data.when)
     expected = sum(stays[n] for n in tested)
-    apart = Visit(place.next_visit, data.when, data.drive, data.evidence, "apart", of=len(stays))
-    kept_apart = replace(place, visits=_visits(place, apart))
     if len(stayed) < max(VERIFIED, MIN_STAYED_SHARE * expected):
-        return kept_apart
+        return kept_apart(place, data)
     theirs = data.map
     moved = [n for n, wrong in tested.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.persistence]
     there = _with_map(place, data.when, theirs.marginal({*stayed, *moved, *new}), stayed)
     if there is None:
-        return kept_apart
+        return kept_apart(place, data)
     return _with_stored(_updated(place, there, data, tested, moved, new), data)
+
+
+def kept_apart(place: Place, data: VisitData) -> Place:
+    """Return a place that only lists a visit, as "apart"."""
+    known = len(place.persistence)
+    apart = Visit(place.next_visit, data.when, data.drive, data.evidence, "apart", of=known)
+    return replace(place, visits=_visits(place, apart))
 
 
 def merged_places(place: Place, other: Place) -> Place:

@@ -23,7 +23,7 @@ from homeward.localizer.tunables import INLIER
 from homeward.places import files
 from homeward.places.place import DAY_S, Place
 from homeward.places.visit_data import VisitData
-from homeward.places.visiting import merged
+from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
 from homeward.runs.report.words import visit_words
 
 LIVE = "live"
@@ -234,10 +234,18 @@ def _agree(one: _Position | None, other: _Position | None) -> bool:
 
 
 def _with(place: Place, data: VisitData) -> Place:
-    """Return a place with a visit, without its homes and routes whose names are taken."""
+    """Return a place with a visit, without its homes and routes whose names are taken.
+
+    A visit that distorts the place is kept apart: it moves most of the landmarks that stayed by
+    more than their standard deviation explains. A robot's own map may be distorted for a moment.
+    """
     homes = {n: home for n, home in data.homes.items() if n not in place.homes}
     routes = {n: route for n, route in data.routes.items() if n not in place.routes}
-    return merged(place, replace(data, homes=homes, routes=routes))
+    after = merged(place, replace(data, homes=homes, routes=routes))
+    changed = {n for _, n in _changes(place, after)}
+    was, now = _positions(place), _positions(after)
+    agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
+    return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)
 
 
 def _with_all(place: Place, visits: Mapping[str, VisitData]) -> Place:
