@@ -4,9 +4,9 @@
 mapped the hall on the day before. Then `homeward place serve` serves the place, and two robots that
 stand elsewhere (kidnapped robots) join it over TCP and patrol the outer aisles, half a round apart.
 Every 30 s a box is moved that neither has in view. Printed are the figures of each robot, and the
-times from the first sighting of each moved box by one robot until its own map has the new position,
-and until the other robot has it from the server. The server runs on the wall clock, so the
-simulation is at most as fast as it, and runs with the same seed differ.
+times from the first sighting of each moved box until the own map of a robot has its new position,
+and until both robots have it, in their own map or in the place of the server. The server runs on
+the wall clock, so the simulation is at most as fast as it, and runs with the same seed differ.
 """
 
 from __future__ import annotations
@@ -64,10 +64,12 @@ class Move:
     seen_t: float = math.nan
     seen_wall: float = math.nan
     """... and when, on the wall clock [s]."""
+    mapped_by: int | None = None
+    """Robot whose own map had the new position of a tag first ..."""
     mapped_wall: float = math.nan
-    """When that robot's own map had its new position, on the wall clock [s]."""
+    """... and when, on the wall clock [s]."""
     known_wall: float = math.nan
-    """When the other robot had its new position from the server [s]."""
+    """When the other robot had it, too [s]."""
 
 
 def goals(first: str, number: int) -> list[msg.Input]:
@@ -134,15 +136,17 @@ class Patrol:
         return (time.monotonic() - self._wall) / max(self.world.t - self.began, 1e-9)
 
     def _move(self) -> None:
-        """Move a box that is in the place, and that no robot has in view."""
+        """Move a box that is in the place, was not moved, and that no robot has in view."""
         place = self.places[0].place
         assert place is not None
+        moved = [move.box.name for move in self.moves]
         in_view = {n for k in range(2) for n in corners_in_view(self.world, k)[0]}
         for k in self._rng.permutation(len(self.world.present)):
             box = self.world.present[k]
             tags = set(map(str, box.tags))
             near = [math.dist((box.x, box.y), r.vehicle.pose[:2]) for r in self.robots]
-            if min(near) > FAR_M and tags & {*place.map.names} and not tags & in_view:
+            is_hidden = min(near) > FAR_M and not tags & in_view
+            if is_hidden and tags & {*place.map.names} and box.name not in moved:
                 self.world.move(box)
                 self.moves.append(Move(box, self.world.t))
                 return
@@ -159,15 +163,22 @@ class Patrol:
                         move.seen_by, move.seen_t, move.seen_wall = k, self.world.t, now
                 continue
             true = {tag: positions[tag] for tag in tags}
-            mapped = (m for m in self.robots[move.seen_by].landmarks if m.x is not None)
-            own = {m.landmark: (m.x, m.y) for m in mapped}
-            if math.isnan(move.mapped_wall) and _is_known(own, true):
-                move.mapped_wall = now
-            place = self.places[1 - move.seen_by].place
-            assert place is not None
-            others = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
-            if math.isnan(move.known_wall) and _is_known(others, true):
+            owners = [k for k in range(2) if _is_known(self._own_map(k), true)]
+            if math.isnan(move.mapped_wall) and owners:
+                move.mapped_by, move.mapped_wall = owners[0], now
+            known = [k in owners or _is_known(self._place(k), true) for k in range(2)]
+            if math.isnan(move.known_wall) and all(known):
                 move.known_wall = now
+
+    def _own_map(self, k: int) -> dict[str, Any]:
+        """Return the positions of tags in the own map of a robot."""
+        return {m.landmark: (m.x, m.y) for m in self.robots[k].landmarks if m.x is not None}
+
+    def _place(self, k: int) -> dict[str, Any]:
+        """Return the positions of tags in the place that a robot received last."""
+        place = self.places[k].place
+        assert place is not None
+        return dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
 
     def report(self) -> str:
         """Return the figures of the robots and of the moved boxes."""
@@ -189,13 +200,15 @@ class Patrol:
             if move.seen_by is None:
                 lines.append(words + "not seen again")
                 continue
-            mapped, known = (
-                "never" if math.isnan(t) else f"{t - move.seen_wall:.1f} s later"
-                for t in (move.mapped_wall, move.known_wall)
-            )
+            words += f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, "
+            if move.mapped_by is None:
+                lines.append(words + "in no map")
+                continue
+            known = move.known_wall - move.seen_wall
             lines.append(
-                words + f"seen by robot {move.seen_by + 1} at {move.seen_t - self.began:.1f} s, "
-                f"in its map {mapped}, known to robot {2 - move.seen_by} {known}"
+                words + f"in the map of robot {move.mapped_by + 1} "
+                f"{move.mapped_wall - move.seen_wall:.1f} s later, known to both "
+                + ("never" if math.isnan(known) else f"{known:.1f} s later")
             )
         lines.append(f"a second of the simulation took {self.seconds_per_second:.1f} s")
         return "\n".join(lines)

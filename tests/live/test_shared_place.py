@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import itertools
 import json
 import math
 import shutil
@@ -18,13 +19,14 @@ from visited import mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
 from homeward.errors import InputError
-from homeward.estimator import Estimate, Status
+from homeward.estimator import Estimate, Innovation, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.live.messages import BearingsIn, Reset, line_of
 from homeward.live.server import Address
 from homeward.live.shared import client
 from homeward.live.shared import server as serving
 from homeward.live.shared.client import join_place
+from homeward.live.shared.fits import Fits
 from homeward.live.shared.merging import QUARANTINED, SharedPlace
 from homeward.live.shared.messages import place_message, place_of, visit_message, visit_of
 from homeward.live.shared.server import PlaceServer
@@ -83,7 +85,7 @@ def test_a_visit_that_grows_counts_once(folder):
 def test_a_robot_receives_what_others_saw_and_nothing_of_its_own(folder):
     shared, before = SharedPlace(folder), load_place(folder)
     share(shared, visited("one", pushed(room(), "L3")), visited("two", room(30)))
-    whole, each = shared.without_each()
+    whole, each = shared.with_all(), shared.without_each()
     assert len(whole.map.names) == 30
     assert len(each["two"].map.names) == 20
     assert at(each["two"], "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
@@ -95,10 +97,37 @@ def test_a_change_is_used_when_the_next_version_confirms_it(folder):
     shared, before = SharedPlace(folder), load_place(folder)
     for places, moves in ((pushed(room(), "L3"), 0.0), (room(), 0.0), (pushed(room(), "L3"), 0.0)):
         shared.add(visited("one", places), NOW)
-        off = at(shared.without_each()[0], "L3") - at(before, "L3")
+        off = at(shared.with_all(), "L3") - at(before, "L3")
         assert np.hypot(*off) == pytest.approx(moves, abs=0.05)
     shared.add(visited("one", pushed(room(), "L3")), NOW)
-    assert at(shared.without_each()[0], "L3") - at(before, "L3") == pytest.approx(PUSH, abs=0.05)
+    assert at(shared.with_all(), "L3") - at(before, "L3") == pytest.approx(PUSH, abs=0.05)
+
+
+def test_a_change_is_not_confirmed_by_a_version_with_another_position(folder):
+    shared, before = SharedPlace(folder), load_place(folder)
+    for push, moves in ((PUSH, 0.0), (-PUSH, 0.0), (-PUSH, 1.0)):
+        shared.add(visited("one", room() | {"L3": room()["L3"] + push}), NOW)
+        off = at(shared.with_all(), "L3") - at(before, "L3")
+        assert off == pytest.approx(moves * push, abs=0.05)
+
+
+def test_a_robot_that_only_sees_a_moved_landmark_leaves_its_position_to_the_one_that_mapped_it(
+    folder,
+):
+    shared, before = SharedPlace(folder), load_place(folder)
+    without = {n: p for n, p in room().items() if n != "L3"}
+    mapping = visited("mapping", pushed(room(), "L3"), 1, {"L3": 5.0})
+    share(shared, mapping, visited("passing", without, 2, {"L3": 0.5}))
+    for place in (shared.with_all(), shared.without_each()["passing"]):
+        assert at(place, "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
+
+
+def test_a_robot_that_mapped_a_moved_landmark_too_receives_the_position_of_the_other(folder):
+    shared, before = SharedPlace(folder), load_place(folder)
+    early = visited("early", pushed(room(), "L3"), 1, {"L3": 60.0})
+    share(shared, early, visited("late", pushed(room(), "L3"), 2, {"L3": 5.0}))
+    for place in shared.without_each().values():
+        assert at(place, "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
 
 
 @pytest.mark.parametrize("order", [("old", "new"), ("new", "old")])
@@ -109,28 +138,46 @@ def test_the_visit_that_saw_a_moved_landmark_last_decides(folder, order):
         "new": visited("new", pushed(room(), "L3"), 2, {"L3": 5.0}),
     }
     share(shared, *(visits[name] for name in order))
-    assert at(shared.without_each()[0], "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
+    assert at(shared.with_all(), "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
 
 
 def test_a_wrong_robot_does_not_change_the_place_of_the_others(folder):
     shared = SharedPlace(folder)
     share(shared, visited("good", pushed(room(), "L3")))
-    clean = shared.without_each()[0]
+    clean = shared.with_all()
     mirrored = {n: p * (1.0, -1.0) for n, p in room().items()}
     shared.add(visited("mirrored", mirrored), NOW)
     stretched = {n: p * (1.4, 1.0) for n, p in room().items()}
     shared.add(visited("stretched", stretched), NOW)
     assert shared.visits["mirrored"].changes is None
     assert shared.visits["stretched"].changes is None
-    now = shared.without_each()[0]
+    now = shared.with_all()
     assert np.array_equal(now.map.mean, clean.map.mean)
     larger = {n: 1.2 * p for n, p in pushed(room(), "L3").items()}  # wrong wheels
     share(shared, visited("larger", larger))
     assert shared.visits["larger"].changes == {("moved", "L3")}
-    assert np.abs(shared.without_each()[0].map.positions - clean.map.positions).max() < 0.05
+    assert np.abs(shared.with_all().map.positions - clean.map.positions).max() < 0.05
     result = shared.add(visited("mirrored", mirrored, ended=True), NOW)
     assert "contradicts the place" in result
     assert load_place(folder).visits[-1].verdict == "apart"
+
+
+def test_a_robot_with_a_distorted_map_does_not_bend_the_place_of_the_others(folder):
+    """All landmarks are shifted together: each alone by little more than chance."""
+    place = load_place(folder)
+    bend = np.zeros_like(place.map.mean)
+    bend[1:40:2] = 0.03 * (place.map.positions[:, 0] / 5.0) ** 2
+    variances = np.where(np.arange(bend.size) < 40, 1e-4, 1e-6)
+    bent = replace(place.map, covariance=np.diag(variances) + np.outer(bend, bend))
+    save_place(replace(place, map=bent), folder, 1)
+    shared, true = SharedPlace(folder), dict(zip(bent.names, bent.positions, strict=True))
+    share(shared, visited("right", true))
+    clean = shared.with_all()
+    shifts = 12.0 * bend[:40].reshape(-1, 2)
+    share(shared, visited("bent", {n: true[n] + s for n, s in zip(true, shifts, strict=True)}))
+    assert shared.visits["right"].changes is not None
+    assert shared.visits["bent"].changes is None
+    assert np.array_equal(shared.with_all().map.mean, clean.map.mean)
 
 
 def test_a_restarted_server_has_all_visits(folder):
@@ -139,9 +186,7 @@ def test_a_restarted_server_has_all_visits(folder):
         shared.add(message, time.time())
     again = SharedPlace(folder)
     assert {*again.visits} == {"one", "two"}
-    assert again.without_each()[0].map.mean == pytest.approx(
-        shared.without_each()[0].map.mean, abs=1e-9
-    )
+    assert again.with_all().map.mean == pytest.approx(shared.with_all().map.mean, abs=1e-9)
     again.visits["one"] = replace(again.visits["one"], received=0.0)
     assert "is silent" in again.end_abandoned(time.time())[0]
     assert {*SharedPlace(folder).visits} == {"two"}
@@ -166,6 +211,97 @@ def test_homes_and_places_are_equal_after_the_way_through_a_message(folder):
     assert np.array_equal(place_of(place_message(place)).map.mean, place.map.mean)
     with pytest.raises(InputError, match="damaged"):
         place_of(place_message(place).model_copy(update={"data": "AAAA"}))
+
+
+class DirectLink:
+    """Connection of a session to a shared place in the same process, on the clock of a rig."""
+
+    def __init__(self, shared):
+        self.shared, self.first, self.visit = shared, shared.place, "one"
+        self.is_unconfirmed, self.clock, self.versions = False, lambda: 0.0, []
+        self.began = time.time()
+
+    def share(self, message):
+        self.shared.add(message, self.began + self.clock())
+        self.is_unconfirmed = bool(self.shared.visits[message.visit].unconfirmed)
+        self.versions.append((self.clock(), message))
+
+
+def test_a_moved_landmark_is_in_the_place_two_seconds_after_the_robot_has_mapped_it(
+    hall,  # noqa: F811
+    tmp_path,
+):
+    link = DirectLink(SharedPlace(shutil.copytree(hall, tmp_path / "hall")))
+    there = at(link.shared.place, "L03") + PUSH
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
+    rig = Rig(0, place=client.SharedPlaceSession(link, update=True), **LANDMARKS | start)
+    link.clock = lambda: rig.robot.t
+    rig.until(localised, 3.0)
+
+    def spoil(message):
+        if isinstance(message, BearingsIn) and "L03" in message.bearings:
+            seen = message.bearings | {"L03": float(bearing(rig.robot.pose, *there))}
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+
+    def has(position):
+        return position is not None and math.dist(position, there) < 0.1
+
+    def own(_):
+        own = {m.landmark: (m.x, m.y) for m in rig.session.localisation.estimator.landmarks()}
+        return has(own.get("L03"))
+
+    rig.until(own)
+    mapped_at = rig.robot.t
+
+    def served(_):
+        joint = link.shared.with_all().map.in_home_frame("home")
+        return has(dict(zip(joint.names, joint.positions, strict=True)).get("L03"))
+
+    rig.until(served)
+    assert rig.robot.t - mapped_at < 2.0
+    rig.until(lambda _: rig.robot.t > mapped_at + 8.0)
+    intervals = np.diff([t for t, _ in link.versions])
+    assert intervals.min() > client.CHANGE_S - 0.1
+    assert intervals.max() > client.SHARE_S - 0.1  # while nothing changes
+
+
+def test_a_robot_reports_since_when_it_has_not_seen_a_landmark_where_its_map_has_it(
+    hall,  # noqa: F811
+    tmp_path,
+):
+    link = DirectLink(SharedPlace(shutil.copytree(hall, tmp_path / "hall")))
+    rig = Rig(0, place=client.SharedPlaceSession(link, update=True), **LANDMARKS)
+    link.clock = lambda: rig.robot.t
+    rig.until(localised, 3.0).until(lambda _: link.versions and "L03" in link.versions[-1][1].ages)
+    since, off = rig.robot.t, itertools.cycle([1.2, -1.5])
+
+    def spoil(message):
+        if isinstance(message, BearingsIn) and "L03" in message.bearings:
+            seen = message.bearings | {"L03": message.bearings["L03"] + next(off)}
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+    rig.until(lambda _: link.versions[-1][0] > since + 2.0)
+    t, message = link.versions[-1]
+    assert message.ages["L03"] == pytest.approx(t - since, abs=0.3)
+    assert max(age for name, age in message.ages.items() if name != "L03") < 1.0
+
+
+@pytest.mark.parametrize(("fit", "outdated"), [(False, {"left"}), (True, set())])
+def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdated):
+    fits = Fits()
+    for k in range(30):
+        seen = ("front", "left") if k < 10 else ("front",)
+        accepted = {"front": fit or not 10 <= k < 20, "left": True}
+        innovations = [Innovation(name, 0.0, 0.01, accepted[name]) for name in seen]
+        estimate = Estimate(0.1 * k, Status.LOCALISED, "", innovations=tuple(innovations))
+        fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(seen, 0.0)), estimate)
+    assert fits.outdated([("front", "left"), ("other",)]) == outdated
+    assert fits.last == pytest.approx({"front": 2.9, "left": 0.9})
 
 
 @contextlib.contextmanager

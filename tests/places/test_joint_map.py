@@ -1,10 +1,11 @@
 """Two maps become one: no more is known of it than is right, wherever they lie."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from visited import mapped, new_place, room
+from visited import SCALE_SIGMA, SIGMA, mapped, new_place, room
 
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.frames import Pose, bearing, compose
@@ -76,3 +77,23 @@ def test_a_home_is_found_by_what_was_seen_there():
     found = exact.with_home("home", seen, np.array(mounts), near, np.diag([25.0, 25.0, 9.0]))
     assert found.poses[0] == pytest.approx(np.array(home), abs=1e-4)
     assert 1e-4 < math.sqrt(found.covariance[-3, -3]) < 1e-2
+
+
+def test_a_place_keeps_its_size_over_many_visits_that_have_no_scale():
+    rng, places = np.random.default_rng(0), room(40)
+
+    def size(joint):
+        return np.linalg.norm(joint.positions - joint.positions.mean(axis=0))
+
+    def as_measured(pose):
+        joint = mapped(places, rng, pose)
+        variances = SIGMA**2 * np.eye(joint.mean.size)
+        spread = variances + SCALE_SIGMA**2 * np.outer(joint.mean, joint.mean)
+        return replace(joint, covariance=spread)
+
+    place = as_measured((0.0, 0.0, 0.0))
+    before = size(place)
+    for _ in range(10):
+        visit = as_measured((1.0, -2.0, rng.uniform(-3.0, 3.0)))
+        place, _ = fused(place, visit, list(places), scale_sigma=0.3)
+    assert size(place) == pytest.approx(before, rel=0.01)

@@ -124,11 +124,20 @@ class JointMap:
         vague = np.square([VAGUE_SHARE * size, VAGUE_SHARE * size, VAGUE_SHARE])
         return replace(self, covariance=self.covariance + (by_motion * vague) @ by_motion.T)
 
-    def with_vague_scale(self, sigma: float) -> JointMap:
-        """Return a map without homes with an additional error of its scale."""
+    def with_vague_scale(self, sigma: float, known: JointMap | None = None) -> JointMap:
+        """Return a map without homes with an additional error of its scale.
+
+        Its direction is that of the positions in a `known` map in the same frame, where it has
+        them: the errors of own positions are correlated with their innovations, which would then
+        shrink the known map at each fusion.
+        """
         if not (sigma and self.names):
             return self
-        off = (self.positions - self.positions.mean(axis=0)).ravel()
+        off = self.positions.copy()
+        if known is not None:
+            both = [n for n in self.names if n in known.names]
+            off.ravel()[self.columns(both)] = known.mean[known.columns(both)]
+        off -= off.mean(axis=0)
         return replace(self, covariance=self.covariance + sigma**2 * np.outer(off, off))
 
     def _by_rigid_motion(self) -> np.ndarray:
@@ -200,17 +209,21 @@ def datum(place: JointMap, visit: JointMap, names: Collection[str]) -> np.ndarra
     return align(there, mine.positions, mine.covariance + rotated(own, turn.T)).pose
 
 
-def fused(place: JointMap, visit: JointMap, same: Collection[str]) -> tuple[JointMap, float]:
+def fused(
+    place: JointMap, visit: JointMap, same: Collection[str], scale_sigma: float = 0.0
+) -> tuple[JointMap, float]:
     """Return the fusion of two independent maps in the frame of the first, and their disagreement.
 
     The pose of the second map is unknown, and estimated from the landmarks at the `same` place in
     both (two or more). Landmarks and homes of only one map are kept and corrected through their
-    correlations. Landmarks that moved get their position from the visit. The disagreement is the
-    mean normalised innovation squared: 1 if the maps are consistent.
+    correlations. Landmarks that moved get their position from the visit. The scale of the visit has
+    an additional error, of standard deviation `scale_sigma` [1]. The disagreement is the mean
+    normalised innovation squared: 1 if the maps are consistent.
     """
     pose = datum(place, visit, same)
     size = VAGUE_SHARE * max(place.size, visit.size)
     there = visit.in_frame_of(pose, np.diag(np.square([size, size, VAGUE_TURN])))
+    there = there.with_vague_scale(scale_sigma, place.marginal(same, ()))
     kept = place.marginal([n for n in place.names if n in same or n not in visit.names])
     n, m = kept.mean.size, there.mean.size
     mean = np.concatenate([kept.mean, there.mean])

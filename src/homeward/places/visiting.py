@@ -71,21 +71,27 @@ def merged(place: Place, data: VisitData) -> Place:
     """
     place.require_new(data.drive, data.evidence)
     placed = _well_placed(data.map)
-    data = replace(data, map=data.map.with_vague_scale(data.scale_sigma))
-    tested, stayed = _moved_probabilities(place, data)
+    scaled = replace(data, map=data.map.with_vague_scale(data.scale_sigma))
+    tested, stayed = _moved_probabilities(place, scaled)
     stays = place.stays(data.when)
     expected = sum(stays[n] for n in tested)
-    apart = Visit(place.next_visit, data.when, data.drive, data.evidence, "apart", of=len(stays))
-    kept_apart = replace(place, visits=_visits(place, apart))
     if len(stayed) < max(VERIFIED, MIN_STAYED_SHARE * expected):
-        return kept_apart
+        return kept_apart(place, data)
     theirs = data.map
     moved = [n for n, wrong in tested.items() if wrong > 0.5 and n in placed]
     new = [n for n in theirs.names if n in placed and n not in place.persistence]
-    there = _with_map(place, data.when, theirs.marginal({*stayed, *moved, *new}), stayed)
+    used = theirs.marginal({*stayed, *moved, *new})
+    there = _with_map(place, data.when, used, stayed, data.scale_sigma)
     if there is None:
-        return kept_apart
+        return kept_apart(place, data)
     return _with_stored(_updated(place, there, data, tested, moved, new), data)
+
+
+def kept_apart(place: Place, data: VisitData) -> Place:
+    """Return a place that only lists a visit, as "apart"."""
+    known = len(place.persistence)
+    apart = Visit(place.next_visit, data.when, data.drive, data.evidence, "apart", of=known)
+    return replace(place, visits=_visits(place, apart))
 
 
 def merged_places(place: Place, other: Place) -> Place:
@@ -142,9 +148,11 @@ def merged_places(place: Place, other: Place) -> Place:
     return replace(there, visits=_visits(place, visit), events=events)
 
 
-def _with_map(place: Place, when: float, theirs: JointMap, stayed: list[str]) -> Place | None:
+def _with_map(
+    place: Place, when: float, theirs: JointMap, stayed: list[str], scale_sigma: float = 0.0
+) -> Place | None:
     """Return a place with map and routes after fusion with another map; None on disagreement."""
-    joint, disagreement = fused(place.aged(when), theirs, stayed)
+    joint, disagreement = fused(place.aged(when), theirs, stayed, scale_sigma)
     if disagreement > INLIER**2:
         return None
     now = joint.at_home(place.origin)

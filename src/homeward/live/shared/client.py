@@ -31,6 +31,7 @@ from homeward.live.place_session import (
     require_enough,
 )
 from homeward.live.server import WRONG_TOKEN, Address, address, given_token
+from homeward.live.shared.fits import Fits
 from homeward.live.shared.messages import (
     MAX_LINE,
     Join,
@@ -50,7 +51,10 @@ from homeward.runs.report.words import count, listing
 
 SCHEME = "tcp://"
 SHARE_S = 3.0
-"""Interval at which the visit is sent [s]."""
+"""Interval at which the visit is sent [s] ..."""
+CHANGE_S = 1.0
+"""... during that time after a change of the robot's map, and while the server waits for a version
+that confirms a change of the place."""
 TIMEOUT_S = 20.0
 """A server that does not answer for this time after a visit is disconnected [s]."""
 FINISH_S = 30.0
@@ -76,6 +80,8 @@ class ServerLink:
 
     def __init__(self, address: Address, token: str | None, place: str | None) -> None:
         self._address, self._token, self.visit = address, token, secrets.token_hex(8)
+        self.is_unconfirmed = False
+        """Whether the next version of the visit has to confirm changes."""
         self.on_place: Callable[[Place], None] = lambda _: None
         self.on_event: Callable[[str, bool], None] = lambda *_: None
         self._waiting: dict[str, VisitMessage] = {}
@@ -217,6 +223,8 @@ class ServerLink:
                 self._is_lost, self._backoff, self._last_error = False, MIN_BACKOFF_S, ""
                 self.on_place(place_of(reply))
             case Kept(visit=name, text=text):
+                if name == self.visit:
+                    self.is_unconfirmed = reply.unconfirmed
                 with self._kept:
                     sent = self._sent.pop(name, None)
                     if self._waiting.get(name) is sent:
@@ -256,8 +264,8 @@ class SharedPlaceSession(PlaceSession):
             self._link.visit, self._last = secrets.token_hex(8), None
         self._frames: list[tuple[Pose, list[str]]] = []
         self._frame_s, self._frame_at, self._newest = FRAME_S, -1e300, 0.0
-        self._seen: dict[str, float] = {}
-        self._shared_at = time.monotonic()
+        self._fits, self._shared_at = Fits(), -1e300
+        self._link.is_unconfirmed = False
 
     def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
         """Call `on_change`, on any thread, when the place changed."""
@@ -274,7 +282,7 @@ class SharedPlaceSession(PlaceSession):
         """Add bearings and the answer to them."""
         super().see(message, estimate)
         self._newest = message.t
-        self._seen.update(dict.fromkeys(message.bearings, message.t))
+        self._fits.add(message, estimate)
         if estimate.pose is None or abs(message.t - self._frame_at) < self._frame_s:
             return
         self._frame_at = message.t
@@ -284,12 +292,13 @@ class SharedPlaceSession(PlaceSession):
             self._frame_s *= 2.0
 
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
-        """Send the visit so far, every `SHARE_S`, while the robot is localised."""
-        now = time.monotonic()
-        if not self.update or now - self._shared_at < SHARE_S:
+        """Send the visit so far while the robot is localised: changes soon, the rest in time."""
+        is_changing = estimate.t - self._fits.changed_at < SHARE_S or self._link.is_unconfirmed
+        interval = CHANGE_S if is_changing else SHARE_S
+        if not self.update or abs(estimate.t - self._shared_at) < interval:
             return
         if estimate.status is Status.LOCALISED:
-            self._shared_at = now
+            self._shared_at = estimate.t
             try:
                 self._last = self._message(localizer, drive, home)
             except HomewardError:  # too little so far
@@ -313,7 +322,8 @@ class SharedPlaceSession(PlaceSession):
         self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False
     ) -> VisitMessage:
         assert self.place is not None
-        require_enough(own := own_map(localizer))
+        own, together = own_map(localizer), drive.settings.together
+        require_enough(own := own.marginal({*own.names} - self._fits.outdated(together)))
         sensor = drive.settings.sensor
         poses = np.array([pose for pose, _ in self._frames]).reshape(-1, 3)
         cameras = compose(poses, np.broadcast_to(np.array(sensor.pose), poses.shape))
@@ -325,8 +335,8 @@ class SharedPlaceSession(PlaceSession):
         if is_last:  # a recording of this session is then recognised
             evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
         about = self._link.visit, evidence, self.when, own, None, home
-        visit = self._with_stored(VisitData(*about, together=drive.settings.together))
-        ages = {n: max(self._newest - t, 0.0) for n, t in self._seen.items()}
+        visit = self._with_stored(VisitData(*about, together=together))
+        ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
         return visit_message(visit, counts, ages, home, is_last)
 
     def _receive(self, place: Place) -> None:

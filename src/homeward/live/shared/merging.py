@@ -19,10 +19,11 @@ from homeward.io.reading import naming
 from homeward.io.writing import write_whole
 from homeward.live.messages import line_of
 from homeward.live.shared.messages import VisitMessage, parse_request, visit_of
+from homeward.localizer.tunables import INLIER
 from homeward.places import files
 from homeward.places.place import DAY_S, Place
 from homeward.places.visit_data import VisitData
-from homeward.places.visiting import merged
+from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
 from homeward.runs.report.words import visit_words
 
 LIVE = "live"
@@ -34,6 +35,9 @@ SCALE_SIGMA = 0.3
 wheel radius would scale the place of all [1]."""
 QUARANTINED = "this visit contradicts the place and is not merged: other robots do not use it"
 
+_Position = tuple[np.ndarray, float]
+"""Position of a landmark in the place (2,) and its standard deviation [m]."""
+
 RESET = "reset the map to begin another visit"
 
 
@@ -43,14 +47,17 @@ class LiveVisit:
 
     data: VisitData
     seen: Mapping[str, float]
-    """When each landmark was last seen, on the server's clock [s since 1970]."""
+    """When each landmark was last seen where the visit has it, on the server's clock [s since
+    1970]; only of its own map: a robot that saw a landmark from one place only has no position."""
     received: float
     """[s since 1970]"""
     changes: frozenset[tuple[str, str]] | None
     """Its changes of the place, such as (moved, landmark); None if it contradicts the place."""
+    positions: Mapping[str, _Position]
+    """Positions of its landmarks (2,) in the place [m], and their standard deviations [m]."""
     unconfirmed: frozenset[str]
-    """Landmarks that its earlier version did not change in this way: a landmark seen from few
-    places may be mapped wrongly for some seconds. They are ignored."""
+    """Landmarks that its earlier version did not change in this way, or not to this position: a
+    landmark seen from few places may be mapped wrongly for some seconds. They are ignored."""
 
 
 class SharedPlace:
@@ -77,12 +84,11 @@ class SharedPlace:
     @property
     def state(self) -> object:
         """Value that changes when robots need the place again."""
-        visits = {name: v for name, v in self.visits.items() if v.changes is not None}
-        about = {
-            n: frozenset(c for c in v.changes or () if c[1] not in v.unconfirmed)
-            for n, v in visits.items()
+        changes = {
+            name: frozenset(c for c in visit.changes or () if c[1] not in visit.unconfirmed)
+            for name, visit in self.visits.items()
         }
-        return self.place.next_visit, about
+        return self.place.next_visit, {name: some for name, some in changes.items() if some}
 
     def add(self, message: VisitMessage, now: float) -> str:
         """Replace the version of a visit, on disk, too; return the result if it ended.
@@ -122,15 +128,19 @@ class SharedPlace:
         self._file(name).unlink(missing_ok=True)
         return result
 
-    def without_each(self) -> tuple[Place, dict[str, Place]]:
-        """Return the place with all visits, and for each visit the place without it."""
-        visits = self._without_older_sightings()
-        return _with_all(self.place, visits), _without_each(self.place, visits)
+    def with_all(self) -> Place:
+        """Return the place with all visits."""
+        return _with_all(self.place, self._without_older_sightings())
+
+    def without_each(self) -> dict[str, Place]:
+        """Return for each visit the place without it."""
+        return _without_each(self.place, self._without_older_sightings())
 
     def _without_older_sightings(self) -> dict[str, VisitData]:
         """Return the visits that agree with the place, without changes that are not confirmed.
 
-        A landmark of the place that moved is only in the visit that saw it last.
+        A landmark of the place that moved is only in the visit that saw it last, and in those that
+        agree with its position.
         """
         agreeing = {name: v for name, v in self.visits.items() if v.changes is not None}
         moved = {
@@ -139,13 +149,19 @@ class SharedPlace:
             for what, n in v.changes or ()
             if what != "new" and n not in v.unconfirmed
         }
-        last = {n: self._seen_in_place(n) for n in moved}
+        here = _positions(self.place)
+        last = {n: (self._seen_in_place(n), here.get(n)) for n in moved}
         for visit in agreeing.values():
-            for n in moved & visit.seen.keys():
-                last[n] = max(last[n], visit.seen[n])
+            for n in moved & visit.seen.keys() - visit.unconfirmed:
+                if visit.seen[n] > last[n][0]:
+                    last[n] = visit.seen[n], visit.positions.get(n)
         found = {}
         for name, visit in agreeing.items():
-            older = {n for n in moved if visit.seen.get(n, 0.0) < last[n]}
+            older = {
+                n
+                for n, (t, there) in last.items()
+                if visit.seen.get(n, 0.0) < t and not _agree(visit.positions.get(n), there)
+            }
             own = visit.data.map.marginal({*visit.data.map.names} - older - visit.unconfirmed)
             found[name] = replace(visit.data, map=own)
         return found
@@ -159,17 +175,24 @@ class SharedPlace:
     def _set(self, message: VisitMessage, now: float, is_confirmed: bool) -> None:
         """Replace the version of a visit, and compare it with the place."""
         data = replace(visit_of(message, now / DAY_S), scale_sigma=SCALE_SIGMA)
-        seen, changes = {n: now - age for n, age in message.ages.items()}, None
+        seen = {n: now - message.ages[n] for n in data.map.names if n in message.ages}
+        changes, at = None, dict[str, _Position]()
         with suppress(HomewardError, np.linalg.LinAlgError):
             after = _with(self.place, data)
             if after.visits[-1].verdict != "apart":
-                changes = _changes(self.place, after)
-        before = self.visits.get(message.visit)
-        earlier = (before.changes if before is not None else None) or frozenset()
-        new = (
-            frozenset() if is_confirmed else frozenset(n for _, n in (changes or earlier) - earlier)
-        )
-        self.visits[message.visit] = LiveVisit(data, seen, now, changes, new)
+                changes, at = _changes(self.place, after), _positions(after)
+                at = {n: at[n] for n in data.map.names if n in at}
+        new = frozenset[str]()
+        if changes and not is_confirmed:
+            before = self.visits.get(message.visit)
+            earlier = (before.changes if before is not None else None) or frozenset()
+            was = before.positions if before is not None else {}
+            new = frozenset(
+                n
+                for what, n in changes
+                if (what, n) not in earlier or not _agree(at.get(n), was.get(n))
+            )
+        self.visits[message.visit] = LiveVisit(data, seen, now, changes, at, new)
 
     def _is_merged(self, visit: str) -> bool:
         return any(v.drive == visit for v in self.place.visits)
@@ -196,11 +219,33 @@ def _changes(before: Place, after: Place) -> frozenset[tuple[str, str]]:
     return frozenset((e.what, e.landmark) for e in after.events if e.visit >= before.next_visit)
 
 
+def _positions(place: Place) -> dict[str, _Position]:
+    """Return positions (2,) [m] and standard deviations [m] of the landmarks of a place."""
+    each = zip(place.map.positions, place.map.sigmas.tolist(), strict=True)
+    return dict(zip(place.map.names, each, strict=True))
+
+
+def _agree(one: _Position | None, other: _Position | None) -> bool:
+    """Return whether two positions of a landmark agree, or both are unknown."""
+    if one is None or other is None:
+        return one is other
+    off = np.hypot(*(one[0] - other[0]))
+    return bool(off <= INLIER * np.hypot(one[1], other[1]))
+
+
 def _with(place: Place, data: VisitData) -> Place:
-    """Return a place with a visit, without its homes and routes whose names are taken."""
+    """Return a place with a visit, without its homes and routes whose names are taken.
+
+    A visit that distorts the place is kept apart: it moves most of the landmarks that stayed by
+    more than their standard deviation explains. A robot's own map may be distorted for a moment.
+    """
     homes = {n: home for n, home in data.homes.items() if n not in place.homes}
     routes = {n: route for n, route in data.routes.items() if n not in place.routes}
-    return merged(place, replace(data, homes=homes, routes=routes))
+    after = merged(place, replace(data, homes=homes, routes=routes))
+    changed = {n for _, n in _changes(place, after)}
+    was, now = _positions(place), _positions(after)
+    agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
+    return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)
 
 
 def _with_all(place: Place, visits: Mapping[str, VisitData]) -> Place:

@@ -102,7 +102,7 @@ class VisitMessage(Strict):
     frames: dict[Id, tuple[Count, Count]] = {}
     """Number of frames with each landmark in view, and with it seen."""
     ages: dict[Id, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
-    """Time since each landmark was last seen [s]."""
+    """Time since each landmark was last seen where `map` has it [s]."""
     homes: dict[Name, HomeData] = {}
     routes: dict[Name, RouteData] = {}
     together: tuple[tuple[Id, ...], ...] = ()
@@ -114,6 +114,8 @@ class Kept(Strict):
     type: Literal["kept"] = "kept"
     visit: VisitId
     ended: bool = False
+    unconfirmed: bool = False
+    """Whether it changes the place in a way that the next version has to confirm."""
     text: str = ""
 
 

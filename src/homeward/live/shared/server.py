@@ -30,7 +30,7 @@ from homeward.live.shared.messages import (
 from homeward.places.place import Place
 
 UPDATE_S = 1.0
-"""Interval at which changes of the place are sent [s]."""
+"""Minimum interval between places that are sent [s]; the first change is sent at once."""
 REFINE_S = 30.0
 """Interval at which a place is sent that became more accurate, without other changes [s]."""
 
@@ -66,9 +66,13 @@ class PlaceServer:
         self._robots, self._conversations = set[_Robot](), set[asyncio.Task[None]]()
         self._quarantined: set[str] = set()
         self._places = shared.without_each()
-        """The place with all visits, and without each, as they were sent last."""
-        self._sent: object = None
+        """The place without each visit, as it was sent last."""
+        self._whole: Place | None = None
+        """The place with all visits, if a robot needed it since then."""
+        self._sent = shared.state
         self._sent_at, self._received, self._cost_s = 0.0, 0, 0.0
+        self._news = asyncio.Event()
+        """Whether a visit was received since the place was last compared."""
 
     async def serve(
         self, where: Address, opened: Callable[[int], None], ended: asyncio.Event | None = None
@@ -145,8 +149,7 @@ class PlaceServer:
         if len(self._robots) >= MAX_CLIENTS:
             raise InputError(f"too many connections: at most {MAX_CLIENTS}")
         robot.visit = join.visit
-        whole, without = self._places
-        self._send_place(robot, without.get(join.visit or "", whole))
+        self._send_place(robot, self._place_without(join.visit))
         self._robots.add(robot)
 
     def _receive(self, robot: _Robot, line: bytes) -> None:
@@ -156,10 +159,13 @@ class PlaceServer:
         self._received += 1
         robot.visit = message.visit if not message.ended else robot.visit
         result = self._shared.add(message, time.time())
-        robot.send(Kept(visit=message.visit, ended=bool(result), text=result))
+        self._news.set()
+        visit = self._shared.visits.get(message.visit)
+        unconfirmed = visit is not None and bool(visit.unconfirmed)
+        about = Kept(visit=message.visit, ended=bool(result), unconfirmed=unconfirmed, text=result)
+        robot.send(about)
         if result:
             self._log(f"visit {message.visit}: {result}")
-        visit = self._shared.visits.get(message.visit)
         if visit is not None and (visit.changes is None) != (message.visit in self._quarantined):
             self._quarantined ^= {message.visit}
             text = QUARANTINED if visit.changes is None else "this visit is merged again"
@@ -169,24 +175,34 @@ class PlaceServer:
     async def _update(self) -> None:
         """Send the place to each robot for which the visits of others changed it."""
         while True:
-            await asyncio.sleep(UPDATE_S)
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._news.wait(), REFINE_S)
+            wait = max(UPDATE_S, (1.0 / MAX_LOAD - 1.0) * self._cost_s)
+            await asyncio.sleep(max(self._sent_at + wait - time.monotonic(), 0.0))
+            self._news.clear()
             now = time.monotonic()
             for text in self._shared.end_abandoned(time.time()):
                 self._log(text)
-            if now - self._sent_at < (1.0 / MAX_LOAD - 1.0) * self._cost_s:
-                continue
             refines = self._received and now - self._sent_at > REFINE_S
             if self._shared.state == self._sent and not refines:
                 continue
             self._sent, self._received = self._shared.state, 0
-            self._places = whole, without = self._shared.without_each()
+            self._places, self._whole = self._shared.without_each(), None
             for robot in list(self._robots):
-                place = without.get(robot.visit or "", whole)
+                place = self._place_without(robot.visit)
                 if robot.place is None or not is_same(robot.place, place):
                     self._send_place(robot, place)
                     await asyncio.sleep(0)
             self._sent_at = time.monotonic()
             self._cost_s = self._sent_at - now
+
+    def _place_without(self, visit: str | None) -> Place:
+        """Return the place for a robot."""
+        if visit in self._places:
+            return self._places[visit]
+        if self._whole is None:
+            self._whole = self._shared.with_all()
+        return self._whole
 
     def _send_place(self, robot: _Robot, place: Place) -> None:
         robot.place = place
