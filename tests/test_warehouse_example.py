@@ -11,8 +11,10 @@ pytest.importorskip("mujoco", reason="needs the extra demo-physics")
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 from examples.warehouse.detections import Camera, Simulated, corners_in_view
-from examples.warehouse.robot import Base
-from examples.warehouse.world import Box, World
+from examples.warehouse.robot import Base, Robot
+from examples.warehouse.world import RACK_DEPTH, RACKS, Box, World
+from homeward.geometry.frames import Pose
+from homeward.live.messages import GoTo, TurnHome
 
 
 def driven(seed: int) -> tuple[np.ndarray, tuple[float, ...], tuple[float, float]]:
@@ -94,8 +96,8 @@ def test_two_robots_sense_each_other_and_drive_each_by_itself():
     world = World(0, boxes=0, people=0, starts=((3.0, 4.0, 0.0), (5.0, 4.0, math.pi)))
     first, second = Base(world, 0), Base(world, 1)
     world.advance(0.2)
-    for one in (first, second):  # from the front of the robot to the mast of the other
-        assert one.free_ahead() == pytest.approx(2.0 - 0.26 - 0.185, abs=0.03)
+    for one in (first, second):  # from front to front
+        assert one.free() == pytest.approx(2.0 - 0.26 - 0.25, abs=0.03)
     second.drive(0.3, 0.0)
     for _ in range(50):
         world.advance(0.02)
@@ -107,11 +109,37 @@ def test_two_robots_sense_each_other_and_drive_each_by_itself():
     assert any("2" in name for name in world.robots[0].touches())
 
 
+def test_the_scanner_sees_an_empty_shelf_and_what_is_behind():
+    world = World(0, boxes=0, people=0)
+    for heading, sign in ((math.pi / 2, 1), (-math.pi / 2, -1)):  # 1 m from the edge of a rack
+        world.robots[0].carry(6.0, RACKS[0] - RACK_DEPTH / 2 - 1.0, heading)
+        assert Base(world).free(sign) == pytest.approx(1.0 - 0.26, abs=0.01)
+
+
+def test_a_blocked_robot_backs_off_and_reaches_its_goal_when_the_way_is_free():
+    world = World(0, boxes=24, people=0)
+    robot = Robot(world, Simulated(world), [TurnHome(), GoTo(x=1.0, y=0.0)], Pose(1.5, 4.0, 0.0))
+    box, backed_off = world.present[-1], 0.0
+    while not robot.done and world.t < 90.0:
+        x, y, _ = world.robots[0].pose
+        is_first = len(robot.outcomes) == 1
+        if is_first and robot.doing.startswith("driving") and box.slot is not None:
+            world.place(box, x + 0.9, y, 0.0, 0.0)  # dropped in front of the robot
+        elif not is_first and box.slot is None:
+            world.move(box)
+        robot.tick()
+        if robot.doing.startswith("backing"):
+            backed_off += math.dist((x, y), world.robots[0].pose[:2])
+    turned, blocked, arrived = robot.outcomes
+    assert (turned.state, blocked.state, arrived.state) == ("turned", "failed", "arrived")
+    assert blocked.reason.startswith("blocked")
+    assert backed_off > 0.3
+
+
 def test_scan_matching_follows_a_robot_in_the_hall_it_was_mapped_in():
     pytest.importorskip("small_gicp", reason="needs the extra bench")
     from examples.warehouse.laser import LaserPeer
     from homeward.drives.drive import Samples
-    from homeward.geometry.frames import Pose
 
     world = World(3, people=0)
     base, laser, errors = Base(world), LaserPeer(world, 3), []

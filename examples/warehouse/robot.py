@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import Protocol
 
 import mujoco
@@ -43,10 +44,12 @@ SEARCH = 0.15, 0.5
 """Speed [m/s] and turn rate [rad/s] of circles until the robot is localised."""
 SEARCH_S = 4.0
 """Minimum time of a search [s]."""
+SCAN_Z = 0.16, 0.22
+"""Heights of the scanner's planes: at the edge of the racks' lowest shelf, and above it [m]."""
+BACK, BACK_S, BACK_CLEAR = 0.2, 2.0, 0.3
+"""Speed [m/s] and time [s] of backing off from an obstacle, and the free distance it needs [m]."""
 CLEAR = 0.8
 """Free distance ahead without which a searching robot turns on the spot [m]."""
-TRIES = 4
-"""A goal is given up after this number of failures."""
 
 
 SETTINGS = DriveSettings(
@@ -63,7 +66,7 @@ class Eye(Protocol):
 
 
 class Base:
-    """Two wheels with encoders, and a scanner that looks ahead."""
+    """Two wheels with encoders, and a scanner that looks ahead and behind."""
 
     def __init__(self, world: World, number: int = 0) -> None:
         self._world, self._robot = world, world.robots[number]
@@ -80,16 +83,15 @@ class Base:
         left, right = (self._counts - before) * (math.tau / TICKS_PER_TURN * RADIUS / TICK_S)
         return float(left + right) / 2, float(right - left) / TRACK
 
-    def free_ahead(self) -> float:
-        """Return the free distance in front of the robot [m], at most 4."""
+    def free(self, sign: int = 1) -> float:
+        """Return the free distance ahead (sign 1) or behind (-1) of the robot [m], at most 4."""
         world, found = self._world, 4.0
         x, y, heading = self._robot.pose
-        c, s, hit = math.cos(heading), math.sin(heading), np.zeros(1, np.int32)
-        for side in (-0.24, -0.12, 0.0, 0.12, 0.24):
-            at = np.array([x + 0.26 * c - side * s, y + 0.26 * s + side * c, 0.22])
-            ahead = np.array([c, s, 0.0])
+        c, s, hit = sign * math.cos(heading), sign * math.sin(heading), np.zeros(1, np.int32)
+        for z, side in product(SCAN_Z, (-0.24, -0.12, 0.0, 0.12, 0.24)):
+            at, way = np.array([x + 0.26 * c - side * s, y + 0.26 * s + side * c, z]), [c, s, 0.0]
             body = self._robot.body
-            distance = mujoco.mj_ray(world.model, world.data, at, ahead, None, 1, body, hit)
+            distance = mujoco.mj_ray(world.model, world.data, at, way, None, 1, body, hit)
             if distance >= 0:
                 found = min(found, distance)
         return found
@@ -122,7 +124,6 @@ class Outcome:
     task: msg.Input
     state: str = ""
     reason: str = ""
-    tries: int = 0
     at: Pose | None = None
     """True pose at its end, in the home frame."""
     t: float = math.nan
@@ -134,8 +135,8 @@ class Robot:
 
     `see` gives the tags in view. Tasks are messages of the live protocol, done one after the other:
     `turn_home`, `go_to`, `go_home`. Before each goal the robot drives in circles until it is
-    localised; after a failure it turns on the spot. `home` is the true pose of home in the hall,
-    for scoring.
+    localised; after a failure it turns on the spot (and first backs off, if an obstacle caused it)
+    and tries again. `home` is the true pose of home in the hall, for scoring.
     """
 
     world: World
@@ -177,7 +178,7 @@ class Robot:
         self._waiting: deque[tuple[int, msg.BearingsIn]] = deque()
         self._todo = deque(self.tasks)
         self._current: Outcome | None = None
-        self._search_until = -math.inf
+        self._search_until = self._back_until = -math.inf
         self._status = Status.WAITING
 
     @property
@@ -212,7 +213,7 @@ class Robot:
             self.look(now)
         while self._waiting and self._waiting[0][0] <= self._ticks:
             session.receive(self._waiting.popleft()[1], now)
-        free = self.base.free_ahead()
+        free = self.base.free()
         session.receive(msg.Obstacle(distance=free), now)
         if self._ticks % 50 == 0:
             session.request_landmarks()
@@ -257,6 +258,10 @@ class Robot:
             self.base.drive(0.0, 0.0)
             self.doing = "at rest"
             return
+        if self.world.t < self._back_until and self.base.free(-1) > BACK_CLEAR:
+            self.base.drive(-BACK, 0.0)
+            self.doing = "backing off from an obstacle"
+            return
         task = self._todo[0]
         searches = not isinstance(task, msg.TurnHome) and (
             self._status is not Status.LOCALISED
@@ -270,20 +275,17 @@ class Robot:
             self.doing = "circling until localised" if circles else "turning to look round"
             return
         self._current = Outcome(self._todo.popleft())
-        self._start(self._current)
-
-    def _start(self, outcome: Outcome) -> None:
-        outcome.tries += 1
-        self.session.receive(outcome.task, self.world.t)
+        self.session.receive(self._current.task, self.world.t)
 
     def _finish(self, outcome: Outcome, command: msg.Command) -> None:
         outcome.state, outcome.reason = command.state, command.reason
         outcome.at, outcome.t = self.true_pose(), self.world.t
         self.events.append((self.world.t, self.doing))
         self._current = None
-        if command.state == "failed" and outcome.tries < TRIES:
+        if command.state == "failed":
             self._todo.appendleft(outcome.task)
-            self._search_until = self.world.t + SEARCH_S
+            self._back_until = self.world.t + BACK_S * command.reason.startswith("blocked")
+            self._search_until = self._back_until + SEARCH_S
         elif command.state == "turned":
             self._search_until = self.world.t + SEARCH_S
         self.outcomes.append(outcome)

@@ -8,6 +8,7 @@ import pytest
 
 from homeward.control.laws import (
     LAWS,
+    approach,
     average_landmark_vector,
     home_vector,
     homing,
@@ -66,6 +67,18 @@ def test_steering_never_raises_the_cost_and_ends_at_home_however_tight_its_bound
             assert now <= before + 1e-9
             before, pose = now, advance(pose, twist, 0.05)
         assert math.hypot(pose.x, pose.y) < 0.02
+
+
+@pytest.mark.parametrize("heading", [0.4, 1.5, -2.5, math.pi])
+def test_the_path_to_a_point_is_nearly_straight_and_the_distance_never_grows(heading):
+    pose, before = Pose(-4.0, 0.0, heading), 4.0
+    for _ in range(1500):
+        pose = advance(pose, approach(-pose.x, -pose.y, pose.heading, 0.5, 1.0), 0.02)
+        now = math.hypot(pose.x, pose.y)
+        assert abs(pose.y) < 0.2
+        assert now <= before
+        before = now
+    assert before < 0.01
 
 
 def test_the_way_home_is_about_as_long_as_it_is_near_home():
