@@ -292,7 +292,7 @@ class SharedPlaceSession(PlaceSession):
             self._frame_s *= 2.0
 
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
-        """Send the visit so far while the robot is localised: changes soon, the rest in time."""
+        """Send the visit while localised, every `CHANGE_S` after a change, else `SHARE_S`."""
         is_changing = estimate.t - self._fits.changed_at < SHARE_S or self._link.is_unconfirmed
         interval = CHANGE_S if is_changing else SHARE_S
         if not self.update or abs(estimate.t - self._shared_at) < interval:
