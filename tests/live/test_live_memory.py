@@ -15,10 +15,11 @@ from homeward.live.session import Session
 from homeward.live.settings import LiveSettings
 
 RATES = {"rates.odometry": 10.0, "rates.bearings": 10.0}
-MINUTES = 2
-"""Time between the two minutes that are compared, after the warm-up. The number of objects goes up
-and down by 3000 in half a minute, as odometry is forgotten in blocks: the lows are compared."""
-SAMPLE_S = 3.0
+MINUTES = 4
+"""Duration of the measurement after the warm-up."""
+BLOCK, LOWS = 1500, 4
+"""Odometry is forgotten in blocks, of more objects than this, every 25 s. Numbers are taken then,
+and the first and last of them are averaged."""
 MAX_OBJECTS = 200
 """Growth per minute: a third of one object kept of each of 10 answers a second."""
 MAX_BYTES = 100_000
@@ -41,18 +42,20 @@ def allocated():
 
 @pytest.mark.skipif(not hasattr(LIBC, "mallinfo2"), reason="no glibc of 2.33 or later")
 def test_a_recorded_session_grows_by_nothing_once_it_is_warm(tmp_path):
-    shuttle = Shuttle(WARM_S + 60.0 * (MINUTES + 1) + 1.0, **RATES)
+    shuttle = Shuttle(WARM_S + 60.0 * MINUTES, **RATES)
     robot = shuttle.robot.drive.settings
     recorder = Recorder(tmp_path / "recording", LiveSettings(), robot, {})
-    session, answers, rows = Session(LiveSettings(), robot, {}), 0, []
+    session, answers, rows, before = Session(LiveSettings(), robot, {}), 0, [], 0
     session.watch(recorder.keep)
     session.receive(shuttle.home(), 0.0)
     while not shuttle.done:
-        now = shuttle.robot.t
-        if now >= WARM_S + SAMPLE_S * len(rows):
+        now, blocks = shuttle.robot.t, sys.getallocatedblocks()
+        if now > WARM_S and blocks < before - BLOCK:
             shuttle.latencies.clear()
             gc.collect()
-            rows.append(allocated())
+            rows.append((now / 60.0, *allocated()))
+            blocks = rows[-1][1]
+        before = blocks
         for message in shuttle.step():
             session.receive(message, now)
         for said in session.process():
@@ -61,9 +64,9 @@ def test_a_recorded_session_grows_by_nothing_once_it_is_warm(tmp_path):
         if (command := session.tick(now)) is not None:
             shuttle.on_message(command)
     recorder.close()
-    assert answers > 570 * (WARM_S / 60.0 + MINUTES + 1)
-    minute = round(60.0 / SAMPLE_S)
-    lows = [np.min(part, axis=0) for part in (rows[:minute], rows[-minute:])]
-    objects, taken = (lows[1] - lows[0]) / MINUTES
-    assert objects < MAX_OBJECTS
-    assert taken < MAX_BYTES
+    assert answers > 9.5 * (WARM_S + 60.0 * MINUTES)
+    assert len(rows) >= 2 * LOWS
+    first, last = np.mean(rows[:LOWS], axis=0), np.mean(rows[-LOWS:], axis=0)
+    minutes, objects, taken = last - first
+    assert objects / minutes < MAX_OBJECTS
+    assert taken / minutes < MAX_BYTES
