@@ -284,7 +284,8 @@ class Robot:
         self._current = None
         if command.state == "failed":
             self._todo.appendleft(outcome.task)
-            self._back_until = self.world.t + BACK_S * command.reason.startswith("blocked")
+            is_blocked = command.reason.startswith("blocked")
+            self._back_until = self.world.t + (BACK_S if is_blocked else 0.0)
             self._search_until = self._back_until + SEARCH_S
         elif command.state == "turned":
             self._search_until = self.world.t + SEARCH_S

@@ -152,7 +152,7 @@ class Patrol:
                 return
 
     def _check(self) -> None:
-        """Note which robot sees a moved box, and whether the other knows its position."""
+        """Note when a robot sees a moved box, when one has its position, and when both do."""
         now = time.monotonic()
         positions = true_positions(self.world)
         for move in self.moves:

@@ -8,7 +8,6 @@ import pytest
 
 from homeward.control.laws import (
     LAWS,
-    approach,
     average_landmark_vector,
     home_vector,
     homing,
@@ -73,7 +72,7 @@ def test_steering_never_raises_the_cost_and_ends_at_home_however_tight_its_bound
 def test_the_path_to_a_point_is_nearly_straight_and_the_distance_never_grows(heading):
     pose, before = Pose(-4.0, 0.0, heading), 4.0
     for _ in range(1500):
-        pose = advance(pose, approach(-pose.x, -pose.y, pose.heading, 0.5, 1.0), 0.02)
+        pose = advance(pose, steer(-pose.x, -pose.y, pose.heading, 0.5, 1.0, 2.0), 0.02)
         now = math.hypot(pose.x, pose.y)
         assert abs(pose.y) < 0.2
         assert now <= before

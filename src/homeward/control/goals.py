@@ -16,7 +16,7 @@ import numpy as np
 
 from homeward.control import following
 from homeward.control.following import STAND
-from homeward.control.laws import BearingLaw, approach, home_vector, homing, steer
+from homeward.control.laws import BearingLaw, home_vector, homing, steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
@@ -86,7 +86,8 @@ class Goal(Protocol):
 class PointGoal(NamedTuple):
     """Point to drive to, by a homing law that uses the pose.
 
-    The default law is `homeward.control.laws.approach`. With the paper's, the speed is constant.
+    The default law is `homeward.control.laws.steer`, on a nearly straight path: the robot turns on
+    the spot until the point is within 45 degrees ahead. With the paper's, the speed is constant.
     """
 
     name: str
@@ -114,7 +115,7 @@ class PointGoal(NamedTuple):
                 twist = Twist(v, max(-limit, min(limit, omega)))
             else:
                 share = left / distance
-                twist = approach(share * dx, share * dy, heading, limits.speed, limit)
+                twist = steer(share * dx, share * dy, heading, limits.speed, limit, sharpness=2.0)
             return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)

@@ -125,28 +125,27 @@ def homing(polar: Polar, speed: Any) -> Twist:
     return Twist(speed, wrap(math.pi - (polar.alpha - polar.theta)))
 
 
-def steer(x: float, y: float, heading: float, speed: float, max_turn_rate: float) -> Twist:
+def steer(
+    x: float,
+    y: float,
+    heading: float,
+    speed: float,
+    max_turn_rate: float,
+    sharpness: float = 1.0,
+) -> Twist:
     """Return the command that drives a unicycle down a cost, with limited speed and turn rate.
 
     With e the bearing of the home vector (x, y) [m] from the robot's heading [rad], turn at clip(e
-    / 1 s) and drive at min(speed, |(x, y)| / 1 s) max(cos e, 0). The cost never increases, as its
-    rate is minus its slope times v cos e. It decreases except while the robot turns on the spot
-    towards a constant vector, for at most pi / 2 divided by the turn rate. So the robot reaches the
-    only point of zero slope from any pose, for any limits [m/s, rad/s].
+    / 1 s) and drive at min(speed, |(x, y)| / 1 s) cos(k e), k being the `sharpness` (at least 1),
+    while abs(k e) is below 90 degrees. The cost never increases, as its rate is minus its slope
+    times v cos e. It decreases except while the robot turns on the spot towards a constant vector,
+    for a bounded time. So the robot reaches the only point of zero slope from any pose, for any
+    limits [m/s, rad/s].
+
+    A larger `sharpness` makes the path to a point straighter: at 0.5 m/s it is off the line by at
+    most 0.37 m with 1, and 0.18 m with 2.
     """
     e = wrap(math.atan2(y, x) - heading)
     turn = max(-max_turn_rate, min(max_turn_rate, e))
-    return Twist(min(speed, math.hypot(x, y)) * max(math.cos(e), 0.0), turn)
-
-
-def approach(x: float, y: float, heading: float, speed: float, max_turn_rate: float) -> Twist:
-    """Return the command of `steer`, but drive with cos 2e instead of cos e, and below 45 degrees.
-
-    So the robot turns on the spot until the point (x, y) is within 45 degrees ahead, and its path
-    is nearly a straight line: off the line by 0.18 m at 0.5 m/s, not 0.37 m as with `steer`. The
-    cost still never increases.
-    """
-    e = wrap(math.atan2(y, x) - heading)
-    share = math.cos(2.0 * e) if abs(e) < math.pi / 4 else 0.0
-    omega = steer(x, y, heading, speed, max_turn_rate).omega
-    return Twist(min(speed, math.hypot(x, y)) * share, omega)
+    share = math.cos(sharpness * e) if sharpness * abs(e) < math.pi / 2 else 0.0
+    return Twist(min(speed, math.hypot(x, y)) * share, turn)

@@ -162,8 +162,9 @@ class PlaceServer:
         self._news.set()
         visit = self._shared.visits.get(message.visit)
         unconfirmed = visit is not None and bool(visit.unconfirmed)
-        about = Kept(visit=message.visit, ended=bool(result), unconfirmed=unconfirmed, text=result)
-        robot.send(about)
+        robot.send(
+            Kept(visit=message.visit, ended=bool(result), unconfirmed=unconfirmed, text=result)
+        )
         if result:
             self._log(f"visit {message.visit}: {result}")
         if visit is not None and (visit.changes is None) != (message.visit in self._quarantined):
