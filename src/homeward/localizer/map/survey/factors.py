@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -33,44 +34,57 @@ class Datum(NamedTuple):
     """(3, 2 k): Jacobian of the pose by the mapped positions."""
     covariance: np.ndarray
     """(3, 3): covariance of the pose for exact mapped positions."""
-    information: np.ndarray
-    """(2 k, 2 k): information on the mapped positions, the datum being eliminated."""
+    weights: np.ndarray
+    """(2 k, 2 k): inverse of the covariance of the surveyed positions, in their frame."""
+    weighted: np.ndarray
+    """(2 k, 3): `by_pose`, multiplied by the weights in the map's frame."""
+
+    @property
+    def information(self) -> np.ndarray:
+        """(2 k, 2 k): information on the mapped positions, the datum being eliminated."""
+        rotate = rotation(self.pose[2])[:2, :2]
+        return np.asarray(rotated(self.weights, rotate) - self.weighted @ self.by_places)
 
 
-def align(mapped: np.ndarray, surveyed: np.ndarray, covariance: np.ndarray) -> Datum:
+def align(
+    mapped: np.ndarray,
+    surveyed: np.ndarray,
+    covariance: np.ndarray,
+    weights: np.ndarray | None = None,
+) -> Datum:
     """Align a survey with the map by the rigid motion that fits best.
 
     In closed form for independent coordinates, then by Gauss-Newton with their full covariance.
     `mapped` and `surveyed` (k, 2) [m] are positions of the same landmarks, at least two, in the map
-    and in the survey's frame; `covariance` (2 k, 2 k) is of the latter.
+    and in the survey's frame; `covariance` (2 k, 2 k) is of the latter, and `weights` its inverse,
+    if known. A step is computed in the survey's frame, where the weights are constant.
     """
+    weights = np.linalg.inv(covariance) if weights is None else weights
     weight = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
     p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
     p0, q0 = (np.average(a, weights=weight) for a in (p, q))
     turn = np.exp(1j * np.angle((weight * (p - p0) * (q - q0).conj()).sum()))
     origin = p0 - turn * q0
     pose, step = np.array([origin.real, origin.imag, np.angle(turn)]), np.zeros(3)
-    weights = np.linalg.inv(covariance)
     for _ in range(ALIGNMENT_STEPS):
         pose = pose + step
         rotate = rotation(pose[2])[:2, :2]
         out = surveyed @ rotate.T
-        by_pose, residual = lever(out)[:, :2].reshape(-1, 3), mapped - pose[:2] - out
-        information = rotated(weights, rotate)
-        weighted = information @ by_pose
-        of_pose = np.linalg.inv(by_pose.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
-        by_places = of_pose @ weighted.T
-        step = by_places @ residual.ravel()
-    return Datum(pose, residual, by_pose, by_places, of_pose, information - weighted @ by_places)
+        by_pose, residual = lever(out)[:, :2], mapped - pose[:2] - out
+        local = (rotate.T @ by_pose).reshape(-1, 3)
+        weighted = weights @ local
+        of_pose = np.linalg.inv(local.T @ weighted + np.diag([0.0, 0.0, ONE_PLACE]))
+        step = of_pose @ (weighted.T @ (residual @ rotate).ravel())
+    weighted = (rotate @ weighted.reshape(-1, 2, 3)).reshape(-1, 3)
+    by_places = of_pose @ weighted.T
+    return Datum(pose, residual, by_pose.reshape(-1, 3), by_places, of_pose, weights, weighted)
 
 
 def rotated(matrix: np.ndarray, rotate: np.ndarray) -> np.ndarray:
     """Return a matrix (2 k, 2 k) on positions, in a rotated frame."""
-    k = len(matrix) // 2
-    blocks = np.einsum(
-        "ab,ibjc,dc->iajd", rotate, matrix.reshape(k, 2, k, 2), rotate, optimize=True
-    )
-    return np.asarray(blocks.reshape(2 * k, 2 * k))
+    n = len(matrix)
+    rows = rotate @ matrix.reshape(-1, 2, n)
+    return np.asarray((rows.reshape(-1, 2) @ rotate.T).reshape(n, n))
 
 
 @dataclass(frozen=True)
@@ -92,7 +106,11 @@ class SurveyFactors:
 
     def datum(self, positions: np.ndarray, index: np.ndarray) -> Datum:
         """Return the datum by positions (n, 2) of a state, those of `ids` at `index` (k,)."""
-        return align(positions[index], self.places, self.covariance)
+        return align(positions[index], self.places, self.covariance, self._weights)
+
+    @cached_property
+    def _weights(self) -> np.ndarray:
+        return np.linalg.inv(self.covariance)
 
     def add_to(self, e: NormalEquations, positions: np.ndarray, ids: np.ndarray) -> None:
         """Add them to normal equations of poses, calibration and n landmarks.
