@@ -11,7 +11,7 @@ from rig import NEES, Rig, ring
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.geometry.frames import Twist
+from homeward.geometry.frames import Pose, Twist
 from homeward.geometry.se2 import rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.elimination import NormalEquations
@@ -310,6 +310,23 @@ def test_a_surveyed_landmark_that_moves_on_the_way_is_followed():
     rig.drive(40.0)
     assert rig.moved() == {"L3"}
     assert rig.error() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_surveyed_landmark_that_a_robot_drives_straight_to_stays_in_place(seed):
+    """First seen on the way, so that it has no parallax."""
+    ahead = {"A": (10.0, 0.0), "B": (10.2, -0.4)}
+    rig = SurveyedRig(ring(8, seed, 2.0, 3.0) | ahead, seed, Pose(0.0, 0.0, 0.0))
+
+    def near(seen):
+        return {n: b for n, b in seen.items() if n not in ahead or rig.pose.x > 0.8}
+
+    for _ in range(30):
+        rig.drive(1.0, lambda _: Twist(0.2, 0.0), near)
+        assert rig.moved() == set()
+    survey = rig.localizer.chart.map.registration.survey
+    assert ahead.keys() <= {*survey.used}
+    assert rig.error() < 0.1
 
 
 def test_a_drive_brings_what_is_known_to_the_estimator_and_to_the_final_pass():

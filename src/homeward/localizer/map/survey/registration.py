@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from dataclasses import replace
 
 import numpy as np
 
@@ -60,26 +61,38 @@ class Registration:
         self._landmarks.expect(dict(zip(places, there, strict=True)))
 
     def fix_expected(self) -> None:
-        """Let surveyed landmarks initialised where expected determine the map for now.
+        """Let surveyed landmarks initialised where expected determine the map until `evaluate`.
 
-        A single sighting would leave each of them anywhere on its sight line.
+        A few sightings would leave each of them anywhere on its sight lines, even at the robot.
         """
-        mapped, smoother = self._landmarks.mapped, self._smoother
-        names = [n for n in self._landmarks.expected if n in mapped]
-        if len(names) >= MINIMAL and not smoother.survey.ids.size:
-            order = sorted(names, key=lambda n: mapped[n].number)
-            numbers = {n: mapped[n].number for n in order}
-            smoother.survey = self.survey.factors(order, [], numbers)
+        smoother, numbers = self._smoother, self._numbers
+        places, expected = smoother.state.positions, self._landmarks.expected
+        used = [n for n, number in numbers.items() if number in smoother.survey.ids]
+        new = [
+            n
+            for n in expected.keys() & numbers.keys() - {*used}
+            if np.array_equal(places[smoother.index(np.array(numbers[n]))], expected[n])
+        ]
+        if new and len(used) + len(new) >= MINIMAL:
+            names = sorted([*used, *new], key=lambda n: numbers[n])
+            fixed = self.survey.factors(names, [], numbers)
+            smoother.survey = replace(
+                smoother.survey, ids=fixed.ids, places=fixed.places, covariance=fixed.covariance
+            )
+
+    @property
+    def _numbers(self) -> dict[str, int]:
+        """Ids of mapped landmarks by name, at their first positions."""
+        landmarks = {**self._landmarks.mapped, **self._landmarks.former}
+        return {name: landmark.number for name, landmark in landmarks.items()}
 
     def evaluate(self) -> None:
         """Update the inliers of the survey by the solved map without it."""
         if not self.survey.known.is_given:
             return
         smoother, before = self._smoother, self._smoother.survey
-        landmarks = {**self._landmarks.mapped, **self._landmarks.former}  # at their first positions
-        numbers = {name: landmark.number for name, landmark in landmarks.items()}
         try:
-            now = self.survey.evaluate(self.without_survey(), numbers, smoother.ids)
+            now = self.survey.evaluate(self.without_survey(), self._numbers, smoother.ids)
         except np.linalg.LinAlgError:  # too uncertain for a test: keep the present inliers
             return
         smoother.survey = now
