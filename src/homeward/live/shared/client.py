@@ -60,7 +60,7 @@ TIMEOUT_S = 20.0
 FINISH_S = 30.0
 """Timeout for the merge of the last version of a visit [s]."""
 POLL_S = 0.1
-MIN_BACKOFF_S, MAX_BACKOFF_S = 0.5, 10.0
+MIN_BACKOFF_S, MAX_BACKOFF_S = 0.5, 3.0
 """Time between attempts to connect [s]."""
 FRAME_S, MAX_FRAMES = 0.5, 4000
 """Interval of the frames that are kept [s]; with more than the maximum number it is doubled."""

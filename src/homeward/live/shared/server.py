@@ -35,7 +35,7 @@ REFINE_S = 30.0
 """Interval at which a place is sent that became more accurate, without other changes [s]."""
 
 MAX_LOAD = 0.33
-"""Maximum share of the time for the places that are sent."""
+"""Maximum share of one core for the places that are sent."""
 
 
 @dataclass(eq=False)
@@ -181,7 +181,7 @@ class PlaceServer:
             wait = max(UPDATE_S, (1.0 / MAX_LOAD - 1.0) * self._cost_s)
             await asyncio.sleep(max(self._sent_at + wait - time.monotonic(), 0.0))
             self._news.clear()
-            now = time.monotonic()
+            now, began = time.monotonic(), time.process_time()
             for text in self._shared.end_abandoned(time.time()):
                 self._log(text)
             refines = self._received and now - self._sent_at > REFINE_S
@@ -195,7 +195,7 @@ class PlaceServer:
                     self._send_place(robot, place)
                     await asyncio.sleep(0)
             self._sent_at = time.monotonic()
-            self._cost_s = self._sent_at - now
+            self._cost_s = time.process_time() - began
 
     def _place_without(self, visit: str | None) -> Place:
         """Return the place for a robot."""
