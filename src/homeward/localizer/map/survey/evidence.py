@@ -328,19 +328,25 @@ def _weigh(
     left, residual, across = whitened[:, : len(z)], whitened[:, len(z)], whitened[:, len(z) + 1 :]
     inverse, weighted = left.T @ left, left.T @ residual
     off, spread = z - across.T @ residual, covariance - across.T @ across
-    gains = np.zeros(len(sets))
-    for i, changed in enumerate((sets ^ inliers)[:, item]):
-        if at[changed].all():  # given the others of the set
-            own = np.linalg.inv(inverse[np.ix_(changed, changed)])
-            gains[i] = -_log_normal(own @ weighted[changed], own)
-        else:
-            gains[i] = _log_normal(off[changed], spread[np.ix_(changed, changed)])
+    gains, changed = np.zeros(len(sets)), (sets ^ inliers)[:, item]
+    count, is_less = changed.sum(axis=1), ~(changed & ~at).any(axis=1)
+    for size in np.unique(count[count > 0]):
+        for some in ((count == size) & is_less, (count == size) & ~is_less):
+            rows = changed[some].nonzero()[1].reshape(-1, size)
+            square = rows[:, :, None], rows[:, None, :]
+            if is_less[some].any():  # given the others of the set
+                own = np.linalg.inv(inverse[square])
+                given = (own @ weighted[rows][:, :, None])[:, :, 0]
+                gains[some] = -_log_normal(given, own)
+            else:
+                gains[some] = _log_normal(off[rows], spread[square])
     log_volume = np.log(root.diagonal()).sum() + 0.5 * at.sum() * math.log(math.tau)
     return float(-0.5 * residual @ residual - log_volume), gains
 
 
-def _log_normal(off: np.ndarray, covariance: np.ndarray) -> float:
-    """Return the log density of a normal distribution."""
+def _log_normal(off: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Return the log densities of normal distributions (..., n), shape (...)."""
     root = np.linalg.cholesky(2.0 * math.pi * covariance)
-    white = np.linalg.solve(root, off)
-    return float(-math.pi * white @ white - np.log(root.diagonal()).sum())
+    white = np.linalg.solve(root, off[..., None])[..., 0]
+    scale = np.log(np.diagonal(root, axis1=-2, axis2=-1)).sum(axis=-1)
+    return np.asarray(-math.pi * (white**2).sum(axis=-1) - scale)
