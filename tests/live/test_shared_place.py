@@ -45,10 +45,12 @@ def folder(tmp_path):
     return tmp_path / "hall"
 
 
-def visited(name, places, seed=1, ages=(), ended=False):
-    """The message of a visit that maps landmarks; some were seen `ages` ago [s]."""
+def visited(name, places, seed=1, ages=(), ended=False, vague=()):
+    """The message of a visit that maps landmarks; some were seen `ages` ago [s], some `vague`."""
     rng = np.random.default_rng(seed)
     own = mapped(places, rng, (1.0, -2.0, 2.5))
+    more = np.diag([1.0 if n in vague else 0.0 for n in places for _ in range(2)])
+    own = replace(own, covariance=own.covariance + more)
     visit = VisitData(name, f"{name}-{seed}", 0.0, own)
     seen = dict.fromkeys(places, 1.0) | dict(ages)
     return visit_message(visit, VisitCounts({}), seen, "home", ended)
@@ -127,6 +129,17 @@ def test_a_robot_that_mapped_a_moved_landmark_too_receives_the_position_of_the_o
     early = visited("early", pushed(room(), "L3"), 1, {"L3": 60.0})
     share(shared, early, visited("late", pushed(room(), "L3"), 2, {"L3": 5.0}))
     for place in shared.without_each().values():
+        assert at(place, "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
+
+
+def test_a_robot_without_a_certain_position_leaves_it_to_the_one_that_has_one(folder):
+    shared, before = SharedPlace(folder), load_place(folder)
+    mapping = visited("mapping", pushed(room(), "L3"), 1, {"L3": 5.0})
+    far = room() | {"L3": room()["L3"] + 6.0 * PUSH}
+    share(shared, vague := visited("vague", far, 2, {"L3": 0.5}, vague=["L3"]))
+    assert "L3" not in shared.with_all().map.names
+    share(shared, mapping, vague)
+    for place in (shared.with_all(), shared.without_each()["vague"]):
         assert at(place, "L3") == pytest.approx(at(before, "L3") + PUSH, abs=0.1)
 
 

@@ -140,7 +140,8 @@ class SharedPlace:
         """Return the visits that agree with the place, without changes that are not confirmed.
 
         A landmark of the place that moved is only in the visit that saw it last, and in those that
-        agree with its position.
+        agree with its position. A visit that only finds that it has moved, and has no certain
+        position, decides nothing if another one has a position.
         """
         agreeing = {name: v for name, v in self.visits.items() if v.changes is not None}
         moved = {
@@ -151,16 +152,19 @@ class SharedPlace:
         }
         here = _positions(self.place)
         last = {n: (self._seen_in_place(n), here.get(n)) for n in moved}
+        located = set[str]()
         for visit in agreeing.values():
-            for n in moved & visit.seen.keys() - visit.unconfirmed:
+            for n in moved & visit.seen.keys() & visit.positions.keys() - visit.unconfirmed:
                 if visit.seen[n] > last[n][0]:
-                    last[n] = visit.seen[n], visit.positions.get(n)
+                    last[n] = visit.seen[n], visit.positions[n]
+                    located.add(n)
         found = {}
         for name, visit in agreeing.items():
             older = {
                 n
                 for n, (t, there) in last.items()
-                if visit.seen.get(n, 0.0) < t and not _agree(visit.positions.get(n), there)
+                if (visit.seen.get(n, 0.0) < t and not _agree(visit.positions.get(n), there))
+                or (n in located and n not in visit.positions)
             }
             own = visit.data.map.marginal({*visit.data.map.names} - older - visit.unconfirmed)
             found[name] = replace(visit.data, map=own)
