@@ -331,10 +331,11 @@ def _weigh(
     gains, changed = np.zeros(len(sets)), (sets ^ inliers)[:, item]
     count, is_less = changed.sum(axis=1), ~(changed & ~at).any(axis=1)
     for size in np.unique(count[count > 0]):
-        for some in ((count == size) & is_less, (count == size) & ~is_less):
+        for less in (True, False):
+            some = (count == size) & (is_less == less)
             rows = changed[some].nonzero()[1].reshape(-1, size)
             square = rows[:, :, None], rows[:, None, :]
-            if is_less[some].any():  # given the others of the set
+            if less:  # given the others of the set
                 own = np.linalg.inv(inverse[square])
                 given = (own @ weighted[rows][:, :, None])[:, :, 0]
                 gains[some] = -_log_normal(given, own)

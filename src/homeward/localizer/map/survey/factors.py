@@ -60,10 +60,10 @@ def align(
     if known. A step is computed in the survey's frame, where the weights are constant.
     """
     weights = np.linalg.inv(covariance) if weights is None else weights
-    weight = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
+    independent = 2.0 / covariance.diagonal().reshape(-1, 2).sum(axis=1)
     p, q = (np.ascontiguousarray(a).view(complex)[:, 0] for a in (mapped, surveyed))
-    p0, q0 = (np.average(a, weights=weight) for a in (p, q))
-    turn = np.exp(1j * np.angle((weight * (p - p0) * (q - q0).conj()).sum()))
+    p0, q0 = (np.average(a, weights=independent) for a in (p, q))
+    turn = np.exp(1j * np.angle((independent * (p - p0) * (q - q0).conj()).sum()))
     origin = p0 - turn * q0
     pose, step = np.array([origin.real, origin.imag, np.angle(turn)]), np.zeros(3)
     for _ in range(ALIGNMENT_STEPS):
