@@ -19,7 +19,7 @@ DISTRIBUTIONS = {"jazzy": "7.1.6", "kilted": "9.1.2"}
 CYCLONE = "11.0.1"
 COLCON = ("colcon-core==0.21.3", "colcon-ros==0.5.0", "setuptools<80")
 MESSAGES = ("nav", "sensor", "geometry", "visualization", "diagnostic", "std", "lifecycle")
-PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check")
+PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile")
 GENERATORS = {
     "jazzy": (
         *("ament-cmake-ros", "ament-cmake-gmock", "ament-cmake-gtest", "ament-cmake-pytest"),
