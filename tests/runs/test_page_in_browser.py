@@ -240,34 +240,44 @@ def brightness(colour):
 @pytest.fixture(scope="module")
 def pages(page, tmp_path_factory):
     out = tmp_path_factory.mktemp("pages")
-    write_plan(out / "plan", analyse(load_plan("warehouse").model_copy(update={"grid": 1.0})))
+    write_plan(out / "plan", analyse(load_plan("warehouse").model_copy(update={"grid": 2.0})))
     write_model_view(out / "observe", observe(2), {"landmarks": 2})
     write_study(out / "study", made_up_study(out))
     return [page, *(out / name / f"{name}.html" for name in ("plan", "observe", "study"))]
 
 
-@needs_chromium
-@pytest.mark.parametrize("dark", [False, True])
-def test_every_page_follows_dark_and_light(pages, tmp_path, dark):
-    for file in pages:
-        found = open_page(file, LOOKS, tmp_path, dark=dark)
-        assert found["wrong"] == [], file.name
-        ground, ink = brightness(found["ground"]), brightness(found["ink"])
-        assert (ground < 60 and ink > 180) if dark else (ground > 240 and ink < 60), file.name
-        assert {"invert" in filtered for filtered in found["drawings"]} <= {dark}, file.name
+@pytest.fixture(scope="module")
+def narrow(pages, tmp_path_factory):
+    """Each page as a phone shows it, by name."""
+    profile = tmp_path_factory.mktemp("narrow")
+    return {file.name: open_page(file, LOOKS, profile, width=390) for file in pages}
+
+
+def check_colours(name, found, dark):
+    assert found["wrong"] == [], name
+    ground, ink = brightness(found["ground"]), brightness(found["ink"])
+    assert (ground < 60 and ink > 180) if dark else (ground > 240 and ink < 60), name
+    assert {"invert" in filtered for filtered in found["drawings"]} <= {dark}, name
 
 
 @needs_chromium
-def test_every_section_has_an_anchor_and_what_scrolls_a_sign(pages, tmp_path):
+def test_every_page_follows_dark_and_light(pages, narrow, tmp_path):
+    for name, found in narrow.items():
+        check_colours(name, found, dark=False)
     for file in pages:
-        found = open_page(file, LOOKS, tmp_path, width=390)
-        assert len(found["anchors"]) >= 3, file.name
-        assert all(href == f"#{name}" and seen for name, href, seen in found["anchors"]), file.name
-        assert len({name for name, _, _ in found["anchors"]}) == len(found["anchors"]), file.name
-        assert found["scrolling"], file.name
+        check_colours(file.name, open_page(file, LOOKS, tmp_path, dark=True), dark=True)
+
+
+@needs_chromium
+def test_every_section_has_an_anchor_and_what_scrolls_a_sign(narrow):
+    for name, found in narrow.items():
+        assert len(found["anchors"]) >= 3, name
+        assert all(href == f"#{anchor}" and seen for anchor, href, seen in found["anchors"]), name
+        assert len({anchor for anchor, _, _ in found["anchors"]}) == len(found["anchors"]), name
+        assert found["scrolling"], name
         for attachment in found["scrolling"]:
-            assert {"local", "scroll"} <= set(attachment.split(", ")), file.name
-        assert found["wide"][0] <= found["wide"][1], file.name
+            assert {"local", "scroll"} <= set(attachment.split(", ")), name
+        assert found["wide"][0] <= found["wide"][1], name
 
 
 @needs_chromium
