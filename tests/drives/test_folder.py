@@ -37,12 +37,6 @@ def test_reads_every_file(tmp_path):
     assert drive.remarks == {}
 
 
-def test_settings_and_truth_may_be_absent(tmp_path):
-    drive = read_folder(put(tmp_path / "run", drive_yaml=None, truth_csv=None))
-    assert drive.settings == DriveSettings()
-    assert drive.truth is None
-
-
 ODOMETRY_ROWS = [[0.0, 0.1, 0.0], [0.5, 0.1, 0.2], [1.0, 0.1, -0.2]]
 
 
@@ -120,15 +114,6 @@ def test_a_survey_from_home_replaces_odometry_and_home_bearings(tmp_path):
     assert "no odometry.csv, home.csv" in refusal(read_folder, folder)
 
 
-def test_no_sightings_and_no_home_bearings_are_legal(tmp_path):
-    drive = read_folder(
-        put(tmp_path / "run", bearings_csv=b"t,landmark,bearing\n", home_csv=b"landmark,bearing\n")
-    )
-    assert drive.sightings.t.size == drive.sightings.landmark.size == 0
-    assert list(drive.sightings.stamps()) == []
-    assert drive.home == {}
-
-
 def test_ids_are_any_printable_text(tmp_path):
     content = 't,landmark,bearing\n0,"door, left",0\n0, 7 ,0\n0,"a ""b""",0\n0,é,0\n'
     drive = read_folder(put(tmp_path / "run", bearings_csv=content.encode()))
@@ -181,7 +166,6 @@ HOSTILE = [
     ("odometry.csv", b"t,v,omega\n0,fast,0\n", "odometry.csv, row 2: v is 'fast', not a finite"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n1,,0\n", "odometry.csv, row 3: v is empty"),
     ("odometry.csv", b"t,v,omega\n0,0,nan\n", "odometry.csv, row 2: omega is 'nan', not a finite"),
-    ("odometry.csv", b"t,v,omega\n0,0,-inf\n", "odometry.csv, row 2: omega is '-inf', not a fin"),
     ("odometry.csv", b"t,v,omega\n0,1e999,0\n", "odometry.csv, row 2: v is '1e999', not a finite"),
     ("odometry.csv", b"t,v,omega\n1_0,0,0\n", "odometry.csv, row 2: t is '1_0', not a finite"),
     ("odometry.csv", b"t,v,omega\n0,0\n", "odometry.csv, row 2: 2 fields, but the header has 3"),
@@ -189,14 +173,11 @@ HOSTILE = [
     ("odometry.csv", b"t,v,omega\n1,0,0\n4,0,0\n3.5,0,0\n1.5,0,0\n",
      "odometry.csv, row 5: time runs backwards by 2.5 s: 1.5 after 4.0; at most 1 s is"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n1,0\x00,0\n", "odometry.csv, row 3: v is '0\\x00', not"),
-    ("odometry.csv", b"t,v,omega\r\n0,0,0\r\n1,\xff,0\r\n", "odometry.csv, row 3: not UTF-8 text"),
     ("odometry.csv", "t,v,omega\n0,0,0\n".encode("utf-16"), "odometry.csv, row 1: not UTF-8 text"),
     ("odometry.csv", b"t,v,omega\n0,0,0\n1,\"0,0\n2,0,0\n", "odometry.csv, row 3: not CSV: "),
     ("odometry.csv", b"t,v,omega\n0,0," + b"0" * 200_000, "odometry.csv, row 2: not CSV: field la"),
     ("odometry.csv", b"t,v,omega\n0,0," + b"x" * 1000 + b"\n", "odometry.csv, row 2: omega is 'xx"),
-    ("bearings.csv", b"", "bearings.csv: empty file"),
     ("bearings.csv", b"t,bearing\n", "bearings.csv, row 1: no column landmark in the header"),
-    ("bearings.csv", HEADER + b"0,,0.1,\n", "bearings.csv, row 2: landmark is empty"),
     ("bearings.csv", HEADER + b"0,a,0,\n0,\" \",0.1,\n", "bearings.csv, row 3: landmark is empty"),
     ("bearings.csv", HEADER + b"0,a\x00b,0.1,\n", "bearings.csv, row 2: landmark is 'a\\x00b', wi"),
     ("bearings.csv", HEADER + b"0,\"a\nb\",0.1,\n", "bearings.csv, row 2: landmark is 'a\\nb', wi"),
@@ -204,24 +185,20 @@ HOSTILE = [
      "bearings.csv, row 3: sigma is '0.0', but must be greater"),
     ("bearings.csv", HEADER + b"0,a,0.1,-0.1\n", "bearings.csv, row 2: sigma is '-0.1', but must"),
     ("bearings.csv", HEADER + b"0,a,0.1,inf\n", "bearings.csv, row 2: sigma is 'inf', not a fini"),
-    ("bearings.csv", HEADER + b"0,a,0.1,nan\n", "bearings.csv, row 2: sigma is 'nan', not a fini"),
     ("bearings.csv", HEADER + b"0,a,0.1,\n0,a,0.1,?\n", "bearings.csv, row 3: sigma is '?', not a"),
     ("bearings.csv", HEADER + b"0,a,1e300,\n", "bearings.csv, row 2: bearing is '1e+300', too lar"),
     ("bearings.csv", HEADER + b"2,a,0,\n0,a,0,\n", "bearings.csv, row 3: time runs backwards by"),
-    ("home.csv", b"", "home.csv: empty file"),
     ("home.csv", b"landmark\na\n", "home.csv, row 1: no column bearing in the header 'landmark'"),
     ("home.csv", b"landmark,bearing\na,0\nb,0\n a,1\n",
      "home.csv, row 4: landmark is 'a', which already has a row"),
     ("home.csv", b"landmark,bearing,sigma\na,0,-1\n", "home.csv, row 2: sigma is '-1.0', but must"),
     ("truth.csv", b"t,x,y,heading\n", "truth.csv: no rows"),
     ("truth.csv", b"t,x,y\n0,0,0\n", "truth.csv, row 1: no column heading"),
-    ("truth.csv", b"t,x,y,heading\n0,0,0,0\n1,0,NaN,0\n", "truth.csv, row 3: y is 'NaN', not a"),
     ("truth.csv", b"t,x,y,heading\n2,0,0,0\n0,0,0,0\n", "truth.csv, row 3: time runs backwards"),
     ("drive.yaml", b"sensor:\n  x: [1\n", "drive.yaml, row 3: not YAML: "),
     ("drive.yaml", b"- 1\n", "drive.yaml: not a mapping of keys to values"),
     ("drive.yaml", b"sensor: 5\n", "drive.yaml: sensor: must be keys and values, not 5"),
     ("drive.yaml", b"senor: {x: 1}\n", "drive.yaml: senor: unknown key; did you mean"),
-    ("drive.yaml", b"sensor: {z: 1}\n", "drive.yaml: sensor.z: unknown key"),
     ("drive.yaml", b"sensor: {x: yes}\n", "drive.yaml: sensor.x: must be a number, not yes"),
     ("drive.yaml", b"sensor: {x: .nan}\n", "drive.yaml: sensor.x: must be a number, not .nan"),
     ("drive.yaml", b"sensor: {yaw: 1:30}\n", "drive.yaml: sensor.yaw: must be a number, not 1:30"),
@@ -229,7 +206,6 @@ HOSTILE = [
     ("drive.yaml", b"start: {R: 1, theta: 0}\n", "drive.yaml: start.alpha: is required"),
     ("drive.yaml", b"\"a\\nb\": 1\n", "drive.yaml: 'a\\nb': unknown key"),
     ("drive.yaml", b"sensor: \xff\n", "drive.yaml: not YAML: "),
-    ("drive.yaml", b"[" * 5000, "drive.yaml: nested more than 50 levels deep"),
 ]  # fmt: skip
 
 
@@ -278,7 +254,7 @@ def test_a_yaml_key_without_a_value_counts_as_absent(tmp_path):
 
 
 def test_rows_of_several_chunks_are_read_in_order(tmp_path):
-    n = 20 * CHUNK + 1
+    n = 3 * CHUNK + 1
     rows = "".join(f"{i / 64},{i % 500},{i / n}\n" for i in range(n))
     folder = put(tmp_path / "run", bearings_csv=f"t,landmark,bearing\n{rows}".encode())
     sightings = read_folder(folder).sightings

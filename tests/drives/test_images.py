@@ -22,10 +22,6 @@ def test_images_are_found_beside_their_table(tmp_path):
     assert [f.read_bytes() for f in images.files] == [b"one", b"one"]
 
 
-def test_a_drive_without_images_has_none(tmp_path):
-    assert read_images(tmp_path, {}).files == []
-
-
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [

@@ -112,17 +112,6 @@ def test_positions_are_bearings(tmp_path, plain, head, row, shown):
     assert sightings.landmark.tolist() == [str(int(r[1][1:])) if numeric else r[1] for r in rows]
 
 
-def test_positions_equal_the_bearings_of_the_sample(plain):
-    """The reference of these tests is the recorded bearing, but for noise and moved landmarks."""
-    measured = {(float(t), n): b for t, n, b in zip(*_sightings(plain), strict=True)}
-    errors = [wrap(r[2] - measured[r[0], r[1]]) for r in positions(plain)]
-    assert float(np.median(np.abs(errors))) < 0.01
-
-
-def _sightings(plain):
-    return plain.sightings.t, plain.sightings.landmark.tolist(), plain.sightings.bearing
-
-
 @pytest.mark.parametrize(
     ("columns", "turned"),
     [

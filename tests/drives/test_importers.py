@@ -13,7 +13,6 @@ from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.columns import unit_in
 from homeward.drives.importers.reading import drive_of, home_warnings, understand
-from homeward.drives.importers.sheet import sheet
 from homeward.drives.opening import sample_drive
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
@@ -446,10 +445,6 @@ def test_whatever_stands_in_it_there_is_an_answer_or_one_line(tmp_path, lines, c
     except InputError as error:
         said = str(error)
     assert len(said.splitlines()) <= 1
-
-
-def test_a_decimal_comma_is_none_where_commas_part_fields(tmp_path):
-    assert not sheet(*write(tmp_path, a="t,v\n1,5\n")).decimal_comma
 
 
 def test_stamps_of_one_clock_in_two_units_are_understood(tmp_path):

@@ -1,7 +1,6 @@
 """What an estimator is told beforehand: one set of words, one clear error where it is bad."""
 
 import dataclasses
-import inspect
 import math
 
 import numpy as np
@@ -11,7 +10,6 @@ from benchmarks.fuzz import small_drive
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings, Mount, Sensor, Start
 from homeward.errors import InputError
-from homeward.estimator import Estimator
 from homeward.lab.engine.estimators.paper import a_ekf, ekf, pi_ekf
 from homeward.localizer.localizer import Localizer
 from homeward.reasons import Rejection
@@ -55,14 +53,6 @@ def test_an_estimator_for_a_drive_is_told_what_its_settings_say(name, make):
     drive = small_drive()
     direct = make(drive.home, **drive.settings.robot)
     assert answers(direct) == answers(make_estimator(name, drive))
-
-
-@ALL
-def test_all_have_the_same_words(make):
-    assert {"home", "settings", "robot"} <= set(inspect.signature(make).parameters)
-    made = make(HOME, start=START)
-    offered = {name for name in vars(Estimator) if not name.startswith("_")}
-    assert offered <= set(dir(made))
 
 
 @ALL

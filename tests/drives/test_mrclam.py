@@ -9,7 +9,7 @@ from refusals import refusal
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, bearing, between, compose
+from homeward.geometry.frames import Pose, bearing, between
 
 VALID = {
     "Barcodes.dat": b"# Subject #    Barcode #\n  1 \t   5\n  2 \t  14\n  6 \t  63\n  7 \t  81\n",
@@ -110,18 +110,15 @@ HOSTILE = [
     ("Barcodes.dat", b"1 5\n2 x\n", "Barcodes.dat, row 2: barcode is 'x', not a finite number"),
     ("Barcodes.dat", b"# a\n1 5.5\n", "Barcodes.dat, row 2: barcode is '5.5', but must be"),
     ("Barcodes.dat", b"1 5\n2 5\n", "Barcodes.dat, row 2: barcode is '5.0', which already has a r"),
-    ("Barcodes.dat", b"1 5\n1 6\n", "Barcodes.dat, row 2: subject is '1.0', which already has a r"),
     ("Barcodes.dat", b"1 1e300\n", "Barcodes.dat, row 1: barcode is '1e+300', but must be"),
     (LANDMARKS, None, "Landmark_Groundtruth.dat: cannot be read: No such file"),
     (LANDMARKS, b"", "Landmark_Groundtruth.dat: no rows"),
-    (LANDMARKS, b"6 1 2\n", "Landmark_Groundtruth.dat, row 1: 3 fields, but the header has 5"),
     (LANDMARKS, b"6 1 2 0 0\n6 1 2 0 0\n", "Landmark_Groundtruth.dat, row 2: subject is '6.0', wh"),
     (ODOMETRY, b"", "Robot1_Odometry.dat: no rows"),
     (ODOMETRY, b"# c\n0 0 0\n1 0\n", "Robot1_Odometry.dat, row 3: 2 fields, but the header has 3"),
     (ODOMETRY, b"2 0 0\n0 0 0\n", "Robot1_Odometry.dat, row 2: time runs backwards by 2 s: 0.0"),
     (MEASUREMENT, None, "Robot1_Measurement.dat: cannot be read: No such file"),
     (MEASUREMENT, b"2 63 1 0\n0 63 1 0\n", "Robot1_Measurement.dat, row 2: time runs backwards"),
-    (MEASUREMENT, b"1 63 1 0,5\n", "Robot1_Measurement.dat, row 1: bearing is '0,5', not a finite"),
     (MEASUREMENT, b"1 63 1 1e9\n", "Robot1_Measurement.dat, row 1: bearing is '1000000000.0', too"),
     (TRUTH, b"# c\n", "Robot1_Groundtruth.dat: no rows"),
     (TRUTH, b"2 0 0 0\n0 0 0 0\n", "Robot1_Groundtruth.dat, row 2: time runs backwards"),
@@ -160,7 +157,7 @@ REAL_COUNTS = [
 
 
 @pytest.mark.parametrize(("robot", "rows", "sighted", "repeated", "others", "unknown"), REAL_COUNTS)
-def test_the_real_drives(data_dir, robot, rows, sighted, repeated, others, unknown):
+def test_the_real_drives_fit_truth(data_dir, robot, rows, sighted, repeated, others, unknown):
     folder = data_dir / "MRCLAM_Dataset6"
     drive = read_mrclam(folder, robot, REAL_HOME)
     assert drive.odometry.t.size == rows - repeated
@@ -172,13 +169,7 @@ def test_the_real_drives(data_dir, robot, rows, sighted, repeated, others, unkno
     assert (np.diff(drive.odometry.t) > 0).all()
     assert (np.diff(drive.sightings.t) >= 0).all()
     assert (np.diff(drive.truth.t) > 0).all()
-
-
-@pytest.mark.parametrize("robot", range(1, 6))
-def test_the_real_bearings_fit_the_real_truth(data_dir, robot):
-    """Ids, frames and signs are right only if they do, to about half a degree."""
-    folder = data_dir / "MRCLAM_Dataset6"
-    drive = read_mrclam(folder, robot, REAL_HOME)
+    # Ids, frames and signs are right only if bearings fit ground truth.
     survey = np.loadtxt(folder / LANDMARKS)
     places = {
         str(int(subject)): between(REAL_HOME, Pose(x, y, 0.0)) for subject, x, y, *_ in survey
@@ -191,12 +182,3 @@ def test_the_real_bearings_fit_the_real_truth(data_dir, robot):
     for landmark, stored in drive.home.items():
         expected = bearing(Pose(0.0, 0.0, 0.0), places[landmark].x, places[landmark].y)
         assert stored.bearing == pytest.approx(expected)
-
-
-def test_the_real_truth_goes_back_to_the_map_frame(data_dir):
-    folder = data_dir / "MRCLAM_Dataset6"
-    truth = read_mrclam(folder, 1, REAL_HOME).truth
-    raw = np.loadtxt(folder / "Robot1_Groundtruth.dat")
-    there = compose(REAL_HOME, Pose(truth.x, truth.y, truth.heading))
-    np.testing.assert_allclose(np.c_[there.x, there.y], raw[:, 1:3], atol=1e-12)
-    np.testing.assert_allclose(wrap(there.heading - raw[:, 3]), 0.0, atol=1e-12)

@@ -140,10 +140,6 @@ def test_tilt_along_with_any_calibration(tmp_path):
         assert read(tmp_path, {**tree, "pitch": 0.2}).pitch == 0.2
 
 
-def test_our_own(tmp_path):
-    assert read(tmp_path, {"fx": 9, "fy": 9, "cx": 5, "cy": 5}) == Lens(fx=9, fy=9, cx=5, cy=5)
-
-
 @pytest.mark.parametrize(
     "tree",
     [
@@ -193,8 +189,3 @@ def test_camera_that_was_never_calibrated(tmp_path):
     zeros = {"rows": 3, "cols": 3, "data": [0] * 9}
     with pytest.raises(InputError, match="camera matrix is zero, so the camera is not calibrated"):
         read(tmp_path, {**ROS, "camera_matrix": zeros})
-
-
-def test_no_file(tmp_path):
-    with pytest.raises(InputError, match="cannot be read"):
-        read_calibration(tmp_path, "nothing.yaml")

@@ -51,31 +51,6 @@ def test_rays_fall_where_opencv_draws_them(lens):
     assert ours == pytest.approx(drawn_by_opencv(lens, points), abs=1e-9)
 
 
-def test_pixels_look_where_opencv_undistorts_them(lens):
-    points = random_points(1)
-    seen = drawn_by_opencv(lens, points)
-    told = np.column_stack(lens.directions(*seen.T))
-    assert told == pytest.approx(np.column_stack(directions_of(points)), abs=1e-9)
-    undo = cv2.fisheye.undistortPoints if lens.model == "equidistant" else cv2.undistortPoints
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12)
-    theirs = undo(seen[:, None], K, np.array(lens.distortion), criteria=stop)[:, 0]
-    ray = unit_vectors(*told.T)
-    ours = np.column_stack([-ray[:, 1], -ray[:, 2]]) / ray[:, :1]
-    assert ours == pytest.approx(theirs, abs=1e-6)
-
-
-def test_the_middle_of_the_first_pixel_is_at_zero():
-    """A pattern that OpenCV draws round a pixel's middle is seen from the axis that cx, cy tell."""
-    image = np.zeros((9, 9), np.uint8)
-    image[4, 4] = 255
-    weight = image / image.sum()
-    middle = float((weight * np.arange(9)).sum())
-    lens = Lens(fx=10, fy=10, cx=4, cy=4)
-    assert lens.directions(np.array([middle]), np.array([middle])) == (0.0, 0.0)
-    drawn = cv2.warpAffine(image, np.float64([[1, 0, 0.5], [0, 1, 0]]), (9, 9))
-    assert drawn[4, 4] == drawn[4, 5]  # half a pixel on, it lies evenly on both
-
-
 @given(
     st.sampled_from(list(LENSES)),
     st.floats(-0.6, 0.6),

@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+from functools import cache
 
 import numpy as np
 import pytest
@@ -55,6 +56,12 @@ def around():
     return made.drive, dict(zip(made.world.ids, off, strict=True))
 
 
+@pytest.fixture(scope="module")
+def chosen_at(around):
+    """The drive whose home is where the robot was at a time [s]; mapped once for each."""
+    return cache(lambda t: with_home(around[0], HomeWhen(at=t)))
+
+
 def eyes(drive, t):
     """Return the true camera poses at times."""
     x, y, heading = drive.truth.at(np.asarray(t, float))
@@ -79,9 +86,9 @@ def errors(home, eye, places):
 
 
 @pytest.mark.parametrize("t", [0.0, 33.0, 60.0])
-def test_home_bearings_of_a_narrow_camera_contain_landmarks_out_of_view(around, t):
+def test_home_bearings_of_a_narrow_camera_contain_landmarks_out_of_view(around, chosen_at, t):
     drive, places = around
-    chosen = with_home(drive, HomeWhen(at=t))
+    chosen = chosen_at(t)
     assert len(chosen.home) >= 12
     in_sigmas, off = errors(chosen.home, *eyes(drive, [t]), places)
     assert np.abs(in_sigmas).max() < 4.0
@@ -90,8 +97,8 @@ def test_home_bearings_of_a_narrow_camera_contain_landmarks_out_of_view(around, 
     assert any("from a map of the drive" in line for line in chosen.remark_lines)
 
 
-def test_a_robot_is_localised_relative_to_the_pose_that_is_home(around):
-    chosen = with_home(around[0], HomeWhen(at=33.0))
+def test_a_robot_is_localised_relative_to_the_pose_that_is_home(chosen_at):
+    chosen = chosen_at(33.0)
     track = run(chosen, make_estimator("robust", chosen))
     accuracy = score(track, chosen.truth).accuracy
     assert accuracy.position.median < 0.05

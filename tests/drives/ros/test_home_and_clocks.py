@@ -28,12 +28,6 @@ def test_home_is_what_was_seen_while_standing_there(made):
         made(standing_then_driving, "home: {during: [50.0, 60.0]}\n", odometry_too=False)
 
 
-def test_home_from_a_csv_beside_the_topics_file(made, tmp_path):
-    (tmp_path / "home.csv").write_text("landmark,bearing\na,0.25\n")
-    drive = made(standing_then_driving, "home: {csv: home.csv}\n", odometry_too=False)
-    assert drive.home["a"].bearing == 0.25
-
-
 def test_truth_is_turned_into_the_home_frame(made):
     def fill(log):
         for t in stamps(3):
@@ -45,11 +39,6 @@ def test_truth_is_turned_into_the_home_frame(made):
     assert drive.truth.x == pytest.approx([2.0] * 3)
     assert drive.truth.y == pytest.approx([0.0] * 3, abs=1e-12)
     assert drive.truth.heading == pytest.approx([0.0] * 3, abs=1e-12)
-
-
-def test_settings_of_the_drive_in_the_topics_file(made):
-    drive = made(lambda log: None, "drive: {sensor: {x: 0.2, yaw: 0.1}}\n")
-    assert (drive.settings.sensor.x, drive.settings.sensor.yaw) == (0.2, 0.1)
 
 
 def test_receive_times_when_asked(made):

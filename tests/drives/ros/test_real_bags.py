@@ -75,17 +75,6 @@ def test_whole_chain_on_real_odometry(data_dir, name, tmp_path):
     assert metrics["heading_rmse_rad"] < 0.03
 
 
-def test_poses_differentiated_lead_where_the_poses_are(data_dir, tmp_path):
-    bag = real_bag(data_dir, "fuse_tb3.bag")
-    topics = tmp_path / "topics.yaml"
-    topics.write_text("odometry: {topic: /odom, use: pose}\n")
-    by_pose, by_twist = open_drive(bag, topics=topics), open_drive(bag)
-    assert by_pose.odometry.t.tolist() == by_twist.odometry.t.tolist()
-    difference = by_pose.odometry.v - by_twist.odometry.v
-    assert 0.0 < np.abs(difference).mean() < 0.02
-    assert np.abs(by_pose.odometry.omega - by_twist.odometry.omega).max() > 0.0
-
-
 def test_wheels_agree_with_the_odometry_made_of_them(data_dir, tmp_path):
     bag = real_bag(data_dir, "fuse_tb3.bag")
     topics = tmp_path / "topics.yaml"

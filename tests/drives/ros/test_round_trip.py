@@ -1,7 +1,6 @@
 """A drive through a log and back is the same drive, to the last bit."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +9,10 @@ from hypothesis import strategies as st
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import write_folder
-from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
-from homeward.geometry.frames import Pose
 
 SUFFIXES = (".mcap", ".bag", ".db3")
 
@@ -88,25 +85,6 @@ def test_a_drive_without_the_optional_things(tmp_path):
     for suffix in SUFFIXES:
         save_drive(drive, tmp_path / f"bare{suffix}")
         assert_same(drive, open_drive(tmp_path / f"bare{suffix}"))
-
-
-@pytest.mark.usefixtures("lab")
-def test_a_real_drive_comes_back(data_dir, tmp_path):
-    folder = data_dir / "MRCLAM_Dataset6"
-    if not folder.is_dir():
-        pytest.skip("no MRCLAM_Dataset6 in the data folder")
-    drive = read_mrclam(folder, 3, Pose(2.0, 0.0, 0.3), math.radians(0.5))
-    until = drive.span[0] + 300.0
-    parts = {
-        name: part.rows(part.t <= until)
-        for name in ("odometry", "sightings", "truth")
-        for part in [getattr(drive, name)]
-    }
-    seen = parts["sightings"]  # logs of homeward contain no ranges
-    parts["sightings"] = Sightings(seen.t, *list(vars(seen).values())[1:4])
-    drive = replace(drive, **parts)
-    save_drive(drive, tmp_path / "robot3.mcap")
-    assert_same(drive, open_drive(tmp_path / "robot3.mcap"))
 
 
 def test_nothing_is_overwritten(tmp_path):
