@@ -63,7 +63,7 @@ def test_an_import_and_a_simulation(drive, tmp_path):
 
 @pytest.fixture
 def drive(tmp_path):
-    return first_seconds(tmp_path / "drive", 40.0)
+    return first_seconds(tmp_path / "drive", 20.0)
 
 
 def test_a_run(drive, tmp_path):
@@ -86,7 +86,7 @@ def test_what_bearings_determine(drive, tmp_path):
     result = said("plan", "--landmarks", "2", "--out", tmp_path / "model")
     assert set(result) == documented("plan", 2)
     assert (result["rank"], result["unknowns"]) == (4, 5)
-    result = said("plan", "--drive", drive, "--window", "40", "--out", tmp_path / "observed")
+    result = said("plan", "--drive", drive, "--window", "20", "--out", tmp_path / "observed")
     assert set(result) == documented("plan", 3)
     assert result["whole"]["position_sigma_m"] > 0
 
@@ -94,7 +94,7 @@ def test_what_bearings_determine(drive, tmp_path):
 def test_a_plan(tmp_path):
     plans = Path(__file__).resolve().parents[2] / "src/homeward/data/plans"
     coarse = tmp_path / "coarse.yaml"
-    coarse.write_text((plans / "warehouse.yaml").read_text().replace("grid: 0.1", "grid: 1.0"))
+    coarse.write_text((plans / "warehouse.yaml").read_text().replace("grid: 0.1", "grid: 2.0"))
     result = said("plan", coarse, "--out", tmp_path / "plan")
     assert set(result) == documented("plan")
     assert 0 <= result["safe_share"] <= result["share"] <= 1

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import yaml
-from commands import call, done, first_seconds, refused
+from commands import call, done, refused
 
 from homeward.drives.ros.settings import LogSettings
 from homeward.drives.settings import DriveSettings
@@ -123,16 +123,6 @@ def test_convert_there_and_back(log, tmp_path):
     reported = [yaml.safe_load((f / "drive.yaml").read_text()) for f in (back, sample_drive())]
     assert DriveSettings(**reported[0]) == DriveSettings(**reported[1])
     assert "exists already" in refused(call("convert", log, back))
-
-
-def test_a_log_runs_as_its_folder_does(tmp_path):
-    folder = first_seconds(tmp_path / "short", 5.0)
-    done(call("convert", folder, tmp_path / "short.bag"))
-    for source in ("short", "short.bag"):
-        done(call("run", tmp_path / source, "--out", tmp_path / f"out-{source}"))
-    one, other = tmp_path / "out-short", tmp_path / "out-short.bag"
-    for name in ("estimate.csv", "trajectory.tum", "landmarks.csv"):
-        assert (one / name).read_bytes() == (other / name).read_bytes(), name
 
 
 def test_what_fits_no_log_is_refused(log, tmp_path):

@@ -30,6 +30,7 @@ OFF = (0.05, 0.1, 0.1)
 """A start that is off."""
 RUNS = 8
 """Of the reproduction that the tests share."""
+SHORT = ("--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
 
 
 @pytest.fixture(autouse=True)
@@ -51,7 +52,7 @@ def result(tmp_path_factory):
 
 def test_page_and_figures_are_written(tmp_path):
     out = tmp_path / "paper"
-    done(call("study", "paper", "--out", out, "--runs", "2", "--seed", "5"))
+    done(call("study", "paper", "--out", out, "--runs", "2", "--seed", "5", *SHORT))
     page = (out / "paper.html").read_text()
     for words in (
         "Assumptions",
@@ -204,8 +205,7 @@ def test_a_stopped_reproduction_goes_on_from_its_blocks_and_a_pipe_gets_lines(
     tmp_path, monkeypatch
 ):
     monkeypatch.setattr(options, "PIPED_S", 0.0)
-    short = ("--set", "assumed.longest=1", "--set", "assumed.circle_time=1")
-    words = ("study", "paper", "--runs", "1", *short, "--out", tmp_path / "paper")
+    words = ("study", "paper", "--runs", "1", *SHORT, "--out", tmp_path / "paper")
     answer = done(call(*words))
     assert "the paper's cases: 100%" in answer.stderr
     assert "%" not in answer.stderr.splitlines()[0].split(":")[0]
