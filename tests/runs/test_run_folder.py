@@ -34,10 +34,6 @@ def unplotted(monkeypatch):
     monkeypatch.setattr(page, "_plots", lambda drive, track: {})
 
 
-def test_exactly_the_promised_files(folder):
-    assert {p.name for p in folder.iterdir()} == FILES
-
-
 def test_estimate_reads_back(folder):
     _, track = made_up()
     rows = rows_of(folder / "estimate.csv")
