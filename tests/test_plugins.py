@@ -14,7 +14,6 @@ from cli.commands import call, done, first_seconds, refused
 
 from homeward.drives.opening import open_drive
 from homeward.errors import InputError
-from homeward.estimator import Counts
 from homeward.registry import estimator_names, make_estimator, needs_start
 from homeward.track import run
 
@@ -132,7 +131,6 @@ def test_an_estimator_of_any_module_takes_its_own_settings(mine, short, tmp_path
     done(call("run", out / "run.yaml", "--estimator", "mine:make", "--out", tmp_path / "again"))
     assert "x=1.0" in call("settings", "mine:make").stdout
     assert "y" in refused(call("run", short, "--estimator", "mine:make", "--set", "y=1"))
-    assert "cannot smooth" in refused(call("run", short, "--estimator", "mine:make", "--smooth"))
 
 
 def test_an_estimator_without_settings_refuses_any(mine, short):
@@ -188,10 +186,3 @@ def test_an_estimator_of_somebody_else_steers(mine, tmp_path):
     done(call(*words, "mine:Mine", "--out", tmp_path / "a"))
     assert "division by zero" in refused(call(*words, "mine:Late", "--out", tmp_path / "b"))
     assert not (tmp_path / "b").exists()
-
-
-def test_counts_pass_through(mine, short):
-    drive = open_drive(short)
-    estimator = make_estimator("mine:Mine", drive)
-    assert isinstance(estimator.counts, Counts)
-    assert estimator.name == "mine"

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -10,9 +9,9 @@ from pathlib import Path
 import nbformat
 import numpy as np
 import pytest
+from cli.commands import first_seconds
 
 from docs.notebooks import notebook
-from homeward.runs.single_run import sample_drive
 
 ROOT = Path(__file__).resolve().parents[1]
 LESSONS = sorted((ROOT / "docs" / "learn").glob("*.md"))
@@ -32,9 +31,15 @@ def doc(name):
     return (ROOT / "docs" / name).read_text(encoding="utf-8")
 
 
-def test_python_example_runs(tmp_path, monkeypatch, capsys):
-    shutil.copytree(sample_drive(), tmp_path / "out" / "drive")
+@pytest.fixture
+def short_sample(tmp_path, monkeypatch):
+    """Let `sample` be a folder with the first 40 s of that drive."""
+    first_seconds(tmp_path / "sample", 40.0)
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.mark.usefixtures("short_sample")
+def test_python_example_runs(capsys):
     exec(compile(block("python"), "README.md", "exec"), {})
     assert "Status." in capsys.readouterr().out
 
@@ -88,13 +93,14 @@ def test_python_of_a_lesson_runs_as_its_notebook(page, capsys):
     assert not re.search(r"<(div|script)|\]\(", "".join(words))
 
 
-def test_python_of_places_runs(tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("short_sample")
+def test_python_of_places_runs(capsys):
     (text,) = blocks(doc("do/places.md"), "python")
-    monkeypatch.chdir(tmp_path)
     exec(compile(text, "places.md", "exec"), {})
     assert "verdict='first', stayed=0" in capsys.readouterr().out
 
 
+@pytest.mark.usefixtures("short_sample")
 def test_python_of_routes_runs(capsys):
     (text,) = blocks(doc("do/routes.md"), "python")
     exec(compile(text, "routes.md", "exec"), {})
@@ -106,12 +112,6 @@ def test_python_on_a_robot_runs(capsys):
     for text in blocks(doc("do/online.md"), "python"):
         exec(compile(text, "online.md", "exec"), names)
     assert "Status." in capsys.readouterr().out
-
-
-@pytest.mark.parametrize("target", ["demo", "test"])
-def test_make_targets_exist(target):
-    assert f"make {target}" in README
-    assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(), re.MULTILINE)
 
 
 def test_each_python_has_an_environment_of_its_own():
