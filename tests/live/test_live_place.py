@@ -114,51 +114,31 @@ def test_a_new_place_that_was_saved_looks_at_no_other_home(tmp_path):
     assert "no home" not in asked(rig, SavePlace())
 
 
-def commuted(folder, keep=None, place=None):
-    """A session that stores a dock while driving, drives home, and back to the dock."""
-    rig = in_place(folder, update=True, keep=keep, place=place).until(localised)
-    rig.until(driving)
-    dock = rig.robot.pose
-    assert "home 'dock 3' stored" in asked(rig, StoreHome(name="dock 3"))
-    assert "already" in asked(rig, StoreHome(name="dock 3"))
-    rig.until(lambda r: r.player.ending)
-    assert rig.robot.distance < 0.05
-    assert asked(rig, GoHome(name="dock 3")) == ""
-    rig.player.ending = None
-    rig.until(lambda r: r.player.ending)
-    assert rig.player.ending.state == "arrived"
-    far = np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y)
-    assert far < 0.08
-    return rig
-
-
-def test_a_home_that_is_stored_on_the_way_is_one_of_the_place_and_can_be_driven_to(place):
-    rig = commuted(place)
-    for version in (2, 3):  # it counts once, however often it is saved
-        assert "12 stayed" in asked(rig, SavePlace())
-        assert newest(place) == version
-        saved = load_place(place)
-        assert list(saved.homes) == ["home", "dock 3"]
-        assert [v.verdict for v in saved.visits] == ["first", "merged"]
-    assert localised(rig)
-    dock = load_place(place).home_pose("dock 3")
-    assert np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y) < 0.05
-    later = in_place(place).until(localised)
-    asked(later, GoHome(name="dock 3"))
-    later.until(lambda r: r.player.ending)
-    assert np.hypot(later.robot.pose.x - dock.x, later.robot.pose.y - dock.y) < 0.05
-
-
-def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_place(
+def test_a_home_that_is_stored_on_the_way_is_of_the_place_and_the_session_is_repeated_exactly(
     place, tmp_path
 ):
+    """It is driven to now and later, and a replay, without the place, gives the same answers."""
     visited, robot = open_place(place, update=True), Rig(0, **LANDMARKS).robot.drive.settings
     folder = tmp_path / "drive"
     recorder = Recorder(folder, LiveSettings(), robot, {}, visited)
     with single_threaded_blas():  # as hosts of sessions do
-        rig = commuted(place, recorder.keep, visited)
+        rig = in_place(place, keep=recorder.keep, place=visited).until(localised)
+        commute(rig)
+        for version in (2, 3):  # it counts once, however often it is saved
+            assert "12 stayed" in asked(rig, SavePlace())
+            assert newest(place) == version
+            saved = load_place(place)
+            assert list(saved.homes) == ["home", "dock 3"]
+            assert [v.verdict for v in saved.visits] == ["first", "merged"]
+        assert localised(rig)
+        dock = saved.home_pose("dock 3")
+        assert np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y) < 0.05
         rig.until(lambda r, end=rig.robot.t + 2.0: r.robot.t > end)
     recorder.close()
+    later = in_place(place).until(localised)
+    asked(later, GoHome(name="dock 3"))
+    later.until(lambda r: r.player.ending)
+    assert np.hypot(later.robot.pose.x - dock.x, later.robot.pose.y - dock.y) < 0.05
     answers = [a for a in rig.answers if isinstance(a, Answer)]
     assert "stayed" in rig.session.localisation.finalise()
     shutil.rmtree(place / "0001")
@@ -175,6 +155,22 @@ def test_a_recorded_session_in_a_place_is_repeated_to_the_last_bit_without_the_p
     for answer in same:
         row = rows[answer.t]
         assert (track.x[row], track.y[row], track.heading[row]) == answer.pose
+
+
+def commute(rig):
+    """Store a dock while driving, drive home, and back to the dock."""
+    rig.until(driving)
+    dock = rig.robot.pose
+    assert "home 'dock 3' stored" in asked(rig, StoreHome(name="dock 3"))
+    assert "already" in asked(rig, StoreHome(name="dock 3"))
+    rig.until(lambda r: r.player.ending)
+    assert rig.robot.distance < 0.05
+    assert asked(rig, GoHome(name="dock 3")) == ""
+    rig.player.ending = None
+    rig.until(lambda r: r.player.ending)
+    assert rig.player.ending.state == "arrived"
+    far = np.hypot(rig.robot.pose.x - dock.x, rig.robot.pose.y - dock.y)
+    assert far < 0.08
 
 
 def test_the_recording_of_a_first_session_is_the_drive_that_made_the_place(tmp_path):

@@ -50,11 +50,12 @@ LATER = LANDMARKS | {
 }
 
 
-def taught(folder, keep=None, place=None):
-    """A first session in which a route is taught; the true way of it."""
-    place = place or open_place(folder, update=True)
-    rig = Rig(0, keep, place=place, task=StoreRoute(name="round"), **TAUGHT)
-    way = []
+@pytest.fixture(scope="session")
+def school(tmp_path_factory):
+    """A place with a route, and the way that was truly driven; do not write into it."""
+    folder, way = tmp_path_factory.mktemp("schools") / "hall", []
+    place = open_place(folder, update=True)
+    rig = Rig(0, place=place, task=StoreRoute(name="round"), **TAUGHT)
 
     def over(rig):
         if any("the route begins" in text for text in texts(rig)):
@@ -62,24 +63,16 @@ def taught(folder, keep=None, place=None):
         return rig.player.ending
 
     rig.until(over, 120.0)
-    return rig, np.array(way)
-
-
-@pytest.fixture(scope="session")
-def school(tmp_path_factory):
-    """A place with a route, and the way that was truly driven; do not write into it."""
-    folder = tmp_path_factory.mktemp("schools") / "hall"
-    rig, way = taught(folder)
     assert rig.player.succeeded
     words = re.fullmatch("route round is taught: (.*) m, two way points", rig.player.summary)
     assert float(words[1]) == pytest.approx(2.4, abs=0.11)
     assert "a new place" in rig.session.localisation.finalise()
-    return folder, way
+    return folder, np.array(way)
 
 
-def later(folder, task, update=False, **changes):
+def later(folder, task, **changes):
     """Another session, begun elsewhere."""
-    return Rig(0, place=open_place(folder, update), task=task, **LATER | changes)
+    return Rig(0, place=open_place(folder, update=False), task=task, **LATER | changes)
 
 
 def has_reason(words):
@@ -97,12 +90,11 @@ def off(way, poses):
     return np.hypot(*(way[None, :, :2] - np.array(poses)[:, None, :2]).T).min(axis=0)
 
 
-@pytest.mark.parametrize("moved", [0, 4])
-def test_what_is_taught_is_driven_again_on_another_day(school, moved):
+def test_what_is_taught_is_driven_again_on_another_day_though_landmarks_were_moved(school):
     folder, way = school
     rig = later(folder, FollowRoute(name="round"), **{"start.theta": 4.0})
     rng = np.random.default_rng(1)
-    for name in rng.choice(rig.robot.world.ids, moved, replace=False):
+    for name in rng.choice(rig.robot.world.ids, 4, replace=False):
         rig.robot.move_landmark(str(name), *rng.uniform(-0.5, 0.5, 2).tolist())
     rig.until(has_reason("following round"))
     begun, drove = rig.robot.t, []
@@ -161,15 +153,23 @@ def test_a_robot_without_progress_gives_up_with_a_reason(school):
     )
 
 
-def test_a_route_can_be_driven_in_its_session_and_after_its_map_was_begun_again(school, tmp_path):
+def test_a_route_is_driven_in_its_session_on_a_new_map_and_repeated_to_the_last_bit(
+    school, tmp_path
+):
     folder = shutil.copytree(school[0], tmp_path / "hall")
-    rig = later(folder, StoreRoute(name="again"), update=True, **TAUGHT)
-    rig.until(lambda r: r.player.ending)
-    assert "route 'again' exists already" in asked(rig, StoreRoute(name="again"))
-    assert "stayed" in asked(rig, SavePlace())
-    assert list(load_place(folder).routes) == ["round", "again"]
-    asked(rig, FollowRoute(name="again"), Reset())
-    rig.until(lambda r: r.state == "arrived")  # it stops where the route ends
+    robot, place = Rig(0, **TAUGHT).robot.drive.settings, open_place(folder, update=True)
+    recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, place)
+    with single_threaded_blas():  # as hosts of sessions do
+        rig = Rig(0, recorder.keep, place=place, task=StoreRoute(name="again"), **LATER | TAUGHT)
+        rig.until(lambda r: r.player.ending)
+        assert "route 'again' exists already" in asked(rig, StoreRoute(name="again"))
+        assert "stayed" in asked(rig, SavePlace())
+        assert list(load_place(folder).routes) == ["round", "again"]
+        asked(rig, FollowRoute(name="again"), Reset())
+        rig.until(lambda r: r.state == "arrived")  # it stops where the route ends
+    recorder.close()
+    answers = sum(isinstance(said, Answer) for said in rig.answers)
+    assert replay(tmp_path / "drive" / SESSION) == (answers, None)
 
 
 def test_what_cannot_be_is_refused_in_words(school, tmp_path):
@@ -200,19 +200,6 @@ def test_a_landmark_and_a_point_are_driven_to(school):
     asked(rig, GoHome())
     rig.until(lambda r: r.state == "arrived")
     assert rig.robot.distance < 0.06
-
-
-def test_a_recorded_session_with_a_route_is_repeated_to_the_last_bit(tmp_path):
-    robot = Rig(0, **TAUGHT).robot.drive.settings
-    place = open_place(tmp_path / "hall", update=True)
-    recorder = Recorder(tmp_path / "drive", LiveSettings(), robot, {}, place)
-    with single_threaded_blas():  # as hosts of sessions do
-        rig, _ = taught(tmp_path / "hall", recorder.keep, place)
-        asked(rig, SavePlace(), FollowRoute(name="round"))
-        rig.until(lambda r: r.state == "arrived")  # it stops where the route ends
-    recorder.close()
-    answers = sum(isinstance(said, Answer) for said in rig.answers)
-    assert replay(tmp_path / "drive" / SESSION) == (answers, None)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from live_rig import QUICK, Rig, driving
 
 from homeward.control.limits import Limits
 from homeward.drives.settings import DriveSettings, OdometryNoise
-from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.live.messages import (
     Answer,
@@ -417,11 +416,6 @@ def test_what_was_seen_before_a_clock_was_set_back_is_not_home():
     session.receive(StoreHome(), 8.0)
     assert [out.type for out in session.process()] == ["event"]
     assert session.localisation.homes["home"]["a"].bearing == pytest.approx(0.5)
-
-
-def test_an_estimator_that_there_is_not_is_refused_at_once():
-    with pytest.raises(InputError, match="no estimator 'nonsense'"):
-        Session(LiveSettings(estimator="nonsense"))
 
 
 def test_what_was_never_heard_is_said_so():
