@@ -108,7 +108,7 @@ def test_steps_agree_with_the_oracle(name, q, steps, seed):
 @pytest.mark.parametrize("name", kinds(3))
 def test_steps_with_gate_and_minimum_agree_with_the_oracle(name, max_unrolled):
     kind = kinds(7)[name]
-    assert run(kind, machine(kind, max_unrolled), 7, 1000, 3, 3.0, 3) < 1e-9
+    assert run(kind, machine(kind, max_unrolled), 7, 500, 3, 3.0, 3) < 1e-9
 
 
 @pytest.mark.parametrize(

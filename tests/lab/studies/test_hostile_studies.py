@@ -7,7 +7,7 @@ import sys
 import numpy as np
 import pytest
 from cli.commands import done
-from lab.studies.chores import draw_no_figures
+from lab.studies.chores import draw_no_figures, in_this_process
 from lab.studies.test_study import QUICK, call, computed, plan_of, written
 
 from homeward.drives.opening import open_drive
@@ -39,10 +39,18 @@ def test_labels_are_plain_text_wherever_they_are_drawn(tmp_path):
     assert len(list(folder.glob("*.png"))) == 3
 
 
+@pytest.fixture
+def light(monkeypatch):
+    """Compute blocks in this process, and draw no figures."""
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
+    draw_no_figures(monkeypatch)
+
+
+@pytest.mark.usefixtures("light")
 def test_a_label_is_printed_so_that_a_terminal_does_nothing_else(tmp_path):
     label = "\x1b[2J\nhome"
     file = written(tmp_path, runs=1, grid={}, estimators=[{"estimator": "ekf", "label": label}])
-    result = done(call("study", file, "--out", tmp_path / "out", "--workers", "1"))
+    result = done(call("study", file, "--out", tmp_path / "out"))
     assert r"\x1b[2J\nhome" in result.stdout
     assert "\x1b" not in result.stdout
 
@@ -117,13 +125,13 @@ def test_a_full_disk_leaves_no_half_of_a_drive(tmp_path, name):
     assert open_drive(tmp_path / name).odometry.t.size == 3604
 
 
+@pytest.mark.usefixtures("light")
 @pytest.mark.parametrize("size", [300, 20_000, 41_000])
-def test_a_study_goes_on_when_there_is_room_again(tmp_path, size, monkeypatch):
+def test_a_study_goes_on_when_there_is_room_again(tmp_path, size):
     """Whatever was to be written when there was none left: marker, manifest, block or results."""
     file, out = written(tmp_path, runs=1, grid={}, estimators=["ekf"]), tmp_path / "out"
-    words = ("study", file, "--out", out, "--workers", "1")
-    draw_no_figures(monkeypatch)
-    with_a_full_disk(size, *words)
+    words = ("study", file, "--out", out)
+    with_a_full_disk(size, *words, "--workers", "1")
     check_output(out, MARKER)
     assert not out.exists() or not [p for p in out.rglob("*") if "writing" in p.name]
     done(call(*words))
