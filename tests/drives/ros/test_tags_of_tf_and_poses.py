@@ -321,9 +321,19 @@ def test_arrays_of_tags_with_a_header_each(tmp_path, sample, kind, tags, where, 
     assert ("sightings without an id, left out" in drive.remarks) == (tags == "markers")
 
 
-def test_a_field_case_of_ros2_aruco_has_the_bearings_of_the_sample(data_dir, sample):
-    folder = data_dir / "field" / "06-ros2-aruco"
+@pytest.mark.parametrize(
+    ("case", "log", "topics"),
+    [
+        ("09-tf-only", "tf", None),
+        ("09-tf-only", "tf", "tf.yaml"),
+        ("06-ros2-aruco", "ros2_aruco", "ros2_aruco.yaml"),
+        ("06-ros2-aruco", "aruco_opencv", None),
+        ("07-alvar", "alvar", "alvar.yaml"),
+    ],
+)
+def test_field_cases_with_the_bearings_of_the_sample(data_dir, sample, case, log, topics):
+    folder = data_dir / "field" / case
     if not folder.is_dir():
-        pytest.skip("no field/06-ros2-aruco in the data folder")
-    drive = open_drive(folder / "ros2_aruco", topics=folder / "ros2_aruco.yaml")
+        pytest.skip(f"no field/{case} in the data folder")
+    drive = open_drive(folder / log, topics=topics and folder / topics)
     assert rows_of(drive.sightings) == pytest.approx(rows_of(sample.sightings), abs=1e-6)
