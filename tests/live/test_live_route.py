@@ -232,7 +232,7 @@ def test_a_simulated_robot_teaches_a_route_over_tcp(tmp_path):
     changes = TAUGHT | {"start.prior": False, "moved.count": 0, "noise.bearing_sigma": 0.01}
     del changes["trajectory.kind"]
     result = [f"--set={key}={json.dumps(value)}" for key, value in changes.items()]
-    route = ["--trajectory", "teach", "--route", "round", "--pace", "1"]
+    route = ["--trajectory", "teach", "--route", "round", "--pace", "2"]
     said = CliRunner().invoke(
         app, ["simulate", "paper-homing", "--live", str(server.ports[0]), *route, *result]
     )
