@@ -4,8 +4,9 @@ OTHER := $(if $(filter python3,$(PYTHON)),,-$(shell $(PYTHON) -c 'import sys; pr
 VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 PINS := constraints.txt pyproject.toml
-# Python compiles what is imported at its first import: compiling all doubles the time of pip.
-QUIETLY := --quiet --disable-pip-version-check --no-compile
+# Without bytecode, which takes half of pip's time: Python writes that of a module when it is first
+# imported, unless this variable is set.
+PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install demo plan test demo-physics core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
@@ -16,7 +17,7 @@ $(VENV)/installed: $(PINS)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "homeward needs Python 3.11 or later; make PYTHON=/path/to/it"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[dev,filters,gpu,live,report,scale,vision]'
+	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[dev,filters,gpu,live,report,scale,vision]'
 	touch $@
 
 demo: install
@@ -28,7 +29,7 @@ plan: install
 # A robot in a warehouse with physics and rendered images: a film and a report. It renders by EGL,
 # without a screen (Debian: libegl1); MUJOCO_GL=osmesa by OSMesa.
 demo-physics: install
-	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[demo-physics]'
+	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[demo-physics]'
 	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m examples.warehouse.demo --out out/demo-physics
 	$(BIN)/homeward run out/demo-physics/drive --out out/demo-physics/run
 
@@ -39,7 +40,7 @@ test: install
 # The tests of the core, in an environment of its own that has neither vision, lab nor studio.
 core-environment: install
 	$(PYTHON) -m venv .venv-core$(OTHER)
-	.venv-core$(OTHER)/bin/python -m pip install $(QUIETLY) -c constraints.txt '.[bags,live,report]' evo hypothesis pytest pytest-xdist
+	.venv-core$(OTHER)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt '.[bags,live,report]' evo hypothesis pytest pytest-xdist
 	cd .venv-core$(OTHER)/lib/python3*/site-packages/homeward && rm -rf lab studio vision
 
 test-core: core-environment
@@ -52,7 +53,7 @@ LOWEST_TESTS = io/test_blas_threads.py io/test_files.py localizer/test_gating.py
 	test_core_install.py test_track.py
 lowest-environment:
 	$(PYTHON) -m venv $(LOWEST)
-	$(LOWEST)/bin/python -m pip install $(QUIETLY) -c lowest.txt . hypothesis pytest
+	$(LOWEST)/bin/python -m pip install $(PIP_OPTIONS) -c lowest.txt . hypothesis pytest
 
 test-lowest: lowest-environment
 	$(LOWEST)/bin/python -m pytest -o addopts=-q $(addprefix tests/,$(LOWEST_TESTS)) -k 'not which_extra'
@@ -81,7 +82,7 @@ test-ros: ros-environments
 # (pure where this one has none, either). TARGET=aarch64: for Raspberry Pis and Jetsons, by Zig's.
 ZIG = $$($(BIN)/python -c 'import ziglang; print(ziglang.__path__[0])')/zig
 wheel: install
-	$(if $(TARGET),$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[compiler]')
+	$(if $(TARGET),$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[compiler]')
 	rm -rf out/wheel
 	$(if $(TARGET),CC="'$(ZIG)' cc -target $(TARGET)-linux-gnu.2.17") $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
 	if ls out/wheel/built/*-any.whl 2>/dev/null; then cp out/wheel/built/*.whl out/wheel; \
@@ -108,7 +109,7 @@ lint: install
 # The site, in out/site: open its index.html. Any error in a page fails the build (but not with
 # --quiet, which hides errors from their counter).
 docs: install
-	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[docs]'
+	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 # Needs pandoc, and a LaTeX for the PDF; without LaTeX it is a page.
@@ -118,7 +119,7 @@ paper:
 
 # QUICK=1: few runs of each, without the real drives and the hours.
 bench: install
-	$(BIN)/python -m pip install $(QUIETLY) -c constraints.txt -e '.[bench]'
+	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[bench]'
 	$(BIN)/python -m benchmarks.inputs
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2 --limits)

@@ -135,8 +135,11 @@ def test_a_speed_that_is_always_zero_while_the_robot_turns_is_remarked():
 @pytest.mark.parametrize(
     ("v", "omega", "unit"),
     [
-        *((250.0, 0.3, "mm/s"), (0.25, 17.0, "deg/s")),
-        *((0.25, 0.3, None), (9.0, 1.5, None), (25.0, 0.0, None)),
+        (250.0, 0.3, "mm/s"),
+        (0.25, 17.0, "deg/s"),
+        (0.25, 0.3, None),
+        (9.0, 1.5, None),
+        (25.0, 0.0, None),
     ],
 )
 def test_rates_in_other_units_are_remarked(v, omega, unit):
