@@ -30,6 +30,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import between, composition
 from homeward.localizer.tunables import BEND, NUM_BENDS
 from homeward.odometry.history import SettledTwist
@@ -96,9 +97,13 @@ class Motion:
         if self is Motion.identity() or later is Motion.identity():
             return later if self is Motion.identity() else self
         delta, first, second = composition(self.delta, later.delta)
+        covariance = first @ self.covariance @ first.T + second @ later.covariance @ second.T
+        # Back to where it was, the shift's variance by a turn is a difference of larger ones.
+        lever = float(first[0, 2] ** 2 + first[1, 2] ** 2)
+        scale = (1.0 + lever) * float(self.covariance.trace()) + float(later.covariance.trace())
         return Motion(
             delta,
-            first @ self.covariance @ first.T + second @ later.covariance @ second.T,
+            positive(covariance, "the covariance of a composed motion", scale),
             first @ self.jacobian + second @ later.jacobian,
             self.path + later.path,
             self.turned + later.turned,
