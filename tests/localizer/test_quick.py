@@ -10,7 +10,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.preintegration import NC, Motion, camera_after
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motion.preintegration import NC, TURN_SLIP, Motion, camera_after
 from homeward.localizer.smoothing import bridged
 from homeward.localizer.tunables import MAX_HOME_LANDMARKS
 
@@ -54,6 +55,25 @@ def seen(rng, window):
     rows = window.frames.add(window.newest, camera, look)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows
+
+
+@pytest.mark.parametrize("rounding", [1e-20, -1e-20])
+def test_rounding_does_not_decide_the_variance_of_a_slip_that_nothing_observes(rounding):
+    window, odometry = (
+        Smoother(SIGMAS, np.zeros(NC), MOUNT_SIGMAS, CorrelatedErrors(), 0.0),
+        Wheels(),
+    )
+    for k in range(4):  # straight on, without landmarks
+        odometry.restart(float(k))
+        odometry.add(float(k), 0.4, 0.0)
+        window.add_keyframe(k + 1.0, odometry.advance(k + 1.0, window.state.calibration))
+        mean = window.state.mean.copy()
+        mean[3 + TURN_SLIP] = rounding
+        window.state = Marginal(mean, window.state.covariance)
+        window.solve()
+        assert window.state.calibration_variances[TURN_SLIP] == pytest.approx(
+            SIGMAS[TURN_SLIP] ** 2
+        )
 
 
 def test_a_quick_correction_is_what_the_whole_window_says_while_that_is_linear():

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
@@ -140,6 +141,8 @@ class Smoother:
         """... and the survey of landmarks."""
         self.one_sided = list(ONE_SIDED)
         """Unknowns that cannot be negative, as long as odometry is not corrected for them."""
+        self._bounded = np.zeros(NC, bool)
+        """Which of the calibration are kept at zero, since they would be negative without that."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
         self._older = np.zeros((0, 3))
@@ -170,7 +173,7 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
-        whole.one_sided = self.one_sided
+        whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
         whole._older = np.concatenate([*(part.poses for part in closed), self._older])
@@ -362,11 +365,8 @@ class Smoother:
             poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
-            bounded = self._negative
             small = self._move(poses, common, covariance) < SOLVE_CONVERGED
-            now = self.state.calibration[self.one_sided]
-            right = np.where(bounded, now <= 0.0, now > -NEGLIGIBLE_CALIBRATION)
-            self.converged = small and bool(right.all())
+            self.converged = not self._update_bounded() and small
             if self.converged:
                 break
 
@@ -508,10 +508,17 @@ class Smoother:
             add_sightings(equations, self._weighed_ranges(rows[with_range]))
         return equations
 
-    @property
-    def _negative(self) -> np.ndarray:
-        """Which of `one_sided` are negative, bool."""
-        return np.asarray(self.state.calibration[self.one_sided] < 0.0)
+    def _update_bounded(self) -> bool:
+        """Update which unknowns are kept at zero (an active set); return whether any changed.
+
+        An unknown that nothing observes is zero but for rounding, whose sign must not decide: one
+        is kept at zero from a notable negative value on, until it is not negative even then.
+        """
+        now, before = self.state.calibration, self._bounded
+        limit = np.where(before, -ROUNDING, -NEGLIGIBLE_CALIBRATION)
+        self._bounded = np.zeros(NC, bool)
+        self._bounded[self.one_sided] = (now < limit)[self.one_sided]
+        return bool((self._bounded != before).any())
 
     def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
@@ -522,7 +529,7 @@ class Smoother:
         information = np.array([self.slip_sigma, sigma, *self.mount_sigmas]) ** -2.0
         equations.common[at, at] += information
         equations.common_slope[at] -= information * (self.state.calibration[at] - means)
-        bounded = np.array(self.one_sided)[self._negative]
+        bounded = self._bounded.nonzero()[0]
         equations.common[bounded, bounded] += NEGLIGIBLE_CALIBRATION**-2.0
         equations.common_slope[bounded] -= (
             NEGLIGIBLE_CALIBRATION**-2.0 * self.state.calibration[bounded]
