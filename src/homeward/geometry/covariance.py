@@ -1,8 +1,8 @@
 """Covariances that stay symmetric and positive, although they are computed with rounding.
 
-A variance that is exactly zero, as that of the shift of a robot that only turns, may become slightly
+A variance of zero, such as that of the shift of a robot that only turns, may become slightly
 negative when it is computed as a difference. Such rounding is clipped; a larger negative variance
-is an error of the computation, and no number to go on with.
+is an error of the computation.
 """
 
 from __future__ import annotations
