@@ -18,6 +18,7 @@ class Reason(_Words):
     """Explanation of a status, where that needs no numbers."""
 
     NO_SAMPLES = "no samples yet"
+    FAILED = "the estimator failed"
     LOST = "the robot is lost in its map: bearings do not fit the map, or odometry had a gap"
     SCENE_CHANGED = (
         "all landmarks in view changed at once: the robot may have been carried elsewhere"

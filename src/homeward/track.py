@@ -23,8 +23,10 @@ from homeward.estimator import (
     UsesCameras,
     add_frame,
 )
+from homeward.internal_errors import Attempts, InternalFailure, failure_notes
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
+from homeward.reasons import Reason
 
 GRID_S = 0.1
 """Interval of the estimates between bearing stamps [s]."""
@@ -112,6 +114,8 @@ class Track:
     notes: tuple[str, ...]
     history: LandmarkHistory = field(default_factory=LandmarkHistory)
     """Landmark estimates, about every second."""
+    failures: tuple[InternalFailure, ...] = ()
+    """Exceptions of the estimator; `notes` has one on them."""
 
     @property
     def has_pose(self) -> np.ndarray:
@@ -146,6 +150,10 @@ def run(
     Samples are fed in order of time, odometry before bearings of the same stamp. The estimate at a
     grid point is computed before any later sample is fed, so every row is causal.
 
+    An exception of the estimator does not end the run: it is kept in `Track.failures`, and given as
+    an `InternalErrorWarning`. The estimator begins again without a map; one that cannot gives no
+    estimates from then on.
+
     Parameters
     ----------
     drive : Drive
@@ -166,7 +174,7 @@ def run(
     stamps = np.unique(drive.sightings.t)
     grid = grid_times(drive.span, stamps)
     order = in_order(drive.odometry.t, stamps, grid)
-    rows = _TrackRows(stamps.size + grid.size)
+    rows, attempts = _TrackRows(stamps.size + grid.size), Attempts(estimator)
     every = max(HISTORY_S, (drive.span[1] - drive.span[0]) / MAX_HISTORY)
     update_seconds: list[float] = []
 
@@ -188,32 +196,39 @@ def run(
     reported = began
     for done, kind in enumerate(order):
         if kind == ODOMETRY:
-            estimator.odometry(*next(odometry))
+            twist = next(odometry)
+            attempts.attempt(twist[0], None, estimator.odometry, *twist)
         elif kind == BEARINGS:
             start = time.perf_counter()
             innovations: tuple[Innovation, ...] = ()
             for _ in range(next(frames)):  # one of each camera
                 t, seen, sigmas = next(sightings)
                 sample = t, seen, sigmas or None, *next(ranges), next(names)
-                estimate = add_frame(estimator, *sample)
+                estimate = attempts.attempt(t, _failed(t), add_frame, estimator, *sample)
                 innovations = (*innovations, *estimate.innovations)
             update_seconds.append(time.perf_counter() - start)
             if len(innovations) > len(estimate.innovations):
                 estimate = dataclasses.replace(estimate, innovations=innovations)
         else:
             t = next(grid_points)
-            estimate = estimator.estimate(t)
+            estimate = attempts.attempt(t, _failed(t), estimator.estimate, t)
         if kind != ODOMETRY:
             rows.keep(t, estimate)
             if on_estimate is not None:
                 on_estimate(estimate)
-            rows.keep_landmarks(t, estimator, every)
+            rows.keep_landmarks(t, attempts, estimator, every)
         if progress is not None and time.perf_counter() - reported > PROGRESS_S:
             reported = time.perf_counter()
             progress(done / len(order))
     if progress is not None:
         progress(1.0)
-    return rows.track(estimator, np.array(update_seconds), time.perf_counter() - began)
+    seconds = np.array(update_seconds), time.perf_counter() - began
+    return rows.track(attempts, estimator, *seconds)
+
+
+def _failed(t: float) -> Estimate:
+    """Return the estimate at `t` [s] of an estimator that failed."""
+    return Estimate(t, Status.WAITING, Reason.FAILED.words)
 
 
 def track_of(estimator: Estimator, estimates: Sequence[Estimate]) -> Track:
@@ -221,7 +236,7 @@ def track_of(estimator: Estimator, estimates: Sequence[Estimate]) -> Track:
     rows = _TrackRows(len(estimates))
     for estimate in estimates:
         rows.keep(estimate.t, estimate)
-    return rows.track(estimator, np.empty(0), 0.0)
+    return rows.track(Attempts(estimator), estimator, np.empty(0), 0.0)
 
 
 ODOMETRY, BEARINGS, GRID = 0, 1, 2
@@ -281,10 +296,12 @@ class _TrackRows:
         )
         self.filled += 1
 
-    def keep_landmarks(self, t: float, estimator: Estimator, every: float) -> None:
+    def keep_landmarks(
+        self, t: float, attempts: Attempts, estimator: Estimator, every: float
+    ) -> None:
         """Keep the landmark estimates at `t` [s], at most once in `every` [s]."""
         if not self.known or t - self.known[-1][0] >= every:
-            self.known.append((t, estimator.landmarks()))
+            self.known.append((t, attempts.attempt(t, [], estimator.landmarks)))
 
     def history(self) -> LandmarkHistory:
         """Return the landmark estimates during the drive."""
@@ -296,8 +313,19 @@ class _TrackRows:
                 values[:, row, column[m.landmark]] = m.x, m.y, m.moved_probability
         return LandmarkHistory(np.array([t for t, _ in self.known]), tuple(names), *values)
 
-    def track(self, estimator: Estimator, update_seconds: np.ndarray, run_seconds: float) -> Track:
+    def track(
+        self,
+        attempts: Attempts,
+        estimator: Estimator,
+        update_seconds: np.ndarray,
+        run_seconds: float,
+    ) -> Track:
         """Return the finished track."""
+        end = float(self.t[self.filled - 1]) if self.filled else 0.0
+        nothing, silence = list[LandmarkEstimate](), tuple[str, ...]()
+        landmarks = attempts.attempt(end, nothing, estimator.landmarks)
+        notes = attempts.attempt(end, silence, lambda: estimator.notes)
+        failures = tuple(attempts.failures)
         t, landmark, value, sigma, accepted = (
             zip(*self.innovations, strict=True) if self.innovations else ((),) * 5
         )
@@ -319,8 +347,9 @@ class _TrackRows:
             ),
             update_seconds=update_seconds,
             run_seconds=run_seconds,
-            landmarks=estimator.landmarks(),
+            landmarks=landmarks,
             counts=estimator.counts,
-            notes=estimator.notes,
+            notes=(*failure_notes(failures), *notes),
             history=self.history(),
+            failures=failures,
         )

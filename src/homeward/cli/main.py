@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import inspect
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 import typer
@@ -17,13 +20,21 @@ from homeward.cli.drives.see import see
 from homeward.cli.drives.simulate import simulate
 from homeward.cli.drives.tune import tune
 from homeward.cli.export import export
-from homeward.cli.options import BAD_INPUT, EXIT_STATUSES, INTERRUPTED, NO_ANSWER, refuse
+from homeward.cli.options import (
+    AFTER_ERROR,
+    BAD_INPUT,
+    EXIT_STATUSES,
+    INTERRUPTED,
+    NO_ANSWER,
+    refuse,
+)
 from homeward.cli.place import place
 from homeward.cli.settings import settings
 from homeward.cli.studies.plan import plan
 from homeward.cli.studies.study import study
 from homeward.cli.studio import studio
 from homeward.errors import HomewardError, InputError, missing_extra_error
+from homeward.internal_errors import REQUEST, InternalErrorWarning
 
 FORMER = {
     "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
@@ -35,6 +46,28 @@ FORMER = {
     "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
 """Commands of earlier versions, and their replacements."""
+
+
+@contextmanager
+def internal_errors() -> Iterator[list[str]]:
+    """Collect the internal errors after which a command goes on, and print the first at its end."""
+    found, show = list[str](), warnings.showwarning
+
+    def collect(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        if issubclass(category, InternalErrorWarning):
+            found.append(str(message))
+        else:
+            show(message, category, *where)
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", InternalErrorWarning)
+        warnings.showwarning = collect  # type: ignore[assignment]
+        try:
+            yield found
+        finally:
+            if found:
+                more = f" ({len(found)} internal errors in all)" if len(found) > 1 else ""
+                refuse(f"{found[0]}{more}. {REQUEST}")
 
 
 class OneLineErrors(TyperGroup):
@@ -53,7 +86,11 @@ class OneLineErrors(TyperGroup):
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
         try:
-            return super().invoke(ctx)
+            with internal_errors() as found:
+                result = super().invoke(ctx)
+            if found:
+                raise typer.Exit(AFTER_ERROR)
+            return result
         except ModuleNotFoundError as error:
             if (missing := missing_extra_error(error)) is None:
                 raise

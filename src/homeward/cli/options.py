@@ -20,11 +20,11 @@ import typer
 from homeward.errors import InputError, printable
 from homeward.io.settings import parse_yaml
 
-ANSWER, NO_ANSWER, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+ANSWER, NO_ANSWER, BAD_INPUT, AFTER_ERROR, INTERRUPTED = 0, 1, 2, 3, 130
 """Exit statuses, the same in all commands."""
 EXIT_STATUSES = (
     "Exit status: 0 result, 1 no result (no pose found, nothing recognised, every run failed), "
-    "2 bad input, 130 interrupted."
+    "2 bad input, 3 result after an internal error, which is reported, 130 interrupted."
 )
 MIN_WIDTH = 20
 """Text is not wrapped for narrower terminals [characters]."""

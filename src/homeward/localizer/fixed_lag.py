@@ -13,6 +13,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimate
+from homeward.internal_errors import Attempts
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
@@ -66,6 +67,11 @@ class FixedLag:
         # Several at once: a solution of the window takes as long for one as for many.
         return self._answer(t - max(self._lag - self._localizer.settings.keyframe_interval, 0.0))
 
+    @property
+    def waiting(self) -> list[Estimate]:
+        """The causal estimates that are not smoothed yet."""
+        return [estimate for _, estimate in self._waiting]
+
     def finish(self) -> list[Estimate]:
         """Return the smoothed estimates that are not due yet, at the end of a drive."""
         return self._answer(math.inf)
@@ -74,8 +80,12 @@ class FixedLag:
     def _answer(self, until: float) -> list[Estimate]:
         """Return the smoothed estimates up to a time [s]."""
         due = [(t, estimate) for t, estimate in self._waiting if t <= until]
+        smoothed = self._smoothed(np.array([t for t, _ in due]), [estimate for _, estimate in due])
         self._waiting = self._waiting[len(due) :]
-        times, rows = np.array([t for t, _ in due]), [estimate for _, estimate in due]
+        return smoothed
+
+    def _smoothed(self, times: np.ndarray, rows: list[Estimate]) -> list[Estimate]:
+        """Return the smoothed estimates instead of causal ones at times (n,) [s]."""
         localizer = self._localizer
         if localizer.is_convention_wrong or localizer.chart.home.hypotheses is None or not rows:
             return rows
@@ -104,6 +114,11 @@ def smooth_with_lag(drive: Drive, lag: float, settings: LocalizerSettings | None
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
-    late, rows = FixedLag(localizer, lag), list[Estimate]()
-    track = run(drive, localizer, on_estimate=lambda estimate: rows.extend(late.add(estimate)))
-    return replaced(track, localizer, rows + late.finish())
+    late, rows, attempts = FixedLag(localizer, lag), list[Estimate](), Attempts()
+
+    def add(estimate: Estimate) -> None:
+        rows.extend(attempts.attempt(estimate.t, [], late.add, estimate))
+
+    track = run(drive, localizer, on_estimate=add)
+    rest = attempts.attempt(drive.span[1], late.waiting, late.finish)
+    return replaced(track, localizer, rows + rest, attempts.failures)

@@ -99,18 +99,26 @@ class Localizer:
         self._home, self._robot = known_home(home), known_robot(robot)
         self._cameras = Cameras(self._robot, (seen.camera for seen in self._home.values()))
         self._notes = (SCALE_NOTE,) if self._robot.odometry.speed_scale_sigma is None else ()
-        self.twists, self._known = TwistHistory(), known_landmarks(known)
-        """The newest twists, as accepted."""
+        self._known = known_landmarks(known)
         self._retained = 0.0
         """Time for which twists are kept at least [s]."""
+        self._keeps = False
+        self._blind: list[tuple[float, float]] = []
+        self._clock = Clock()
+        self._begin()
+
+    def _begin(self) -> None:
+        """Begin without samples and without a map."""
+        self.twists = TwistHistory()
+        """The newest twists, as accepted."""
         self._chart = self._new_chart(self._robot, self.counts)
+        if self._keeps:
+            self._chart.retain_marginalised()
         self._candidate_chart: Chart | None = None
         """The second chart, begun when the robot was lost in the first."""
         self._candidate_lead = 0
         """How many more sightings fit the second, since it began or was last the worse one."""
-        self._keeps = False
-        self._blind: list[tuple[float, float]] = []
-        self._clock, self._reorder = Clock(), ReorderBuffer()
+        self._reorder = ReorderBuffer()
         self._sign_checks = SignChecks(self._robot)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
         self._frozen: dict[str, FrozenCamera] = {}
@@ -118,6 +126,16 @@ class Localizer:
         """Sightings of the newest stamp of bearings."""
         self._t = -math.inf
         self._ranges = RangeInput(self._robot.sensor.range_sigma, self._known.is_given)
+
+    @synchronised
+    def restart(self) -> None:
+        """Begin again in the middle of a drive, after an internal error: without a map.
+
+        Settings, counts and known landmarks stay. The start prior was for another place, and is
+        forgotten.
+        """
+        self._robot = self._robot.model_copy(update={"start": None})
+        self._begin()
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
+from homeward.internal_errors import REQUEST, Attempts, InternalFailure, failure_notes
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
@@ -55,29 +56,55 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     Returns
     -------
     Track
-        With the rows of the causal track, which is returned itself if home is not found, or if
-        bearings and turns have opposite senses. Where the robot was lost in its last map, and
-        before that map began, rows are the causal ones. No row next to a keyframe has a pose whose
-        bearings contradict the solution, nor one where a new map replaced one.
+        With the rows of the causal track, which is returned itself if home is not found, if
+        bearings and turns have opposite senses, or after an internal error. Where the robot was
+        lost in its last map, and before that map began, rows are the causal ones. No row next to a
+        keyframe has a pose whose bearings contradict the solution, nor one where a new map replaced
+        one.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
-    track, solved = solve_whole(drive, localizer)
+    localizer.retain_marginalised()
+    track, attempts = run(drive, localizer), Attempts()
+    end = drive.span[1]
+    rows = attempts.attempt(end, None, _smoothed_rows, drive, localizer, track)
+    return replaced(track, localizer, rows, attempts.failures)
+
+
+def _smoothed_rows(drive: Drive, localizer: Localizer, track: Track) -> list[Estimate] | None:
+    """Return smoothed estimates instead of those of a causal track; None where there are none."""
+    solved = solved_after(drive, localizer, track)
     if solved is None or not localizer.chart.finalise(solved.whole):
+        return None
+    return solved.estimates([_row(track, i) for i in range(track.t.size)], track.t)
+
+
+def replaced(
+    track: Track,
+    localizer: Localizer,
+    rows: Sequence[Estimate] | None,
+    failures: Sequence[InternalFailure],
+) -> Track:
+    """Return the causal track of a localiser with smoothed rows instead, if there are any.
+
+    The `failures` are those of smoothing.
+    """
+    if rows is not None:
+        smoothed = track_of(localizer, rows)
+        track = dataclasses.replace(
+            smoothed,
+            innovations=track.innovations,
+            update_seconds=track.update_seconds,
+            run_seconds=track.run_seconds,
+            history=track.history,
+            failures=track.failures,
+            notes=(*failure_notes(track.failures), *smoothed.notes),
+        )
+    if not failures:
         return track
-    rows = solved.estimates([_row(track, i) for i in range(track.t.size)], track.t)
-    return track if rows is None else replaced(track, localizer, rows)
-
-
-def replaced(track: Track, localizer: Localizer, rows: Sequence[Estimate]) -> Track:
-    """Return the causal track of a localiser with smoothed rows instead."""
-    return dataclasses.replace(
-        track_of(localizer, rows),
-        innovations=track.innovations,
-        update_seconds=track.update_seconds,
-        run_seconds=track.run_seconds,
-        history=track.history,
-    )
+    note = f"Smoothing failed, and its rows are causal: {failures[0]}. {REQUEST}"
+    every = (*track.failures, *failures)
+    return dataclasses.replace(track, failures=every, notes=(note, *track.notes))
 
 
 @dataclass(frozen=True)
@@ -229,8 +256,13 @@ def solve_whole(
     """
     localizer.retain_marginalised()
     track = run(drive, localizer, on_progress)
+    return track, solved_after(drive, localizer, track)
+
+
+def solved_after(drive: Drive, localizer: Localizer, track: Track) -> SolvedDrive | None:
+    """Return the solution of a whole drive after a run, as `solve_whole`."""
     if localizer.is_convention_wrong:
-        return track, None
+        return None
     chart = localizer.chart
     chart.learn(float(track.t[-1]), everything=True)
     whole = chart.map.smoother.whole()
@@ -246,7 +278,7 @@ def solve_whole(
                 seen.add_to(whole, chart.map)  # rejected by a pose that was wrong
         _solve(whole)
         lost = frozenset(seen.keyframe for seen in _contradicted(drive, chart, whole))
-    return track, dataclasses.replace(solved, lost=lost)
+    return dataclasses.replace(solved, lost=lost)
 
 
 def _twists(drive: Drive, begin: float, end: float) -> TwistHistory:

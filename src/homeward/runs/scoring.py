@@ -139,6 +139,8 @@ class Metrics:
     """Samples and sightings not used, by reason."""
     accuracy: Accuracy | None
     """None without ground truth, or when it covers no row."""
+    internal_errors: int = 0
+    """Number of exceptions of the estimator."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers for metrics.json: units in the keys, absent where unknown."""
@@ -156,6 +158,7 @@ class Metrics:
             "run_s": self.run_s,
             "sightings_used": self.sightings_used,
             "rejected": {why.words: number for why, number in self.rejected.items()},
+            "internal_errors": self.internal_errors,
         }
         return {k: v for k, v in plain.items() if v not in (None, math.inf) and v == v}
 
@@ -185,6 +188,7 @@ def score(track: Track, truth: Truth | None) -> Metrics:
         sightings_used=track.counts.used,
         rejected=dict(track.counts.rejected),
         accuracy=None if truth is None else accuracy(errors(track, truth)),
+        internal_errors=len(track.failures),
     )
 
 

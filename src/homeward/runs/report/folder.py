@@ -28,6 +28,8 @@ SETTINGS_FILE = "run.yaml"
 ESTIMATE = "estimate.csv"
 PAGE, RECORDING = "report.html", "run.mcap"
 """These need the extra report."""
+TRACES, MAX_TRACES = "internal_errors.txt", 20
+"""Exceptions of the estimator with their tracebacks, the first ones; absent without any."""
 VIEWS = ("foxglove.json", "rerun.rbl")
 """Layout for Foxglove and blueprint for Rerun, copied next to `RECORDING`. Rerun applies the
 blueprint (docs/make_blueprint.py) only to a recording whose file name is run."""
@@ -55,7 +57,8 @@ def write_run(
     """Write the output files of a run, and return its summary.
 
     The files are estimate.csv, trajectory.tum, landmarks.csv, metrics.json, run.mcap with `VIEWS`,
-    report.html and run.yaml; without the extra report neither run.mcap nor report.html. They
+    report.html and run.yaml; without the extra report neither run.mcap nor report.html; after an
+    internal error also internal_errors.txt. They
     replace those of an earlier run; other files stay. run.yaml contains all `settings`, as plain
     data, and the versions of the packages; run.mcap contains the `images`. `InputError` where the
     folder is not that of a run, or cannot be written.
@@ -77,7 +80,13 @@ def write_run(
                 view = files("homeward.runs.report").joinpath("templates", name)
                 (scratch / name).write_bytes(view.read_bytes())
             write_page(scratch / PAGE, drive, track, metrics, settings)
+        if track.failures:
+            traces = "\n\n".join(
+                f"{each}\n{each.traceback}" for each in track.failures[:MAX_TRACES]
+            )
+            (scratch / TRACES).write_text(traces, encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, settings)
-    for file in () if pages else (RECORDING, PAGE, *VIEWS):  # remove files of an earlier run
+    earlier = () if pages else (RECORDING, PAGE, *VIEWS)
+    for file in (*earlier, *(() if track.failures else (TRACES,))):  # of an earlier run
         (directory / file).unlink(missing_ok=True)
     return summary

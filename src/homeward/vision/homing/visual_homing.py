@@ -45,6 +45,7 @@ from homeward.geometry.frames import (
     polar_covariance_to_pose,
 )
 from homeward.geometry.se2 import lever, rotation
+from homeward.internal_errors import Restartable
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
@@ -169,6 +170,16 @@ class VisualHoming:
         """Number of refused comparisons in a row."""
         self._moved_filter, self._votes = MovedLandmarkFilter(), DirectionVoting(self._odometry)
         self._clock = Clock()
+
+    def restart(self) -> None:
+        """Restart the inner estimator after an internal error, and forget the last fix.
+
+        `TypeError` where it cannot be restarted.
+        """
+        if not isinstance(self._inner, Restartable):
+            raise TypeError(f"{self._inner.name} cannot be restarted")
+        self._inner.restart()
+        self._fix, self._votes = None, DirectionVoting(self._odometry)
 
     @property
     def counts(self) -> Counts:

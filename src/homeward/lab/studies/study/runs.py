@@ -185,6 +185,8 @@ def _made(
 def _followed(trial: Trial, drive: Drive, estimator: Estimator, block: StudyBlock) -> Found:
     began = time.process_time()
     track = follow(drive, estimator)
+    if track.failures:
+        raise RuntimeError(str(track.failures[0]))
     seconds = time.process_time() - began
     return _measure(trial, estimator, track, block) | {"seconds": seconds}
 
