@@ -97,6 +97,7 @@ def test_a_whole_block_of_something_else_is_told_of(tmp_path, arrays):
 
 CHILD = """
 import resource, sys
+sys.dont_write_bytecode = True  # Python 3.11 leaves half a file, and imports it the next time
 resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[1]),) * 2)
 from homeward.cli.main import app
 app(sys.argv[2:])
