@@ -18,16 +18,16 @@ from homeward.control.driver import Driver
 from homeward.control.following import STAND
 from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
-from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
+from homeward.live.frozen_cameras import FrozenCameras
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.place_session import PlaceSession
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
-from homeward.localizer.inputs.frozen_camera import FrozenCamera
 from homeward.odometry.clock import Clock
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
@@ -68,7 +68,7 @@ class Session:
         self._odometry = Watchdog("odometry", settings.odometry_timeout, clock)
         self._bearings = Watchdog("bearings", settings.bearings_timeout, clock)
         self._lags = {"bearings": Debounced(), "answers": Debounced()}
-        self._frozen = FrozenCamera(robot.sensor.yaw)
+        self._frozen = FrozenCameras(robot)
         self._is_frozen, self._is_blind = Debounced(), Debounced()
         self._unseen = DrivingTime(0.0)
         """Since a landmark was in view of a camera that is not frozen."""
@@ -124,7 +124,8 @@ class Session:
                 elif self._late:
                     message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
-                odom = self._odometry_pose(t)
+                if t > self._twists.newest - MEMORY_S:
+                    odom = self._odometry_pose(t)
             case msg.EStop(engaged=engaged):
                 self._stopped = engaged
                 # The release also ends a drive: the robot must not move before a new goal.
@@ -138,6 +139,8 @@ class Session:
                 with self._lock:
                     self._goal_message, self._refused = message, ""
                 self._switch_to(self.homing, now)
+            case msg.SetExtrinsics(x=x, y=y, yaw=yaw, camera=name):
+                self._frozen.set_extrinsics(name, OtherCamera(x=x, y=y, yaw=yaw))
             case msg.TurnHome(name=name):
                 self._store_after_turn = msg.StoreHome(name=name)
                 self._switch_to(self._turning, now, TurnGoal())
@@ -174,7 +177,7 @@ class Session:
                 if message is self._goal_message:
                     self._goal_message = None
             if isinstance(out, msg.Answer):
-                self._answered = t
+                self._answered = max(self._answered, t)
                 yield from self._call_watchers(out)
             if out is not None:
                 yield out
@@ -345,9 +348,8 @@ class Session:
         """Report a sample to its watchdog; return its stamp on the common clock [s]."""
         if isinstance(sample, msg.BearingsIn):
             t = self._bearings.record(sample.t, now)
-            seen = {f"{name} {sample.camera}": b for name, b in sample.bearings.items()}
-            frozen = self._frozen.add_bearings(t, seen, self._twists.at(t))
-            if len(frozen) < len(sample.bearings):
+            reckoned = self._twists.at(t)
+            if self._frozen.add_frame(t, sample.bearings, sample.camera, reckoned):
                 self._unseen = DrivingTime(0.0)
                 if self._twists:
                     self._heading_seen = self._odometry_pose(t).heading
