@@ -3,11 +3,13 @@
 import json
 import math
 
+import numpy as np
 import pytest
 from live_rig import QUICK, Rig, driving
 
 from homeward.drives.settings import DriveSettings
 from homeward.estimator import Status
+from homeward.live.home_capture import HomeCapture
 from homeward.live.messages import Answer, BearingsIn, EventOut, OdometryIn, SetExtrinsics, parse
 from homeward.live.session import Session
 from homeward.reasons import Reason, Rejection
@@ -117,9 +119,71 @@ def test_extrinsics_that_arrive_live_are_those_of_the_frozen_camera_detector(yaw
         assert not session._frozen.is_frozen
 
 
+def with_echo(delay, spoil):
+    """Deliver frames late by `delay` [s], and after each what `spoil` makes of it."""
+    waiting = []
+
+    def changed(message):
+        if isinstance(message, BearingsIn):
+            waiting.append(message)
+        if not isinstance(message, OdometryIn):
+            return [] if isinstance(message, BearingsIn) else [message]
+        out = [message]
+        while waiting and message.t - waiting[0].t > delay:
+            frame = waiting.pop(0)
+            out += [frame, *spoil(frame)]
+        return out
+
+    return changed
+
+
+ECHOES = {
+    "none": lambda frame: [],
+    "repeated": lambda frame: [frame],
+    "late": lambda frame: [frame.model_copy(update={"t": frame.t - 0.1})],
+    "empty": lambda frame: [frame.model_copy(update={"t": frame.t + 0.001, "bearings": {}})],
+}
+
+
+@pytest.mark.parametrize("echo", ECHOES)
+def test_frames_without_effect_do_not_displace_the_robot(echo):
+    rig = Rig(1, **QUICK)
+    rig.spoil = with_echo(0.25, ECHOES[echo])
+    rig.until(driving)
+    off = []
+    for _ in range(100):
+        rig.step()
+        pose, true = rig.session.belief(rig.robot.t).pose, rig.robot.pose
+        if pose is not None:
+            off.append(math.dist(pose[:2], true[:2]))
+    assert len(off) > 80
+    assert np.median(off) < 0.025
+
+
 def test_an_answer_to_a_late_frame_is_not_a_lag_of_the_estimator():
     rig = Rig(1, **QUICK).until(driving)
     frame = BearingsIn(t=rig.robot.t - 0.8, bearings={"L1": 0.1})
     now = rig.robot.t
     assert play(rig.session, [frame], now)[0].t == frame.t
     assert rig.session.faults(now) == ()
+
+
+def test_a_home_of_a_place_has_the_bearings_of_the_newest_stamp():
+    capture = HomeCapture()
+    for t, bearing in ((1.0, 0.1), (1.2, 0.3), (1.1, 0.2)):
+        capture.bearings(BearingsIn(t=t, bearings={"a": bearing}))
+    assert capture.newest.bearings == {"a": 0.3}
+
+
+def test_a_clock_that_is_set_back_during_a_turn_at_home_does_not_turn_home():
+    """The stamps before and after overlap."""
+    capture = HomeCapture()
+    capture.begin(DriveSettings())
+    for k in range(360):
+        now = 0.05 * k
+        t = now if now < 7.0 else now - 3.0
+        capture.odometry(OdometryIn(t=t, v=0.0, omega=0.5))
+        seen = {n: math.remainder(b - 0.5 * now, math.tau) for n, b in SEEN.items()}
+        capture.bearings(BearingsIn(t=t, bearings=seen))
+    home = capture.captured().seen
+    assert {n: seen.bearing for n, seen in home.items()} == pytest.approx(SEEN, abs=0.05)

@@ -28,6 +28,7 @@ from homeward.live.place_session import PlaceSession
 from homeward.localizer.fixed_lag import FixedLag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
+from homeward.odometry.clock import Clock
 from homeward.registry import make_estimator, settings_model
 from homeward.runs.report.words import count
 
@@ -89,6 +90,8 @@ class Localisation:
         """Last answer."""
         self._guide: StartGuide | None = None
         self._capture = HomeCapture()
+        self._clock, self._newest = Clock(), -math.inf
+        """Clock of all samples, and on it the newest stamp of a frame with bearings [s]."""
         self._lag = smoothed_lag
         self._late: FixedLag | None = None
         self.smoothed: list[msg.Smoothed] = []
@@ -150,6 +153,7 @@ class Localisation:
             self._capture.end()
         match message:
             case msg.OdometryIn():
+                self._clock.read(message.t)
                 self._capture.odometry(message)
                 if self.estimator is not None:
                     self.estimator.odometry(message.t, message.v, message.omega)
@@ -243,6 +247,7 @@ class Localisation:
         )
 
     def _answer(self, message: msg.BearingsIn, odom: Pose | None) -> msg.Answer:
+        t = self._clock.read(message.t)
         self._capture.bearings(message)
         if self.estimator is None:
             return _as_message(Estimate(message.t, Status.WAITING, NO_HOME), msg.Answer)
@@ -251,15 +256,15 @@ class Localisation:
         estimate = add_frame(self.estimator, *sample, *ranges, message.camera)
         if self._guide is not None and odom is not None and not message.camera:
             self._guide.add(odom, message.bearings)
-        frame = None
-        if estimate.pose is not None and odom is not None:
-            frame = Pose(*map(float, compose(estimate.pose, inverse(odom))))
-        self.fix = Fix(estimate, frame)
+        is_new = bool(message.bearings) and t > self._newest
+        self._newest = t if is_new else self._newest
+        self.fix = Fix(estimate, self._odometry_frame(estimate, odom, is_new))
         if self._late is not None:
             late = self._late.add(estimate)
             self.smoothed += [_as_message(each, msg.Smoothed) for each in late]
         if self.place is not None:
-            self.place.see(message, estimate)
+            if t >= self._newest:
+                self.place.see(message, estimate)
             if isinstance(self.estimator, Localizer) and self.drive is not None:
                 self.place.share(self.estimator, self.drive, self.home, estimate)
         follows = isinstance(self._goal_message, msg.GoToLandmark)
@@ -267,6 +272,17 @@ class Localisation:
             self._goal_updated = message.t
             self._update_goal()
         return _as_message(estimate, msg.Answer)
+
+    def _odometry_frame(self, estimate: Estimate, odom: Pose | None, is_new: bool) -> Pose | None:
+        """Return the odometry frame in the home frame, after an answer to bearings.
+
+        `odom` is the odometry pose at their stamp. Bearings that are not new (empty, late or
+        repeated) change no estimate, and the answer to them is for the time of the newest sample:
+        the odometry frame stays.
+        """
+        if estimate.pose is None or not is_new:
+            return None if estimate.pose is None else self.fix.odom
+        return None if odom is None else Pose(*map(float, compose(estimate.pose, inverse(odom))))
 
     def _adopt_place(self) -> None:
         """Use the place as other robots changed it."""
