@@ -7,8 +7,12 @@ import numpy as np
 import pytest
 from live_rig import QUICK, Rig, driving
 
+from homeward.control.driver import Driver
+from homeward.control.goals import Belief, PointGoal
+from homeward.control.limits import Limits
 from homeward.drives.settings import DriveSettings
 from homeward.estimator import Status
+from homeward.geometry.frames import Pose
 from homeward.live.home_capture import HomeCapture
 from homeward.live.messages import Answer, BearingsIn, EventOut, OdometryIn, SetExtrinsics, parse
 from homeward.live.session import Session
@@ -187,3 +191,11 @@ def test_a_clock_that_is_set_back_during_a_turn_at_home_does_not_turn_home():
         capture.bearings(BearingsIn(t=t, bearings=seen))
     home = capture.captured().seen
     assert {n: seen.bearing for n, seen in home.items()} == pytest.approx(SEEN, abs=0.05)
+
+
+def test_the_time_without_a_pose_has_no_number_before_the_first_pose():
+    driver = Driver(Limits())
+    driver.go(0.0, PointGoal("there", 1.0, 0.0))
+    belief = Belief(Status.UNVERIFIED, Pose(0.0, 0.0, 0.0), np.eye(3))
+    driver.command(0.02, belief)
+    assert (driver.reason, driver.value) == ("lost, not localised: unverified", None)

@@ -146,7 +146,8 @@ class Driver:
             return Fault(f"lost, no pose: {belief.status.value}")
         since = self._unlocalised.seconds
         if belief.status is not Status.LOCALISED and since > limits.coast:
-            return Fault(f"lost, not localised: {belief.status.value}", since)
+            reason = f"lost, not localised: {belief.status.value}"
+            return Fault(reason, since if math.isfinite(since) else None)
         sigma, limit = position_sigma(belief.covariance), limits.largest_sigma
         if self._uncertain.is_active(not sigma <= limit, now):
             return Fault(f"lost, too uncertain: sigma of more than {limit:g} m", sigma)
