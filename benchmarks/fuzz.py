@@ -1,8 +1,10 @@
-"""Fuzz test of all readers: corrupted files give a value, or an error message of one line.
+"""Fuzz test of all readers and of live sessions.
 
-`python -m benchmarks.fuzz [--part NAME] [--runs 2000] [--first 0]`. Case k of a part depends only
-on the seed k, so that `--first k --runs 1` repeats it. Any exception but a `HomewardError`, more
-than `MAX_S` or more memory than `MAX_MEMORY` is a failure, and gives exit status 1.
+`python -m benchmarks.fuzz [--part NAME] [--runs 2000] [--first 0]`. Corrupted files give a value,
+or an error message of one line; sessions (`--part sessions`) go on without an internal error. Case
+k of a part depends only on the seed k, so that `--first k --runs 1` repeats it. Any exception but a
+`HomewardError`, more than `MAX_S` or more memory than `MAX_MEMORY` is a failure, and gives exit
+status 1.
 """
 
 import io
@@ -27,7 +29,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from benchmarks import monte_carlo
+from benchmarks import fuzz_sessions, monte_carlo
 from benchmarks.inputs.data_logs import small_log
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
@@ -51,6 +53,8 @@ from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.recorded.settings import read_image_settings
 
 MAX_S = 30.0
+"""Maximum processor time of a case; on a busy machine it may take `MAX_WAIT` times as long [s]."""
+MAX_WAIT = 10.0
 MAX_MEMORY = 2 * 2**30  # in addition to the memory of the process at its start [bytes]
 SPOILERS = {
     "binary": [b"\xff" * 4, b"\x00" * 8, b"\xff\xff\xff\x7f", b"\x80", b"\x01", b"\n"],
@@ -79,11 +83,13 @@ module homeward_msgs { module msg {
 
 @dataclass(frozen=True)
 class Part:
-    """One reader, valid inputs, and suitable kinds of corruption."""
+    """One reader, valid inputs, and suitable kinds of corruption, or a generator of cases."""
 
     valid: Callable[[], list[bytes]]
     read: Callable[[bytes, Path], Any]  # reads the bytes, in an empty folder
-    spoilers: tuple[str, ...]
+    spoilers: tuple[str, ...] = ()
+    made: Callable[[int], bytes] | None = None
+    """Returns the case of a seed; None: a valid input, corrupted."""
 
 
 def small_drive() -> Drive:
@@ -278,8 +284,11 @@ PARTS = {
     "pictures": Part(_pictures, _picture, ("binary",)),
     "block": Part(_blocks, _block, ("binary",)),
     "estimator": Part(lambda: [b"x"], _estimator, ("binary",)),
+    "sessions": Part(
+        lambda: [fuzz_sessions.clean()], fuzz_sessions.play, made=fuzz_sessions.changed
+    ),
 }  # fmt: skip
-ONCE_FAILED = {"db3": (164, 287), "estimator": (0, 5)}
+ONCE_FAILED = {"db3": (164, 287), "estimator": (0, 5), "sessions": (16, 42)}
 """Seeds of earlier failures, by part; `tests/test_fuzz.py` repeats them."""
 
 
@@ -289,6 +298,8 @@ def valid(name: str) -> list[bytes]:
 
 
 def spoilt(name: str, seed: int) -> bytes:
+    if (made := PARTS[name].made) is not None:
+        return made(seed)
     chance = random.Random(f"{name} {seed}")
     data = bytearray(chance.choice(valid(name)))
     fillings = [f for kind in PARTS[name].spoilers for f in SPOILERS[kind]]
@@ -320,18 +331,24 @@ class TooLong(BaseException):
 
 @contextmanager
 def within(seconds: float) -> Iterator[None]:
-    """Raise `TooLong` in the block after some seconds."""
+    """Raise `TooLong` in the block after some seconds of processor time, or `MAX_WAIT` of them."""
 
     def ring(*_: object) -> None:
         raise TooLong
 
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.setitimer(signal.ITIMER_REAL, seconds)
+    timers = {
+        signal.SIGPROF: (signal.ITIMER_PROF, seconds),
+        signal.SIGALRM: (signal.ITIMER_REAL, MAX_WAIT * seconds),
+    }
+    before = {number: signal.signal(number, ring) for number in timers}
+    for timer, limit in timers.values():
+        signal.setitimer(timer, limit)
     try:
         yield
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        for number, (timer, _) in timers.items():
+            signal.setitimer(timer, 0)
+            signal.signal(number, before[number])
 
 
 def try_case(name: str, seed: int) -> str:
@@ -348,7 +365,8 @@ def try_case(name: str, seed: int) -> str:
         except TooLong:
             return f"more than {MAX_S:g} s"
         except Exception as error:
-            place = traceback.extract_tb(error.__traceback__)[-1]
+            places = traceback.extract_tb(error.__traceback__)
+            place = ([p for p in places if "homeward" in p.filename] or places)[-1]
             return f"{type(error).__name__} at {place.filename}:{place.lineno}: {error}"[:300]
 
 
@@ -367,7 +385,8 @@ def main() -> int:
             came[outcome if outcome in ("read", "refused") else "failed"] += 1
             if outcome not in ("read", "refused"):
                 failures += 1
-                print(f"{name} {seed}: {outcome}", flush=True)
+                repeat = f"--part {name} --first {seed} --runs 1"
+                print(f"{name} {seed}: {outcome} ({repeat})", flush=True)
         took = time.perf_counter() - begin
         figures = ", ".join(f"{number:,} {what}" for what, number in sorted(came.items()))
         print(
