@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import importlib
 import os
+import shlex
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from importlib.metadata import entry_points
+from itertools import islice
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,6 +24,46 @@ ESTIMATORS, LAWS = "homeward.estimators", "homeward.laws"
 FAULTS = (Exception, SystemExit)
 """Exceptions of plugins that are reported in one line; Ctrl-C is not among them."""
 _OWN_CODE = (os.path.dirname(__file__) + os.sep, "<frozen", os.path.dirname(importlib.__file__))
+
+
+MAX_OPTIONS = 8
+"""Number of options that an error message suggests."""
+
+
+def require_confirmed(
+    named: Iterable[tuple[str, str, str]], confirmed: Collection[str], file: Path
+) -> None:
+    """Refuse Python code that a file names; only the user may choose code to execute.
+
+    Nothing is imported. Names without a colon are built-in, or entry points of packages that the
+    user installed.
+
+    Parameters
+    ----------
+    named : iterable of tuple
+        For each estimator and law: its key in the file, its name, and the option of the command
+        line that confirms the name.
+    confirmed : collection of str
+        Names that the user gave.
+    file : Path
+        The file, for the message.
+
+    Raises
+    ------
+    InputError
+        For a name ``package.module:attribute`` that is not `confirmed`.
+    """
+    refused = {
+        f"{option}{shlex.quote(name)}": f"{key}: {name}"
+        for key, name, option in named
+        if ":" in name and name not in confirmed
+    }
+    if refused:
+        raise InputError(
+            f"{next(iter(refused.values()))} is Python code outside homeward; to execute it, repeat"
+            f" the command with `{' '.join(islice(refused, MAX_OPTIONS))}`",
+            file,
+        )
 
 
 def installed(group: str) -> tuple[str, ...]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import TextIO
@@ -25,6 +25,7 @@ from homeward.live.localisation import Homes, Localisation
 from homeward.live.place_session import PlaceSession
 from homeward.live.settings import LiveSettings
 from homeward.places.files import load_place, save_place
+from homeward.plugins import require_confirmed
 
 SESSION, PLACE = "session.jsonl", "place"
 FLUSH_EVERY = 50
@@ -123,9 +124,13 @@ class Recorder:
         return None
 
 
-def replay(file: Path) -> tuple[int, str | None]:
-    """Repeat a session; return the number of equal answers, and the first different one or None."""
-    localisation, lines = _opened(file, whole=True)
+def replay(file: Path, confirmed: Collection[str] = ()) -> tuple[int, str | None]:
+    """Repeat a session; return the number of equal answers, and the first different one or None.
+
+    `InputError` where the file is no session, or its estimator is Python code
+    (``package.module:make``) whose name is not `confirmed`.
+    """
+    localisation, lines = _opened(file, True, confirmed)
     expected: str | None = None
     same = 0
     with single_threaded_blas():
@@ -173,7 +178,9 @@ def _done(localisation: Localisation, message: msg.Input) -> msg.Output | None:
         return None
 
 
-def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
+def _opened(
+    file: Path, whole: bool, confirmed: Collection[str] = ()
+) -> tuple[Localisation, Iterator[str]]:
     """Return the initial localisation of a session (estimator only if `whole`) and its lines."""
     with naming(file, "cannot be read"), file.open(encoding="utf-8") as stream:
         try:
@@ -185,6 +192,8 @@ def _opened(file: Path, whole: bool) -> tuple[Localisation, Iterator[str]]:
         for name, home in head.homes.items()
     }
     estimator, place = head.settings.estimator if whole else None, None
+    if estimator is not None:
+        require_confirmed([("estimator", estimator, "--set estimator=")], confirmed, file)
     if (visit := head.place) is not None:
         known = load_place(file.parent / PLACE) if visit.known else visit.name
         place = PlaceSession(known, visit.when, visit.update)

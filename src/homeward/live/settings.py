@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 from homeward.control.limits import Limits
 from homeward.drives.settings import Positive
+from homeward.errors import InputError
 from homeward.io.checks import Field
 from homeward.io.keys import Strict
+from homeward.io.settings import read_settings
 from homeward.registry import DEFAULT
 
 STOPS_WITHIN_S = 0.2
@@ -34,3 +37,16 @@ class LiveSettings(Strict):
     data up to then [s]; None: no such messages. Only the estimator robust can."""
     queue: Annotated[int, Field(ge=10)] = 200
     """Maximum number of samples that wait for the estimator; the oldest bearings are dropped."""
+
+
+def read_live_settings(file: Path) -> LiveSettings:
+    """Read the settings of a live session; `InputError` also where they name Python code."""
+    settings = read_settings(file, LiveSettings)
+    if ":" in settings.estimator:
+        raise InputError(
+            f"estimator: {settings.estimator} is Python code outside homeward, and a file cannot "
+            "choose it; install it as a package with an entry point of homeward.estimators, and "
+            "give its name",
+            file,
+        )
+    return settings

@@ -29,7 +29,7 @@ from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
-from homeward.live.settings import LiveSettings
+from homeward.live.settings import LiveSettings, read_live_settings
 from homeward.live.shared.client import join_place
 from homeward.ros import conversions as convert
 from homeward.ros.camera import FrameOrder, MessageCameras, Newest
@@ -108,7 +108,7 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
         try:
             settings, robot, homes = LiveSettings(), DriveSettings(), {}
             if parameter("session"):
-                settings = read_settings(Path(parameter("session")), LiveSettings)
+                settings = read_live_settings(Path(parameter("session")))
             if parameter("smoothed_lag"):
                 given = {"smoothed_lag": parameter("smoothed_lag")}
                 settings = validated(LiveSettings, settings.model_dump() | given)

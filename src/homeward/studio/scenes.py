@@ -16,7 +16,7 @@ from homeward.lab.observability.scene import Scene
 from homeward.lab.observability.study import observe_scene, trace_family
 from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
-from homeward.lab.simulation.simulate import load_scenario
+from homeward.lab.simulation.simulate import read_scenario
 from homeward.lab.simulation.world import World, build_world
 from homeward.studio.messages import MAX_NUMBER
 
@@ -27,8 +27,8 @@ MIN_NUMBER = 1e-9
 
 
 def open_scene(source: str) -> Scenario:
-    """Return a scene by the name of a preset or from a YAML file; errors as `load_scenario`."""
-    return as_scene(load_scenario(source))
+    """Return a scene by the name of a preset or from a YAML file; errors as `as_scene`."""
+    return as_scene(read_scenario(source))
 
 
 def as_scene(scenario: Scenario) -> Scenario:

@@ -68,14 +68,15 @@ def live(
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
         return
+    given = key_values(changes or [])
     if replay is not None:
-        same, other = repeat(replay)
+        same, other = repeat(replay, (str(given.get("estimator")),))
         if other is not None:
             refuse(f"answer {same + 1} differs from the recording: {other}")
             raise no_answer()
         say(f"{same:,} answers, all equal to the last bit")
         return
-    settings = validated(LiveSettings, nested(key_values(changes or [])))
+    settings = validated(LiveSettings, nested(given))
     known = DriveSettings() if robot_file is None else read_settings(robot_file, DriveSettings)
     homes = {} if home is None else {"home": read_home(home, {})}
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))

@@ -149,6 +149,7 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
     """
     from homeward.drives.opening import SAMPLE
     from homeward.io.settings import validated
+    from homeward.plugins import require_confirmed
     from homeward.runs.single_run import RunSettings, load_run
 
     file = Path(drive)
@@ -162,12 +163,8 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
                 f"{option} cannot be changed when a run.yaml is repeated; run the drive itself",
                 file,
             )
-        if ":" in earlier.estimator and not confirmed:
-            raise InputError(
-                f"estimator: {earlier.estimator} is Python code outside homeward; to execute it, "
-                f"use `homeward run {drive} --estimator {earlier.estimator}`",
-                file,
-            )
+        named = [("estimator", earlier.estimator, "--estimator ")]
+        require_confirmed(named, (earlier.estimator,) if confirmed else (), file)
         return earlier
     if drive != SAMPLE or is_there(file):
         drive = os.path.realpath(file)

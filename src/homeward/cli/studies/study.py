@@ -44,6 +44,14 @@ def study(
             "robust and grid.KEY.",
         ),
     ] = None,
+    execute: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PACKAGE.MODULE:NAME",
+            help="Estimator or law of the YAML file that is your own Python code, and may be "
+            "executed; repeatable.",
+        ),
+    ] = None,
     scheduler: shared.Scheduler = None,
     workers: shared.Workers = None,
     json: shared.AsJson = False,
@@ -72,6 +80,8 @@ def study(
     changes = {key: value for key, value in (("runs", runs), ("seed", seed)) if value is not None}
     folder = out or Path("out") / Path(study).stem
     if study in PAPER:
+        if execute:
+            raise InputError(f"--execute is not for {' and '.join(PAPER)}")
         values = nested(shared.key_values(options or [])) | changes
         (paper if study == "paper" else layouts)(folder, where, values, json)
         return
@@ -81,7 +91,7 @@ def study(
         )
     for package in ("xarray", "h5netcdf"):  # fail now, not after the study
         import_module(package)
-    plan = make_plan(load_study(study, changes))
+    plan = make_plan(load_study(study, changes, execute or ()))
     check_output(folder, MARKER)
     store = store_of(plan.study, folder)
     with shared.resumable(), shared.progress(plan.study.name) as on_progress:

@@ -8,7 +8,7 @@ estimator in the loop receives the rounded numbers, so that a replay of the driv
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,6 +27,7 @@ from homeward.lab.simulation.course import Camera, Driven, Log, before, drive_co
 from homeward.lab.simulation.scenario import Circle, Course, Moved, Scenario
 from homeward.lab.simulation.trajectories import as_visitor
 from homeward.lab.simulation.world import World, build_world, home_bearings, quantise
+from homeward.plugins import require_confirmed
 
 
 @dataclass(frozen=True)
@@ -101,11 +102,38 @@ def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scen
 
     Changes are dotted keys ("noise.bearing_sigma") to new values. A new `trajectory.kind` keeps
     speed and duration; `teach` also keeps the points. Raises `InputError` for a file that cannot be
-    read, an unknown key, or a value out of range.
+    read, an unknown key, a value out of range, or a file that names Python code
+    (``package.module:attribute``) as its estimator or law; `changes` may name code.
     """
+    scenario = changed_scenario(read_scenario(source), changes)
+    require_own_code(scenario, changes, source)
+    return scenario
+
+
+def read_scenario(source: str) -> Scenario:
+    """Return a preset by name, or a scenario from a YAML file, which may name code to execute."""
     if (scenario := PRESETS.get(source)) is None:
         scenario = read_settings(shipped_or_file(source, "presets", PRESETS), Scenario)
-    return changed_scenario(scenario, changes)
+    return scenario
+
+
+def require_own_code(scenario: Course, changes: Mapping[str, Any] | None, source: str) -> None:
+    """Raise `InputError` where a scenario's file `source` names code that `changes` do not name."""
+    law = getattr(scenario.trajectory, "law", "")
+    named = [("estimator", scenario.estimator, "--estimator ")]
+    named.append(("trajectory.law", law, "--set trajectory.law="))
+    # A change may set a whole section, such as the trajectory.
+    given = {text for value in (changes or {}).values() for text in _texts(value)}
+    require_confirmed(named, given, Path(source))
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """Yield the texts in nested mappings."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        for inner in value.values():
+            yield from _texts(inner)
 
 
 def changed_scenario(scenario: AnyCourse, changes: Mapping[str, Any] | None) -> AnyCourse:

@@ -6,7 +6,7 @@ import itertools
 import math
 import os
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,8 +23,9 @@ from homeward.io.models import model_validator
 from homeward.io.reading import is_there, shipped_or_file
 from homeward.io.settings import nested, read_tree, validated
 from homeward.lab.simulation.scenario import Scenario
-from homeward.lab.simulation.simulate import PRESETS, changed_scenario, load_scenario
+from homeward.lab.simulation.simulate import PRESETS, changed_scenario, read_scenario
 from homeward.lab.studies.study.trial import Recording, recorded
+from homeward.plugins import require_confirmed
 from homeward.registry import estimator_settings, settings_model
 
 VERSION_KEY = "homeward"
@@ -35,8 +36,10 @@ Axis = list[Any] | dict[str, dict[str, Any]]
 
 
 def _known(name: str) -> str:
+    """Refuse an unknown name; Python code (with a colon) is imported later, if it is confirmed."""
     try:
-        settings_model(name)
+        if ":" not in name:
+            settings_model(name)
     except InputError as error:
         raise ValueError(str(error)) from None
     return name
@@ -112,11 +115,14 @@ class StudySettings(Strict):
         return self
 
 
-def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySettings:
+def load_study(
+    source: str, changes: dict[str, Any] | None = None, confirmed: Collection[str] = ()
+) -> StudySettings:
     """Return a study that ships, by name, or from a file, with its whole scenario.
 
-    `changes` are top-level keys to new values. Raises `InputError` for a file that cannot be read,
-    an unknown key, or a value out of range.
+    `changes` are top-level keys to new values; `confirmed` has the names of Python code
+    (``package.module:make``) that the study may execute. Raises `InputError` for a file that cannot
+    be read, an unknown key, a value out of range, or code that is not confirmed.
     """
     file = shipped_or_file(source, "studies")
     tree = read_tree(file)
@@ -126,10 +132,34 @@ def load_study(source: str, changes: dict[str, Any] | None = None) -> StudySetti
     update: dict[str, Any] = {"drives": tuple(drives)}
     name = "paper-homing" if study.scenario is None and not study.drives else study.scenario
     if isinstance(name, str):
-        scenario = load_scenario(name if name in PRESETS else _relative_to(name, file))
+        scenario = read_scenario(name if name in PRESETS else _relative_to(name, file))
         excluded = {"seed", "estimator"}
         update["scenario"] = scenario.model_dump(mode="json", exclude_none=True, exclude=excluded)
-    return study.model_copy(update=update)
+    study = study.model_copy(update=update)
+    require_confirmed(((k, n, "--execute ") for k, n in _named_code(study)), confirmed, file)
+    return study
+
+
+def _named_code(study: StudySettings) -> Iterator[tuple[str, str]]:
+    """Yield the key and name of each estimator and law of a study."""
+    for i, entry in enumerate(study.estimators):
+        yield f"estimators.{i}.estimator", entry.estimator
+    # All keys of that name: points of a grid, and `set`, have dotted keys or nested mappings.
+    yield from _named(study.scenario, "scenario")
+    yield from _named(study.changes, "set")
+    yield from _named(study.grid, "grid")
+
+
+def _named(value: Any, key: str) -> Iterator[tuple[str, str]]:
+    """Yield the key and value of each `estimator` and `law` in nested mappings and lists."""
+    if isinstance(value, dict):
+        for name, inner in value.items():
+            yield from _named(inner, f"{key}.{name}")
+    elif isinstance(value, (list, tuple)):
+        for inner in value:
+            yield from _named(inner, key)
+    elif isinstance(value, str) and key.rpartition(".")[2] in ("estimator", "law"):
+        yield key, value
 
 
 def _relative_to(path: str, file: Path) -> str:

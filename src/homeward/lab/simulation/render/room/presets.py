@@ -17,7 +17,7 @@ from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
-from homeward.lab.simulation.simulate import changed_scenario
+from homeward.lab.simulation.simulate import changed_scenario, require_own_code
 
 TRIES = 2000
 """Number of draws of home and start before a room counts as too small."""
@@ -107,7 +107,8 @@ def load_room(
     """Return a room of `PLANS` by name, or a room from a YAML file, with optional changes.
 
     `seed` replaces the file's; changes are dotted keys ("camera.width") to values. Raises
-    `InputError` for a file that cannot be read, an unknown key, or a value out of range.
+    `InputError` for a file that cannot be read, an unknown key, a value out of range, or a file
+    that names Python code, as `load_scenario` does.
     """
     given = dict(changes or {})
     if source in PLANS:
@@ -115,7 +116,9 @@ def load_room(
     if seed is not None:
         given["seed"] = seed
     file = shipped_or_file(source, "rooms", PLANS)
-    return changed_scenario(read_settings(file, RenderScenario), given)
+    scenario = changed_scenario(read_settings(file, RenderScenario), given)
+    require_own_code(scenario, given, source)
+    return scenario
 
 
 def _poses(
