@@ -28,6 +28,8 @@ MAX_ANGLE = 1e6
 """Maximum angle [rad]; wrapping a larger one would lose all precision."""
 MAX_LINE = 2**20
 """Maximum length of a line [characters]."""
+_FORMULA = re.compile(r"'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
+"""Begin of a text that a spreadsheet may execute as a formula, after any number of apostrophes."""
 _UNDECODABLE = re.compile("[\udc80-\udcff]")
 
 Parser = Callable[[str, Sequence[str], Sequence[int], Path], np.ndarray]
@@ -155,11 +157,30 @@ def read_columns(path: Path, names: Sequence[str]) -> Table:
 
 
 def write_csv(path: Path, header: Iterable[object], rows: Iterable[Iterable[object]]) -> None:
-    """Write a CSV file according to RFC 4180, but with LF as line ending."""
+    """Write a CSV file according to RFC 4180, but with LF as line ending.
+
+    A text that a spreadsheet could execute as a formula (``=``, ``+``, ``-``, ``@`` first, and not
+    a number) gets an apostrophe in front, which `identifiers` removes.
+    """
     with path.open("w", encoding="utf-8", newline="") as out:
         writer = csv.writer(_PlainEnds(out))
-        writer.writerow(header)
-        writer.writerows(rows)
+        writer.writerow(map(_inert, header))
+        writer.writerows(map(_inert, row) for row in rows)
+
+
+def _inert(cell: object) -> object:
+    """Return a cell that a spreadsheet shows as it is."""
+    if isinstance(cell, str) and _FORMULA.match(cell) and not _is_number(cell):
+        return f"'{cell}"
+    return cell
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return "_" not in cell
 
 
 class _PlainEnds:
@@ -209,14 +230,22 @@ def identifiers(
     path: Path,
     may_be_empty: bool = False,
 ) -> np.ndarray:
-    """Parse ids: any printable text, without the white space around it."""
-    clean = {cell: sys.intern(cell.strip()) for cell in set(cells)}
+    """Parse ids: any printable text, without the white space around it.
+
+    An apostrophe in front of ``=``, ``+``, ``-`` or ``@`` is removed; see `write_csv`.
+    """
+    clean = {cell: sys.intern(_original(cell.strip())) for cell in set(cells)}
     for cell, text in clean.items():
         if not is_identifier(text) and (text or not may_be_empty):
             problem = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
             raise InputError(f"{name} {problem}", path, rows[cells.index(cell)])
     # Objects, not fixed-width text: one long id would widen every row.
     return np.array([clean[cell] for cell in cells], object)
+
+
+def _original(text: str) -> str:
+    """Return an id without the apostrophe that `write_csv` puts in front of a formula."""
+    return text[1:] if text.startswith("'") and _FORMULA.match(text) else text
 
 
 identifiers_or_empty = partial(identifiers, may_be_empty=True)
