@@ -106,9 +106,9 @@ app(sys.argv[2:])
 
 def with_a_full_disk(size, *words):
     """Call a command that cannot write more than so many bytes into any file."""
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, str(size), *map(str, words)], capture_output=True, text=True
-    )
+    # -B: Python would keep compiled modules that were cut off, and break every later test.
+    words = [sys.executable, "-B", "-c", CHILD, str(size), *map(str, words)]
+    done = subprocess.run(words, capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     # matplotlib has a line of its own for a cache that it cannot write.
     told = [line for line in done.stderr.strip().splitlines() if "font_manager" not in line]
