@@ -41,9 +41,13 @@ MIN_UNPACKED, MAX_GROWTH = 256 * 2**20, 100
 """Limits of an unpacked file: the larger of this size [bytes] and this multiple of its own size."""
 MIN_MEMORY, MAX_MEMORY, MEMORY_PER_BYTE = 2**31, 2**33, 2
 """Memory limit of the reading process [byte]: rosbags keeps the index of all messages in memory."""
-MIN_SECONDS, BYTES_PER_SECOND = 10.0, 100_000
-"""Limit of processor time for a file: a constant [s], and this number of bytes per second."""
-MIN_MESSAGES = 1_000_000
+MIN_DISK, DISK_PER_BYTE = 2**26, 2
+"""Limit of the temporary files of the reading process [byte]."""
+MIN_SECONDS = 2.0
+PACKED_BYTES_PER_SECOND, BYTES_PER_SECOND = 100_000, 1_000_000
+"""Limit of processor time for a file: a constant [s], and this number of bytes per second, in files
+with or without compression."""
+MIN_MESSAGES = 100_000
 """Maximum number of messages, in addition to one for each byte of the file."""
 
 
@@ -190,19 +194,27 @@ class Log:
             whole = Path(folder) / file.stem
             growth = max(MIN_UNPACKED, MAX_GROWTH * file.stat().st_size)
             room = min(MAX_UNPACKED, growth, shutil.disk_usage(folder).free // 2)
-            for _ in self._ask(file, "", "unpack", os.path.abspath(file), str(whole), room):
+            unpacking = "unpack", os.path.abspath(file), str(whole), room
+            for _ in self._ask(file, "", *unpacking, disk=room):
                 pass
             yield whole
 
     def _ask(
-        self, file: Path, repair: str, command: str, *arguments: Any
+        self, file: Path, repair: str, command: str, *arguments: Any, disk: int | None = None
     ) -> Iterator[tuple[Any, ...]]:
-        """Yield the answers of the reading process; `InputError` for a failure."""
+        """Yield the answers of the reading process; `InputError` for a failure.
+
+        The process may write files of `disk` bytes; None: temporary ones that suffice for sorting.
+        """
         process = _reader_process()
         size = file.stat().st_size
-        seconds = MIN_SECONDS + size / BYTES_PER_SECOND
+        disk = MIN_DISK + DISK_PER_BYTE * size if disk is None else disk
+        is_plain = command == "walk" and arguments[1] == "db3" and not self._has_packed_messages
+        rate = BYTES_PER_SECOND if is_plain else PACKED_BYTES_PER_SECOND
+        seconds = MIN_SECONDS + size / rate
         memory = min(MIN_MEMORY + MEMORY_PER_BYTE * size, MAX_MEMORY)
-        request = {"command": command, "arguments": arguments, "seconds": seconds, "memory": memory}
+        request = {"command": command, "arguments": arguments, "seconds": seconds}
+        request |= {"memory": memory, "disk": disk}
         assert process.stdin is not None
         is_answered = False
         try:

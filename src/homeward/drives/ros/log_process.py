@@ -43,6 +43,12 @@ MESSAGE_OVERHEAD = 100
 MAX_MESSAGE = 256 * 2**20
 """[byte]"""
 _FORMATS = {"ros1msg": "ros2msg", "ros2msg": "ros2msg", "ros2idl": "ros2idl", "omgidl": "omgidl"}
+MIN_ROW = 8
+"""Minimum size of a row of messages in a database, in addition to its data [byte]."""
+MIN_LENGTH = 2**20
+"""Minimum of the limit of a text or blob of a database [byte]; its schema needs less."""
+_TABLES = ("messages", "topics", "schema", "message_definitions")
+"""Tables of a ROS 2 bag."""
 _MCAP_END = 37
 """Size of the footer and magic at the end of an MCAP file [byte]."""
 
@@ -119,12 +125,47 @@ class Sqlite(Sqlite3Reader):
         is_counted = changes == valid_for
         if is_counted and pages * (65536 if page == 1 else page) > path.stat().st_size:
             raise ValueError("the file is shorter than its header specifies")
+        self._size = path.stat().st_size
         super().__init__(Path(quote(str(path.resolve()))))  # rosbags puts it into a URI
+
+    def _open(self) -> None:
+        assert self.dbconn is not None
+        _require_stored(self.dbconn)
+        super()._open()
+
+    def messages(
+        self, connections: Any, start: int | None = None, stop: int | None = None
+    ) -> Generator[tuple[Connection, int, bytes], None, None]:
+        """Read messages; ReaderError where the file cannot contain that many."""
+        room = self._size
+        for message in super().messages(connections, start, stop):
+            data: object = message[2]
+            room -= MIN_ROW + (len(data) if isinstance(data, (bytes, str)) else 0)
+            if room < 0:
+                raise rosbag2.ReaderError("more data than possible for its size")
+            yield message
+
+
+def _require_stored(database: apsw.Connection) -> None:
+    """Refuse tables whose content is computed, and rows of topics that multiply messages."""
+    for schema, name, kind, *_ in database.execute("PRAGMA table_list").fetchall():
+        if schema != "main" or str(name).lower() not in _TABLES:
+            continue
+        if kind != "table":
+            raise rosbag2.ReaderError(f"{name} is a {kind}, not a table")
+        columns = "SELECT count(*) FROM pragma_table_xinfo(?) WHERE hidden != 0"
+        if database.execute(columns, (name,)).fetchall() != [(0,)]:
+            raise rosbag2.ReaderError(f"{name} has computed columns")
+        twice = "SELECT count(*) != count(DISTINCT id) FROM main.topics"
+        if name == "topics" and database.execute(twice).fetchall() != [(0,)]:
+            raise rosbag2.ReaderError("two topics have the same id")
 
 
 def _harden(database: apsw.Connection) -> None:
     """Disable code in a database, and hide definitions that rosbags would refuse."""
     database.config(apsw.SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0)
+    size = Path(database.filename).stat().st_size
+    database.limit(apsw.SQLITE_LIMIT_LENGTH, min(max(size, MIN_LENGTH), MAX_MESSAGE + MIN_LENGTH))
     for table in database.execute("SELECT name FROM sqlite_master WHERE type = 'table'"):
         if table == ("message_definitions",):
             known = "encoding IN ('ros2msg', 'ros2idl')"
@@ -204,13 +245,20 @@ def unpack(path: str, target: str, room: int) -> Iterator[tuple[Any, ...]]:
     yield from ()
 
 
-def limit(memory: int, seconds: float) -> None:
-    """Limit address space [byte] and further processor time [s] where the platform can."""
+def limit(memory: int, disk: int, seconds: float) -> None:
+    """Limit address space and files that are written [byte], and further processor time [s].
+
+    Nothing is limited where the platform cannot.
+    """
     if resource is None:
         return
     until = math.ceil(time.process_time() + seconds)
-    # No core file when the time limit is exceeded.
-    limits = (resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, until), (resource.RLIMIT_CORE, 0)
+    limits = (
+        (resource.RLIMIT_AS, memory),
+        (resource.RLIMIT_FSIZE, disk),  # sqlite sorts large tables in files
+        (resource.RLIMIT_CPU, until),
+        (resource.RLIMIT_CORE, 0),  # no core file when the time limit is exceeded
+    )
     for which, value in limits:
         _, hard = resource.getrlimit(which)
         if hard != resource.RLIM_INFINITY:
@@ -227,7 +275,7 @@ COMMANDS: dict[str, Callable[..., Iterator[tuple[Any, ...]]]] = {"walk": walk, "
 def answer(request: dict[str, Any]) -> Iterator[tuple[Any, ...]]:
     """Yield the answers to a request, and finally its end or an error."""
     try:
-        limit(request["memory"], request["seconds"])
+        limit(request["memory"], request["disk"], request["seconds"])
         yield from COMMANDS[request["command"]](*request["arguments"])
         yield ("end",)
     except MemoryError:
