@@ -70,6 +70,15 @@ def at(place, name):
     return place.map.in_home_frame("home").positions[place.map.names.index(name)]
 
 
+def test_scratch_folders_of_a_killed_server_are_deleted_at_the_next_start(folder):
+    left = [folder / f".writing-{'0' * 16}", folder / "live" / f".writing-{'1' * 16}"]
+    for scratch in left:
+        scratch.mkdir(parents=True)
+        (scratch / "half").touch()
+    SharedPlace(folder)
+    assert not any(scratch.exists() for scratch in left)
+
+
 def test_a_visit_that_grows_counts_once(folder):
     shared = SharedPlace(folder)
     for seed in (1, 2, 3):

@@ -1,6 +1,7 @@
 """A place as a folder: back to the last bit, whole or not there, and never trusted."""
 
 import csv
+import fcntl
 import os
 import shutil
 import threading
@@ -116,12 +117,15 @@ def test_a_power_cut_in_the_middle_loses_nothing(folder, monkeypatch):
         save_place(before, folder)
     monkeypatch.undo()
     # A real interruption leaves its scratch folder.
-    shutil.copytree(folder / "0002", folder / ".writing-x")
-    (folder / ".writing-x" / "covariance.npz").write_bytes(b"")
+    left = folder / f".writing-{'0' * 16}"
+    shutil.copytree(folder / "0002", left)
+    (left / "covariance.npz").write_bytes(b"")
     same(load_place(folder), before)
-    save_place(before, folder)  # it may be another robot's, who writes at this moment
-    assert (folder / ".writing-x").exists()
-    os.utime(folder / ".writing-x", (0.0, 0.0))
+    descriptor = os.open(left, os.O_RDONLY)
+    fcntl.flock(descriptor, fcntl.LOCK_EX)  # another robot writes at this moment
+    save_place(before, folder)
+    assert left.exists()
+    os.close(descriptor)
     save_place(before, folder)
     assert sorted(p.name for p in folder.iterdir()) == ["0001", "0002", "0003", "0004"]
 

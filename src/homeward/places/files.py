@@ -6,24 +6,19 @@ kept for `undo`. A version is added by one rename after all its files are on dis
 
 from __future__ import annotations
 
-import contextlib
 import errno
 import os
-import shutil
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming, require_folder
-from homeward.io.writing import SCRATCH, scratch_folder, sync
+from homeward.io.writing import SCRATCH, remove_abandoned, scratch_folder, sync, sync_folder
 from homeward.places.place import Place
 from homeward.places.version import SETTINGS, read_version, write_version
 
 NUM_KEPT = 10
 """Number of versions to keep."""
-SCRATCH_TIMEOUT_S = 3600.0
-"""Older scratch folders are left over from an interrupted save; newer ones may be in use [s]."""
 MAX_MERGES = 5
 """Attempts to merge a visit while other robots save the same place."""
 
@@ -85,25 +80,23 @@ def save_place(place: Place, folder: str | os.PathLike[str], after: int | None =
     check_place(path)
     with naming(path, "cannot be written"):
         path.mkdir(parents=True, exist_ok=True)
-        for left in path.glob(SCRATCH + "*"):
-            with contextlib.suppress(FileNotFoundError):  # finished meanwhile
-                if time.time() - left.stat().st_mtime > SCRATCH_TIMEOUT_S:
-                    shutil.rmtree(left, ignore_errors=True)
+        remove_abandoned(path)
         found = _versions(path)
         number = max(found, default=0) + 1
         if after is not None and number != after + 1:
             raise PlaceChangedError(f"was changed meanwhile: version {number - 1} is newer", path)
         with scratch_folder(path) as scratch:
             write_version(place, scratch)
-            for file in (*scratch.iterdir(), scratch):
+            for file in scratch.iterdir():
                 sync(file)
+            sync_folder(scratch)
             while not _publish(scratch, path / _name(number)):
                 if after is not None:
                     raise PlaceChangedError(
                         f"was changed meanwhile: version {number} is newer", path
                     )
                 number += 1
-        sync(path)
+        sync_folder(path)
         for old in sorted(found)[: max(0, len(found) + 1 - NUM_KEPT)]:
             _remove(path / _name(old))
         for half_deleted in (p for p in path.iterdir() if _is_half_deleted(p)):
@@ -144,7 +137,7 @@ def _remove(version: Path) -> None:
     """Delete a version, after a rename so that it is never visible in part."""
     with scratch_folder(version.parent) as scratch:
         version.rename(scratch / version.name)
-        sync(version.parent)
+        sync_folder(version.parent)
 
 
 def _is_half_deleted(entry: Path) -> bool:

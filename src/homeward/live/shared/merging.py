@@ -16,7 +16,7 @@ import numpy as np
 
 from homeward.errors import HomewardError, InputError
 from homeward.io.reading import naming
-from homeward.io.writing import write_whole
+from homeward.io.writing import remove_abandoned, write_whole
 from homeward.live.messages import line_of
 from homeward.live.shared.messages import VisitMessage, parse_request, visit_of
 from homeward.localizer.tunables import INLIER
@@ -69,6 +69,8 @@ class SharedPlace:
         self._began = time.time()
         with naming(folder / LIVE, "cannot be read"):
             (folder / LIVE).mkdir(exist_ok=True)
+            for written in (folder, folder / LIVE):
+                remove_abandoned(written)  # of a server that was killed
             saved = sorted((folder / LIVE).glob("*.json"), key=lambda f: f.stat().st_mtime)
         for file in saved:
             with naming(file, "cannot be read"):
