@@ -197,3 +197,10 @@ def test_stuck_without_an_obstacle_it_tries_again_and_gives_up():
     assert PATIENCE_S < t < PATIENCE_S + 2 * RETRY_S
     tries = np.sum(np.diff(np.array(driven, int)) == 1)
     assert tries >= 3
+
+
+def test_corners_that_differ_by_rounding_are_one():
+    x = np.array([0.0, 1.0, 1.0 - 1e-16, 1.0 + 2e-16, 2.0])
+    path = Path(np.column_stack([x, np.zeros(5)]))
+    assert len(path.stops) == 1
+    assert path.entry(Pose(0.9, 0.1, 0.0)) == pytest.approx(0.9)

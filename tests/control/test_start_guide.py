@@ -3,6 +3,8 @@
 import math
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from benchmarks.guided import first_pose
 from homeward.control.start_guide import Manoeuvre, StartGuide
@@ -68,3 +70,17 @@ def test_a_robot_that_follows_the_advice_has_a_pose_within_two_metres():
     _, path, off = first_pose(1, "guided", math.radians(60.0))
     assert path <= 2.1
     assert off < 0.5
+
+
+@given(
+    st.sampled_from([(0.0,), (0.3, -0.3, 0.6, -0.6), (0.5, -0.5, 2.6, -2.6)]),
+    st.lists(st.floats(-1e-15, 1e-15), min_size=4, max_size=4),
+)
+def test_rounding_does_not_choose_between_motions_of_equal_information(bearings, errors):
+    def advice(errors):
+        some = StartGuide([f"L{k}" for k in range(4)], ORIGIN)
+        seen = {f"L{k}": b + e for k, (b, e) in enumerate(zip(bearings, errors, strict=False))}
+        some.add(ORIGIN, {**seen, "other": math.pi})
+        return some.advice()
+
+    assert advice(errors) == advice([0.0] * 4)

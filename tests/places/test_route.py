@@ -212,3 +212,13 @@ def test_what_a_track_saw_along_its_way_is_a_map_without_uncertainty():
     assert isinstance(seen, JointMap)
     assert seen.names == ("a",)
     np.testing.assert_array_equal(seen.positions, [[1.0, 2.0]])
+
+
+def test_landmarks_at_one_place_turn_no_route():
+    names, here = ("a", "b"), np.array([3.0, 1.0, 3.0, 1.0])
+    before = JointMap(names, (), here, np.zeros((4, 4)))
+    after = JointMap(names, (), here + np.array([0.5, 0.0, 0.5 + 4e-16, 0.0]), np.zeros((4, 4)))
+    before = replace(before, mean=here + np.array([0.0, 4e-16, 0.0, 0.0]))
+    route = Route(0.0, (Node(0.0, 0.0, 0.3, 0.01), Node(1.0, 0.0, 0.3, 0.01)))
+    moved = route.transferred(before, after, names)
+    assert moved.poses == pytest.approx(route.poses + np.array([0.5, 0.0, 0.0]))

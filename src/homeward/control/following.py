@@ -49,6 +49,8 @@ STUCK_M = 0.5
 """A robot commanded to drive this far that moved less than a fifth of it is stuck [m]."""
 RETRY_S, PATIENCE_S = 5.0, 30.0
 """Time until a stuck robot tries again, and time without progress until it gives up [s]."""
+MIN_LENGTH = 1e-9
+"""Corners that are nearer to each other are one but for rounding, and have no direction [m]."""
 STAND = Twist(0.0, 0.0)
 NO_POSE = "no pose to rely on"
 
@@ -81,7 +83,7 @@ class Path:
         self.along = np.concatenate([[0.0], np.cumsum(lengths)])
         """(n,): position of each corner along the path [m]."""
         stops_at = {i: Stop(float(self.along[i]), h, d, n) for i, h, d, n in stops}
-        steps = np.flatnonzero(lengths > 0.0)
+        steps = np.flatnonzero(lengths > MIN_LENGTH)
         ways = np.diff(self.points, axis=0)[steps]
         back = steps[1:][(ways[1:] * ways[:-1]).sum(axis=1) < 0.0]
         for corner in (*back.tolist(), len(self.points) - 1):

@@ -105,7 +105,8 @@ class StartGuide:
         turns = wrap(math.tau * np.arange(NUM_TURNS) / NUM_TURNS)
         gains = self._gains(ahead, parallax, turns)
         back = np.stack([np.zeros(NUM_TURNS), np.abs(turns)])
-        best = np.argmax(gains - TURN_COST * (np.abs(turns) + back))
+        worth = gains - TURN_COST * (np.abs(turns) + back)
+        best = np.argmax(worth.round(9))  # of motions that are equal but for rounding, the first
         looks_back, index = divmod(int(best), NUM_TURNS)
         turn = float(turns[index])
         return Manoeuvre(turn, DRIVE_M, -turn if looks_back else 0.0)

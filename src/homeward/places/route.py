@@ -17,6 +17,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import position_sigma
+from homeward.geometry.se2 import MIN_SQUARED_DISTANCE
 from homeward.io.table import quoted
 from homeward.places.joint_map import JointMap
 from homeward.track import Track
@@ -100,7 +101,9 @@ class Route:
             weight = 1.0 / np.maximum(np.abs(p - here), MIN_DISTANCE) ** 2
             p0, q0 = np.average(p, weights=weight), np.average(q, weights=weight)
             turn = np.vdot(p - p0, weight * (q - q0))
-            turn = turn / abs(turn) if turn else 1.0
+            # Landmarks at one place give no direction, although rounding has one.
+            has_turn = abs(turn) > MIN_SQUARED_DISTANCE * weight.sum()
+            turn = turn / abs(turn) if has_turn else 1.0
             there = q0 + turn * (here - p0)
             heading = float(wrap(node.heading + np.angle(turn)))
             nodes.append(replace(node, x=float(there.real), y=float(there.imag), heading=heading))
