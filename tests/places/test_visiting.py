@@ -1,6 +1,7 @@
 """Visits: moved and gone landmarks are found, and another place is not merged."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 from unittest.mock import patch
 
 import numpy as np
@@ -13,6 +14,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DRIFT
 from homeward.places.visit_data import VisitFrames, collect_visit, last_frame
@@ -249,3 +251,13 @@ def test_a_home_stored_at_the_end_has_the_last_bearings_of_each_camera_at_that_t
         zip(last.landmark, last.camera, strict=True)
     )
     assert {b.camera for b in bearings.values()} == {"front", "rear"}
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_map_of_too_few_landmarks_is_no_place(number):
+    rng, places = np.random.default_rng(0), dict(list(room().items())[:number])
+    visit = visit_data(places, rng)
+    own = MapSnapshot(tuple(places), visit.map.positions, visit.map.covariance, np.zeros(3), {}, {})
+    localizer = SimpleNamespace(map_snapshot=lambda: own, landmarks=list)
+    with pytest.raises(HomewardError, match=f"{number} landmarks are mapped accurately"):
+        first_place("hall", localizer, visit)

@@ -14,6 +14,7 @@ from homeward.drives.settings import DriveSettings, RobotSettings, Sensor
 from homeward.errors import HomewardError
 from homeward.io.settings import parse_settings
 from homeward.runs import tuning
+from homeward.runs.calibration import Value, combined
 from homeward.runs.held_out import Check, EvaluatedRun, checks
 from homeward.runs.scoring import Errors
 from homeward.runs.tuning import Noise, Tuning, tune
@@ -177,3 +178,15 @@ def test_the_command_prints_the_error_in_one_line(tmp_path):
     assert answer.exit_code == 1
     assert "are needed" in answer.stderr
     assert "Traceback" not in answer.output
+
+
+def test_a_run_without_any_error_is_the_least_consistent():
+    check = Check(0.0, 1.0, 1.0, 0.0, 0.0)
+    assert all(np.isfinite(value) and value > 10.0 for value in check.log_inconsistency.values())
+
+
+def test_one_part_of_a_drive_may_have_all_the_weight():
+    found = {"odometry.turn_scale": Value(1.01, 1e-3)}
+    parts = [{"odometry.turn_scale": Value(1.0, 1e-9)}, {"odometry.turn_scale": Value(1.5, 1e3)}]
+    with np.errstate(all="raise"):
+        assert combined([found], parts)["odometry.turn_scale"].sigma == pytest.approx(1e-3)

@@ -23,7 +23,7 @@ from homeward.control.laws import steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, between
+from homeward.geometry.frames import Pose, Twist, between, position_sigma
 
 STAGING_M = 0.8
 """Distance behind the dock at which the robot turns to it: three times `AHEAD_M`, in which an
@@ -194,5 +194,4 @@ def _sigmas(covariance: np.ndarray | None) -> tuple[float, float]:
     """Return the largest standard deviation of the position [m], and that of the heading [rad]."""
     if covariance is None:
         return math.inf, math.inf
-    largest = math.sqrt(float(np.linalg.eigvalsh(covariance[:2, :2])[-1]))
-    return largest, math.sqrt(float(covariance[2, 2]))
+    return float(position_sigma(covariance)), math.sqrt(max(float(covariance[2, 2]), 0.0))

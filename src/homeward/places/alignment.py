@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ from scipy.special import chdtri
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import deviation
 from homeward.geometry.frames import Pose, position_sigma
 from homeward.io.table import quoted
 from homeward.localizer.map.survey.factors import align
@@ -34,7 +34,8 @@ class Alignment(NamedTuple):
     @property
     def sigmas(self) -> tuple[float, float]:
         """Standard deviations of the position [m] and of the heading [rad]."""
-        return float(position_sigma(self.covariance)), math.sqrt(self.covariance[2, 2])
+        heading = deviation(float(self.covariance[2, 2]), "the variance of a place's heading")
+        return float(position_sigma(self.covariance)), heading
 
 
 def align_place(place: Place, survey: KnownLandmarks, source: Path | None = None) -> Alignment:

@@ -47,13 +47,12 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
     right = {n: b for n, b in observed.items() if n in static and n in data.map.names}
     vague = np.diag([data.map.size**2, data.map.size**2, np.pi**2])
     mounts = np.array([own.home_mounts[n] for n in right]).reshape(-1, 3)
+    if len(data.map.names) < VERIFIED:  # two define no frame
+        raise _too_few(len(data.map.names))
     there = data.map.with_home(home, right, mounts, found, vague).at_home(home)
     there = there.marginal(_well_placed(there))
     if len(there.names) < VERIFIED:
-        raise HomewardError(
-            f"no place to store: {len(there.names)} landmarks are mapped accurately, and a place "
-            f"needs {VERIFIED}; drive further"
-        )
+        raise _too_few(len(there.names))
     when = data.when
     persistence = {n: LandmarkPersistence(since=when, last=when) for n in there.names}
     place = Place(name, there, persistence, {home: StoredHome(when, dict(observed))})
@@ -61,6 +60,14 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
     number, new = place.next_visit, len(events)
     visit = Visit(number, when, data.drive, data.evidence, "first", new=new, of=new)
     return _with_stored(replace(place, visits=(visit,), events=events), data)
+
+
+def _too_few(landmarks: int) -> HomewardError:
+    """Return the error for a place with too few landmarks."""
+    return HomewardError(
+        f"no place to store: {landmarks} landmarks are mapped accurately, and a place needs"
+        f" {VERIFIED}; drive further"
+    )
 
 
 def merged(place: Place, data: VisitData) -> Place:

@@ -15,6 +15,7 @@ import numpy as np
 from homeward.drives.drive import Drive, Odometry, Truth
 from homeward.drives.settings import OdometryDefaults, RobotSettings, Wheels
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.frames import Pose, between
 from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.localizer.localizer import Localizer
@@ -33,7 +34,11 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
+from homeward.localizer.tunables import (
+    FIXED_TIME_CONSTANT_S,
+    MIN_CALIBRATION_SIGMA,
+    NEGLIGIBLE_CALIBRATION,
+)
 from homeward.odometry.dead_reckoning import dead_reckoning
 
 WINDOW_S = 4.0
@@ -128,10 +133,12 @@ def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
     variances = (both @ state.covariance[3:HEAD, 3:HEAD] @ both.T).diagonal().copy()
     for table in (priors, variances):  # what ranges leave unknown of the scale is in no state
         table[SPEED_SCALE] += (chart.scale.rest or 0.0) ** 2
+    priors = np.maximum(priors, MIN_CALIBRATION_SIGMA**2)  # as in the map
     found = {}
     for key, at in zip(ASSUMED, STATES, strict=True):
-        own = 1.0 / float(variances[at]) - 1.0 / float(priors[at])
-        if own > 0.0 and key in open_keys:
+        precision = 1.0 / float(variances[at])
+        own = precision - 1.0 / float(priors[at])
+        if own > ROUNDING * precision and key in open_keys:
             mean = float(means[at] / variances[at]) / own
             found[key] = Value(float(key.endswith("_scale")) + mean, own**-0.5)
     return _informative(found)
@@ -246,7 +253,8 @@ def combined(found: Sequence[Estimates], parts: Sequence[Estimates]) -> Estimate
         if part.size > 1:
             surplus = of_part @ (part - of_part @ part / of_part.sum()) ** 2 - part.size + 1
             freedom = of_part.sum() - of_part @ of_part / of_part.sum()
-            between_drives = max(0.0, float(surplus / freedom))
+            if freedom > ROUNDING * of_part.sum():  # else one part alone has all the weight
+                between_drives = max(0.0, float(surplus / freedom))
         weight = 1.0 / (1.0 / weight + between_drives)
         sigma = math.sqrt(between_drives + 1.0 / weight.sum())
         result[key] = Value(float(weight @ mean / weight.sum()), sigma)

@@ -14,6 +14,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
+from homeward.geometry.covariance import ROUNDING
 from homeward.localizer.tunables import GATE
 from homeward.runs.scoring import Errors, accuracy, errors
 from homeward.track import Innovations, run
@@ -41,7 +42,9 @@ class Check:
     def log_inconsistency(self) -> dict[str, float]:
         """Absolute logarithm of NIS and of NEES over their consistent values."""
         values = {"NIS": self.nis, "NEES": self.nees}
-        return {name: abs(math.log(value / CONSISTENT[name])) for name, value in values.items()}
+        # Data without noise may have no errors at all.
+        shares = {name: value / CONSISTENT[name] for name, value in values.items()}
+        return {name: abs(math.log(share or ROUNDING)) for name, share in shares.items()}
 
 
 class EvaluatedRun(NamedTuple):

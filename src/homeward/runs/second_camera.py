@@ -24,6 +24,7 @@ from homeward.drives.settings import (
 )
 from homeward.errors import HomewardError
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose, between, compose
 from homeward.geometry.least_squares import LeastSquares
 from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
@@ -108,6 +109,8 @@ def second_camera(drive: Drive, second: Sightings) -> SecondCamera:
     scale = drive.settings.odometry.speed_scale_sigma
     grown = (OdometryDefaults().speed_scale if scale is None else scale) * np.array([*pose[:2], 0])
     covariance = covariance + np.outer(grown, grown)  # lengths have the scale of the odometry
+    terms = float(np.square(both).sum() * joint.trace())
+    covariance = positive(covariance, f"{drive.name}: the covariance of the second camera", terms)
     sigma, yaw_sigma = math.sqrt(covariance[0, 0] + covariance[1, 1]), math.sqrt(covariance[2, 2])
     if not (sigma < MAX_SIGMA and yaw_sigma < MAX_YAW_SIGMA):
         raise HomewardError(
