@@ -12,8 +12,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+MIN_DISTANCE = 1e-3
+"""Minimum distance of a camera from a landmark, where they coincide [m]."""
 MIN_SQUARED_DISTANCE = 1e-6
-"""Minimum squared distance in derivatives, where camera and landmark coincide [m^2]."""
+"""Its square, in derivatives [m^2]."""
 
 
 class Sight(NamedTuple):

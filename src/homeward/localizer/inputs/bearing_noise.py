@@ -68,8 +68,9 @@ class BearingNoise:
     """
 
     def __init__(self, given: float | None, default: float) -> None:
-        self._given, self._default = given, default
-        self._from_map = default
+        # A smaller noise than `valid_sigma` accepts would be lost in the rounding of the map.
+        self._given = None if given is None else max(given, MIN_BEARING_SIGMA)
+        self._from_map = self._default = max(default, MIN_BEARING_SIGMA)
         self._from_residuals, self._from_differences = 0.0, 0.0
         self._is_given = given is not None
         """Whether the newest bearings came with standard deviations, or the drive gave one."""

@@ -142,7 +142,7 @@ def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the marginal covariances of all poses, for smoothing a whole drive.
 
     Of each pose (w, 3, 3), minus the derivative of each pose by the shared unknowns (w, 3, a), and
-    the covariance of these (a, a).
+    the covariance of these (a, a). `numpy.linalg.LinAlgError` when a pose is not determined.
     """
     eliminated = eliminate(e)
     newest = np.linalg.inv(eliminated.information[:3, :3])
@@ -153,6 +153,9 @@ def marginals(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     common = positive_inverse(eliminated.information)[3:, 3:]
     own = _diagonal_of_inverse(e.own, e.next, newest)
     own += lever @ common @ lever.transpose(0, 2, 1)
+    # Inverses of nearly singular blocks are no error for LAPACK.
+    if not (np.diagonal(own, axis1=1, axis2=2) > 0.0).all():
+        raise np.linalg.LinAlgError("a pose is not determined")
     return own, lever, common
 
 

@@ -108,7 +108,9 @@ def predict_bearings(
     innovation_covariance = correlated[:, :HEAD] @ head.T
     innovation_covariance += correlated.take(at, axis=1) * gx.T
     innovation_covariance += correlated.take(at + 1, axis=1) * gy.T
-    innovation_covariance.flat[:: len(bearings) + 1] += sigmas**2
+    # What the map predicts is no better than exact: rounding must not cancel the noise.
+    by_map = np.maximum(innovation_covariance.diagonal(), 0.0)
+    innovation_covariance.flat[:: len(bearings) + 1] = by_map + sigmas**2
     return Prediction(residual, jacobian, correlated, innovation_covariance)
 
 

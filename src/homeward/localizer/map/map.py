@@ -12,6 +12,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.map.factors import MIN_COVARIANCE
 from homeward.localizer.map.gating import (
     Gated,
     Prediction,
@@ -26,7 +27,7 @@ from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.state import Marginal, View
+from homeward.localizer.map.state import View
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -219,8 +220,8 @@ class Map:
     def add_keyframe(self, t: float, motion: Motion) -> None:
         """Add a keyframe at `t` [s], and propagate the state to it."""
         noise = motion.covariance[0, 0] + motion.covariance[1, 1]
-        if noise > 0.0:
-            self._scale_information += motion.path**2 / noise * self._process_noise.scales[1, 0]
+        noise = max(noise, MIN_COVARIANCE[0, 0] + MIN_COVARIANCE[1, 1])  # it may be given as zero
+        self._scale_information += motion.path**2 / noise * self._process_noise.scales[1, 0]
         self._add_keyframe(t, motion, self._process_noise.inlier_ratios)
 
     def _add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray) -> None:
@@ -233,7 +234,7 @@ class Map:
         self._solve_due = not full or since >= every or not smoother.converged
         if self._pending_rows and not self._solve_due:
             seen = smoother.predict(np.concatenate(self._pending_rows))
-            self._solve_due = not self._apply_if_linear(self.smoother.state.update(seen))
+            self._solve_due = not self._update_if_linear(seen)
         smoother.add_keyframe(t, motion, inlier_ratios)
         self._counts_here.clear()
         self._num_vague = 0
@@ -399,14 +400,18 @@ class Map:
         if initialised:
             self.registration.fix_expected()
         due = initialised or self._solve_due
-        if seen is None or due or not self._apply_if_linear(self.smoother.state.update(seen)):
+        if seen is None or due or not self._update_if_linear(seen):
             self._solve()
         else:
             self.solved = False
         self._pending_rows = []
 
-    def _apply_if_linear(self, updated: Marginal) -> bool:
-        """Accept an EKF update if it is near enough to linear; return whether it was."""
+    def _update_if_linear(self, seen: Prediction) -> bool:
+        """Apply an EKF update if it is near enough to linear; return whether it was."""
+        try:
+            updated = self.smoother.state.update(seen)
+        except np.linalg.LinAlgError:  # the window may be solvable
+            return False
         if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
             return False
         turned = abs(updated.mean[2] - self.smoother.state.mean[2])

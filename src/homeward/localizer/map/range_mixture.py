@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.geometry.angles import wrap
+from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.tunables import (
     INLIER,
     MAJORITY,
@@ -51,7 +52,7 @@ def range_mixture(
     the axis and their sigmas (m,) [rad]. `covariance` (3, 3) is of the newest pose, `scale` the
     median distance of mapped landmarks [m].
     """
-    if len(bearings) < MIN_SIGHTINGS or not (math.isfinite(scale) and scale > 0):
+    if len(bearings) < MIN_SIGHTINGS or not MIN_DISTANCE <= scale < math.inf:
         return None
     ratio = (MAX_RANGE_RATIO / MIN_RANGE_RATIO) ** (1.0 / (NUM_RANGES - 1))
     distances = scale * MIN_RANGE_RATIO * ratio ** np.arange(NUM_RANGES)

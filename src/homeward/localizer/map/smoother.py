@@ -20,7 +20,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.covariance import ROUNDING
-from homeward.geometry.se2 import sight
+from homeward.geometry.se2 import MIN_DISTANCE, sight
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
 from homeward.localizer.map.factors import (
@@ -251,7 +251,8 @@ class Smoother:
 
     def add_landmark(self, position: np.ndarray) -> int:
         """Add a landmark at `position` [m], shape (2,), without sightings yet; return its id."""
-        unknown = INFINITY_RATIO * float(np.hypot(*(self.poses[:, :2] - position).T).max())
+        distance = float(np.hypot(*(self.poses[:, :2] - position).T).max())
+        unknown = INFINITY_RATIO * max(distance, MIN_DISTANCE)
         self._prior.add_landmark(position, unknown)
         self.state = self.state.with_landmark(position, unknown)
         self.ids = np.append(self.ids, self._next_id)
@@ -365,6 +366,8 @@ class Smoother:
             poses, common, covariance = eliminate(self.linearised()[0]).solve()
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
+            if not (covariance.diagonal() > 0.0).all():
+                raise np.linalg.LinAlgError("a variance is not positive")
             small = self._move(poses, common, covariance) < SOLVE_CONVERGED
             self.converged = not self._update_bounded() and small
             if self.converged:

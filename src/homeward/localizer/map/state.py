@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from homeward.geometry.se2 import composition, rotation
+from homeward.geometry.se2 import MIN_DISTANCE, composition, rotation
 from homeward.localizer.motion.preintegration import NC, Motion
 from homeward.localizer.tunables import CLOSE, GATE
 
@@ -64,8 +64,11 @@ class Marginal:
 
     @cached_property
     def scale(self) -> float:
-        """Median distance of the landmarks, the unit of length of tests [m]; infinite if none."""
-        return float(median(self.distances.tolist() or [math.inf]))
+        """Median distance of the landmarks, the unit of length of tests [m]; infinite if none.
+
+        At least `MIN_DISTANCE`: the robot may be on a landmark.
+        """
+        return max(float(median(self.distances.tolist() or [math.inf])), MIN_DISTANCE)
 
     @property
     def reach(self) -> np.ndarray:

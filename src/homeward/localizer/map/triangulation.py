@@ -45,16 +45,21 @@ def triangulate(
         return None
     position = points[int(np.argmin(_costs(points, cameras, lines, sigmas)))]
     agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
-    for _ in range(TRIANGULATION_STEPS):
-        if agree.sum() < MIN_LINES:
-            return None
-        position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
-        agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
+    try:
+        for _ in range(TRIANGULATION_STEPS):
+            if agree.sum() < MIN_LINES:
+                return None
+            position, information = _refine(position, cameras[agree], lines[agree], sigmas[agree])
+            agree = np.abs(_residuals(position[None], cameras, lines)[0]) < INLIER * sigmas
+        covariance = np.linalg.inv(information)
+    except np.linalg.LinAlgError:  # the lines that agree are parallel
+        return None
     enough = agree.sum() >= max(MIN_LINES, MAJORITY * lines.size)
     if not enough or not _spread(lines, agree, parallax):
         return None
     distance = np.hypot(*(position - cameras[agree, :2].mean(axis=0)))
-    if not position_sigma(np.linalg.inv(information)) < LINEAR * distance:
+    is_determined = (covariance.diagonal() > 0.0).all()  # parallel lines give garbage
+    if not (is_determined and position_sigma(covariance) < LINEAR * distance):
         return None
     none_wrong = agree.all() and not _is_next_to_camera(position, cameras)
     if not none_wrong:

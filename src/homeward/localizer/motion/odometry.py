@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.settings import DriveSettings
+from homeward.geometry.covariance import ROUNDING
 from homeward.localizer.motion.preintegration import (
     DELAY,
     TIME_CONSTANT,
@@ -77,7 +78,7 @@ def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
     """
     precision = 1.0 / float(variances[TIME_CONSTANT])
     own = precision - 1.0 / FIXED_TIME_CONSTANT_S**2
-    if own <= 0.0:
+    if own <= ROUNDING * precision:
         return False
     estimate = float(calibration[TIME_CONSTANT]) * precision / own
     lower = estimate - LAG_GATE / math.sqrt(own)

@@ -58,6 +58,8 @@ NC = len(CALIBRATION)
     CAMERA_Y,
 ) = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
+MIN_STEADY_SPEED = 1e-9
+"""Mean speeds below it are zero but for rounding, which has no direction [m/s]."""
 CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
 """(3, 9): Jacobian of the camera's pose on the robot by the calibration."""
 
@@ -175,7 +177,8 @@ def integrate(
         _, _, dt, v, omega, steady = piece
         way, spin = abs(v) * dt, abs(omega)
         rate = (1.0 + scale) * omega + bias if v or omega else 0.0
-        slips = math.copysign(spin, steady) - steady * straightest if v else 0.0
+        ahead = steady if abs(steady) > MIN_STEADY_SPEED else v
+        slips = math.copysign(spin, ahead) - steady * straightest if v else 0.0
         speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
         chord = speed * dt * (math.sin(half) / half if half else 1.0)

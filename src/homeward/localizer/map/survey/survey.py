@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from homeward.drives.landmarks import KnownLandmarks
+from homeward.geometry.covariance import ROUNDING
 from homeward.io.naming import natural
 from homeward.io.table import quoted
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
@@ -95,7 +96,8 @@ class Survey:
         try:
             as_given = self.factors(names, pairs, numbers)
             bodies = self.bodies(names)
-            found = tested(as_given, free, ids, np.array(prior), self.size, bodies)
+            known = np.clip(prior, ROUNDING, 1.0 - ROUNDING)  # a probability of 0 has no logarithm
+            found = tested(as_given, free, ids, known, self.size, bodies)
         except np.linalg.LinAlgError:
             self.exchanged = exchanged
             raise
