@@ -386,10 +386,14 @@ class Chart:
 
     def _find_home(self, now: float) -> None:
         """Update home after a change of the map, and the integrity monitor."""
-        self.home.update(self.map)
-        self.share_state(self._integrity)
-        updated = self.home.is_updated and not self.coasts(now)
-        self._integrity.update(self.home.hypotheses, updated, self.home.stayed(self.map))
+        try:
+            self.home.update(self.map)
+            self.share_state(self._integrity)
+            updated = self.home.is_updated and not self.coasts(now)
+            self._integrity.update(self.home.hypotheses, updated, self.home.stayed(self.map))
+        except np.linalg.LinAlgError:  # nothing determines home: search for it again
+            self.home.hypotheses = None
+            self._integrity.update(None, True)
 
     def share_state(self, integrity: IntegrityMonitor) -> None:
         """Give an integrity monitor what all keyframes share.

@@ -14,7 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import lever, rotation
+from homeward.geometry.covariance import positive
+from homeward.geometry.se2 import MIN_DISTANCE, lever, rotation
 from homeward.localizer.home.evidence import Evidence, log_odds, moved_share
 from homeward.localizer.home.linearisation import (
     HOME,
@@ -69,10 +70,13 @@ class HomeFit:
         return bool(off @ self.information @ off < SAME_HOME**2)
 
     def landmark_distance(self, place: np.ndarray) -> float:
-        """Return the median distance of home's landmarks from a place [m]; infinite without any."""
+        """Return the median distance of home's landmarks from a place [m]; infinite without any.
+
+        At least `MIN_DISTANCE`: the place may be that of a landmark.
+        """
         d = np.concatenate([self.problem.landmarks, self.problem.surveyed]) - place[:2]
         squares = sorted((d * d).sum(axis=1).tolist())
-        return math.sqrt(squares[len(squares) // 2]) if squares else math.inf
+        return max(math.sqrt(squares[len(squares) // 2]), MIN_DISTANCE) if squares else math.inf
 
     @cached_property
     def state(self) -> np.ndarray:
@@ -129,7 +133,10 @@ class HomeFit:
         covariance = by_home @ self.covariance @ by_home.T
         covariance += by_pose @ self.pose_covariance @ by_pose.T
         covariance += self._walk_covariance(by_home)
-        return by_pose @ (self.pose - self.home), 0.5 * (covariance + covariance.T)
+        terms = (by_home * by_home).sum() * self.covariance.trace()
+        terms = float(terms + self.problem.covariance[:3, :3].trace())
+        covariance = positive(covariance, "the covariance of a pose in the home frame", terms)
+        return by_pose @ (self.pose - self.home), covariance
 
     def _walk_covariance(self, by_home: np.ndarray) -> np.ndarray:
         """Return the covariance (3, 3) by landmarks that may walk, beyond that in the fit."""

@@ -159,7 +159,7 @@ class Evidence:
         """Innovations (r,) of the set, each given the others, and their variances."""
         jacobian, residual = self.whitened.weighted[:, HOME], self.whitened.weighted[:, RESIDUAL]
         precision = self.whitened.precision - ((jacobian @ self.covariance) * jacobian).sum(axis=1)
-        variance = 1.0 / np.maximum(precision, 1e-9)
+        variance = self._with_own_noise(1.0 / np.maximum(precision, 1e-9), self.whitened.members)
         return (residual - jacobian @ self.step) * variance, variance
 
     @cached_property
@@ -170,7 +170,15 @@ class Evidence:
         jacobian = linear.by_home[rest] - products[:, HOME]
         innovation = wrap(linear.residual[rest] - products[:, RESIDUAL] - jacobian @ self.step)
         variance = linear.residual_covariance[rest, rest] - products[:, REST].diagonal()
-        return innovation, variance + ((jacobian @ self.covariance) * jacobian).sum(axis=1)
+        variance = variance + ((jacobian @ self.covariance) * jacobian).sum(axis=1)
+        return innovation, self._with_own_noise(variance, rest)
+
+    def _with_own_noise(self, variance: np.ndarray, which: np.ndarray) -> np.ndarray:
+        """Return variances (k,) of some innovations, at least those of the bearings themselves.
+
+        Where the landmarks have a large common error, they are differences of far larger terms.
+        """
+        return np.asarray(np.maximum(variance, self.linear.problem.sigmas[which] ** 2))
 
     def _all(self, inliers: np.ndarray, outliers: np.ndarray) -> np.ndarray:
         """Return values of the set (r,) and of the rest (q - r,) in order (q,)."""

@@ -10,6 +10,7 @@ from scipy.linalg.lapack import dposv
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised, whitened
 from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.spurious_information import position_root
 from homeward.localizer.tunables import FIT_CONVERGED, MAX_FIT_STEPS
 
 
@@ -52,7 +53,7 @@ def solved(
     if problem.prior is not None:
         slope = slope + problem.initial_information @ problem.prior_offset(linear.at)
     _, step, failed = dposv(information, slope)
-    if failed or not math.isfinite(step @ step):
+    if failed or not math.isfinite(step @ step) or position_root(information) is None:
         return None
     step = step / max(1.0, problem.step_length(step))
     return HomeFit(linear, inliers, step, of_set, information, inflation)

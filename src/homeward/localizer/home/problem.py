@@ -11,7 +11,7 @@ import numpy as np
 
 from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.frames import from_polar, polar_covariance_to_pose
+from homeward.geometry.frames import from_polar
 from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.bodies import Bodies
 from homeward.localizer.tunables import (
@@ -220,11 +220,12 @@ def home_from_start(drive: DriveSettings) -> tuple[np.ndarray, np.ndarray] | Non
     start = drive.start
     if start is None:
         return None
-    pose = np.array(from_polar(start.polar), float)
-    sigmas = np.array([start.sigma_R, start.sigma_theta, start.sigma_alpha])
-    covariance = polar_covariance_to_pose(start.polar, np.diag(sigmas**2))
-    covariance += np.eye(3) * ORIGIN_SIGMA**2  # at home itself the direction from home is undefined
-    jacobian = rotation(pose[2]).T @ lever(-pose)
+    pose, polar = np.array(from_polar(start.polar), float), start.polar
+    sigmas = np.array([start.sigma_R, polar.R * start.sigma_theta, start.sigma_alpha])
+    # At home itself the direction from home is undefined.
+    root = rotation(float(polar.theta)) / np.sqrt(sigmas**2 + ORIGIN_SIGMA**2)
     home = between(pose, np.zeros(3))
     home[2] = wrap(home[2])
-    return home, np.linalg.inv(jacobian @ covariance @ jacobian.T)
+    # A product, since a covariance of such different numbers may be singular by rounding.
+    root = rotation(pose[2]).T @ lever(pose).T @ root
+    return home, root @ root.T

@@ -11,6 +11,7 @@ import math
 
 import numpy as np
 
+from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE
 from homeward.localizer.home.linearisation import Linear, inverted
 from homeward.localizer.home.problem import POSE_AND_YAW
@@ -33,6 +34,24 @@ def spurious_covariance(
     return np.asarray(inverted(reduced)[0] - inverted(whole)[0])
 
 
+def position_root(information: np.ndarray) -> tuple[float, float, float] | None:
+    """Return the Cholesky factor [a, 0; b, c] of the information on home's position.
+
+    That is what is left of the information (3, 3) on home while the heading is unknown. None where
+    nothing but rounding is left, so that the position is not determined.
+    """
+    (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
+    if not turn > 0.0:
+        return None
+    square = m - along * along / turn
+    if not square > ROUNDING * m:
+        return None
+    a = math.sqrt(square)
+    b = (n - along * across / turn) / a
+    square = o - across * across / turn - b * b
+    return (a, b, math.sqrt(square)) if square > ROUNDING * o else None
+
+
 def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:
     """Return the spurious part of the information on home's position, (2, 2).
 
@@ -40,10 +59,10 @@ def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.nda
     the spurious shares are the eigenvalues of [xx, xy; xy, yy], the information by errors of the
     map, given by `spread`, xx + yy, and `pseudo`, xx - yy + 2i xy.
     """
-    (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
-    a = math.sqrt(m - along * along / turn)  # the Cholesky factor: [a, 0; b, c]
-    b = (n - along * across / turn) / a
-    c = math.sqrt(o - across * across / turn - b * b)
+    factor = position_root(information)
+    if factor is None:
+        raise np.linalg.LinAlgError("home is not determined")
+    a, b, c = factor
     xx, xy, yy = 0.5 * (spread + pseudo.real), 0.5 * pseudo.imag, 0.5 * (spread - pseudo.real)
     xx, xy = xx / (a * a), (xy - b * xx / a) / (a * c)
     yy = (yy - b * (2.0 * c * xy + b * xx)) / (c * c)

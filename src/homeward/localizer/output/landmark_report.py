@@ -132,7 +132,8 @@ class LandmarkReport:
         away = at - best.home[:2]
         c, s = math.cos(best.home[2]), math.sin(best.home[2])
         towards = away / np.maximum(np.hypot(*away.T), 1e-9)[:, None]
-        deviation = np.sqrt(np.einsum("ki,kij,kj->k", towards, covariance, towards))
+        variances = np.einsum("ki,kij,kj->k", towards, covariance, towards)
+        deviation = np.sqrt(np.maximum(variances, 0.0))  # across a long ray, rounding is left
         table = np.column_stack([away @ np.array([[c, -s], [s, c]]), deviation])
         return dict(zip(mapped, map(tuple, table.tolist()), strict=True))
 

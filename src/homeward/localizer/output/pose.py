@@ -181,7 +181,8 @@ def centre(points: np.ndarray, weights: np.ndarray, covariance: np.ndarray) -> n
     squares = products.diagonal() + INLIER**2
     for _ in range(MAX_CENTRE_STEPS):
         towards = products @ share
-        pull = weights / np.sqrt(squares - 2.0 * towards + share @ towards)
+        # A squared distance is not negative; a point far away leaves rounding of its square.
+        pull = weights / np.sqrt(np.maximum(squares - 2.0 * towards + share @ towards, INLIER**2))
         step = pull / pull.sum() - share
         share = share + step
         if step @ products @ step < CENTRE_CONVERGED**2:

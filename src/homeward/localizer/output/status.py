@@ -8,6 +8,7 @@ from collections.abc import Collection
 import numpy as np
 
 from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
+from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
@@ -150,6 +151,11 @@ class IntegrityMonitor:
         estimate, tails = self._estimate.after(moved, self.errors, self._others.tails)
         status, reason = self._status(estimate, self._best, coasting)
         covariance = self.errors.covariance_scale * (estimate.covariance + tails)
+        terms = float(covariance.trace())
+        if moved is not None:
+            lever = float(moved[0][:2] @ moved[0][:2])
+            terms *= 1.0 + lever  # the error of the heading moves the position by it
+        covariance = positive(covariance, "the covariance of a published pose", terms)
         return Estimate(t, status, reason, estimate.pose, covariance, innovations)
 
     def home_is_found(self, best: HomeFit) -> bool:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from homeward.geometry.covariance import ROUNDING
 from homeward.localizer.tunables import FALSE_ALARM, INLIER, NUM_HALVINGS
 
 
@@ -41,7 +42,9 @@ def missing_tails(
     away = np.sqrt((off * off).sum(axis=1))
     apart = away > 1.0
     towards = np.concatenate([unit, off[apart] / away[apart, None]])
-    at, sigma = towards @ off.T, np.sqrt(((towards @ covariances) * towards).sum(axis=2)).T
+    # Whitened, the mixture has unit variance: a component's below its rounding may be negative.
+    variances = np.maximum(((towards @ covariances) * towards).sum(axis=2), ROUNDING)
+    at, sigma = towards @ off.T, np.sqrt(variances).T
     lacks = _beyond(np.full(len(at), INLIER), at, sigma, weights) > FALSE_ALARM
     if not lacks.any():
         return None
