@@ -15,6 +15,7 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose, between
 from homeward.internal_errors import REQUEST, Attempts, InternalFailure, failure_notes
 from homeward.io.blas_threads import single_threaded_blas
@@ -56,11 +57,11 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
     Returns
     -------
     Track
-        With the rows of the causal track, which is returned itself if home is not found, if
-        bearings and turns have opposite senses, or after an internal error. Where the robot was
-        lost in its last map, and before that map began, rows are the causal ones. No row next to a
-        keyframe has a pose whose bearings contradict the solution, nor one where a new map replaced
-        one.
+        With the rows of the causal track, which is returned itself if home or a keyframe is not
+        determined, if bearings and turns have opposite senses, or after an internal error. Where
+        the robot was lost in its last map, and before that map began, rows are the causal ones. No
+        row next to a keyframe has a pose whose bearings contradict the solution, nor one where a
+        new map replaced one.
     """
     settings = settings or LocalizerSettings()
     localizer = Localizer(drive.home, settings=settings, known=drive.known, **drive.settings.robot)
@@ -74,9 +75,12 @@ def smooth(drive: Drive, settings: LocalizerSettings | None = None) -> Track:
 def _smoothed_rows(drive: Drive, localizer: Localizer, track: Track) -> list[Estimate] | None:
     """Return smoothed estimates instead of those of a causal track; None where there are none."""
     solved = solved_after(drive, localizer, track)
-    if solved is None or not localizer.chart.finalise(solved.whole):
+    try:
+        if solved is None or not localizer.chart.finalise(solved.whole):
+            return None
+        return solved.estimates([_row(track, i) for i in range(track.t.size)], track.t)
+    except np.linalg.LinAlgError:
         return None
-    return solved.estimates([_row(track, i) for i in range(track.t.size)], track.t)
 
 
 def replaced(
@@ -252,7 +256,8 @@ def solve_whole(
 ) -> tuple[Track, SolvedDrive | None]:
     """Run a new localiser on a drive, and solve all keyframes of its last map at once.
 
-    Return the causal track, and the solution; None if bearings and turns have opposite senses.
+    Return the causal track, and the solution; None if bearings and turns have opposite senses, or
+    if they do not determine all keyframes.
     """
     localizer.retain_marginalised()
     track = run(drive, localizer, on_progress)
@@ -263,8 +268,16 @@ def solved_after(drive: Drive, localizer: Localizer, track: Track) -> SolvedDriv
     """Return the solution of a whole drive after a run, as `solve_whole`."""
     if localizer.is_convention_wrong:
         return None
+    try:
+        return _solved(drive, localizer, float(track.t[-1]))
+    except np.linalg.LinAlgError:
+        return None
+
+
+def _solved(drive: Drive, localizer: Localizer, end: float) -> SolvedDrive:
+    """Return the solution of all keyframes of the last map of a drive until `end` [s]."""
     chart = localizer.chart
-    chart.learn(float(track.t[-1]), everything=True)
+    chart.learn(end, everything=True)
     whole = chart.map.smoother.whole()
     _solve(whole)
     if restore(_contradicted(drive, chart, whole), chart.map, whole):
@@ -358,4 +371,8 @@ def bridged(motion: Motion, end: Motion, off: np.ndarray) -> tuple[np.ndarray, n
     swing[:2, 2] = motion.delta[1] - end.delta[1], end.delta[0] - motion.delta[0]
     cross = motion.covariance @ swing.T
     gain = np.linalg.solve(end.covariance, cross.T).T
-    return motion.delta + gain @ off, motion.covariance - gain @ cross.T
+    # Slip and the smallest covariance of a motion do not grow by composition, so that more than
+    # rounding may be negative.
+    covariance = motion.covariance - gain @ cross.T
+    covariance = positive(covariance, "the covariance between two keyframes", math.inf)
+    return motion.delta + gain @ off, covariance

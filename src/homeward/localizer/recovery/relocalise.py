@@ -15,12 +15,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, fields
 
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.se2 import compose, lever, sight
+from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.se2 import MIN_DISTANCE, compose, lever, sight
 from homeward.localizer.map.bodies import find_bodies
 from homeward.localizer.tunables import (
     CLOSE,
@@ -230,12 +232,26 @@ def _step(pose: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.ndarray, 
     by_eye = np.column_stack([-by_place, -np.ones(len(r))])
     jacobian = (by_eye[:, None] @ lever(eyes - pose))[:, 0]
     weight = 1.0 / (variance * np.maximum(r * r / (variance * INLIER**2), 1.0))
-    covariance = np.linalg.inv((jacobian.T * weight) @ jacobian + 1e-6 * np.eye(3))
+    covariance = _inverse((jacobian.T * weight) @ jacobian)
     return (
         covariance @ (jacobian.T @ (weight * r)),
         covariance,
         np.abs(r) < INLIER * np.sqrt(variance),
     )
+
+
+def _inverse(information: np.ndarray) -> np.ndarray:
+    """Return the covariance (3, 3) of a pose by the information of sight lines.
+
+    They may leave directions open, as lines to one landmark do, which then have a weak prior: above
+    the rounding of the information, in which a small one may be lost.
+    """
+    for prior in (1e-6, ROUNDING * float(information.trace())):
+        with suppress(np.linalg.LinAlgError):
+            covariance = np.linalg.inv(information + prior * np.eye(3))
+            if (covariance.diagonal() > 0.0).all():
+                return np.asarray(covariance)
+    raise np.linalg.LinAlgError("the sight lines are not finite")
 
 
 def _variances(by_place: np.ndarray, lines: SightLines) -> np.ndarray:
@@ -272,16 +288,34 @@ def _log_marginal(prior: np.ndarray, information: np.ndarray, slope: np.ndarray)
 
     Up to a constant that does not depend on the priors; (n, 2, 2) and (n, 2) are the information
     on the positions, and its gradient.
+
+    Of I + P H, P the prior and H the information, the determinant is 1 + tr P H + det P det H, and
+    its inverse times P is P + det P (tr H - H), over that determinant. No term is negative, so that
+    a single sighting, whose information is singular, does not make it negative by rounding.
     """
-    narrowed = np.eye(2) + prior @ information
-    square = (slope[:, None] @ np.linalg.solve(narrowed, prior @ slope[:, :, None]))[:, 0, 0]
-    return np.asarray(0.5 * (square - np.log(np.linalg.det(narrowed))))
+    area = np.maximum(_determinants(prior), 0.0)
+    volume = area * np.maximum(_determinants(information), 0.0)
+    volume = 1.0 + np.maximum((prior * information).sum(axis=(1, 2)), 0.0) + volume
+    across = information.trace(axis1=1, axis2=2)[:, None, None] * np.eye(2) - information
+    posterior = prior + area[:, None, None] * across
+    square = (slope[:, None] @ posterior @ slope[:, :, None])[:, 0, 0] / volume
+    return np.asarray(0.5 * (np.maximum(square, 0.0) - np.log(volume)))
+
+
+def _determinants(matrices: np.ndarray) -> np.ndarray:
+    """Return the determinants (n,) of matrices (n, 2, 2)."""
+    (a, b), (c, d) = matrices.transpose(1, 2, 0)
+    return np.asarray(a * d - b * c)
 
 
 def _distances(poses: np.ndarray, lines: SightLines) -> np.ndarray:
-    """Return the median distance of the landmarks from each pose, shape (k,) [m]."""
+    """Return the median distance of the landmarks from each pose, shape (k,) [m].
+
+    At least `MIN_DISTANCE`: the pose may be that of a landmark.
+    """
     off = lines.positions - poses[:, None, :2]
-    return np.asarray(np.median(np.hypot(off[:, :, 0], off[:, :, 1]), axis=1))
+    median = np.median(np.hypot(off[:, :, 0], off[:, :, 1]), axis=1)
+    return np.asarray(np.maximum(median, MIN_DISTANCE))
 
 
 def _same(a: np.ndarray, b: np.ndarray, within: float) -> bool:

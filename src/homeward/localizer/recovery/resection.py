@@ -16,6 +16,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
+from homeward.localizer.map.factors import MIN_COVARIANCE
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.first_fix import FirstFix, survey_lines
 from homeward.localizer.recovery.relocalise import relocalise_near
@@ -90,7 +91,8 @@ class Resection:
             return None
         found = FirstFix(survey).add_frame(frame, camera, np.zeros(3))
         if found is not None:
-            robot, covariance = between(found[0], np.zeros(3)), np.zeros((3, 3))
+            # Other cameras have frames of the same stamp, since which no motion adds variance.
+            robot, covariance = between(found[0], np.zeros(3)), MIN_COVARIANCE
         elif self._last is None:
             return None
         else:

@@ -8,6 +8,8 @@ from typing import TypeAlias
 import numpy as np
 
 from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import positive
+from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import HEAD, Marginal
@@ -117,12 +119,13 @@ def _displaced(
     step = weights @ steps
     between = np.array(steps) - step
     spread = np.einsum("i,ijk->jk", weights, spreads) + (between.T * weights) @ between
-    return mean + step, 0.5 * (spread + spread.T)
+    largest = float(known.trace()) + 2.0 * distance**2 + 1.0  # posteriors are differences of priors
+    return mean + step, positive(spread, "the covariance of a displaced pose", largest)
 
 
 def _distance(lines: SightLines, pose: np.ndarray) -> float:
-    """Return the median distance of landmarks from a pose [m]."""
-    return float(np.median(np.hypot(*(lines.positions - pose[:2]).T)))
+    """Return the median distance of landmarks from a pose [m], at least `MIN_DISTANCE`."""
+    return max(float(np.median(np.hypot(*(lines.positions - pose[:2]).T))), MIN_DISTANCE)
 
 
 def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:
