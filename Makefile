@@ -3,25 +3,49 @@ PYTHON ?= python3
 OTHER := $(if $(filter python3,$(PYTHON)),,-$(shell $(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])'))
 VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
+DEMO := .venv-demo$(OTHER)
 PINS := constraints.txt pyproject.toml
 # Without bytecode, which takes half of pip's time: Python writes that of a module when it is first
 # imported, unless this variable is set.
 PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install demo plan test demo-physics core-environment test-core lowest-environment test-lowest test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
+.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
 
+# What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
+EXTRAS := filters,live,report,scale,vision
+DEV_EXTRAS := $(EXTRAS),dev,gpu
 install: $(VENV)/installed
+dev: $(VENV)/dev
 
-$(VENV)/installed: $(PINS)
+# $(call environment,FOLDER,EXTRAS)
+define environment
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "homeward needs Python 3.11 or later; make PYTHON=/path/to/it"; exit 1; }
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[dev,filters,gpu,live,report,scale,vision]'
+	$(PYTHON) -m venv $(1)
+	$(1)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[$(2)]'
+endef
+
+$(VENV)/installed: $(PINS)
+	$(call environment,$(VENV),$(EXTRAS))
 	touch $@
 
-demo: install
-	$(BIN)/homeward run sample --out out/demo
+$(VENV)/dev: $(PINS)
+	$(call environment,$(VENV),$(DEV_EXTRAS))
+	touch $(VENV)/installed $@
+
+# An environment of its own, for a first look without the packages of the other commands.
+demo-environment: $(DEMO)/installed
+$(DEMO)/installed: $(PINS)
+	$(call environment,$(DEMO),report)
+	touch $@
+
+demo: demo-environment
+	$(DEMO)/bin/homeward run sample --out out/demo
+
+# The README gives the size: a new package of the extra report must not make the demo large.
+demo-size: demo
+	@size=$$(du -sm $(DEMO) | cut -f1); echo "$(DEMO): $$size MB (limit: 450 MB)"; test $$size -lt 450
 
 plan: install
 	$(BIN)/homeward plan warehouse --out out/plan
@@ -34,7 +58,7 @@ demo-physics: install
 	$(BIN)/homeward run out/demo-physics/drive --out out/demo-physics/run
 
 # MARK='not core': without the tests of test-core, where that has run.
-test: install
+test: dev
 	$(BIN)/python -m pytest $(if $(MARK),-m "$(MARK)")
 
 # The tests of the core, in an environment of its own that has neither vision, lab nor studio.
@@ -60,16 +84,19 @@ test-lowest: lowest-environment
 	$(LOWEST)/bin/homeward run sample --out out/lowest
 
 # The tests whose result can depend on the Python version, for a second Python (PYTHON=python3.13).
-test-interpreter: install
+interpreter-environment: install
+	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt hypothesis pytest pytest-xdist
+
+test-interpreter: interpreter-environment
 	$(BIN)/python -m pytest -m interpreter
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
-test-mcu: install
+test-mcu: dev
 	$(BIN)/python -m pytest -n 0 -rs tests/lab/engine/test_export.py -k CortexM4F
 	$(BIN)/python -m benchmarks.mcu
 
 # Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.
-ros-environments: install
+ros-environments: dev
 	HOMEWARD_ROS=.venv-ros $(BIN)/python tests/ros/environments.py
 
 # The tests mostly wait for a robot that drives in real time, so two run at once; a test that fails
@@ -81,7 +108,7 @@ test-ros: ros-environments
 # For machines without a compiler, in out/wheel: with the C of vision and of rendered rooms compiled
 # (pure where this one has none, either). TARGET=aarch64: for Raspberry Pis and Jetsons, by Zig's.
 ZIG = $$($(BIN)/python -c 'import ziglang; print(ziglang.__path__[0])')/zig
-wheel: install
+wheel: dev
 	$(if $(TARGET),$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[compiler]')
 	rm -rf out/wheel
 	$(if $(TARGET),CC="'$(ZIG)' cc -target $(TARGET)-linux-gnu.2.17") $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
@@ -100,7 +127,7 @@ out/python-aarch64:
 	mmdebstrap --quiet --variant=extract --architectures=arm64 --include=python3-minimal,libpython3-stdlib,libstdc++6 bookworm $@ \
 		|| { rm -rf $@; exit 1; }
 
-lint: install
+lint: dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
@@ -146,4 +173,4 @@ figures: install
 	$(BIN)/python -m benchmarks.figures
 
 clean:
-	rm -rf $(VENV) .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-demo* .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info

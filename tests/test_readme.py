@@ -114,13 +114,24 @@ def test_python_on_a_robot_runs(capsys):
     assert "Status." in capsys.readouterr().out
 
 
-def test_each_python_has_an_environment_of_its_own():
+def recipe(*words):
+    """Return the commands that make would run for these targets in a fresh clone."""
     # Without what a make that runs these tests hands on.
     given = {k: v for k, v in os.environ.items() if k not in ("PYTHON", "MAKEFLAGS", "MFLAGS")}
     options = {"cwd": ROOT, "env": given, "capture_output": True, "text": True, "check": True}
-    said = [
-        subprocess.run(["make", "-n", "plan", *chosen], **options).stdout
-        for chosen in ([], [f"PYTHON={sys.executable}"])
-    ]
-    assert ".venv/bin/homeward plan" in said[0]
-    assert f".venv-{sys.version_info[0]}.{sys.version_info[1]}/bin/homeward plan" in said[1]
+    return subprocess.run(["make", "--dry-run", "--always-make", *words], **options).stdout
+
+
+def test_each_python_has_an_environment_of_its_own():
+    version = f"{sys.version_info[0]}.{sys.version_info[1]}"
+    assert ".venv/bin/homeward plan" in recipe("plan")
+    assert f".venv-{version}/bin/homeward plan" in recipe("plan", f"PYTHON={sys.executable}")
+    assert f".venv-demo-{version}/bin/homeward run" in recipe("demo", f"PYTHON={sys.executable}")
+
+
+def test_the_demo_installs_only_what_it_needs():
+    commands = recipe("demo")
+    assert re.findall(r"-e '\.\[(.*)\]'", commands) == ["report"]
+    assert ".venv/" not in commands
+    assert "dev" not in re.findall(r"-e '\.\[(.*)\]'", recipe("install"))[0].split(",")
+    assert "dev" in re.findall(r"-e '\.\[(.*)\]'", recipe("lint"))[0].split(",")

@@ -84,7 +84,7 @@ def evo(*words, home):
     # A program of another licence, never imported; it must be there where tests are.
     beside = Path(sys.executable).parent  # the environment need not be on the PATH
     program = shutil.which(words[0], path=f"{beside}{os.pathsep}{os.environ['PATH']}")
-    assert program is not None, f"{words[0]} is not installed; make install brings it"
+    assert program is not None, f"{words[0]} is not installed; make dev brings it"
     env = os.environ | {"HOME": str(home), "MPLBACKEND": "agg"}
     result = subprocess.run(
         [program, *map(str, words[1:])], capture_output=True, text=True, env=env, timeout=120
