@@ -76,6 +76,7 @@ def always_the_same(rng, found):
 def test_a_range_has_the_derivatives_it_says():
     rng = np.random.default_rng(0)
     odometry, ratio = Wheels(), 3.0
+    odometry.restart(0.0)
     for i in range(20):
         odometry.add(0.1 * i, 0.4, 0.3)
     calibration = np.zeros(NC)
