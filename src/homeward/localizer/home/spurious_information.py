@@ -37,8 +37,8 @@ def spurious_covariance(
 def position_root(information: np.ndarray) -> tuple[float, float, float] | None:
     """Return the Cholesky factor [a, 0; b, c] of the information on home's position.
 
-    That is what is left of the information (3, 3) on home while the heading is unknown. None where
-    nothing but rounding is left, so that the position is not determined.
+    It is the Schur complement of the heading in the information (3, 3) on home. None where only
+    rounding remains of it, so that the position is not determined.
     """
     (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
     if not turn > 0.0:
