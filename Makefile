@@ -10,7 +10,7 @@ PINS := constraints.txt pyproject.toml
 PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures clean
+.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures state-log clean
 
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
 EXTRAS := filters,live,report,scale,vision
@@ -171,6 +171,10 @@ bench: install
 # Re-run the cheap commands of docs/figures.json, and report figures of the pages that differ.
 figures: install
 	$(BIN)/python -m benchmarks.figures
+
+# Renew the states of the localiser that tests compare with; the commit message explains the diff.
+state-log: install
+	$(BIN)/python tests/localizer/state_log.py
 
 clean:
 	rm -rf $(VENV) .venv-demo* .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info
