@@ -105,6 +105,16 @@ class World:
         return self.speed, float(np.clip(1.5 * off, -0.7, 0.7))
 
 
+class Robot(NamedTuple):
+    """A robot with a camera; a call returns a new localiser."""
+
+    home: dict[str, HomeBearing]
+    sensor: Sensor
+
+    def __call__(self) -> Localizer:
+        return Localizer(self.home, sensor=self.sensor)
+
+
 class Outcome(NamedTuple):
     """Result of a drive."""
 
@@ -138,8 +148,8 @@ def is_wrong(answer: Estimate, truth: Pose) -> bool:
     return bool(d @ np.linalg.solve(answer.covariance[:2, :2], d) > WRONG_SIGMAS**2)
 
 
-def calamity(seed: int) -> tuple[Callable[[], Localizer], list[Sample], list[Sample]]:
-    """Return a factory of localisers, half a minute of faults, and a minute without."""
+def calamity(seed: int) -> tuple[Robot, list[Sample], list[Sample]]:
+    """Return a robot, half a minute of faults, and a minute without."""
     rng = np.random.default_rng(seed)
     count, far = int(rng.integers(5, 13)), float(rng.uniform(3.0, 6.0))
     angles = 2 * math.pi * (np.arange(count) + rng.uniform(-0.4, 0.4, count)) / count
@@ -156,7 +166,7 @@ def calamity(seed: int) -> tuple[Callable[[], Localizer], list[Sample], list[Sam
     bad: list[Sample] = []
     while world.t < BAD_S - DT:
         bad += _mishap(world, min(float(rng.uniform(1.0, 12.0)), BAD_S - world.t))
-    return lambda: Localizer(home, sensor=sensor), bad, list(world.drive(GOOD_S))
+    return Robot(home, sensor), bad, list(world.drive(GOOD_S))
 
 
 def _mishap(world: World, seconds: float) -> list[Sample]:
@@ -211,10 +221,8 @@ CARRIED = {
 }
 
 
-def hall(
-    seed: int, how: Carried, times: float = 1.0
-) -> tuple[Callable[[], Localizer], list[Sample]]:
-    """Return a factory of localisers, and a drive (300 s x `times`) with a carried robot."""
+def hall(seed: int, how: Carried, times: float = 1.0) -> tuple[Robot, list[Sample]]:
+    """Return a robot, and a drive (300 s x `times`) in which it is carried."""
     rng = np.random.default_rng(seed)
     x, y = rng.uniform(-20.0, 60.0, 60), rng.uniform(-20.0, 20.0, 60)
     marks = {f"L{i}": p for i, p in enumerate(zip(x.tolist(), y.tolist(), strict=True))}
@@ -228,7 +236,7 @@ def hall(
     else:
         world.middle = (0.0, 0.0)
     samples += world.drive(times * 150.0)
-    return lambda: Localizer(home, sensor=Sensor(bearing_sigma=SIGMA)), samples
+    return Robot(home, Sensor(bearing_sigma=SIGMA)), samples
 
 
 def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample]:

@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.consistency.trial import SurveyedTrial
 from benchmarks.mrclam import data, surveyed_places
-from homeward.drives.drive import Truth
+from homeward.drives.drive import Drive, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.geometry.frames import Pose, between
@@ -28,16 +28,25 @@ EXCHANGED = {"11": "17", "17": "11"}
 
 def set_1_trial(number: int, home_noise: float) -> SurveyedTrial:
     """Return one robot's drive from one home, with noise of home's bearings [rad] by the number."""
+    drive = set_1_drive(number, home_noise)
+    track = smooth(drive)
+    rows = track.has_pose
+    truth = Truth(track.t[rows], track.x[rows], track.y[rows], track.heading[rows])
+    survey = {name: (at.x, at.y) for name, at in drive.known.landmarks.items()}
+    drive = replace(drive, known=KnownLandmarks(), truth=truth)
+    return SurveyedTrial(drive, frozenset(), *unknown_bound(drive), survey=survey)
+
+
+def set_1_drive(number: int, home_noise: float) -> Drive:
+    """Return the drive of `set_1_trial`, without ground truth, with the survey of its landmarks."""
     seed, k = divmod(number, len(DRIVES))
     robot, home = DRIVES[k]
     drive = read_mrclam(data() / SET_1, robot, home, home_noise, seed)
     names = np.array([EXCHANGED.get(n, n) for n in drive.sightings.landmark])
-    drive = replace(drive, sightings=replace(drive.sightings, landmark=names))
     at = {n: between(home, Pose(*xy, 0.0)) for n, xy in surveyed_places(SET_1).items()}
-    survey = {n: (float(p.x), float(p.y)) for n, p in at.items()}
-    places = {n: {"x": x, "y": y} for n, (x, y) in survey.items()}
-    track = smooth(replace(drive, known=KnownLandmarks(frame="home", landmarks=places)))
-    rows = track.has_pose
-    truth = Truth(track.t[rows], track.x[rows], track.y[rows], track.heading[rows])
-    bound = unknown_bound(drive)
-    return SurveyedTrial(replace(drive, truth=truth), frozenset(), *bound, survey=survey)
+    places = {n: {"x": float(p.x), "y": float(p.y)} for n, p in at.items()}
+    return replace(
+        drive,
+        sightings=replace(drive.sightings, landmark=names),
+        known=KnownLandmarks(frame="home", landmarks=places),
+    )

@@ -1,0 +1,115 @@
+"""The present version against an older one on the same drives; exit code 1 if a figure is worse.
+
+`python -m benchmarks.against REF BENCHMARK ... [--seeds 20] [--family NAME ...]` installs the
+package at a tag or commit in an environment of its own (out/against, reused), runs the drives of
+the benchmarks with both packages in turn, and prints one table: effect, 95 % interval and decision
+for each figure and family, as benchmarks.paired.comparison describes. Ratios are new over old,
+other effects new minus old. The present version makes the drives; each runs in both versions from
+the same folder. `--keep FILE` keeps the figures of finished drives, from which the same command
+continues. `--jobs` is the number of pairs at once; use 1 for processor times.
+"""
+
+import json
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from pathlib import Path
+from queue import SimpleQueue
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from benchmarks import monte_carlo
+from benchmarks.paired.comparison import FIGURES, WORSE, decisions, rows, table
+from benchmarks.paired.drives import BENCHMARKS, Case, cases, made
+from benchmarks.paired.processes import VariantError, Worker, commit_of, environment
+
+Pair = tuple[Mapping[str, Any], Mapping[str, Any]]  # figures, or the error, of new and old
+
+
+def compared(todo: Sequence[Case], old: Path, jobs: int) -> Iterator[tuple[Case, Pair]]:
+    """Yield the figures of both versions for each drive, as they finish."""
+    with TemporaryDirectory() as scratch, ExitStack() as stack:
+        free = SimpleQueue[tuple[Worker, Worker]]()
+        for _ in range(jobs):
+            new, other = (stack.enter_context(Worker(python)) for python in (None, old))
+            free.put((new, other))
+
+        def one(k: int) -> tuple[Case, Pair]:
+            given, pair = made(todo[k], Path(scratch, str(k))), free.get()
+            try:
+                if given.needs_truth:  # from the reference, which does not change
+                    truth = pair[1].run(given, needs_truth=True)
+                    if "error" in truth:
+                        return todo[k], (truth, truth)
+                turn = pair if k % 2 else pair[::-1]
+                found = [worker.run(given) for worker in turn]
+            finally:
+                free.put(pair)
+            return todo[k], (found[0], found[1]) if k % 2 else (found[1], found[0])
+
+        with ThreadPoolExecutor(jobs) as pool:
+            yield from pool.map(one, range(len(todo)))
+
+
+def kept(file: Path | None, key: Mapping[str, str]) -> dict[Case, Pair]:
+    """Return the finished drives of a file, which begins with `key`; make it if it is missing."""
+    if file is None:
+        return {}
+    if not file.exists():
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(json.dumps(key) + "\n")
+    first, *lines = file.read_text().splitlines()
+    if json.loads(first) != key:
+        raise VariantError(f"{file} is of other versions: {first}; delete it, or use another file")
+    found = [json.loads(line) for line in lines]
+    return {Case(*case): (new, old) for case, new, old in found}
+
+
+def failed(pairs: Mapping[Case, Pair]) -> int:
+    """Print the errors; return the number of drives that only the old version survives."""
+    number = 0
+    for case, (new, old) in pairs.items():
+        for name, one in (("new", new), ("old", old)):
+            if "error" in one:
+                print(f"ERROR: {name}: {' '.join(map(str, case))}: {one['error']}")
+        number += "error" in new and "error" not in old
+    return number
+
+
+def main() -> int:
+    parser = monte_carlo.parser(__doc__, seeds=20, jobs=1, keep=Path, figures=FIGURES)
+    parser.add_argument("ref", help="tag or commit of the older version")
+    parser.add_argument("benchmark", nargs="+", choices=list(BENCHMARKS))
+    parser.add_argument("--family", nargs="*", help="families of drives; default: all")
+    options = parser.parse_args()
+    try:
+        commit = commit_of(options.ref)
+        key = {"new": monte_carlo.source_digest(), "old": commit}
+        found = kept(options.keep, key)
+        todo = [c for b in options.benchmark for c in cases(b, options.seeds, options.family)]
+        if not todo:
+            parser.error("no drives: no such family, or its data are missing (HOMEWARD_DATA)")
+        missing = [case for case in todo if case not in found]
+        for case, pair in compared(missing, environment(commit), options.jobs):
+            found[case] = pair
+            if options.keep is not None:
+                with options.keep.open("a") as file:
+                    print(json.dumps([case, *pair]), file=file)
+            if sys.stderr.isatty():
+                print(f"\r{len(found)} of {len(todo)}", end="", file=sys.stderr, flush=True)
+    except VariantError as error:
+        print(f"against: FAILED: {error}")
+        return 2
+    pairs = {case: found[case] for case in todo}
+    both = {c: pair for c, pair in pairs.items() if not any("error" in one for one in pair)}
+    lines = rows(both, options.figures)
+    decided = decisions(lines)
+    print(f"\nthe present version against {options.ref} ({commit}), {len(both)} drives")
+    print(table(lines, decided))
+    lost = failed(pairs)
+    return int(lost > 0 or WORSE in decided)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""Paired comparisons: two variants of the localiser on the same drives."""
