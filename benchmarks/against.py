@@ -9,7 +9,6 @@ the same folder. `--keep FILE` keeps the figures of finished drives, from which 
 continues. `--jobs` is the number of pairs at once; use 1 for processor times.
 """
 
-import json
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -22,6 +21,7 @@ from typing import Any
 from benchmarks import monte_carlo
 from benchmarks.paired.comparison import FIGURES, WORSE, decisions, rows, table
 from benchmarks.paired.drives import BENCHMARKS, Case, cases, made
+from benchmarks.paired.kept import Kept
 from benchmarks.paired.processes import VariantError, Worker, commit_of, environment
 
 Pair = tuple[Mapping[str, Any], Mapping[str, Any]]  # figures, or the error, of new and old
@@ -52,20 +52,6 @@ def compared(todo: Sequence[Case], old: Path, jobs: int) -> Iterator[tuple[Case,
             yield from pool.map(one, range(len(todo)))
 
 
-def kept(file: Path | None, key: Mapping[str, str]) -> dict[Case, Pair]:
-    """Return the finished drives of a file, which begins with `key`; make it if it is missing."""
-    if file is None:
-        return {}
-    if not file.exists():
-        file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(json.dumps(key) + "\n")
-    first, *lines = file.read_text().splitlines()
-    if json.loads(first) != key:
-        raise VariantError(f"{file} is of other versions: {first}; delete it, or use another file")
-    found = [json.loads(line) for line in lines]
-    return {Case(*case): (new, old) for case, new, old in found}
-
-
 def failed(pairs: Mapping[Case, Pair]) -> int:
     """Print the errors; return the number of drives that only the old version survives."""
     number = 0
@@ -85,17 +71,13 @@ def main() -> int:
     options = parser.parse_args()
     try:
         commit = commit_of(options.ref)
-        key = {"new": monte_carlo.source_digest(), "old": commit}
-        found = kept(options.keep, key)
+        found = Kept(options.keep, {"new": monte_carlo.source_digest(), "old": commit})
         todo = [c for b in options.benchmark for c in cases(b, options.seeds, options.family)]
         if not todo:
             parser.error("no drives: no such family, or its data are missing (HOMEWARD_DATA)")
         missing = [case for case in todo if case not in found]
         for case, pair in compared(missing, environment(commit), options.jobs):
-            found[case] = pair
-            if options.keep is not None:
-                with options.keep.open("a") as file:
-                    print(json.dumps([case, *pair]), file=file)
+            found.add(case, pair)
             if sys.stderr.isatty():
                 print(f"\r{len(found)} of {len(todo)}", end="", file=sys.stderr, flush=True)
     except VariantError as error:

@@ -3,6 +3,7 @@
 import json
 import shutil
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ from benchmarks import against
 from benchmarks.paired import comparison, drives, processes
 from benchmarks.paired.comparison import NO_WORSE, OPEN, SAME, WORSE, Row
 from benchmarks.paired.drives import Case, Family, Input
+from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive
 
 ROOT = Path(__file__).parents[1]
@@ -70,10 +72,15 @@ def test_withheld_poses_count():
 
 
 @pytest.fixture
-def short(monkeypatch):
+def short(tmp_path, monkeypatch):
     """A benchmark of one recorded drive."""
-    given = Input(open_drive(SHORT), frozenset(), folder=SHORT)
+    drive = open_drive(SHORT)
+    begin = {n: (c := getattr(drive, n)).rows(c.t < 15.0) for n in ("odometry", "sightings")}
+    write_folder(replace(drive, **begin), tmp_path / "drive")
+    given = Input(drive, frozenset(), folder=tmp_path / "drive")
     monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": Family(lambda _: given)})
+    drives.families.cache_clear()
+    yield
     drives.families.cache_clear()
 
 

@@ -58,7 +58,7 @@ TIMES = ("ms", "ms99", "ms_all")
 """Compared over all drives of a benchmark together, as they vary with the load of the machine."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Row:
     """One figure in one family; `worse_by` (n,) is positive where the new variant is worse."""
 
@@ -133,7 +133,7 @@ def rows(pairs: Mapping[Case, tuple[Values, Values]], figures: Iterable[str]) ->
 def decisions(found: Sequence[Row]) -> list[str]:
     """Return the decision on each row."""
     tested = [k for k, row in enumerate(found) if not row.is_same]
-    margins = [math.log1p(MARGIN) if _is_log(found[k]) else _margin(found[k]) for k in tested]
+    margins = [_margin(found[k]) for k in tested]
     within = holm([found[k].p(m, above=False) for k, m in zip(tested, margins, strict=True)])
     worse = holm([found[k].p(0.0, above=True) for k in tested])
     decided = [SAME] * len(found)
@@ -143,8 +143,14 @@ def decisions(found: Sequence[Row]) -> list[str]:
     return decided
 
 
+def is_beyond_margin(row: Row) -> bool:
+    """Return whether a figure is worse by more than its margin, chance or not."""
+    return bool(row.worse_by.size) and float(row.worse_by.mean()) > _margin(row)
+
+
 def _margin(row: Row) -> float:
-    return FIGURES[row.figure].margin
+    margin = FIGURES[row.figure].margin
+    return math.log1p(margin) if _is_log(row) else margin
 
 
 def _is_log(row: Row) -> bool:

@@ -120,9 +120,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--without", help="name of a mechanism, see benchmarks.ablate")
     if without := parser.parse_args().without:
-        from benchmarks.mechanisms import switch_off
+        from benchmarks.mechanisms import PatchError, switch_off
 
-        switch_off(without)
+        try:
+            switch_off(without)
+        except PatchError as error:
+            sys.exit(str(error))
     reply: Callable[[Any], None] = lambda row: print(json.dumps(row), flush=True)  # noqa: E731
     reply({"package": str(Path(homeward.__file__).parent)})
     for line in sys.stdin:
