@@ -4,10 +4,12 @@ OTHER := $(if $(filter python3,$(PYTHON)),,-$(shell $(PYTHON) -c 'import sys; pr
 VENV := .venv$(OTHER)
 BIN := $(VENV)/bin
 DEMO := .venv-demo$(OTHER)
-PINS := constraints.txt pyproject.toml
+PINS := constraints.txt pyproject.toml $(wildcard cpp/*)
 # Without bytecode, which takes half of pip's time: Python writes that of a module when it is first
 # imported, unless this variable is set.
 PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
+# The versions with which pip builds the package: pip has a variable of its own for them since 25.3.
+BUILD_PINS := PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_BUILD_CONSTRAINT=$(CURDIR)/constraints.txt
 unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures state-log clean
@@ -23,7 +25,7 @@ define environment
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "homeward needs Python 3.11 or later; make PYTHON=/path/to/it"; exit 1; }
 	$(PYTHON) -m venv $(1)
-	$(1)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[$(2)]'
+	$(BUILD_PINS) $(1)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[$(2)]'
 endef
 
 $(VENV)/installed: $(PINS)
@@ -105,27 +107,17 @@ ROS_TESTS = HOMEWARD_ROS=.venv-ros $(BIN)/python -m pytest -rs -s tests/ros
 test-ros: ros-environments
 	$(ROS_TESTS) -n 2 || $(ROS_TESTS) -n 0 --last-failed --last-failed-no-failures none
 
-# For machines without a compiler, in out/wheel: with the C of vision and of rendered rooms compiled
-# (pure where this one has none, either). TARGET=aarch64: for Raspberry Pis and Jetsons, by Zig's.
-ZIG = $$($(BIN)/python -c 'import ziglang; print(ziglang.__path__[0])')/zig
+# For machines without a compiler, in out/wheel: with the compiled core (pure where this machine has
+# no C++ compiler either), for Python 3.11, or with a later PYTHON for all from 3.12.
 wheel: dev
-	$(if $(TARGET),$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[compiler]')
 	rm -rf out/wheel
-	$(if $(TARGET),CC="'$(ZIG)' cc -target $(TARGET)-linux-gnu.2.17") $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
+	$(BUILD_PINS) $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
 	if ls out/wheel/built/*-any.whl 2>/dev/null; then cp out/wheel/built/*.whl out/wheel; \
 		else PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair -w out/wheel out/wheel/built/*.whl; fi
-	$(if $(TARGET),ls out/wheel/*$(TARGET).whl)
 
-# In an environment of its own, with an empty PATH. TARGET=aarch64: on an emulated one, with Debian's
-# Python for it; qemu-user and mmdebstrap of Debian.
-test-wheel: wheel $(TARGET:%=out/python-%)
-	HOMEWARD_WHEEL=out/wheel $(if $(TARGET),HOMEWARD_PYTHON="$(EMULATED)") $(BIN)/python -m pytest -n 0 -rs -s tests/test_wheel.py
-
-THERE = '$(CURDIR)/out/python-$(TARGET)'
-EMULATED = $$(command -v qemu-$(TARGET)) -L $(THERE) $(THERE)/usr/bin/python3
-out/python-aarch64:
-	mmdebstrap --quiet --variant=extract --architectures=arm64 --include=python3-minimal,libpython3-stdlib,libstdc++6 bookworm $@ \
-		|| { rm -rf $@; exit 1; }
+# In an environment of its own, with an empty PATH.
+test-wheel: wheel
+	HOMEWARD_WHEEL=out/wheel $(BIN)/python -m pytest -n 0 -rs -s tests/test_wheel.py
 
 lint: dev
 	$(BIN)/ruff check .

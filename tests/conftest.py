@@ -29,7 +29,6 @@ INTERPRETER = (
     "drives/test_folder",
     "drives/test_landmarks_yaml",
     "lab/engine/native/test_native_cache",
-    "lab/engine/native/test_native_program",
     "live/test_live_messages",
     "live/test_server",
     "lab/studies/test_blocks",
@@ -150,12 +149,12 @@ def _own_cache(tmp_path_factory) -> None:
 @pytest.fixture
 def both(monkeypatch):
     """A function that calls another one compiled, then with NumPy, and returns both answers."""
-    from homeward.native.program import Program
+    from homeward import core
 
     def call(function, *arguments):
         native = function(*arguments)
         with monkeypatch.context() as patch:
-            patch.setattr(Program, "__call__", lambda program: None)
+            patch.setattr(core, "compiled", None)
             return native, function(*arguments)
 
     return call

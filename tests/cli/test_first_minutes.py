@@ -21,6 +21,7 @@ from lab.studies.chores import draw_no_figures, in_this_process
 from typer.testing import CliRunner
 
 import homeward
+from homeward import core
 from homeward.cli import options as terminal
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
@@ -65,11 +66,11 @@ def short(tmp_path):
 def test_the_version_is_said_in_every_way():
     (said,) = re.findall(r'^version = "(.*)"', (ROOT / "pyproject.toml").read_text(), re.MULTILINE)
     assert homeward.__version__ == said
-    assert call("--version").stdout == f"homeward {said}\n"
+    assert call("--version").stdout == f"homeward {said} ({core.description()})\n"
     reported = subprocess.run(
         [sys.executable, "-m", "homeward", "--version"], capture_output=True, text=True, check=True
     )
-    assert reported.stdout == f"homeward {said}\n"
+    assert reported.stdout == f"homeward {said} ({core.description()})\n"
     assert f"version: {said}\n" in (ROOT / "CITATION.cff").read_text()
 
 
@@ -279,8 +280,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
         named |= set(re.findall(r"the extra (\w+)", str(reported)))
     assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
     reported = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
-    # Without a compiler the interpreter is used.
-    assert named == reported == set(extras) - {"bench", "compiler", "demo-physics", "dev", "docs"}
+    assert named == reported == set(extras) - {"bench", "demo-physics", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line
     assert (ROOT / "constraints.txt").is_file()

@@ -1,4 +1,4 @@
-"""The compiled loops agree with NumPy, and without a compiler NumPy is used."""
+"""The loops of the compiled core agree with NumPy."""
 
 import numpy as np
 import pytest
@@ -7,13 +7,13 @@ pytest.importorskip("cv2")
 
 from vision_scene import align_features
 
+from homeward import core
 from homeward.vision import Equirectangular, compare, extract
-from homeward.vision.compiled import compiled
 from homeward.vision.features.patch_alignment import Pyramid
 from homeward.vision.geometry.epipolar import Pairs, residuals
 from homeward.vision.geometry.refinement import irls
 
-pytestmark = pytest.mark.skipif(compiled() is None, reason="no C compiler, nothing to compare")
+pytestmark = pytest.mark.skipif(core.compiled is None, reason=core.missing)
 
 
 def blots(rng, shape):

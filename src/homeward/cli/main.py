@@ -119,8 +119,9 @@ app = typer.Typer(
 def _version(wanted: bool) -> None:
     if wanted:
         import homeward
+        from homeward.core import description
 
-        typer.echo(f"homeward {homeward.__version__}")
+        typer.echo(f"homeward {homeward.__version__} ({description()})")
         raise typer.Exit
 
 

@@ -12,7 +12,6 @@ import sys
 import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 
 from homeward.errors import HomewardError
@@ -28,8 +27,6 @@ FLAGS = (
     *("-ffp-contract=fast", "-fno-math-errno", "-fno-trapping-math"),
 )
 """No -ffast-math: the programs use NaN and infinity."""
-PORTABLE_FLAGS = (*FLAGS, "-DFOR_ALL_PROCESSORS")
-"""Flags for all processors of an architecture, as in a wheel; see program.h."""
 
 
 class NativeError(HomewardError):
@@ -48,13 +45,12 @@ class Compiler:
         """Everything but the source that determines the code: compiler, flags and processor."""
         return "\n".join([*self.command, self.version, *flags(), processor()])
 
-    def compile(self, source: Path, library: Path, options: tuple[str, ...] | None = None) -> None:
-        """Compile a C file into a shared library, by default with `flags`.
+    def compile(self, source: Path, library: Path) -> None:
+        """Compile a C file into a shared library.
 
         `NativeError` where that fails, takes too long, or writes no file.
         """
-        options = flags() if options is None else options
-        call = [*self.command, *options, "-o", str(library), str(source), "-lm"]
+        call = [*self.command, *flags(), "-o", str(library), str(source), "-lm"]
         code, output = _call(call, COMPILE_S)
         if code != 0:
             raise NativeError(f"{shlex.join(self.command)} failed: {_first_line(output)}")
@@ -63,9 +59,9 @@ class Compiler:
 
 
 def find_compiler() -> Compiler:
-    """Return the compiler that ``CC`` names, else the first installed `CANDIDATES`, else Zig's.
+    """Return the compiler that ``CC`` names, else the first of `CANDIDATES` that is installed.
 
-    Zig is in the extra ``compiler``. `NativeError` where there is none, or it fails.
+    `NativeError` where there is none, or it fails.
     """
     return _find(os.environ.get("CC", ""), os.environ.get("PATH", ""))
 
@@ -84,10 +80,7 @@ def _find(named: str, path: str) -> Compiler:
     for name in CANDIDATES:
         if (found := shutil.which(name, path=path)) is not None:
             return _with_version((found,))
-    if (package := find_spec("ziglang")) is not None and package.origin is not None:
-        # The program itself: python -m would also search the current folder.
-        return _with_version((str(Path(package.origin).with_name("zig")), "cc"))
-    raise NativeError("no C compiler found: install gcc or clang, or homeward's extra compiler")
+    raise NativeError("no C compiler found: install gcc or clang")
 
 
 def _with_version(command: tuple[str, ...]) -> Compiler:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import platform
-import shutil
 import subprocess
 import sys
 import tempfile
@@ -14,14 +12,10 @@ from typing import NamedTuple
 
 from homeward.io.writing import scratch_folder
 from homeward.native.cache import Cache, default_folder, key_of
-from homeward.native.compiler import PORTABLE_FLAGS, Compiler, NativeError, find_compiler
+from homeward.native.compiler import Compiler, NativeError, find_compiler
 
 TEST_S = 60.0
 """Time limit for loading and calling a new library in another process [s]."""
-PREBUILT = "prebuilt.so"
-"""File with compiled code in a wheel, next to the sources of a program."""
-ELF_MACHINES = {62: "x86_64", 183: "aarch64"}
-"""Machine numbers in the header of a Linux library, for the machines of the wheels."""
 _TEST = "import ctypes, sys; print(ctypes.CDLL(sys.argv[1]).homeward_lanes())"
 
 
@@ -39,36 +33,6 @@ def is_kept(source: str) -> bool:
     """Whether the compiled code of a source is in the cache; `NativeError` without a compiler."""
     cache = Cache(default_folder())
     return cache.problem() is None and cache.find(_key(source, find_compiler())) is not None
-
-
-def source_in(folder: Path) -> str:
-    """Return the C code of a folder as one text: program.h, headers, programs, sorted by name."""
-    common = Path(__file__).with_name("program.h")
-    files = [common, *sorted(folder.glob("*.h")), *sorted(folder.glob("*.c"))]
-    return "\n".join(file.read_text(encoding="utf-8") for file in files)
-
-
-def prebuild(folder: Path, library: Path) -> str:
-    """Compile the C code of a folder for all processors of an architecture, for a wheel.
-
-    Returns the architecture. If a cross compiler makes it another one than this machine's, the
-    library is not tested. `NativeError` where there is no compiler, or it fails.
-    """
-    with tempfile.TemporaryDirectory() as scratch:
-        source, compiler = source_in(folder), find_compiler()
-        made = _untested(source, compiler, Path(scratch), PORTABLE_FLAGS)
-        if (machine := _machine(made)) == platform.machine():
-            _test(made, compiler)
-        shutil.copyfile(made, library)
-    return machine
-
-
-def prebuilt(folder: Path) -> Library | None:
-    """Return the compiled code that a wheel contains for a folder, or None."""
-    try:
-        return _opened(folder / PREBUILT, ())
-    except NativeError:
-        return None
 
 
 def load(source: str) -> Library:
@@ -105,25 +69,11 @@ def _uncached(source: str, compiler: Compiler, problem: str) -> Library:
 
 
 def _compiled(source: str, compiler: Compiler, scratch: Path) -> Path:
-    library = _untested(source, compiler, scratch)
-    _test(library, compiler)
-    return library
-
-
-def _untested(
-    source: str, compiler: Compiler, scratch: Path, flags: tuple[str, ...] | None = None
-) -> Path:
     text, library = scratch / "program.c", scratch / "program.so"
     text.write_text(source, encoding="utf-8")
-    compiler.compile(text, library, flags)
+    compiler.compile(text, library)
+    _test(library, compiler)
     return library
-
-
-def _machine(library: Path) -> str:
-    """Return the machine type of a library from its header, by default that of this machine."""
-    header = library.read_bytes()[:20]
-    number = int.from_bytes(header[18:], "little") if header.startswith(b"\x7fELF") else 0
-    return ELF_MACHINES.get(number, platform.machine())
 
 
 def _test(library: Path, compiler: Compiler) -> None:

@@ -12,14 +12,13 @@ Patches are sampled from an image pyramid of the panorama, between pixels and ac
 
 from __future__ import annotations
 
-from ctypes import CDLL
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
+from homeward import core
 from homeward.drives.drive import Columns
-from homeward.native.program import address
-from homeward.vision.compiled import compiled
 from homeward.vision.opencv import opencv
 
 LEVELS = 3
@@ -54,11 +53,6 @@ class Pyramid:
         for _ in range(LEVELS - 1):
             levels.append(cv2.pyrDown(levels[-1]))
         return cls(tuple(levels), times, width, around * times)
-
-    def table(self) -> np.ndarray:
-        """Return address, height and width of each level, (levels, 3) int64: for compiled code."""
-        rows = [(address(grey, np.float32), *grey.shape) for grey in self.levels]
-        return np.array(rows, np.int64)
 
     def layout(self) -> np.ndarray:
         """Return `times`, `width` and `margin`: for compiled code."""
@@ -226,9 +220,8 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     The latter, (n, 2, 2) [radii^2], are those of positions for grey values of unit variance.
     """
-    native = compiled()
-    if native is not None:
-        return _align_compiled(native, task)
+    if core.compiled is not None:
+        return _align_compiled(core.compiled, task)
     patch, slopes = _template(task.home, task.at, task.radius)
     information = slopes.swapaxes(1, 2) @ slopes + np.diag(_PRIOR)
     known, spacing = np.linalg.inv(information), task.reach / HALF
@@ -244,20 +237,17 @@ def _align(task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return carried, (sampled * patch).sum(axis=1), known[:, :2, :2]
 
 
-def _align_compiled(native: CDLL, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _align_compiled(native: ModuleType, task: _Task) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Do the same as `_align` in compiled code."""
-    pictures = [(len(p.levels), p.table(), p.layout()) for p in (task.home, task.now)]
     limits = np.array([HALF, MAX_SHIFT, MIN_AREA])
     given = (task.at, task.radius, task.reach, task.start)
-    arrays = [np.array(a, float, order="C") for a in given]
-    n = len(task.at)
-    correlation, spread = np.empty(n), np.empty((n, 2, 2))
-    if native.align(
-        *(n, _GRIDS.shape[1], task.steps, limits, _PRIOR, _GRIDS),
-        *(*pictures[0], *pictures[1], *arrays, correlation, spread),
-    ):
-        raise ValueError("compiled code cannot align these patches")
-    return arrays[-1], correlation, spread
+    at, radius, reach, maps = (np.array(a, float, order="C") for a in given)
+    correlation, spread = np.empty(len(at)), np.empty((len(at), 2, 2))
+    native.align(
+        *(task.home.levels, task.home.layout(), task.now.levels, task.now.layout()),
+        *(_GRIDS, limits, _PRIOR, task.steps, at, radius, reach, maps, correlation, spread),
+    )
+    return maps, correlation, spread
 
 
 def _template(home: Pyramid, at: np.ndarray, radius: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

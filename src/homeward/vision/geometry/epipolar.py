@@ -18,9 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward import core
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.geometry.se2 import rotation
-from homeward.vision.compiled import compiled
 
 
 class Motion(NamedTuple):
@@ -173,15 +173,11 @@ def residuals(motions: np.ndarray, pairs: Pairs, looseness: float = 0.0) -> Resi
     Rows of the motions, (m, 5), are in the order of `Motion`; `looseness` is an additional error of
     each direction now [rad].
     """
-    native = compiled()
-    if native is not None:
-        count, wide = pairs.columns.shape
-        shape = len(motions), wide
-        value, jacobian = np.empty(shape), np.empty((5, *shape))
-        possible, rows = np.empty(shape, bool), np.array(motions, float, order="C")
-        given = (rows, pairs.columns, looseness, LIMITS)
-        if native.residuals(*shape, count, *given, value, jacobian, possible):
-            raise ValueError("compiled code has other columns")
+    if core.compiled is not None:
+        shape = len(motions), pairs.columns.shape[1]
+        value, jacobian, possible = np.empty(shape), np.empty((5, *shape)), np.empty(shape, bool)
+        given = (np.array(motions, float, order="C"), pairs.columns, looseness, LIMITS)
+        core.compiled.residuals(*given, value, jacobian, possible)
         n = len(pairs)
         return Residuals(value[:, :n], np.moveaxis(jacobian[..., :n], 0, -1), possible[:, :n])
     theta, alpha, roll, pitch, rise = motions.T[..., None]

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from homeward import core
 from homeward.geometry.angles import wrap
 from homeward.geometry.robust import GNC_SCHEDULE, robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
-from homeward.vision.compiled import compiled
 from homeward.vision.geometry.epipolar import (
     INLIER,
     LIMITS,
@@ -105,17 +105,15 @@ def _irls(
 def _irls_compiled(
     x: np.ndarray, pairs: Pairs, tilt_sigma: float, scale: float, counts: np.ndarray | float
 ) -> bool:
-    """Do the same as `irls` in place, in compiled code; return False without a compiler."""
-    native = compiled()
-    if native is None:
+    """Do the same as `irls` in place, in compiled code; return False without a result."""
+    if core.compiled is None:
         return False
-    count, wide = pairs.columns.shape
-    counted = np.zeros((len(x), wide))
+    counted = np.zeros((len(x), pairs.columns.shape[1]))
     counted[:, : len(pairs)] = counts
     looseness = np.array(SCHEDULE) * tilt_sigma
     prior = np.diag(prior_information(tilt_sigma)).copy()
     given = (pairs.columns, counted, looseness, prior, scale, MAX_STEP, LIMITS)
-    return not native.irls(len(x), wide, count, len(looseness), x, *given)
+    return bool(core.compiled.irls(x, *given))
 
 
 def prior_information(tilt_sigma: float) -> np.ndarray:

@@ -1,10 +1,6 @@
 """Which compiler is found, everything that one can do wrong, and what runs without one."""
 
-import os
-import platform
 import time
-from importlib.util import find_spec
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,7 +11,7 @@ from homeward.lab.engine.estimators.runner import filter_machine
 from homeward.lab.engine.native.source import choose
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.model import PolarModel
-from homeward.native import compiler, library
+from homeward.native import compiler
 from homeward.native.compiler import NativeError, find_compiler
 
 REAL = COMPILER.command[0]
@@ -79,49 +75,9 @@ def test_a_version_that_hangs_is_not_waited_for(cache, tmp_path, monkeypatch):
         find_compiler()
 
 
-def test_where_the_system_has_no_compiler_a_package_may_bring_one(cache, tmp_path, monkeypatch):
-    package = tmp_path / "ziglang"
-    package.mkdir()
-    (package / "__init__.py").touch()
-    zig = package / "zig"
-    # Its first word is cc; the substitute needs the system's assembler.
-    zig.write_text(f'#!/bin/sh\nshift\nPATH={os.environ["PATH"]} exec {REAL} "$@"\n')
-    zig.chmod(0o755)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.delenv("CC", raising=False)
-    assert find_compiler().command == (str(zig), "cc")
-    assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
-
-
-@pytest.fixture
-def zig():
-    """Zig's compiler, as the extra `compiler` brings it."""
-    if (package := find_spec("ziglang")) is None:
-        pytest.skip("no ziglang: pip install the extra compiler")
-    return Path(package.origin).with_name("zig")
-
-
-def test_zigs_compiler_needs_nothing_of_the_system(zig, cache, monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    monkeypatch.delenv("CC", raising=False)
-    assert find_compiler().command == (str(zig), "cc")
-    assert answer(toy()) == pytest.approx(2 * np.sin(0.5), abs=1e-15)
-
-
-def test_a_wheel_may_be_of_another_machine(zig, cache, tmp_path, monkeypatch):
-    other = "aarch64" if platform.machine() == "x86_64" else "x86_64"
-    (tmp_path / "nothing.c").touch()
-    monkeypatch.setenv("CC", f"{zig} cc -target {other}-linux-gnu.2.17")
-    assert library.prebuild(tmp_path, tmp_path / "made.so") == other
-    with pytest.raises(NativeError):  # nothing that is to run here
-        answer(toy())
-
-
 def test_without_a_compiler_the_interpreter_runs_with_a_note(cache, tmp_path, monkeypatch):
     monkeypatch.setenv("PATH", str(tmp_path))
     monkeypatch.delenv("CC", raising=False)
-    monkeypatch.setattr(compiler, "find_spec", lambda name: None)
     kind = ExtendedKalmanFilter(PolarModel(3))
     asked = filter_machine(kind, "native")
     assert asked.engine == "interpreter"

@@ -8,9 +8,11 @@ products a pixel. Each rectangle is tested only in the blocks that its pyramid c
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import ctypes
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
+from importlib.resources import files
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +20,8 @@ import numpy as np
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.geometry.se2 import rotation
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
-from homeward.native.program import Program
+from homeward.native.compiler import NativeError
+from homeward.native.library import load
 
 SLACK = 1e-6
 """Rectangles extend beyond their edges by this, in tiles, so that no ray passes between two."""
@@ -129,10 +132,29 @@ class Blocks:
         return cls(ends, sides, np.moveaxis(axis, 0, -1), sine)
 
 
-compiled = Program(
-    "homeward.lab.simulation.render.rays", {"cast": "iiii" + "ll" + "fff" + "d" + "fffh"}, ("cast",)
+_INDICES, _VALUES, _SURFACES = (
+    np.ctypeslib.ndpointer(dtype, flags="C_CONTIGUOUS")
+    for dtype in (np.int64, np.float32, np.int16)
 )
-"""The innermost loop in C, or None; see `homeward.vision.compiled`."""
+_TYPES = (
+    *(4 * (ctypes.c_long,) + 2 * (_INDICES,) + 3 * (_VALUES,)),
+    *(ctypes.c_double, *(3 * (_VALUES,)), _SURFACES),
+)
+"""Arguments of `cast` in C."""
+
+
+@cache
+def compiled() -> Callable[..., int] | None:
+    """Return `cast` of cast.c, compiled on first use; None without a compiler."""
+    source = files("homeward.lab.simulation.render.rays").joinpath("cast.c")
+    try:
+        function = load(source.read_text(encoding="utf-8")).functions.cast
+    except NativeError:
+        return None
+    function.argtypes = _TYPES
+    return function
+
+
 TINY = 1e-30
 """Inverse of the maximum distance [1/m]."""
 
@@ -219,7 +241,7 @@ def cast(surfaces: Surfaces, view: Viewpoint, rays: Rays) -> Hits:
         sizes = len(covered), len(matrix), *planes.shape[1:]
         given = covered, projected.index.astype(np.int64), planes, matrix, limits
         found = hits.distance, hits.across, hits.along, hits.surface
-        if native.cast(*sizes, *given, TINY, *found):
+        if native(*sizes, *given, TINY, *found):
             raise ValueError("a window outside the image")
         return hits
     for k, top, bottom, left, right in covered.tolist():

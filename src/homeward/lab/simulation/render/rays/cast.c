@@ -1,13 +1,15 @@
-/* The renderer's innermost loop; see compiled.py. It does what raycast.py does with NumPy. */
+/* The renderer's innermost loop; it does what raycast.py does with NumPy. */
 
 #include <stdint.h>
+
+/* Number of parallel runs: one. Called to test that the library can be loaded. */
+int homeward_lanes(void) { return 1; }
 
 #define TILES 6  /* limits of a rectangle: shift, minimum and maximum tile coordinates */
 #define WINDOW 5 /* rectangle, rows from and to, columns from and to */
 
 /* Keep one row's hits (n) on a rectangle that are nearer than earlier hits.
  * Not inlined: compilers then still assume that rows do not overlap, and vectorise. */
-EACH_PROCESSOR
 __attribute__((noinline)) static void meet(long n, const float *restrict x, const float *restrict y,
                                            const float *restrict z, const float *m,
                                            const float *limits, float tiny, int16_t index,
@@ -31,7 +33,6 @@ __attribute__((noinline)) static void meet(long n, const float *restrict x, cons
 
 /* Intersect the rays of an image, (3, height, width), in `count` windows on m rectangles, each with
  * its matrix, (m, 3, 3). Return 1 if a window is outside the image. */
-EACH_PROCESSOR
 int cast(long count, long m, long height, long width, const int64_t *windows,
          const int64_t *indices, const float *rays, const float *matrices, const float *limits,
          double tiny, float *distance, float *across, float *along, int16_t *surface) {

@@ -1,0 +1,37 @@
+"""The compiled core: loops in C++, built when the package is installed.
+
+Without it, or with HOMEWARD_PURE set, NumPy computes the same. Callers read `core.compiled` at each
+call, so that a test can replace it.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from types import ModuleType
+
+PURE = "HOMEWARD_PURE"
+"""Environment variable that excludes the compiled core, from an installation or at run time."""
+
+
+def _load() -> tuple[ModuleType | None, str]:
+    if os.environ.get(PURE):
+        return None, f"{PURE} is set"
+    try:
+        return import_module("homeward._core"), ""
+    except ModuleNotFoundError:
+        return None, "no compiled core in this installation"
+    except ImportError as error:  # of another Python or machine
+        return None, f"the compiled core cannot be loaded: {error}"
+
+
+compiled: ModuleType | None
+"""The module ``homeward._core``, or None."""
+missing: str
+"""Reason why `compiled` is None, in a few words; otherwise empty."""
+compiled, missing = _load()
+
+
+def description() -> str:
+    """Return which of the two is used, in a few words."""
+    return "compiled core" if compiled is not None else f"NumPy only: {missing}"
