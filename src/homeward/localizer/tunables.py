@@ -337,6 +337,8 @@ MIN_SPEED_SCALE = 1e-3
 [1]."""
 MIN_RANGE_SIGMA, MAX_RANGE_SIGMA = 0.005, 1.0
 """Bounds on the relative standard deviation of a range: no detector of tags is better [1]."""
+MIN_STEADY_SPEED = 1e-9
+"""Mean speeds below it are zero but for rounding, which has no direction [m/s]."""
 MIN_CALIBRATION_SIGMA = 1e-6
 """Smallest prior standard deviation of the odometry's calibration."""
 NEGLIGIBLE_CALIBRATION = 1e-4

@@ -32,7 +32,7 @@ import numpy as np
 
 from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import between, composition
-from homeward.localizer.tunables import BEND, NUM_BENDS
+from homeward.localizer.tunables import BEND, MIN_STEADY_SPEED, NUM_BENDS
 from homeward.odometry.history import SettledTwist
 
 ODOMETRY_CALIBRATION = (
@@ -58,8 +58,6 @@ NC = len(CALIBRATION)
     CAMERA_Y,
 ) = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
-MIN_STEADY_SPEED = 1e-9
-"""Mean speeds below it are zero but for rounding, which has no direction [m/s]."""
 CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
 """(3, 9): Jacobian of the camera's pose on the robot by the calibration."""
 
