@@ -149,7 +149,7 @@ MECHANISMS = {
         "slip common to motions", "motion.process_noise:ProcessNoise.common_slip_variance", 0.0
     ),
     "motion-tails": changed(
-        "heavy tails of motions", "map.factors:cauchy_weights", lambda _: np.ones_like
+        "heavy tails of motions", "reference.window:cauchy_weights", lambda _: np.ones_like
     ),
     # Gating
     "data-snooping": off("gate of each bearing by the others", "map.gating:_data_snooping"),

@@ -16,7 +16,7 @@ from homeward.drives.drive import Drive
 from homeward.drives.opening import open_drive, sample_drive
 from homeward.estimator import Estimate
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import CALIBRATION as STATES
+from homeward.localizer.motions import CALIBRATION as STATES
 from homeward.registry import make_estimator
 from homeward.track import run
 

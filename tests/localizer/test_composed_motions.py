@@ -11,8 +11,8 @@ from homeward.drives.settings import OdometryDefaults, OdometryNoise, noise_rate
 from homeward.geometry.covariance import ROUNDING
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import OdometryIntegrator
-from homeward.localizer.motion.preintegration import DELAY, NC, TIME_CONSTANT, Motion, camera_after
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import DELAY, NC, TIME_CONSTANT, Motion, camera_after
 from homeward.odometry.history import TwistHistory
 
 SPEEDS = st.sampled_from([0.0, 0.0, 1e-9, 0.3, -0.2, 1.0, 5.0])

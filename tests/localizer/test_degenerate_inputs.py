@@ -21,15 +21,16 @@ from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.gating import Prediction, predict_bearings
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.preintegration import NC, Motion, Piece, integrate
+from homeward.localizer.motions import HEAD, NC, Motion
 from homeward.localizer.output.pose import OtherHypotheses, centre, combined_estimate
 from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.recovery.resection import Resection
+from homeward.localizer.reference.motion import Piece, integrate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import bridged
 from homeward.odometry.history import SettledTwist

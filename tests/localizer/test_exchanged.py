@@ -11,8 +11,9 @@ from homeward.drives.folder import read_folder
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.estimator import Status
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.motions import HEAD
 from homeward.localizer.settings import LocalizerSettings
 from homeward.registry import make_estimator
 

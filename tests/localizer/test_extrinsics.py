@@ -12,7 +12,7 @@ from homeward.geometry.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.sightings import NC
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.preintegration import MOUNT
+from homeward.localizer.motions import MOUNT
 from homeward.localizer.output.pose import CommonErrors, PoseEstimate
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import GIVEN_WRONG

@@ -16,7 +16,7 @@ from homeward.lab.simulation.simulate import simulate
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import POSE_AND_YAW, HomeProblem
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import DELAY, TIME_CONSTANT
+from homeward.localizer.motions import DELAY, TIME_CONSTANT
 from homeward.localizer.output.pose import centre
 from homeward.localizer.settings import LocalizerSettings
 from homeward.runs.scoring import errors, statistics

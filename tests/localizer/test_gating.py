@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.localizer.map import gating as gate
-from homeward.localizer.map.state import HEAD
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.motions import HEAD, NC, Motion
 
 
 def consistent_subset(residual, spread, most, likely=None):

@@ -14,9 +14,8 @@ from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist
 from homeward.geometry.se2 import rotation
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.elimination import NormalEquations
-from homeward.localizer.map.factors import add_odometry, step_row
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.steps import step_row
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
@@ -25,7 +24,8 @@ from homeward.localizer.map.survey.factors import (
     in_survey_frame,
 )
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, Motion
+from homeward.localizer.motions import HEAD, NC, SPEED_SCALE, Motion
+from homeward.localizer.reference.window import NormalEquations, add_odometry
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.localizer.tunables import CLOSE

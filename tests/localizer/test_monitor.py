@@ -9,8 +9,8 @@ import pytest
 from homeward.estimator import Innovation
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, NC, Motion
 from homeward.localizer.recovery.monitor import Health, Monitor
 from homeward.reasons import Reason
 

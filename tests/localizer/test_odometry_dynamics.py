@@ -11,7 +11,8 @@ from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import CALIBRATION, DELAY, TIME_CONSTANT
+from homeward.localizer.motions import CALIBRATION, DELAY, TIME_CONSTANT
+from homeward.localizer.reference.motion import settled
 from homeward.odometry.history import TwistHistory
 
 DT = 0.01
@@ -115,6 +116,6 @@ def test_the_twist_of_a_lagging_robot_approaches_the_command():
     for k in range(300):
         twists.add(k * DT, 0.0 if k < 100 else 0.5, 0.0 if k < 100 else -1.0)
     for after in (0.1, 0.2, 0.4):
-        (v, omega), _ = twists.settled(1.0 + after, 0.2)
+        (v, omega), _ = settled(twists.table, 1.0 + after, 0.2)
         assert v == pytest.approx(0.5 * -math.expm1(-after / 0.2), abs=0.025)
         assert omega == pytest.approx(math.expm1(-after / 0.2), abs=0.05)

@@ -15,13 +15,11 @@ from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.map import elimination
-from homeward.localizer.map.gating import bearing_residuals
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.sightings import Frames
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.triangulation import triangulate
-from homeward.localizer.motion.preintegration import (
+from homeward.localizer.motions import (
     CALIBRATION,
     DELAY,
     NC,
@@ -31,8 +29,10 @@ from homeward.localizer.motion.preintegration import (
     camera_after,
 )
 from homeward.localizer.recovery.monitor import SlipDetector
+from homeward.localizer.reference import window as elimination
+from homeward.localizer.reference.window import bearing_residuals
+from homeward.localizer.tunables import MEAN_S
 from homeward.odometry.clock import Clock
-from homeward.odometry.history import MEAN_S
 
 NOTHING = np.zeros(len(CALIBRATION))
 

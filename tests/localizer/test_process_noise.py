@@ -8,12 +8,13 @@ import pytest
 from benchmarks.odometry_noise import drive_of, row
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map import elimination
-from homeward.localizer.map.elimination import eliminate
-from homeward.localizer.map.factors import add_odometry, odometry_errors, scale_steps, step_row
 from homeward.localizer.map.learning.variance_components import BearingErrors, misfit
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import NC, Motion
+from homeward.localizer.reference import window as elimination
+from homeward.localizer.reference.motion import steady_speed
+from homeward.localizer.reference.window import add_odometry, eliminate, odometry_errors
 from homeward.odometry.history import STEADY_S, TwistHistory
 from homeward.runs.scoring import errors
 from homeward.track import run
@@ -184,7 +185,7 @@ def test_a_steady_speed_has_no_noise_of_samples():
     twists, rng = TwistHistory(), np.random.default_rng(2)
     for k in range(400):
         twists.add(0.02 * k, 0.3 + 0.4 * float(rng.normal()), 0.0)
-    steady = [twists.stretch(t, t, 0.0).steady_speed for t in np.arange(1.0, 8.0, STEADY_S)]
+    steady = [steady_speed(twists.table, t) for t in np.arange(1.0, 8.0, STEADY_S)]
     assert np.std(steady) < 0.15
     assert np.mean(steady) == pytest.approx(0.3, abs=0.03)
 

@@ -11,7 +11,7 @@ from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.motion.preintegration import NC, TURN_SLIP, Motion, camera_after
+from homeward.localizer.motions import NC, TURN_SLIP, Motion, camera_after
 from homeward.localizer.smoothing import bridged
 from homeward.localizer.tunables import MAX_HOME_LANDMARKS
 

@@ -18,7 +18,7 @@ from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.ranges import ScaleErrors, place_by_ranges, range_residuals
 from homeward.localizer.map.sightings import Frames
-from homeward.localizer.motion.preintegration import NC, SPEED_SCALE, camera_after
+from homeward.localizer.motions import NC, SPEED_SCALE, camera_after
 from homeward.localizer.settings import LocalizerSettings
 from homeward.track import run
 

@@ -10,7 +10,7 @@ from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.motions import NC
 from homeward.localizer.settings import LocalizerSettings
 
 MARKS = np.array([[2.0, 1.0], [-1.0, 2.0], [0.5, -2.0], [-2.0, -1.0], [3.0, -0.5]])

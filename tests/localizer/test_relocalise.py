@@ -11,8 +11,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.recovery.search import Search
 

@@ -6,7 +6,7 @@ from rig import EVERY, Rig, Wheels, ring
 
 from homeward.estimator import Estimate, Status
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import CALIBRATION
+from homeward.localizer.motions import CALIBRATION
 
 NOTHING = np.zeros(len(CALIBRATION))
 

@@ -11,7 +11,7 @@ from homeward.drives.settings import Sensor
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist
 from homeward.localizer.localizer import NOISY_NOTE, Localizer
-from homeward.localizer.motion.preintegration import TURN_SLIP
+from homeward.localizer.motions import TURN_SLIP
 from homeward.reasons import Rejection
 
 

@@ -13,7 +13,10 @@ LAYOUT = {
     "PARTS", "POSE", "POSE_AND_YAW", "RESIDUAL", "REST", "STEP", "YAW",
 }  # fmt: skip
 """Rows, columns and sizes of tables, and floors against a division by zero."""
-QUADRATURE = {"CHI_SQUARES", "SHARES", "MAD_TO_SIGMA", "QUARTER_TO_SIGMA", "UNIFORM_FROM"}
+QUADRATURE = {
+    "CHI_SQUARES", "LAG_TIMES", "MAD_TO_SIGMA", "QUARTER_TO_SIGMA", "SHARES", "UNIFORM_FROM",
+    "WEIGHTS", "_SLOPES",
+}  # fmt: skip
 """Nodes of integrals, and constants of distributions."""
 
 

@@ -17,7 +17,7 @@ from homeward.localizer.home.linearisation import expected, linearised
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.preintegration import NC, Motion, camera_after
+from homeward.localizer.motions import NC, Motion, camera_after
 from homeward.track import run
 
 MOUNT, OFFSET = np.array([0.2, 0.05, 0.1]), np.array([-0.4, 0.03, 3.0])

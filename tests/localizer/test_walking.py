@@ -9,10 +9,14 @@ from rig import Rig, eight, ring
 
 from homeward.geometry.angles import wrap
 from homeward.localizer.home.observation import averaged_covariance
-from homeward.localizer.map.elimination import NormalEquations, eliminate
-from homeward.localizer.map.factors import WeighedSightings, add_sightings
 from homeward.localizer.map.learning.walking import Walks, walking_probabilities, walks
-from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.motions import NC
+from homeward.localizer.reference.window import (
+    NormalEquations,
+    WeighedSightings,
+    add_sightings,
+    eliminate,
+)
 from homeward.localizer.tunables import WALKING_PRIOR
 
 SIGMA, SPEED = 0.01, 0.2

@@ -23,11 +23,11 @@ from homeward.localizer.map.learning.camera_jump import CameraJump
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD, View
+from homeward.localizer.map.state import View
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import OdometryIntegrator
-from homeward.localizer.motion.preintegration import Motion
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import HEAD, Motion
 from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found

@@ -17,7 +17,7 @@ from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motions import Motion
 from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
 from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, MIN_P_STATIC, NUM_NEAREST
 

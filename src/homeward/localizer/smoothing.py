@@ -23,12 +23,12 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.factors import MIN_COVARIANCE
 from homeward.localizer.map.sightings import KEYFRAME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.motion.odometry import OdometryIntegrator
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motions import Motion
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.recovery.restore import SeenAt, restore
 from homeward.localizer.settings import LocalizerSettings

@@ -388,6 +388,9 @@ robots mostly keep their speed; where this one does not, the residuals of the ma
 further [1]."""
 INTEGRATED_AGAIN_S = 120.0
 """Largest age of motions that are integrated again, a bound on the twists that are kept [s]."""
+MEAN_S = 0.07
+"""Averaging time of a twist [s]: longer than a sample, so that their noise is averaged, and shorter
+than the robot takes to accelerate."""
 MAX_LAG_S = 0.8
 """Largest plausible lag [s]."""
 MEMORY_OF_LAG_S = 5.0 * MAX_LAG_S

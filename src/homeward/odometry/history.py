@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_left, bisect_right
-from operator import attrgetter
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -19,16 +17,6 @@ MOVING_SPEED, MOVING_TURN_RATE = 0.05, 0.1
 """Minimum mean speed [m/s] and yaw rate [rad/s] over `STEADY_S` of a moving robot: several times
 the jitter and bias at standstill; in a second, a slower robot moves less than the uncertainty of a
 pose."""
-MEAN_S = 0.07
-"""Averaging time of a twist [s]: longer than a sample, so that their noise is averaged, and shorter
-than the robot takes to accelerate."""
-LAG_TIMES = -np.log1p(-np.arange(11) / 10.5)
-"""Times before the present, in time constants, between which a first-order lag weighs the command
-equally."""
-_SLOPES = -np.diff((1.0 + LAG_TIMES) * np.exp(-LAG_TIMES))
-WEIGHTS = np.stack([np.full(_SLOPES.size, 1.0 / _SLOPES.size), _SLOPES / _SLOPES.sum()])
-"""(2, 10): weights of those intervals in the twist, and in the derivative by T of T times it, T the
-time constant."""
 
 
 class Driven(NamedTuple):
@@ -59,30 +47,11 @@ class Reckoned(NamedTuple):
     """Time since the newest twist [s]; infinite without one."""
 
 
-class SettledTwist(NamedTuple):
-    """The twist of a robot that follows its odometry as a first-order lag with time constant T."""
-
-    twist: tuple[float, float]
-    """Speed [m/s] and yaw rate [rad/s]."""
-    slope: tuple[float, float]
-    """Derivative by T of T times `twist` [m/s], [rad/s]."""
-
-
-class Stretch(NamedTuple):
-    """Twists of an interval, and mean rates without the noise of single samples."""
-
-    twists: list[OdometrySample]
-    """Twists that are valid in the interval, at least in part."""
-    steady_speed: float
-    """Mean speed just before its end [m/s]."""
-    ends: tuple[SettledTwist, SettledTwist]
-    """The robot's twists at its beginning and its end."""
-
-
 class OdometrySample(NamedTuple):
     """A twist, valid from its stamp to the next, and dead reckoning at its stamp.
 
-    A twist of unknown motion has the speeds zero, and `until` not after `t`.
+    A twist of unknown motion has the speeds zero, and `until` not after `t`. A row of the table of
+    twists has the same numbers; the compiled core reads the first seven.
     """
 
     t: float
@@ -104,10 +73,19 @@ class OdometrySample(NamedTuple):
     """Dead-reckoned position [m]."""
     y: float
     """[m]"""
-    driven: Driven
-    """Wheel motion since the first twist."""
-    is_pose_given: bool
-    """Whether the robot reported the pose at this stamp."""
+    moving: float
+    """Time in motion since the first twist [s]."""
+    length: float
+    """Path length since then [m]."""
+    turned: float
+    """Accumulated rotation since then [rad]."""
+    is_pose_given: float
+    """1 where the robot reported the pose at this stamp, else 0."""
+
+    @property
+    def driven(self) -> Driven:
+        """Wheel motion since the first twist."""
+        return Driven(self.moving, self.length, self.turned)
 
     def pose(self, t: float) -> Pose:
         """Return the dead-reckoned pose at `t` [s]."""
@@ -127,22 +105,39 @@ class OdometrySample(NamedTuple):
         return Driven(moving + dt, path + abs(self.v) * dt, turned + abs(self.omega) * dt)
 
 
-_stamp = attrgetter("t")
 ORIGIN = Pose(0.0, 0.0, 0.0)
+NUM_COLUMNS = len(OdometrySample._fields)
 
 
 class TwistHistory:
     """The history of twists; all users of odometry share one."""
 
     def __init__(self) -> None:
-        self._samples: list[OdometrySample] = []
+        self._table, self._begin, self._end = np.empty((64, NUM_COLUMNS)), 0, 0
+        """Rows of `OdometrySample`, of which those from `_begin` to `_end` are used."""
         self._validity = TwistValidity()
         self.newest = -math.inf
         """Stamp of the newest twist [s]; minus infinity if there was none."""
 
     def __bool__(self) -> bool:
         """Whether there was any twist."""
-        return bool(self._samples)
+        return self._end > self._begin
+
+    @property
+    def table(self) -> np.ndarray:
+        """(n, 13): the twists in order of time, a row as `OdometrySample`."""
+        return self._table[self._begin : self._end]
+
+    def _sample(self, row: int) -> OdometrySample:
+        """Return a row of the whole table."""
+        return OdometrySample._make(self._table[row].tolist())
+
+    def _count_before(self, t: float, side: Literal["left", "right"]) -> int:
+        """Return the end of the rows before `t` [s]; with the side "right", of those at it, too."""
+        if self._end > self._begin and t > self._table[self._end - 1, 0]:
+            return self._end
+        stamps = self._table[self._begin : self._end, 0]
+        return self._begin + int(stamps.searchsorted(t, side))
 
     def add(self, t: float, v: float, omega: float, pose: Pose | None = None) -> None:
         """Insert a twist, which may be late; one with the stamp of another replaces it.
@@ -153,12 +148,12 @@ class TwistHistory:
         validity, self.newest = self._validity.add(t), max(self.newest, t)
         if math.isnan(v) or math.isnan(omega):
             v = omega = validity = 0.0
-        later = []
-        while self._samples and self._samples[-1].t > t:
-            later.append(self._samples.pop())
-        same = self._samples.pop() if self._samples and self._samples[-1].t == t else None
+        kept = self._count_before(t, "left")
+        later = [self._sample(row) for row in range(kept, self._end)]
+        self._end = kept
+        same = later.pop(0) if later and later[0].t == t else None
         self._append(t, v, omega, validity, pose, same)
-        for old in reversed(later):
+        for old in later:
             given = old.pose(old.t) if old.is_pose_given else None
             self._append(*old[:3], old.until - old.t, given)
 
@@ -175,7 +170,7 @@ class TwistHistory:
 
         Dead reckoning continues from the last twist, or from one of the `same` stamp.
         """
-        last = self._samples[-1] if self._samples else same
+        last = self._sample(self._end - 1) if self else same
         x, y, heading = ORIGIN
         known, path, driven = -math.inf, 0.0, Driven()
         if last is not None:
@@ -184,18 +179,28 @@ class TwistHistory:
         until = t + validity if validity > 0.0 else min(known, t)
         if pose is not None:
             x, y, heading = pose.x, pose.y, heading + wrap(pose.heading - heading)
-        steady = (path - self.path(t - STEADY_S)) / STEADY_S if self._samples else 0.0
-        reckoned = heading, path, steady, x, y, driven
-        self._samples.append(OdometrySample(t, v, omega, until, *reckoned, pose is not None))
+        steady = (path - self.path(t - STEADY_S)) / STEADY_S if self else 0.0
+        if self._end == len(self._table):
+            self._make_room()
+        reckoned = heading, path, steady, x, y, *driven
+        self._table[self._end] = t, v, omega, until, *reckoned, pose is not None
+        self._end += 1
+
+    def _make_room(self) -> None:
+        """Move the rows to the beginning of a table that is at most half full."""
+        kept, size = self.table, max(64, 2 * (self._end - self._begin))
+        self._table = np.empty((size, NUM_COLUMNS))
+        self._table[: len(kept)] = kept
+        self._begin, self._end = 0, len(kept)
 
     def before(self, t: float) -> OdometrySample | None:
         """Return the latest twist at `t` [s]; None before the first."""
-        after = bisect_right(self._samples, t, key=_stamp)
-        return self._samples[after - 1] if after else None
+        after = self._count_before(t, "right")
+        return self._sample(after - 1) if after > self._begin else None
 
     def _at(self, t: float) -> OdometrySample | None:
         """Return the twist for dead reckoning at `t` [s]: the latest, or else the first, if any."""
-        return self.before(t) or (self._samples[0] if self._samples else None)
+        return self.before(t) or (self._sample(self._begin) if self else None)
 
     def unknown_time(self, t: float) -> float:
         """Return the time since the motion became unknown, at `t` [s]; infinite without twists."""
@@ -243,9 +248,9 @@ class TwistHistory:
 
         Only time after the first twist counts. Before that, the first twist is the mean.
         """
-        if not self._samples:
+        if not self:
             return 0.0, 0.0
-        first = self._samples[0]
+        first = self._sample(self._begin)
         since = max(t - over, first.t)
         if t <= since:
             return first.v, first.omega
@@ -263,36 +268,6 @@ class TwistHistory:
             return None
         return np.array([self.reckoned(t) for t in times]).T
 
-    def settled(self, t: float, time_constant: float) -> SettledTwist:
-        """Return the robot's twist at `t` [s]; the time constant [s] is `MEAN_S` / 2 at least."""
-        lag = max(time_constant, 0.5 * MEAN_S)
-        if not self._samples:
-            return SettledTwist((0.0, 0.0), (0.0, 0.0))
-        samples, reckoned = self._samples, []
-        k = max(bisect_right(samples, t, key=_stamp) - 1, 0)
-        for time in (t - lag * LAG_TIMES).tolist():
-            while k and samples[k].t > time:
-                k -= 1
-            twist = samples[k]
-            dt = time - twist.t  # the first twist counts before its stamp, too
-            dt = max(min(dt, twist.until - twist.t), 0.0) if dt > 0.0 else dt
-            reckoned.append((twist.path + twist.v * dt, twist.heading + twist.omega * dt))
-        changes = np.array(reckoned)
-        rates = (changes[:-1] - changes[1:]) / (lag * np.diff(LAG_TIMES))[:, None]
-        (v, omega), (by_v, by_omega) = (WEIGHTS @ rates).tolist()
-        return SettledTwist((v, omega), (by_v, by_omega))
-
-    def stretch(self, begin: float, end: float, time_constant: float) -> Stretch:
-        """Return the twists from `begin` until `end` [s], with mean rates."""
-        first, last = (bisect_left(self._samples, t, key=_stamp) for t in (begin, end))
-        valid = self._samples[max(first - 1, 0) : last]
-        steady = (self.reckoned(end)[1] - self.reckoned(end - STEADY_S)[1]) / STEADY_S
-        known = max(begin, self._samples[0].t) if self._samples else end
-        ends = self.settled(known, time_constant), self.settled(end, time_constant)
-        return Stretch(valid, steady, ends)
-
     def forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""
-        old = bisect_left(self._samples, t, lo=1, key=_stamp) - 1 if self._samples else 0
-        if 2 * old > len(self._samples):  # so that each sample is shifted once on average
-            del self._samples[:old]
+        self._begin = max(self._begin, self._count_before(t, "left") - 1)

@@ -19,13 +19,13 @@ from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.frames import Pose, between
 from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.state import HEAD
 from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.preintegration import (
+from homeward.localizer.motions import (
     CAMERA_X,
     CAMERA_Y,
     CAMERA_YAW,
     DELAY,
+    HEAD,
     NC,
     SPEED_SCALE,
     TIME_CONSTANT,

@@ -13,8 +13,8 @@ from homeward.geometry.se2 import compose
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, valid_sigma
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import CAMERA_X, CAMERA_Y, CAMERA_YAW
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import CAMERA_X, CAMERA_Y, CAMERA_YAW, HEAD
 from homeward.localizer.settings import LocalizerSettings
 
 

@@ -15,13 +15,11 @@ from scipy.linalg import lapack
 from scipy.special import chdtri
 
 from homeward.estimator import Innovation
-from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.elimination import positive_inverse
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, Motion
+from homeward.localizer.reference.window import bearing_residuals, positive_inverse
 from homeward.localizer.tunables import (
     BASELINE,
     FALSE_ALARM,
@@ -65,26 +63,6 @@ class Prediction:
         covariance = self.innovation_covariance.copy()
         covariance.flat[:: len(covariance) + 1] += variances
         return Prediction(self.residual, self.jacobian, self.correlated, covariance)
-
-
-def bearing_residuals(
-    bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of bearings (m,), and the Jacobian of the expected ones (m, 14).
-
-    Bearings are from the camera's axis [rad], `eyes` (m, 3) the camera's poses and `by_head` (m, 3,
-    12) their Jacobians (`Frames.eyes`), or one of each for all, `positions` (m, 2) those of the
-    landmarks [m]. Residuals are measured minus expected [rad], wrapped; the Jacobian is by
-    keyframe's pose, calibration and landmark.
-    """
-    seen = sight(eyes, positions)
-    by_eye = np.empty((len(bearings), 1, 3))
-    np.negative(seen.by_place, out=by_eye[:, 0, :2])
-    by_eye[:, 0, 2] = -1.0
-    jacobian = np.empty((len(bearings), 5 + NC))
-    jacobian[:, : 3 + NC] = (by_eye @ by_head)[:, 0]
-    jacobian[:, 3 + NC :] = seen.by_place
-    return np.asarray(wrap(bearings - seen.bearing)), jacobian
 
 
 def predict_bearings(

@@ -12,7 +12,6 @@ from homeward.drives.settings import DriveSettings
 from homeward.estimator import Counts, Innovation
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById
-from homeward.localizer.map.factors import MIN_COVARIANCE
 from homeward.localizer.map.gating import (
     Gated,
     Prediction,
@@ -28,17 +27,13 @@ from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.state import View
+from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.preintegration import (
-    DELAY,
-    TURN_SLIP,
-    Motion,
-    camera_after,
-)
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import DELAY, TURN_SLIP, Motion, camera_after
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CALIBRATION_DRIFT,

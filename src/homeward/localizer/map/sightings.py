@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from homeward.geometry.se2 import composition
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.motions import NC, Motion
+from homeward.localizer.reference.window import cameras
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
 COLUMNS = 10
@@ -109,8 +109,7 @@ class Frames:
 
         From keyframe poses (f, 3) or (3,) and the present calibration (9,); Jacobians are by both.
         """
-        eyes, by_pose, by_camera = composition(poses, self.free + self.jacobians @ calibration)
-        return eyes, np.concatenate([by_pose, by_camera @ self.jacobians], axis=2)
+        return cameras(self.free, self.jacobians, poses, calibration)
 
 
 def effective_sigmas(rows: np.ndarray, correlated: CorrelatedErrors) -> np.ndarray:

@@ -21,23 +21,10 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE, sight
+from homeward.localizer import kernels
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.map.elimination import NormalEquations, Prior, eliminate, marginals
-from homeward.localizer.map.factors import (
-    BY_CALIBRATION,
-    FREE,
-    IS_ODOMETRY,
-    STEP,
-    OdometryErrors,
-    WeighedSightings,
-    add_odometry,
-    add_sightings,
-    odometry_errors,
-    scale_steps,
-    step_row,
-    weigh_sightings,
-)
-from homeward.localizer.map.gating import Prediction, bearing_residuals, predict_bearings
+from homeward.localizer.map.gating import Prediction, predict_bearings
+from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
 from homeward.localizer.map.sightings import (
     BEARING,
@@ -51,12 +38,14 @@ from homeward.localizer.map.sightings import (
     effective_sigmas,
     scale_noise,
 )
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.map.survey.factors import SurveyFactors
-from homeward.localizer.motion.preintegration import (
+from homeward.localizer.motions import (
     CAMERA_X,
     CAMERA_YAW,
     DELAY,
+    HEAD,
     MOUNT,
     NC,
     ODOMETRY_CALIBRATION,
@@ -65,6 +54,20 @@ from homeward.localizer.motion.preintegration import (
     TURN_SLIP,
     Motion,
     camera_after,
+)
+from homeward.localizer.reference.window import (
+    BY_CALIBRATION,
+    FREE,
+    IS_ODOMETRY,
+    STEP,
+    NormalEquations,
+    OdometryErrors,
+    SightedFrom,
+    WeighedSightings,
+    eliminate,
+    marginals,
+    odometry_errors,
+    weighed,
 )
 from homeward.localizer.tunables import (
     FIXED_TIME_CONSTANT_S,
@@ -363,7 +366,7 @@ class Smoother:
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
         for _ in range(MAX_SOLVE_STEPS):
-            poses, common, covariance = eliminate(self.linearised()[0]).solve()
+            poses, common, covariance = kernels.solve(self.equations())
             if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
                 raise np.linalg.LinAlgError("a step is not finite")
             if not (covariance.diagonal() > 0.0).all():
@@ -375,15 +378,15 @@ class Smoother:
 
     def without_survey(self, size: float) -> Marginal:
         """Return the state without the survey; each landmark has a prior of `size` [m] instead."""
-        equations = self._equations_without_survey(self._weighed(self.sightings))
+        equations = self._equations_without_survey()
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0
-        poses, common, covariance = eliminate(equations).solve()
+        poses, common, covariance = kernels.solve(equations)
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self, indices: Sequence[int] | None = None) -> list[Marginal]:
         """Return the state at poses in the window, by default at each, after `solve`."""
-        own, by_common, common = marginals(self.linearised()[0])
+        own, by_common, common = marginals(self.equations())
         found, poses = [], self.poses
         for k in range(len(poses)) if indices is None else indices:
             cross = -by_common[k] @ common
@@ -413,7 +416,7 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        eliminated = eliminate(self._normal_equations(count + 1, rows, self._weighed(rows)))
+        eliminated = eliminate(self._normal_equations(count + 1, rows))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         drift[CAMERA_YAW] += yaw_variance
         frames = self.frames.take_before(first)
@@ -449,21 +452,32 @@ class Smoother:
         p_static = self.p_static[self.index(rows[:, LANDMARK])]
         return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(p_static))
 
-    def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
-        """Return the normal equations and the weighted sightings at the present estimate."""
-        seen = self._weighed(self.sightings)
+    def equations(self, seen: WeighedSightings | None = None) -> NormalEquations:
+        """Return the normal equations at the present estimate.
+
+        `seen` are the sightings, if they are weighted already.
+        """
         equations = self._equations_without_survey(seen)
         self.survey.add_to(equations, self.state.positions, self.ids)
-        return equations, seen
+        return equations
 
-    def _weighed(self, rows: np.ndarray) -> WeighedSightings:
-        """Return rows of the table as factors, linearised and weighted."""
-        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        seen = bearing_residuals(
-            rows[:, BEARING], *self.cameras(rows), self.state.positions[landmark]
+    def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
+        """Return the normal equations and the weighted sightings at the present estimate."""
+        seen = weighed(self._seen(self.sightings), self.poses, self.state.mean[3:])
+        return self.equations(seen), seen
+
+    def _seen(self, rows: np.ndarray) -> SightedFrom:
+        """Return the bearings in rows of the table, for the normal equations."""
+        return SightedFrom(
+            rows[:, BEARING],
+            rows[:, SIGMA],
+            self.effective_sigmas(rows),
+            rows[:, FRAME].astype(int) - self.frames.first,
+            self.index(rows[:, LANDMARK]),
+            self.frames.keyframes - self.first,
+            self.frames.free,
+            self.frames.jacobians,
         )
-        sigmas = rows[:, SIGMA], self.effective_sigmas(rows)
-        return weigh_sightings(*seen, *sigmas, pose, landmark)
 
     def _weighed_ranges(self, rows: np.ndarray) -> WeighedSightings:
         """Return the ranges in rows of the table as factors, linearised and weighted."""
@@ -496,7 +510,7 @@ class Smoother:
         return float(size)
 
     def _normal_equations(
-        self, w: int, rows: np.ndarray, seen: WeighedSightings
+        self, w: int, rows: np.ndarray, seen: WeighedSightings | None = None
     ) -> NormalEquations:
         """Return the normal equations of the oldest w poses, sightings from them, and the prior.
 
@@ -504,11 +518,15 @@ class Smoother:
         """
         equations = NormalEquations.zeros(w, NC + self.state.positions.size)
         self._prior.add_to(equations, self._linearisation_point())
-        add_odometry(equations, self.poses[:w], self.state.calibration, self._steps[: w - 1])
-        add_sightings(equations, seen)
+        poses, calibration = self.poses[:w], self.state.calibration
+        kernels.add_odometry(equations, poses, calibration, self._steps[: w - 1])
+        if seen is None:
+            kernels.add_bearings(equations, self._seen(rows), poses, self.state.mean[3:])
+        else:
+            kernels.add_sightings(equations, seen)
         with_range = rows[:, RANGE_SIGMA] > 0.0
         if with_range.any():
-            add_sightings(equations, self._weighed_ranges(rows[with_range]))
+            kernels.add_sightings(equations, self._weighed_ranges(rows[with_range]))
         return equations
 
     def _update_bounded(self) -> bool:
@@ -523,7 +541,7 @@ class Smoother:
         self._bounded[self.one_sided] = (now < limit)[self.one_sided]
         return bool((self._bounded != before).any())
 
-    def _equations_without_survey(self, seen: WeighedSightings) -> NormalEquations:
+    def _equations_without_survey(self, seen: WeighedSightings | None = None) -> NormalEquations:
         """Return the normal equations of everything but the survey."""
         equations = self._normal_equations(len(self.poses), self.sightings, seen)
         at = np.array([*ONE_SIDED, *range(NC)[MOUNT]])

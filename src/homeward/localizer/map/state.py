@@ -12,14 +12,11 @@ import numpy as np
 from scipy.linalg import lapack
 
 from homeward.geometry.se2 import MIN_DISTANCE, composition, rotation
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.motions import HEAD, Motion
 from homeward.localizer.tunables import CLOSE, GATE
 
 if TYPE_CHECKING:
     from homeward.localizer.map.gating import Prediction
-
-HEAD = 3 + NC
-"""Length of the state before the landmarks: newest pose and calibration."""
 
 
 class View(NamedTuple):

@@ -15,7 +15,7 @@ from scipy.special import expit
 from homeward.drives.settings import DriveSettings, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.localizer.motion.preintegration import CAMERA_YAW, MOUNT
+from homeward.localizer.motions import CAMERA_YAW, MOUNT
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CLOSE,

@@ -12,36 +12,28 @@ import numpy as np
 
 from homeward.drives.settings import DriveSettings
 from homeward.geometry.covariance import ROUNDING
-from homeward.localizer.motion.preintegration import (
-    DELAY,
-    TIME_CONSTANT,
-    Motion,
-    Piece,
-    integrate,
-)
+from homeward.localizer.kernels import preintegrate
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import DELAY, TIME_CONSTANT, Motion
+from homeward.localizer.reference.motion import variance_growth
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     BEND,
-    BRIDGED,
     FIXED_TIME_CONSTANT_S,
     INFLATION,
     INITIAL_STRAIGHT_M,
     LAG_GATE,
-    MAX_LAG_S,
+    MEAN_S,
     MEMORY_OF_LAG_S,
     MEMORY_S,
     MIN_SPEED,
     MIN_TURN_RATE,
     NOTABLE_LAG_S,
     NUM_BENDS,
-    SPEED_TIME_S,
     STRAIGHTEST_SHARE,
-    TURN_TIME_S,
 )
 from homeward.odometry.clock import MAX_DELAY_S
-from homeward.odometry.history import MEAN_S, Stretch, TwistHistory
-from homeward.odometry.validity import TWIST_VALIDITY_S
+from homeward.odometry.history import TwistHistory
 
 
 def calibration_sigmas(
@@ -119,17 +111,13 @@ class MotionPrior:
         self._path = keep * self._path + path
         self._turned = keep * self._turned + turned
 
-    def variance_growth(self, silent: float, time: float) -> tuple[float, float]:
-        """Return the growth of the variances of shift [m^2] and turn [rad^2] during a dropout.
-
-        Odometry was `silent` before, and is for `time` more [s].
-        """
+    @property
+    def usual(self) -> tuple[float, float]:
+        """Usual speed [m/s] and turn rate [rad/s]."""
         moving = max(self._moving, 1e-9)
         wide = 1.0 if self._moving else INFLATION  # where odometry never moved, nothing is usual
         speed = wide * max(MIN_SPEED, self._path / moving)
-        turn_rate = wide * max(MIN_TURN_RATE, self._turned / moving)
-        shift, turn = (_variance(silent, time, lasts) for lasts in (SPEED_TIME_S, TURN_TIME_S))
-        return speed**2 * shift, turn_rate**2 * turn
+        return speed, wide * max(MIN_TURN_RATE, self._turned / moving)
 
 
 class _Checkpoint(NamedTuple):
@@ -194,7 +182,7 @@ class OdometryIntegrator:
 
     def dropout_motion(self, t: float) -> Motion:
         """Return the motion up to `t` [s] as if odometry had dropped out since the keyframe."""
-        shift, swing = self._motion_prior.variance_growth(0.0, t - self._since)
+        shift, swing = variance_growth(0.0, t - self._since, self._motion_prior.usual)
         covariance = np.diag([shift, shift, swing])
         return dataclasses.replace(Motion.identity(), covariance=covariance)
 
@@ -211,10 +199,9 @@ class OdometryIntegrator:
         """Extend the integration to `t` [s]."""
         if t <= self.end:
             return
-        motion, path, pieces = self._integrated(self.end, t, calibration)
+        motion, path, moving = self._integrated(self.end, t, calibration)
         self._motion, self.end = self._motion.compose(motion), t
         self._path_by_bend += path  # for r
-        moving = sum(piece.dt for piece in pieces if piece.v or piece.omega)
         self._motion_prior.count(moving, motion.path, motion.turned)
 
     def between(self, begin: float, end: float, calibration: np.ndarray) -> Motion:
@@ -223,46 +210,8 @@ class OdometryIntegrator:
 
     def _integrated(
         self, begin: float, end: float, calibration: np.ndarray
-    ) -> tuple[Motion, np.ndarray, list[Piece]]:
-        """Return the motion between two times [s], its length by bend, and its pieces."""
-        delay, constant = calibration[[DELAY, TIME_CONSTANT]].tolist()
-        delay = min(max(delay, -MAX_LAG_S), MAX_LAG_S)
-        begin, end = begin - delay, end - delay
-        stretch = self._twists.stretch(begin, end, min(constant, MAX_LAG_S))
-        pieces, rates = self._pieces(stretch, begin, end), self._noise.rates
-        return *integrate(pieces, stretch.ends, calibration, rates, self._straightest), pieces
-
-    def _pieces(self, stretch: Stretch, begin: float, end: float) -> list[Piece]:
-        """Return the time from `begin` to `end` [s] in pieces of one twist, as for `integrate`."""
-        held = stretch.twists
-        if not held:  # before the first twist, or none at all
-            return [Piece(*self._dropout_growth(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
-        pieces: list[Piece] = []
-        until = [twist.t for twist in held[1:]] + [end]
-        steady = [twist.steady for twist in held[1:]] + [stretch.steady_speed]
-        for twist, then, speed in zip(held, until, steady, strict=True):
-            start, silent = max(twist.t, begin), twist.until
-            known = min(max(silent - start, 0.0), then - start)
-            shift = swing = 0.0
-            if start + known < then:
-                shift, swing = self._dropout_growth(silent, start + known, then)
-            if (bridged := start + known - max(start, twist.t + TWIST_VALIDITY_S)) > 0.0:
-                shift += (BRIDGED * twist.v * bridged) ** 2
-                swing += (BRIDGED * twist.omega * bridged) ** 2
-            pieces.append(Piece(shift, swing, known, twist.v, twist.omega, speed))
-        if held[0].t > begin:
-            shift, swing = self._dropout_growth(-math.inf, begin, held[0].t)
-            begun = pieces[0]
-            pieces[0] = begun._replace(shift=begun.shift + shift, swing=begun.swing + swing)
-        return pieces
-
-    def _dropout_growth(self, silent: float, begin: float, end: float) -> tuple[float, float]:
-        """Return the growth of the variances from `begin` to `end` [s], silent since `silent`."""
-        if end <= begin:
-            return 0.0, 0.0
-        return self._motion_prior.variance_growth(begin - silent, end - begin)
-
-
-def _variance(after: float, time: float, lasts: float) -> float:
-    """Return the growth of an integrated Ornstein-Uhlenbeck process of unit variance [s^2]."""
-    return 2.0 * lasts * (time + lasts * math.exp(-after / lasts) * math.expm1(-time / lasts))
+    ) -> tuple[Motion, np.ndarray, float]:
+        """Return the motion between two times [s], its length by bend, and the time in motion."""
+        prior, rates = self._motion_prior.usual, self._noise.rates
+        table = self._twists.table
+        return preintegrate(table, begin, end, calibration, rates, prior, self._straightest)

@@ -19,7 +19,7 @@ from homeward.geometry.se2 import between, compose, composition, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal, View
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motions import Motion
 from homeward.localizer.tunables import (
     CONTRADICTION_S,
     INLIER,

@@ -9,9 +9,10 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.localizer.map.bodies import find_bodies, given_bodies
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
+from homeward.localizer.motions import HEAD
 
 __all__ = ["MapSnapshot", "align", "moved_probabilities", "rotated"]
 

@@ -21,7 +21,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.search import Search
 from homeward.localizer.tunables import INLIER, LINEAR, MAJORITY, MINIMAL, RECENT, VAGUE
 from homeward.reasons import Reason

@@ -16,7 +16,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.factors import MIN_COVARIANCE
+from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.first_fix import FirstFix, survey_lines
 from homeward.localizer.recovery.relocalise import relocalise_near

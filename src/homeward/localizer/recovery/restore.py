@@ -18,7 +18,7 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.motion.preintegration import Motion
+from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.tunables import GATE
 

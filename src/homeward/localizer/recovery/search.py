@@ -12,8 +12,8 @@ from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import NC, Motion
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, NC, Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise, relocalise_near
 from homeward.localizer.tunables import CLOSE, LINEAR, NEGLIGIBLE, RECENT
 from homeward.odometry.history import Driven

@@ -15,11 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.localizer.map.elimination import eliminate
-from homeward.localizer.map.factors import sum_by, sum_by_pair
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD
-from homeward.localizer.motion.preintegration import CAMERA_YAW, MOUNT, NC
+from homeward.localizer.motions import CAMERA_YAW, HEAD, MOUNT, NC
+from homeward.localizer.reference.window import eliminate, sum_by, sum_by_pair
 from homeward.localizer.tunables import (
     FINAL_GATE,
     GATE,

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.map.elimination import eliminate
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.variance_components import BearingErrors, Misfit, misfit
 from homeward.localizer.map.learning.walking import update_walking
@@ -13,8 +12,9 @@ from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import shows_lag
-from homeward.localizer.motion.preintegration import DELAY
 from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import DELAY
+from homeward.localizer.reference.window import eliminate
 from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 
 

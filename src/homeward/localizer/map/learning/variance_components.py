@@ -16,9 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from homeward.localizer.map.elimination import Elimination
-from homeward.localizer.map.factors import OdometryErrors, cauchy_weights
-from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.motions import NC
+from homeward.localizer.reference.window import Elimination, OdometryErrors, cauchy_weights
 from homeward.localizer.tunables import GATE, MAX_INFLATION
 
 CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)

@@ -16,12 +16,17 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, logsumexp
 
-from homeward.localizer.map.elimination import NormalEquations, eliminate
-from homeward.localizer.map.factors import WeighedSightings, sum_by, sum_by_pair
 from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.motions import NC
+from homeward.localizer.reference.window import (
+    NormalEquations,
+    WeighedSightings,
+    eliminate,
+    sum_by,
+    sum_by_pair,
+)
 from homeward.localizer.tunables import FALSE_ALARM, MIN_GAIN, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20

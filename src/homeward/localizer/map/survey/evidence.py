@@ -16,7 +16,7 @@ from scipy.linalg import solve_triangular
 from homeward.geometry.angles import TWO_PI
 from homeward.geometry.se2 import lever, rotation
 from homeward.localizer.map.bodies import Bodies
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,
@@ -24,6 +24,7 @@ from homeward.localizer.map.survey.factors import (
     distance_and_jacobian,
     rotated,
 )
+from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     EXCHANGED,
     IMPROBABLE,

@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.se2 import between, lever, rotation
-from homeward.localizer.map.elimination import NormalEquations
-from homeward.localizer.map.state import HEAD, Marginal
-from homeward.localizer.motion.preintegration import NC
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, NC
+from homeward.localizer.reference.window import NormalEquations
 from homeward.localizer.tunables import ALIGNMENT_STEPS, ONE_PLACE
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from homeward.geometry.se2 import compose
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import HEAD, Marginal
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors, in_survey_frame
 from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import CLOSE, MINIMAL
 
 

@@ -15,7 +15,7 @@ from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.evidence import tested
 from homeward.localizer.map.survey.factors import SurveyFactors, coordinates
-from homeward.localizer.motion.preintegration import SPEED_SCALE
+from homeward.localizer.motions import SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
 
 
