@@ -12,7 +12,7 @@ PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 BUILD_PINS := PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_BUILD_CONSTRAINT=$(CURDIR)/constraints.txt
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel test-wheel lint docs paper bench figures state-log clean
+.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel rehearsal test-wheel lint docs paper bench figures state-log clean
 
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
 EXTRAS := filters,live,report,scale,vision
@@ -114,6 +114,10 @@ wheel: dev
 	$(BUILD_PINS) $(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps -w out/wheel/built .
 	if ls out/wheel/built/*-any.whl 2>/dev/null; then cp out/wheel/built/*.whl out/wheel; \
 		else PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair -w out/wheel out/wheel/built/*.whl; fi
+
+# Installation on a clean Debian 12 with and without a C++ compiler; needs Debian's mmdebstrap.
+rehearsal: install
+	$(BIN)/python packaging/rehearsal.py
 
 # In an environment of its own, with an empty PATH.
 test-wheel: wheel
