@@ -17,29 +17,33 @@ unexport PYTHONDONTWRITEBYTECODE
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
 EXTRAS := filters,live,report,scale,vision
 DEV_EXTRAS := $(EXTRAS),dev,gpu
+# More packages for this environment; the compiled core is in src already.
+ADD = HOMEWARD_PURE=1 $(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt
+
 install: $(VENV)/installed
 dev: $(VENV)/dev
 
-# $(call environment,FOLDER,EXTRAS)
+# $(call environment,FOLDER,PACKAGES)
 define environment
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' \
 		|| { echo "homeward needs Python 3.11 or later; make PYTHON=/path/to/it"; exit 1; }
 	$(PYTHON) -m venv $(1)
-	$(BUILD_PINS) $(1)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[$(2)]'
+	$(BUILD_PINS) $(1)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt $(2)
 endef
 
 $(VENV)/installed: $(PINS)
-	$(call environment,$(VENV),$(EXTRAS))
+	$(call environment,$(VENV),-e '.[$(EXTRAS)]')
 	touch $@
 
 $(VENV)/dev: $(PINS)
-	$(call environment,$(VENV),$(DEV_EXTRAS))
+	$(call environment,$(VENV),-e '.[$(DEV_EXTRAS)]')
 	touch $(VENV)/installed $@
 
-# An environment of its own, for a first look without the packages of the other commands.
+# An environment of its own, for a first look without the packages of the other commands. It has a copy
+# of the package: an editable one would write its compiled core into src, beside that of $(VENV).
 demo-environment: $(DEMO)/installed
-$(DEMO)/installed: $(PINS)
-	$(call environment,$(DEMO),report)
+$(DEMO)/installed: $(PINS) $(shell find src -name '*.py')
+	$(call environment,$(DEMO),'.[report]')
 	touch $@
 
 demo: demo-environment
@@ -55,7 +59,7 @@ plan: install
 # A robot in a warehouse with physics and rendered images: a film and a report. It renders by EGL,
 # without a screen (Debian: libegl1); MUJOCO_GL=osmesa by OSMesa.
 demo-physics: install
-	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[demo-physics]'
+	$(ADD) -e '.[demo-physics]'
 	MUJOCO_GL=$${MUJOCO_GL:-egl} $(BIN)/python -m examples.warehouse.demo --out out/demo-physics
 	$(BIN)/homeward run out/demo-physics/drive --out out/demo-physics/run
 
@@ -64,9 +68,9 @@ test: dev
 	$(BIN)/python -m pytest $(if $(MARK),-m "$(MARK)")
 
 # The tests of the core, in an environment of its own that has neither vision, lab nor studio.
-core-environment: install
+core-environment: wheel
 	$(PYTHON) -m venv .venv-core$(OTHER)
-	.venv-core$(OTHER)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt '.[bags,live,report]' evo hypothesis pytest pytest-xdist
+	.venv-core$(OTHER)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt "$$(echo out/wheel/*.whl)[bags,live,report]" evo hypothesis pytest pytest-xdist
 	cd .venv-core$(OTHER)/lib/python3*/site-packages/homeward && rm -rf lab studio vision
 
 test-core: core-environment
@@ -132,7 +136,7 @@ lint: dev
 # The site, in out/site: open its index.html. Any error in a page fails the build (but not with
 # --quiet, which hides errors from their counter).
 docs: install
-	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[docs]'
+	$(ADD) -e '.[docs]'
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 # Needs pandoc, and a LaTeX for the PDF; without LaTeX it is a page.
@@ -142,7 +146,7 @@ paper:
 
 # QUICK=1: few runs of each, without the real drives and the hours.
 bench: install
-	$(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt -e '.[bench]'
+	$(ADD) -e '.[bench]'
 	$(BIN)/python -m benchmarks.inputs
 	$(BIN)/python -m benchmarks.case2 $(if $(QUICK),--seeds 10)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.case2 --limits)

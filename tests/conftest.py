@@ -34,18 +34,20 @@ INTERPRETER = (
     "lab/studies/test_blocks",
     "studio/test_studio_server",
     "test_by_value",
+    "test_compiled_core",
     "test_core_install",
     "test_imports",
     "io/test_one_thread",
     "test_plugins",
 )
 """Tests whose result can depend on the Python version: imports, command line, text and YAML files,
-validation, pickling, subprocesses, threads and sockets. Numerical results and C are tested once."""
+validation, pickling, subprocesses, threads, sockets, the compiled core. Numerical results and C are
+tested once."""
 
 
 CORE = (
     *("control/", "drives/", "geometry/", "io/", "live/", "localizer/", "odometry/", "places/"),
-    *("runs/", "test_track"),
+    *("runs/", "test_compiled_core", "test_track"),
 )
 """Tests of the core, which `make test-core` runs where vision, lab and studio are not installed."""
 OUTSIDE_CORE = re.compile(
