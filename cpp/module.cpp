@@ -7,7 +7,12 @@ void bind_motion(nanobind::module_ &m);
 void bind_refine(nanobind::module_ &m);
 void bind_window(nanobind::module_ &m);
 
+// Increase it, and that of core.py, with each change of a signature: an editable installation may have a
+// module that is older than its Python.
+constexpr int INTERFACE = 1;
+
 NB_MODULE(_core, m) {
+  m.attr("INTERFACE") = INTERFACE;
   bind_align(m);
   bind_motion(m);
   bind_refine(m);

@@ -47,6 +47,11 @@ def test_without_the_module_the_version_gives_the_reason(error, words):
     assert words in version(NOT_THERE.format(error=error))
 
 
+def test_a_module_of_another_version_is_not_used():
+    older = "import sys, types; sys.modules['homeward._core'] = types.ModuleType('_core')\n"
+    assert "(NumPy only: the compiled core is of another version, install" in version(older)
+
+
 def test_an_environment_variable_excludes_it():
     assert "(NumPy only: HOMEWARD_PURE is set)" in version(HOMEWARD_PURE="1")
 

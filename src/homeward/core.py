@@ -10,6 +10,8 @@ import os
 from importlib import import_module
 from types import ModuleType
 
+INTERFACE = 1
+"""Version of the signatures of the module's functions; cpp/module.cpp has the same number."""
 PURE = "HOMEWARD_PURE"
 """Environment variable that excludes the compiled core, from an installation or at run time."""
 
@@ -18,11 +20,14 @@ def _load() -> tuple[ModuleType | None, str]:
     if os.environ.get(PURE):
         return None, f"{PURE} is set"
     try:
-        return import_module("homeward._core"), ""
+        module = import_module("homeward._core")
     except ModuleNotFoundError:
         return None, "no compiled core in this installation"
     except ImportError as error:  # of another Python or machine
         return None, f"the compiled core cannot be loaded: {error}"
+    if getattr(module, "INTERFACE", 0) != INTERFACE:
+        return None, "the compiled core is of another version, install homeward again"
+    return module, ""
 
 
 compiled: ModuleType | None
