@@ -10,6 +10,7 @@ margin, without a test. `--quick` means one seed of four scenarios. `--keep FILE
 drives, from which the same command continues. `--list` prints the mechanisms.
 """
 
+import os
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -35,6 +36,7 @@ from benchmarks.paired.comparison import (
 from benchmarks.paired.drives import Case, Input, cases, made
 from benchmarks.paired.kept import Kept
 from benchmarks.paired.processes import VariantError, Worker
+from homeward import core
 
 EVERYTHING_ON = ""
 QUICK = ("room", "mount-unknown", "moved-on-the-way", "walkers")
@@ -123,6 +125,7 @@ def main() -> int:
     if options.list:
         print("\n".join(f"{name:24}{m.about}" for name, m in MECHANISMS.items()))
         return 0
+    os.environ[core.PURE] = "1"  # patches of the reference do not change the compiled core
     only, seeds = (QUICK, 1) if options.quick else (options.family, options.seeds)
     todo = [case for benchmark in ("gate", "mrclam") for case in cases(benchmark, seeds, only)]
     todo = [case for case in todo if options.family or not case.family.startswith("utias-6-")]

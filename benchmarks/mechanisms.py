@@ -209,7 +209,7 @@ MECHANISMS = {
     ),
     "common-motion": off("common motion of landmarks", "chart:carried_since"),
     "updates-between-solutions": off(
-        "EKF updates between solutions", "map.map:Map._apply_if_linear", False
+        "EKF updates between solutions", "map.map:Map._update_if_linear", False
     ),
 }
 

@@ -216,7 +216,7 @@ def _size(calibration: np.ndarray) -> float:
 def _commanded(
     pieces: Sequence[Piece], calibration: np.ndarray, rates: np.ndarray, straightest: float
 ) -> tuple[Motion, np.ndarray]:
-    """Integrate pieces as if the robot did at once what they say; also the length by bend."""
+    """Integrate pieces without a lag; return the motion, and the length driven by bend [m]."""
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = _size(calibration)
     x = y = psi = path = turned = 0.0
