@@ -13,6 +13,7 @@ from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNoise, Start
 from homeward.estimator import Status
 from homeward.geometry.covariance import ROUNDING
+from homeward.localizer import kernels
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
@@ -25,15 +26,15 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motions import HEAD, NC, Motion
+from homeward.localizer.motions import HEAD, NC, TURN_SLIP, Motion
 from homeward.localizer.output.pose import OtherHypotheses, centre, combined_estimate
 from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.recovery.resection import Resection
-from homeward.localizer.reference.motion import Piece, integrate
+from homeward.localizer.reference import motion
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import bridged
-from homeward.odometry.history import SettledTwist
+from homeward.odometry.history import OdometrySample
 
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
@@ -41,14 +42,22 @@ DISTANCES = st.sampled_from([1e-300, 1e-6, 0.3, 2.0, 50.0, 1e4])
 SIGMAS = st.sampled_from([1e-6, 1e-4, 0.01, 1.0])
 
 
+def shuttling(v, mean):
+    """Table of a twist of 0.1 s, and of a stop with a mean speed before it, as `OdometrySample`."""
+    rows = np.zeros((2, len(OdometrySample._fields)))
+    rows[0, :4] = 0.0, v, 0.5, 0.1
+    rows[1, :7] = 0.1, 0.0, 0.0, 0.2, 0.05, 0.1 * v, mean
+    return rows
+
+
+@pytest.mark.parametrize("preintegrate", [kernels.preintegrate, motion.preintegrate])
 @pytest.mark.parametrize("v", [0.3, -0.3])
-def test_rounding_of_a_mean_speed_does_not_decide_the_direction_of_slip(v):
-    ends = 2 * (SettledTwist((v, 0.5), (0.0, 0.0)),)
-    rates = np.zeros((3, 3))
+def test_rounding_of_a_mean_speed_does_not_decide_the_direction_of_slip(v, preintegrate):
+    inputs = 0.0, 0.2, np.zeros(NC), np.zeros((3, 3)), (0.3, 0.3), 0.0
     jacobians = [
-        integrate([Piece(0.0, 0.0, 0.1, v, 0.5, mean)], ends, np.zeros(NC), rates, 0.0)[0].jacobian
-        for mean in (1e-17, 0.0, -1e-17)
+        preintegrate(shuttling(v, mean), *inputs)[0].jacobian for mean in (1e-17, 0.0, -1e-17)
     ]
+    assert jacobians[0][:2, TURN_SLIP].any()
     assert jacobians[0] == pytest.approx(jacobians[1], abs=1e-15)
     assert jacobians[0] == pytest.approx(jacobians[2], abs=1e-15)
 
