@@ -99,14 +99,14 @@ class Twists {
 
 // Growth of an integrated Ornstein-Uhlenbeck process of unit variance.
 double variance_growth(double after, double time, double lasts) {
-  return std::max(0.0, 2.0 * lasts * (time + lasts * std::exp(-after / lasts) * std::expm1(-time / lasts)));
+  return 2.0 * lasts * (time + lasts * std::exp(-after / lasts) * std::expm1(-time / lasts));
 }
 
 struct Usual {
   double speed, turn_rate;
   void add_growth(double silent, double begin, double end, const Tunables &s, Piece &piece) const {
     if (end <= begin) return;
-    const double after = begin - silent, time = end - begin;
+    const double after = std::max(begin - silent, 0.0), time = end - begin;
     piece.shift += speed * speed * variance_growth(after, time, s.speed_time);
     piece.swing += turn_rate * turn_rate * variance_growth(after, time, s.turn_time);
   }

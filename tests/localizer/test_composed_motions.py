@@ -61,6 +61,18 @@ def test_motions_of_any_twists_have_positive_covariances(twists, lags, noise):
     assert is_positive(total)
 
 
+def test_a_dropout_that_begins_by_rounding_before_the_validity_ends_has_no_negative_variance():
+    calibration = np.zeros(NC)
+    for k in range(200):
+        history, begin = TwistHistory(), 1.7e9 + 0.0137 * k
+        history.add(begin, 0.3, 0.2)
+        integrator = OdometryIntegrator(history, ProcessNoise(OdometryNoise(), OdometryDefaults()))
+        integrator.restart(begin)
+        validity = history.table[0, 3] - begin
+        for more in (1e-7, 3e-7, 1e-6):
+            assert is_positive(integrator.motion(begin + validity + more, calibration))
+
+
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(st.floats(-20.0, 20.0), st.floats(-3.2, 3.2)), min_size=1, max_size=8))
 def test_a_turn_about_a_far_point_and_back_leaves_no_negative_variance(levers):

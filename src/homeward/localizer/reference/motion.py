@@ -171,7 +171,8 @@ def _pieces(table: np.ndarray, begin: float, end: float, usual: tuple[float, flo
     def dropout(silent: float, since: float, until: float) -> tuple[float, float]:
         if until <= since:
             return 0.0, 0.0
-        return variance_growth(since - silent, until - since, usual)
+        # Of Unix time, the sum of a stamp and a validity is rounded by up to 0.1 us.
+        return variance_growth(max(since - silent, 0.0), until - since, usual)
 
     if not held:  # before the first twist, or none at all
         return [Piece(*dropout(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
