@@ -26,6 +26,18 @@ constexpr int HEAD = 3 + NC;  // the newest pose, and the calibration
 enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE };
 using Jacobian = Fixed<3, NC>;
 
+// A pose b in the frame of a, in the parent frame of a, and its Jacobians by both: geometry/se2.py.
+struct Composition {
+  Composition(const Vector3 &a, const Vector3 &b) {
+    const double c = std::cos(a[2]), s = std::sin(a[2]);
+    pose << a[0] + c * b[0] - s * b[1], a[1] + s * b[0] + c * b[1], a[2] + b[2];
+    by_a(0, 2) = a[1] - pose[1], by_a(1, 2) = pose[0] - a[0];
+    by_b(0, 0) = by_b(1, 1) = c, by_b(0, 1) = -s, by_b(1, 0) = s;
+  }
+  Vector3 pose;
+  Matrix3 by_a = Matrix3::Identity(), by_b = Matrix3::Identity();
+};
+
 // A new NumPy array of a shape, with the numbers of a matrix.
 template <class M>
 nb::ndarray<nb::numpy, double> array_of(const M &matrix, std::initializer_list<size_t> shape) {

@@ -160,13 +160,10 @@ Matrix3 positive(const Matrix3 &computed, double scale) {
 }
 
 Motion composed(const Motion &a, const Motion &b) {
-  const double c = std::cos(a.delta[2]), s = std::sin(a.delta[2]);
-  Matrix3 by_a = Matrix3::Identity(), by_b = Matrix3::Identity();
-  by_b(0, 0) = by_b(1, 1) = c, by_b(0, 1) = -s, by_b(1, 0) = s;
+  const Composition both(a.delta, b.delta);
+  const Matrix3 &by_a = both.by_a, &by_b = both.by_b;
   Motion to;
-  to.delta << a.delta[0] + c * b.delta[0] - s * b.delta[1], a.delta[1] + s * b.delta[0] + c * b.delta[1],
-      a.delta[2] + b.delta[2];
-  by_a(0, 2) = a.delta[1] - to.delta[1], by_a(1, 2) = to.delta[0] - a.delta[0];
+  to.delta = both.pose;
   const double lever = by_a(0, 2) * by_a(0, 2) + by_a(1, 2) * by_a(1, 2);
   to.covariance = positive(by_a * a.covariance * by_a.transpose() + by_b * b.covariance * by_b.transpose(),
                            (1.0 + lever) * a.covariance.trace() + b.covariance.trace());

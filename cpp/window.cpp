@@ -130,16 +130,12 @@ void add_bearings(In bearings, In sigmas, In effective, Numbers frames_of, Numbe
     if (pose >= e.w) throw nb::index_error("a frame of another window");
     if (frame != of) {
       of = frame;
-      const double *p = poses.data() + 3 * pose;
       const Eigen::Map<const Jacobian> by(jacobians.data() + 3 * NC * frame);
       const Vector3 camera = Eigen::Map<const Vector3>(free.data() + 3 * frame) + by * calibration;
-      const double c = std::cos(p[2]), s = std::sin(p[2]);
-      eye << p[0] + c * camera[0] - s * camera[1], p[1] + s * camera[0] + c * camera[1], p[2] + camera[2];
-      Matrix3 by_pose = Matrix3::Identity(), by_camera = Matrix3::Identity();
-      by_pose(0, 2) = p[1] - eye[1], by_pose(1, 2) = eye[0] - p[0];
-      by_camera(0, 0) = by_camera(1, 1) = c, by_camera(0, 1) = -s, by_camera(1, 0) = s;
-      by_head.leftCols<3>() = by_pose;
-      by_head.rightCols<NC>() = by_camera * by;
+      const Composition there(Eigen::Map<const Vector3>(poses.data() + 3 * pose), camera);
+      eye = there.pose;
+      by_head.leftCols<3>() = there.by_a;
+      by_head.rightCols<NC>() = there.by_b * by;
     }
     const double *place = unknowns.data() + NC + 2 * mark;
     const double dx = place[0] - eye[0], dy = place[1] - eye[1];
@@ -157,35 +153,30 @@ void add_bearings(In bearings, In sigmas, In effective, Numbers frames_of, Numbe
 }
 
 // Eliminate the chain of poses, solve, and invert: eliminate() and Elimination.solve().
-nb::tuple solve_chain(In own, In next, In shared, In common, In slope, In common_slope) {
-  const size_t w = own.shape(0), a = common.shape(0);
-  require_shape("own", own, {w, 3, 3});
-  if (w < 1) throw nb::value_error("own is empty");
-  require_shape("next", next, {w - 1, 3, 3}), require_shape("shared", shared, {w, 3, a});
-  require_shape("common", common, {a, a}), require_shape("slope", slope, {w, 3});
-  require_shape("common_slope", common_slope, {a});
-  const size_t n = 3 + a;
+nb::tuple solve_chain(Out own, Out next, Out shared, Out common, Out slope, Out common_slope) {
+  const Equations e(own, next, shared, common, slope, common_slope);
+  const size_t w = e.w, a = e.a, n = 3 + a;
   Matrix information(n, n);
-  information.topLeftCorner(3, 3) = Eigen::Map<const Matrix3>(own.data() + 9 * (w - 1));
-  information.topRightCorner(3, a) = Eigen::Map<const Matrix>(shared.data() + 3 * a * (w - 1), 3, a);
+  information.topLeftCorner(3, 3) = e.own_of(w - 1);
+  information.topRightCorner(3, a) = e.shared_of(w - 1);
   information.bottomLeftCorner(a, 3) = information.topRightCorner(3, a).transpose();
-  information.bottomRightCorner(a, a) = Eigen::Map<const Matrix>(common.data(), a, a);
+  information.bottomRightCorner(a, a) = e.common_all();
   Vector gradient(n);
-  gradient << Eigen::Map<const Vector3>(slope.data() + 3 * (w - 1)), Eigen::Map<const Vector>(common_slope.data(), a);
-  // Of each eliminated pose: the inverse of its factor times its row of blocks, with the next pose (3), the
-  // newest and the shared (n) and the gradient (1). All rows together have one product at the end.
-  Matrix rows = Matrix::Zero(3 * w - 1, n + 1);
+  gradient << e.slope_of(w - 1), e.common_slope_all();
+  // Of each eliminated pose: the inverse of its factor times its blocks with the newest pose and the shared
+  // unknowns (n), and its gradient (1). All rows together have one product at the end.
+  Matrix rows = Matrix::Zero(3 * (w - 1), n + 1);
   std::vector<Matrix3> factors(w - 1), following(factors.size());
-  Matrix3 block = Eigen::Map<const Matrix3>(own.data());
+  Matrix3 block = e.own_of(0);
   {
     nb::gil_scoped_release release;
     for (size_t k = 0; k + 1 < w; k++) {
       const Eigen::LLT<Eigen::Matrix3d> llt{Eigen::Matrix3d(block)};
       if (llt.info() != Eigen::Success) throw std::domain_error("a pose is not determined");
       auto row = rows.middleRows(3 * k, 3);
-      row.block(0, 3, 3, a) += Eigen::Map<const Matrix>(shared.data() + 3 * a * k, 3, a);
-      row.col(n) += Eigen::Map<const Vector3>(slope.data() + 3 * k);
-      const Eigen::Map<const Matrix3> coupling(next.data() + 9 * k);
+      row.block(0, 3, 3, a) += e.shared_of(k);
+      row.col(n) += e.slope_of(k);
+      const auto coupling = e.next_of(k);
       const Eigen::Matrix3d lower = llt.matrixL();
       factors[k] = lower;
       following[k] = lower.triangularView<Eigen::Lower>().solve(Eigen::Matrix3d(coupling));
@@ -193,7 +184,7 @@ nb::tuple solve_chain(In own, In next, In shared, In common, In slope, In common
       if (last) row.leftCols(3) = coupling;
       lower.triangularView<Eigen::Lower>().solveInPlace(row);
       if (!last) {
-        block = Eigen::Map<const Matrix3>(own.data() + 9 * (k + 1)) - following[k].transpose() * following[k];
+        block = e.own_of(k + 1) - following[k].transpose() * following[k];
         rows.middleRows(3 * (k + 1), 3).noalias() -= following[k].transpose() * row;
       }
     }

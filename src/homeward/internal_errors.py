@@ -101,8 +101,8 @@ def failure_notes(failures: Sequence[InternalFailure]) -> tuple[str, ...]:
         return ()
     times = f"{len(failures)} times" if len(failures) > 1 else "once"
     return (
-        f"The estimator failed {times}: {failures[0]}. It began again without a map each time, and"
-        f" has no pose until home is found again. {REQUEST}",
+        f"The estimator failed {times}: {failures[0]}. After a failure the localiser begins again"
+        f" without a map, and other estimators give no pose. {REQUEST}",
     )
 
 

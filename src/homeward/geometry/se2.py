@@ -14,7 +14,7 @@ import numpy as np
 
 MIN_DISTANCE = 1e-3
 """Minimum distance of a camera from a landmark, where they coincide [m]."""
-MIN_SQUARED_DISTANCE = 1e-6
+MIN_SQUARED_DISTANCE = MIN_DISTANCE**2
 """Its square, in derivatives [m^2]."""
 
 

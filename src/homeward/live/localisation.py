@@ -257,7 +257,8 @@ class Localisation:
         if self._guide is not None and odom is not None and not message.camera:
             self._guide.add(odom, message.bearings)
         is_new = bool(message.bearings) and t > self._newest
-        self._newest = t if is_new else self._newest
+        if is_new:
+            self._newest = t
         self.fix = Fix(estimate, self._odometry_frame(estimate, odom, is_new))
         if self._late is not None:
             late = self._late.add(estimate)
@@ -280,8 +281,10 @@ class Localisation:
         repeated) change no estimate, and the answer to them is for the time of the newest sample:
         the odometry frame stays.
         """
-        if estimate.pose is None or not is_new:
-            return None if estimate.pose is None else self.fix.odom
+        if estimate.pose is None:
+            return None
+        if not is_new:
+            return self.fix.odom
         return None if odom is None else Pose(*map(float, compose(estimate.pose, inverse(odom))))
 
     def _adopt_place(self) -> None:
