@@ -177,4 +177,4 @@ state-log: install
 	$(BIN)/python tests/localizer/state_log.py
 
 clean:
-	rm -rf $(VENV) .venv-demo* .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info
+	rm -rf $(VENV) .venv-demo* .venv-ros-* .venv-core* .venv-lowest* out build dist src/*.egg-info src/homeward/_core.*.so
