@@ -9,7 +9,7 @@ namespace homeward {
 namespace {
 
 // Columns of a twist, as TwistHistory keeps it.
-enum Column { T, V, OMEGA, UNTIL, HEADING, PATH, STEADY, NUM_COLUMNS };
+enum Column { T, V, VY, OMEGA, UNTIL, HEADING, PATH, SIDE, STEADY, NUM_COLUMNS };
 constexpr int NUM_INTERVALS = 10;  // of the past that weighs in a first-order lag
 constexpr double ROUNDING = 1e-12;
 
@@ -26,11 +26,13 @@ struct Motion {
 };
 
 struct Settled {
-  double v = 0.0, omega = 0.0, by_v = 0.0, by_omega = 0.0;
+  double v = 0.0, vy = 0.0, omega = 0.0, by_v = 0.0, by_vy = 0.0, by_omega = 0.0;
+  bool moves() const { return v || vy || omega; }
 };
 
 struct Piece {
-  double shift, swing, dt, v, omega, steady;
+  double shift, swing, dt, v, vy, omega, steady;
+  bool moves() const { return v || vy || omega; }
 };
 
 class Twists {
@@ -64,7 +66,7 @@ class Twists {
   Settled settled(double t, double time_constant) const {
     if (!size_) return {};
     const double lag = std::max(time_constant, 0.5 * mean_s_);
-    std::array<double, NUM_INTERVALS + 1> times, paths, headings;
+    std::array<double, NUM_INTERVALS + 1> times, paths, sides, headings;
     int64_t k = std::max<int64_t>(before(t, true) - 1, 0);
     for (int i = 0; i <= NUM_INTERVALS; i++) {
       times[i] = -std::log1p(-i / (NUM_INTERVALS + 0.5));
@@ -72,7 +74,7 @@ class Twists {
       while (k && at(k, T) > time) k--;
       double dt = time - at(k, T);  // the first twist counts before its stamp, too
       if (dt > 0.0) dt = std::max(std::min(dt, at(k, UNTIL) - at(k, T)), 0.0);
-      paths[i] = at(k, PATH) + at(k, V) * dt;
+      paths[i] = at(k, PATH) + at(k, V) * dt, sides[i] = at(k, SIDE) + at(k, VY) * dt;
       headings[i] = at(k, HEADING) + at(k, OMEGA) * dt;
     }
     std::array<double, NUM_INTERVALS> slopes;
@@ -84,9 +86,10 @@ class Twists {
     Settled found;
     for (int i = 0; i < NUM_INTERVALS; i++) {
       const double over = lag * (times[i + 1] - times[i]), slope = slopes[i] / sum;
-      const double v = (paths[i] - paths[i + 1]) / over, omega = (headings[i] - headings[i + 1]) / over;
-      found.v += v / NUM_INTERVALS, found.omega += omega / NUM_INTERVALS;
-      found.by_v += slope * v, found.by_omega += slope * omega;
+      const double v = (paths[i] - paths[i + 1]) / over, vy = (sides[i] - sides[i + 1]) / over;
+      const double omega = (headings[i] - headings[i + 1]) / over;
+      found.v += v / NUM_INTERVALS, found.vy += vy / NUM_INTERVALS, found.omega += omega / NUM_INTERVALS;
+      found.by_v += slope * v, found.by_vy += slope * vy, found.by_omega += slope * omega;
     }
     return found;
   }
@@ -123,15 +126,16 @@ std::vector<Piece> pieces_of(const Twists &twists, double begin, double end, con
   }
   pieces.reserve(last - first);
   for (int64_t k = first; k < last; k++) {
-    const double t = twists.at(k, T), silent = twists.at(k, UNTIL), v = twists.at(k, V), omega = twists.at(k, OMEGA);
+    const double t = twists.at(k, T), silent = twists.at(k, UNTIL);
+    const double v = twists.at(k, V), vy = twists.at(k, VY), omega = twists.at(k, OMEGA);
     const double then = k + 1 < last ? twists.at(k + 1, T) : end, start = std::max(t, begin);
     const double known = std::min(std::max(silent - start, 0.0), then - start);
-    Piece piece{0.0, 0.0, known, v, omega, 0.0};
+    Piece piece{0.0, 0.0, known, v, vy, omega, 0.0};
     piece.steady = k + 1 < last ? twists.at(k + 1, STEADY) : twists.steady_speed(end);
     if (start + known < then) usual.add_growth(silent, start + known, then, s, piece);
     const double bridged = start + known - std::max(start, t + s.validity);
     if (bridged > 0.0) {
-      piece.shift += std::pow(s.bridged * v * bridged, 2);
+      piece.shift += std::pow(s.bridged * std::hypot(v, vy) * bridged, 2);
       piece.swing += std::pow(s.bridged * omega * bridged, 2);
     }
     pieces.push_back(piece);
@@ -174,23 +178,25 @@ Motion composed(const Motion &a, const Motion &b) {
 
 double sinc(double half) { return half ? std::sin(half) / half : 1.0; }
 
+double turn_rate(double omega, bool moves, const double *calibration) {
+  return moves ? (1.0 + calibration[TURN_SCALE]) * omega + calibration[TURN_BIAS] : 0.0;
+}
+
 // The commanded motion that the robot still has to make, forward or backward by sign.
 Motion outstanding(const Settled &end, const double *calibration, double sign) {
-  const double scale = calibration[TURN_SCALE], bias = calibration[TURN_BIAS], lag = calibration[TIME_CONSTANT];
-  const double size = 1.0 + calibration[SPEED_SCALE];
-  const bool moves = end.v || end.omega;
-  const double half = 0.5 * (moves ? (1.0 + scale) * end.omega + bias : 0.0) * sign * lag;
-  const double chord = size * end.v * sign * lag * sinc(half), heading = 2.0 * half;
-  const double x = chord * std::cos(half), y = chord * std::sin(half), c = std::cos(heading), s = std::sin(heading);
+  const double lag = calibration[TIME_CONSTANT], size = 1.0 + calibration[SPEED_SCALE];
+  const double half = 0.5 * turn_rate(end.omega, end.moves(), calibration) * sign * lag, heading = 2.0 * half;
+  const double chord = size * end.v * sign * lag * sinc(half), left = size * end.vy * sign * lag * sinc(half);
+  const double ahead = chord * std::cos(half), side = left * std::cos(half);
   Motion motion;
-  motion.delta << x, y, heading;
-  const auto by_turn = [&](int column, double turn) {
-    motion.jacobian.col(column) << -x * heading / 3.0 * turn, 0.5 * x * turn, turn;
-  };
-  by_turn(TURN_SCALE, sign * lag * end.omega);
-  by_turn(TURN_BIAS, sign * lag);
-  const double ahead = size * end.by_v, turn = moves ? (1.0 + scale) * end.by_omega + bias : 0.0;
-  motion.jacobian.col(TIME_CONSTANT) << sign * c * ahead, sign * s * ahead, sign * turn;
+  motion.delta << ahead - left * std::sin(half), chord * std::sin(half) + side, heading;
+  const Vector3 by_turn(-ahead * heading / 3.0 - 0.5 * side, 0.5 * ahead - side * heading / 3.0, 1.0);
+  motion.jacobian.col(TURN_SCALE) = by_turn * (sign * lag * end.omega);
+  motion.jacobian.col(TURN_BIAS) = by_turn * (sign * lag);
+  const double c = std::cos(heading), s = std::sin(heading), by_ahead = size * end.by_v, by_side = size * end.by_vy;
+  const double by_rate = turn_rate(end.by_omega, end.moves(), calibration);
+  motion.jacobian.col(TIME_CONSTANT) << c * by_ahead - s * by_side, s * by_ahead + c * by_side, by_rate;
+  motion.jacobian.col(TIME_CONSTANT) *= sign;
   return motion;
 }
 
@@ -200,24 +206,24 @@ struct Chord {
 
 Motion commanded(const std::vector<Piece> &pieces, const double *calibration, const double *rates,
                  double straightest, const Tunables &tunables, Vector &by_bend) {
-  const double scale = calibration[TURN_SCALE], bias = calibration[TURN_BIAS], slip = calibration[TURN_SLIP];
-  const double size = 1.0 + calibration[SPEED_SCALE];
+  const double slip = calibration[TURN_SLIP], size = 1.0 + calibration[SPEED_SCALE];
   double x = 0.0, y = 0.0, psi = 0.0;
   Motion motion;
   std::vector<Chord> chords;
   chords.reserve(pieces.size());
   for (const Piece &p : pieces) {
-    const double way = std::abs(p.v) * p.dt, spin = std::abs(p.omega);
-    const double rate = p.v || p.omega ? (1.0 + scale) * p.omega + bias : 0.0;
+    const double spin = std::abs(p.omega), rate = turn_rate(p.omega, p.moves(), calibration);
     const double ahead = std::abs(p.steady) > tunables.min_steady_speed ? p.steady : p.v;
     const double slips = p.v ? std::copysign(spin, ahead) - p.steady * straightest : 0.0;
     const double speed = size * (p.v - slip * slips), half = 0.5 * rate * p.dt;
-    const double c = std::cos(psi + half), s = std::sin(psi + half), chord = speed * p.dt * sinc(half);
-    chords.push_back({x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips});
-    x += chord * c, y += chord * s, psi += 2.0 * half;
-    motion.path += way, motion.turned += 2.0 * std::abs(half);
+    const double c = std::cos(psi + half), s = std::sin(psi + half);
+    const double chord = speed * p.dt * sinc(half), left = size * p.vy * p.dt * sinc(half);
+    const double dx = chord * c - left * s, dy = chord * s + left * c;
+    chords.push_back({x + 0.5 * dx, y + 0.5 * dy, c, s, size * slips});
+    x += dx, y += dy, psi += 2.0 * half;
+    motion.path += std::hypot(p.v, p.vy) * p.dt, motion.turned += 2.0 * std::abs(half);
     const double bend = spin / std::max(std::abs(p.steady), 1e-6) / tunables.bend;
-    by_bend[bend < tunables.num_bends ? int(bend) : tunables.num_bends - 1] += way;
+    by_bend[bend < tunables.num_bends ? int(bend) : tunables.num_bends - 1] += std::abs(p.v) * p.dt;
   }
   motion.delta << x, y, psi;
   Matrix3 &cov = motion.covariance;
@@ -225,14 +231,17 @@ Motion commanded(const std::vector<Piece> &pieces, const double *calibration, co
   for (size_t k = 0; k < pieces.size(); k++) {
     const Piece &p = pieces[k];
     const Chord &q = chords[k];
-    const double steady = p.v || p.omega ? p.dt : 0.0, speed = std::abs(p.v), spin = std::abs(p.omega);
+    const double steady = p.moves() ? p.dt : 0.0, speed = std::hypot(p.v, p.vy), spin = std::abs(p.omega);
     const double along = steady * (rates[0] + rates[1] * speed + rates[2] * spin) + p.shift;
     const double across = steady * (rates[3] + rates[4] * speed + rates[5] * spin) + p.shift;
     const double heading = steady * (rates[6] + rates[7] * speed + rates[8] * spin) + p.swing;
     const double dx = q.y - y, dy = x - q.x;
-    cov(0, 0) += dx * dx * heading + q.c * q.c * along + q.s * q.s * across;
-    cov(0, 1) += dx * dy * heading + q.c * q.s * (along - across);
-    cov(1, 1) += dy * dy * heading + q.s * q.s * along + q.c * q.c * across;
+    // The direction of the motion is the heading, unless the robot moves sideways.
+    const double c = p.vy ? (q.c * p.v - q.s * p.vy) / speed : q.c;
+    const double s = p.vy ? (q.s * p.v + q.c * p.vy) / speed : q.s;
+    cov(0, 0) += dx * dx * heading + c * c * along + s * s * across;
+    cov(0, 1) += dx * dy * heading + c * s * (along - across);
+    cov(1, 1) += dy * dy * heading + s * s * along + c * c * across;
     cov(0, 2) += dx * heading, cov(1, 2) += dy * heading, cov(2, 2) += heading;
     const Vector3 by_turn(dx, dy, 1.0);
     j.col(TURN_SCALE) += by_turn * (p.omega * p.dt);
@@ -260,15 +269,14 @@ nb::tuple preintegrate(In rows, double begin, double end, In calibration, In rat
   motion = composed(composed(outstanding(first, cal, 1.0), motion), outstanding(last, cal, -1.0));
   const double size = 1.0 + cal[SPEED_SCALE];
   motion.jacobian.block<2, 1>(0, SPEED_SCALE) = motion.delta.head<2>() / size;
-  const auto turn_rate = [&](const Settled &end) {
-    return end.v || end.omega ? (1.0 + cal[TURN_SCALE]) * end.omega + cal[TURN_BIAS] : 0.0;
-  };
   const double c = std::cos(motion.delta[2]), sn = std::sin(motion.delta[2]);
-  const double v0 = size * first.v, v1 = size * last.v, rate0 = turn_rate(first), rate1 = turn_rate(last);
-  motion.jacobian.col(DELAY) << v0 - rate0 * motion.delta[1] - c * v1, rate0 * motion.delta[0] - sn * v1, rate0 - rate1;
+  const double v0 = size * first.v, vy0 = size * first.vy, rate0 = turn_rate(first.omega, first.moves(), cal);
+  const double v1 = size * last.v, vy1 = size * last.vy, rate1 = turn_rate(last.omega, last.moves(), cal);
+  motion.jacobian.col(DELAY) << v0 - rate0 * motion.delta[1] - (c * v1 - sn * vy1),
+      vy0 + rate0 * motion.delta[0] - (sn * v1 + c * vy1), rate0 - rate1;
   double moving = 0.0;
   for (const Piece &p : pieces)
-    if (p.v || p.omega) moving += p.dt;
+    if (p.moves()) moving += p.dt;
   return nb::make_tuple(array_of(motion.delta, {3}), array_of(motion.covariance, {3, 3}),
                         array_of(motion.jacobian, {3, size_t(NC)}), motion.path, motion.turned,
                         array_of(by_bend, {size_t(s.num_bends)}), moving);

@@ -75,10 +75,10 @@ class Wheels(OdometryIntegrator):
         self.twists = TwistHistory()
         super().__init__(self.twists, ProcessNoise(OdometryNoise(), OdometryDefaults()))
 
-    def add(self, t, v, omega):
+    def add(self, t, v, omega, vy=0.0):
         """Take a twist, which may be late."""
         self.rewind(t)
-        self.twists.add(t, v, omega)
+        self.twists.add(t, v, omega, vy=vy)
 
 
 class Recorder:

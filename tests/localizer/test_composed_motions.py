@@ -26,7 +26,7 @@ NOISE = st.sampled_from(
         OdometryNoise(speed_sigma=1e-6, turn_sigma=0.5),
     ]
 )
-TWISTS = st.lists(st.tuples(STEPS, SPEEDS, RATES), min_size=1, max_size=12)
+TWISTS = st.lists(st.tuples(STEPS, SPEEDS, RATES, SPEEDS), min_size=1, max_size=12)
 LAGS = st.tuples(st.sampled_from([0.0, 0.05, -0.1, 0.4]), st.sampled_from([0.0, 0.07, 0.5]))
 
 
@@ -47,9 +47,9 @@ def test_motions_of_any_twists_have_positive_covariances(twists, lags, noise):
     integrator = OdometryIntegrator(history, ProcessNoise(noise, OdometryDefaults()))
     integrator.restart(0.0)
     total, mount = Motion.identity(), np.array([0.3, -0.1, 1.0])
-    for step, v, omega in twists:
+    for step, v, omega, vy in twists:
         t += step
-        history.add(t, v, omega)
+        history.add(t, v, omega, vy=vy)
         motion = integrator.advance(t, calibration)
         assert is_positive(motion)
         assert is_positive(integrator.motion(t + 0.3, calibration))
@@ -68,7 +68,7 @@ def test_a_dropout_that_begins_by_rounding_before_the_validity_ends_has_no_negat
         history.add(begin, 0.3, 0.2)
         integrator = OdometryIntegrator(history, ProcessNoise(OdometryNoise(), OdometryDefaults()))
         integrator.restart(begin)
-        validity = history.table[0, 3] - begin
+        validity = history.before(begin).until - begin
         for more in (1e-7, 3e-7, 1e-6):
             assert is_positive(integrator.motion(begin + validity + more, calibration))
 

@@ -45,8 +45,8 @@ SIGMAS = st.sampled_from([1e-6, 1e-4, 0.01, 1.0])
 def shuttling(v, mean):
     """Table of a twist of 0.1 s, and of a stop with a mean speed before it, as `OdometrySample`."""
     rows = np.zeros((2, len(OdometrySample._fields)))
-    rows[0, :4] = 0.0, v, 0.5, 0.1
-    rows[1, :7] = 0.1, 0.0, 0.0, 0.2, 0.05, 0.1 * v, mean
+    rows[0, :5] = 0.0, v, 0.0, 0.5, 0.1
+    rows[1, :9] = 0.1, 0.0, 0.0, 0.0, 0.2, 0.05, 0.1 * v, 0.0, mean
     return rows
 
 

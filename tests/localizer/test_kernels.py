@@ -22,7 +22,7 @@ STEPS = st.sampled_from([0.0, 1e-6, 0.02, 0.1, 0.9, 3.0])
 
 @settings(max_examples=300, deadline=None)
 @given(
-    st.lists(st.tuples(STEPS, SPEEDS, TURNS), max_size=14),
+    st.lists(st.tuples(STEPS, SPEEDS, TURNS, SPEEDS), max_size=14),
     st.floats(-0.5, 3.0),
     st.floats(0.0, 4.0),
     st.tuples(st.sampled_from([0.0, 0.05, -0.1, 1.2]), st.sampled_from([0.0, 0.07, 0.5])),
@@ -31,9 +31,9 @@ def test_preintegration_is_that_of_the_reference(twists, begin, duration, lags):
     history, t, calibration = TwistHistory(), 0.0, np.full(NC, 0.01)
     calibration[[DELAY, TIME_CONSTANT]] = lags
     calibration[[TURN_SLIP, SPEED_SCALE]] = 0.03, -0.02
-    for step, v, omega in twists:
+    for step, v, omega, vy in twists:
         t += step
-        history.add(t, v, omega)
+        history.add(t, v, omega, vy=vy)
     inputs = history.table, begin, begin + duration, calibration, RATES, (0.5, 0.7), 0.2
     here, bends, moving = kernels.preintegrate(*inputs)
     there, expected_bends, expected_moving = motion.preintegrate(*inputs)

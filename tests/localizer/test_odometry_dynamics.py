@@ -114,8 +114,10 @@ def test_the_motion_of_a_lagging_robot_is_that_of_its_filtered_twists(time_const
 def test_the_twist_of_a_lagging_robot_approaches_the_command():
     twists = TwistHistory()
     for k in range(300):
-        twists.add(k * DT, 0.0 if k < 100 else 0.5, 0.0 if k < 100 else -1.0)
+        on = float(k >= 100)
+        twists.add(k * DT, 0.5 * on, -1.0 * on, vy=-0.3 * on)
     for after in (0.1, 0.2, 0.4):
-        (v, omega), _ = settled(twists.table, 1.0 + after, 0.2)
+        (v, vy, omega), _ = settled(twists.table, 1.0 + after, 0.2)
         assert v == pytest.approx(0.5 * -math.expm1(-after / 0.2), abs=0.025)
+        assert vy == pytest.approx(-0.6 * v)
         assert omega == pytest.approx(math.expm1(-after / 0.2), abs=0.05)

@@ -74,16 +74,17 @@ def test_the_chain_is_solved_as_the_dense_system(w):
         assert np.allclose(-lever[k] @ shared, inverse[rows, 3 * w :])
 
 
-def drive(odometry, seconds=4.0):
+def drive(odometry, seconds=4.0, sideways=0.0):
     rng = np.random.default_rng(3)
     for k in range(int(seconds * 20)):
-        odometry.add(k / 20, 0.3 + 0.1 * rng.normal(), 0.5 * math.sin(k / 13))
+        vy = sideways * math.cos(k / 17)
+        odometry.add(k / 20, 0.3 + 0.1 * rng.normal(), 0.5 * math.sin(k / 13), vy)
     odometry.restart(1.0)
 
 
-def integrated(calibration, until=3.0):
+def integrated(calibration, until=3.0, sideways=0.0):
     odometry = Wheels()
-    drive(odometry)
+    drive(odometry, sideways=sideways)
     return odometry.motion(until, calibration)
 
 
@@ -94,27 +95,35 @@ def test_a_pose_that_nothing_fixes_is_an_error():
         elimination.eliminate(e).solve()
 
 
-def test_motion_is_linear_in_its_calibration_as_it_says():
+@pytest.mark.parametrize("sideways", [0.0, 0.4])
+def test_motion_is_linear_in_its_calibration_as_it_says(sideways):
     at = np.array([0.02, 0.003, 0.01, 0.13, 0.15, 0.05, 0.0, 0.1, -0.1])
-    motion = integrated(at)
+    motion = integrated(at, sideways=sideways)
+
+    def change(step):
+        """Twice the change of the motion by a step of the calibration."""
+        after, before = (integrated(at + s * step, sideways=sideways) for s in (1.0, -1.0))
+        return after.delta - before.delta
+
     for i in range(len(CALIBRATION)):
         step = np.zeros(len(CALIBRATION))
         step[i] = 1e-6
-        numeric = (integrated(at + step).delta - integrated(at - step).delta) / 2e-6
+        numeric = change(step) / 2e-6
         if i == DELAY:  # of mean twists, so that their noise is no information
             step[i], error = MEAN_S / 2.0, 0.03
-            numeric = (integrated(at + step).delta - integrated(at - step).delta) / MEAN_S
+            numeric = change(step) / MEAN_S
         else:  # the time constant acts on averages, too
             error = 0.04 if i == TIME_CONSTANT else 2e-4
         assert motion.jacobian[:, i] == pytest.approx(numeric, abs=error), CALIBRATION[i]
 
 
-def test_motion_in_pieces_is_the_motion_at_once():
+@pytest.mark.parametrize("sideways", [0.0, 0.4])
+def test_motion_in_pieces_is_the_motion_at_once(sideways):
     pieces = Wheels()
-    drive(pieces)
+    drive(pieces, sideways=sideways)
     for t in (1.4, 1.41, 2.3, 3.0):
         motion = pieces.advance(t, NOTHING)
-    whole = integrated(NOTHING)
+    whole = integrated(NOTHING, sideways=sideways)
     assert np.allclose(motion.delta, whole.delta)
     assert np.allclose(motion.jacobian, whole.jacobian)
     assert np.allclose(motion.covariance, whole.covariance, rtol=2e-2, atol=1e-9)

@@ -12,7 +12,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings, Mount, Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Twist
+from homeward.geometry.frames import Pose, Twist, advance
 from homeward.localizer.inputs.sign_check import SignCheck
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import SIGN_LAGS_S
@@ -22,14 +22,24 @@ from homeward.track import run
 
 
 def watched(
-    law, marks, noise=0.0, gyro=0.0, yaw=0.0, sign=1.0, seconds=60.0, off=0.0, view=math.tau, gain=1
+    law,
+    marks,
+    noise=0.0,
+    gyro=0.0,
+    yaw=0.0,
+    sign=1.0,
+    seconds=60.0,
+    off=0.0,
+    view=math.tau,
+    gain=1,
+    vy=0.0,
 ):
     """Senses after a drive past landmarks, each seen five times a second."""
     rng, sign_check = np.random.default_rng(0), SignCheck(Mount(yaw=yaw))
     x, y, psi, twists = 0.0, 0.0, 0.3, TwistHistory()
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
-        twists.add(t, gain * twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1))
+        twists.add(t, gain * twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1), vy=vy)
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
@@ -37,8 +47,7 @@ def watched(
             seen = {str(i): sign * float(b) for i, b in enumerate(bearings) if abs(b) < view / 2}
             reckoned = [twists.reckoned(at) for at in (t - SIGN_LAGS_S).tolist()]
             sign_check.bearings(t, seen, np.array(reckoned).T)
-        x, y = x + 0.1 * twist.v * math.cos(psi), y + 0.1 * twist.v * math.sin(psi)
-        psi += 0.1 * twist.omega
+        x, y, psi = advance(Pose(x, y, psi), twist, 0.1, vy)
     return sign_check
 
 
@@ -71,6 +80,12 @@ def test_right_bearings_are_right_however_near_the_landmarks(law, marks, yaw):
 @pytest.mark.parametrize("law", [eight, backward, round_and_round, lambda _: Twist(0.0, 0.5)])
 def test_bearings_that_run_clockwise_are_not(law):
     assert watched(law, FAR, 0.02, 0.02, sign=-1.0).is_reversed
+
+
+@pytest.mark.parametrize("vy", [-0.3, 0.3])
+def test_a_robot_that_also_moves_sideways_has_the_yaw_that_it_has(vy):
+    for law in (eight, still, lambda _: Twist(0.0, 0.5)):
+        assert not watched(law, NEAR, 0.02, 0.02, seconds=30.0, vy=vy).is_doubtful
 
 
 @pytest.mark.parametrize("sign", [-1.0, 1.0])
@@ -141,7 +156,8 @@ def test_a_speed_of_the_wrong_sign_is_named_as_the_other_cause():
 def test_odometry_that_never_turns_decides_nothing():
     rng, sign_check = np.random.default_rng(3), SignCheck(Mount())
     for k in range(600):
-        reckoned = np.stack([np.zeros(SIGN_LAGS_S.size), k / 50 - 0.1 * SIGN_LAGS_S])
+        nothing = np.zeros(SIGN_LAGS_S.size)
+        reckoned = np.stack([nothing, k / 50 - 0.1 * SIGN_LAGS_S, nothing])
         sign_check.bearings(k / 5, {"a": float(rng.uniform(-3, 3)), "b": k / 20}, reckoned)
     assert not sign_check.is_wrong
 

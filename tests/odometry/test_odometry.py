@@ -70,6 +70,23 @@ def test_wheel_motion_counts_whatever_its_direction():
     assert twists.path(5.0) == pytest.approx(0.0)
 
 
+def test_sideways_motion_counts_as_motion_ahead_does():
+    twists, at = TwistHistory(), np.linspace(0.0, math.pi, 21).tolist()
+    for t in np.random.default_rng(0).permutation(at[:-1]).tolist():
+        twists.add(t, 0.0, -1.0, vy=2.0)  # the robot faces the centre of its circle
+    assert twists.pose(at[-1]) == pytest.approx((4.0, 0.0, -math.pi))
+    assert twists.reckoned(at[-1]) == pytest.approx((-math.pi, 0.0, 2.0 * math.pi))
+    assert twists.driven(at[-1]) == pytest.approx((math.pi, 2.0 * math.pi, math.pi))
+    assert twists.mean(2.0, 1.0) == pytest.approx((0.0, 2.0, -1.0))
+    for k in range(7):
+        twists.add(4.0 + 0.1 * k, 0.0, 0.0, vy=0.06)
+    assert twists.at(4.6).moves
+    path = twists.driven(4.7).path
+    twists.add(4.7, 0.5, 0.0, vy=math.nan)
+    assert twists.driven(9.0).path == path
+    assert twists.unknown_time(5.7) == pytest.approx(1.0)
+
+
 def test_a_reported_pose_replaces_the_dead_reckoned_one_and_later_twists_go_on_from_it():
     twists = TwistHistory()
     twists.add(0.0, 1.0, 0.0, Pose(5.0, 1.0, math.pi))

@@ -57,10 +57,11 @@ def between(a: Pose, b: Pose) -> Pose:
     return compose(inverse(a), b)
 
 
-def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
-    """Return the pose of a unicycle after `dt` [s] of a constant twist, exactly, on an arc.
+def advance(pose: Pose, twist: Twist, dt: Any, vy: Any = 0.0) -> Pose:
+    """Return the pose after `dt` [s] of a constant twist, exactly, on an arc.
 
-    Arguments are floats, or arrays of one shape. The heading [rad] is not wrapped.
+    Arguments are floats, or arrays of one shape. The heading [rad] is not wrapped. A holonomic
+    robot also moves to its left, at `vy` [m/s].
     """
     half: Any = 0.5 * twist.omega * dt
     trig: Any = np
@@ -71,11 +72,10 @@ def advance(pose: Pose, twist: Twist, dt: Any) -> Pose:
         trig = math
         # sin(x)/x loses nothing for small x; below this it is 1 to the last bit.
         shrink = math.sin(half) / half if abs(half) > 1e-8 else 1.0
-    chord = twist.v * dt * shrink
+    chord, left = twist.v * dt * shrink, vy * dt * shrink
+    c, s = trig.cos(pose.heading + half), trig.sin(pose.heading + half)
     return Pose(
-        pose.x + chord * trig.cos(pose.heading + half),
-        pose.y + chord * trig.sin(pose.heading + half),
-        pose.heading + 2.0 * half,
+        pose.x + chord * c - left * s, pose.y + chord * s + left * c, pose.heading + 2.0 * half
     )
 
 

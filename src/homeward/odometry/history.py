@@ -51,13 +51,15 @@ class OdometrySample(NamedTuple):
     """A twist, valid from its stamp to the next, and dead reckoning at its stamp.
 
     A twist of unknown motion has the speeds zero, and `until` not after `t`. A row of the table of
-    twists has the same numbers; the compiled core reads the first seven.
+    twists has the same numbers; the compiled core reads the first nine.
     """
 
     t: float
     """[s]"""
     v: float
     """[m/s]"""
+    vy: float
+    """Speed to the left [m/s]."""
     omega: float
     """[rad/s]"""
     until: float
@@ -66,9 +68,11 @@ class OdometrySample(NamedTuple):
     heading: float
     """Dead-reckoned heading, not wrapped [rad]."""
     path: float
-    """Signed path length, backward negative [m]."""
+    """Signed path length of `v`, backward negative [m]."""
+    side: float
+    """Signed path length of `vy`, to the right negative [m]."""
     steady: float
-    """Mean speed just before, without sample noise [m/s]."""
+    """Mean of `v` just before, without sample noise [m/s]."""
     x: float
     """Dead-reckoned position [m]."""
     y: float
@@ -90,19 +94,20 @@ class OdometrySample(NamedTuple):
     def pose(self, t: float) -> Pose:
         """Return the dead-reckoned pose at `t` [s]."""
         start, dt = Pose(self.x, self.y, self.heading), max(min(t, self.until) - self.t, 0.0)
-        return advance(start, Twist(self.v, self.omega), dt) if dt else start
+        return advance(start, Twist(self.v, self.omega), dt, self.vy) if dt else start
 
-    def reckoned(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and signed path length [m] at `t` [s]."""
+    def reckoned(self, t: float) -> tuple[float, float, float]:
+        """Return heading [rad], and signed path lengths ahead and to the left [m], at `t` [s]."""
         dt = max(min(t, self.until) - self.t, 0.0)
-        return self.heading + self.omega * dt, self.path + self.v * dt
+        return self.heading + self.omega * dt, self.path + self.v * dt, self.side + self.vy * dt
 
     def driven_until(self, t: float) -> Driven:
         """Return the wheel motion up to `t` [s]."""
-        if not (self.v or self.omega):
+        if not (self.v or self.vy or self.omega):
             return self.driven
         dt, (moving, path, turned) = max(min(t, self.until) - self.t, 0.0), self.driven
-        return Driven(moving + dt, path + abs(self.v) * dt, turned + abs(self.omega) * dt)
+        way = math.hypot(self.v, self.vy) * dt
+        return Driven(moving + dt, path + way, turned + abs(self.omega) * dt)
 
 
 ORIGIN = Pose(0.0, 0.0, 0.0)
@@ -125,7 +130,7 @@ class TwistHistory:
 
     @property
     def table(self) -> np.ndarray:
-        """(n, 13): the twists in order of time, a row as `OdometrySample`."""
+        """(n, 15): the twists in order of time, a row as `OdometrySample`."""
         return self._table[self._begin : self._end]
 
     def _sample(self, row: int) -> OdometrySample:
@@ -139,28 +144,32 @@ class TwistHistory:
         stamps = self._table[self._begin : self._end, 0]
         return self._begin + int(stamps.searchsorted(t, side))
 
-    def add(self, t: float, v: float, omega: float, pose: Pose | None = None) -> None:
+    def add(
+        self, t: float, v: float, omega: float, pose: Pose | None = None, vy: float = 0.0
+    ) -> None:
         """Insert a twist, which may be late; one with the stamp of another replaces it.
 
-        NaN for `v` or `omega`: the motion is unknown until the next twist. A `pose` that the robot
-        reports at the stamp replaces the dead-reckoned one.
+        `vy` is the speed of a holonomic robot to its left [m/s]. NaN for a speed: the motion is
+        unknown until the next twist. A `pose` that the robot reports at the stamp replaces the
+        dead-reckoned one.
         """
         validity, self.newest = self._validity.add(t), max(self.newest, t)
-        if math.isnan(v) or math.isnan(omega):
-            v = omega = validity = 0.0
+        if math.isnan(v + vy + omega):
+            v = vy = omega = validity = 0.0
         kept = self._count_before(t, "left")
         later = [self._sample(row) for row in range(kept, self._end)]
         self._end = kept
         same = later.pop(0) if later and later[0].t == t else None
-        self._append(t, v, omega, validity, pose, same)
+        self._append(t, v, vy, omega, validity, pose, same)
         for old in later:
             given = old.pose(old.t) if old.is_pose_given else None
-            self._append(*old[:3], old.until - old.t, given)
+            self._append(*old[:4], old.until - old.t, given)
 
     def _append(
         self,
         t: float,
         v: float,
+        vy: float,
         omega: float,
         validity: float,
         pose: Pose | None,
@@ -172,9 +181,9 @@ class TwistHistory:
         """
         last = self._sample(self._end - 1) if self else same
         x, y, heading = ORIGIN
-        known, path, driven = -math.inf, 0.0, Driven()
+        known, path, side, driven = -math.inf, 0.0, 0.0, Driven()
         if last is not None:
-            (x, y, _), (heading, path) = last.pose(t), last.reckoned(t)
+            (x, y, _), (heading, path, side) = last.pose(t), last.reckoned(t)
             known, driven = last.until, last.driven_until(t)
         until = t + validity if validity > 0.0 else min(known, t)
         if pose is not None:
@@ -182,8 +191,8 @@ class TwistHistory:
         steady = (path - self.path(t - STEADY_S)) / STEADY_S if self else 0.0
         if self._end == len(self._table):
             self._make_room()
-        reckoned = heading, path, steady, x, y, *driven
-        self._table[self._end] = t, v, omega, until, *reckoned, pose is not None
+        reckoned = heading, path, side, steady, x, y, *driven
+        self._table[self._end] = t, v, vy, omega, until, *reckoned, pose is not None
         self._end += 1
 
     def _make_room(self) -> None:
@@ -212,7 +221,7 @@ class TwistHistory:
         return self.reckoned(t)[0]
 
     def path(self, t: float) -> float:
-        """Return the signed path length up to `t` [s] [m]."""
+        """Return the signed path length ahead up to `t` [s] [m]."""
         return self.reckoned(t)[1]
 
     def at(self, t: float) -> Reckoned:
@@ -239,31 +248,33 @@ class TwistHistory:
         """
         if t - self.newest > 0.5 * STEADY_S:
             return False
-        (heading, path), (before, start) = self.reckoned(t), self.reckoned(t - STEADY_S)
-        fast = abs(path - start) / STEADY_S > MOVING_SPEED
-        return fast or abs(heading - before) > MOVING_TURN_RATE * STEADY_S
+        now, before = self.reckoned(t), self.reckoned(t - STEADY_S)
+        turn, path, side = (a - b for a, b in zip(now, before, strict=True))
+        fast = math.hypot(path, side) / STEADY_S > MOVING_SPEED
+        return fast or abs(turn) > MOVING_TURN_RATE * STEADY_S
 
-    def mean(self, t: float, over: float) -> tuple[float, float]:
-        """Return the mean speed [m/s] and yaw rate [rad/s] in the last `over` [s] before `t` [s].
+    def mean(self, t: float, over: float) -> tuple[float, float, float]:
+        """Return the mean of v, vy [m/s] and omega [rad/s] in the last `over` [s] before `t` [s].
 
         Only time after the first twist counts. Before that, the first twist is the mean.
         """
         if not self:
-            return 0.0, 0.0
+            return 0.0, 0.0, 0.0
         first = self._sample(self._begin)
         since = max(t - over, first.t)
         if t <= since:
-            return first.v, first.omega
-        (heading, path), (before, start) = self.reckoned(t), self.reckoned(since)
-        return (path - start) / (t - since), (heading - before) / (t - since)
+            return first.v, first.vy, first.omega
+        now, before = self.reckoned(t), self.reckoned(since)
+        omega, v, vy = ((a - b) / (t - since) for a, b in zip(now, before, strict=True))
+        return v, vy, omega
 
-    def reckoned(self, t: float) -> tuple[float, float]:
-        """Return heading [rad] and signed path length [m] at `t` [s]."""
+    def reckoned(self, t: float) -> tuple[float, float, float]:
+        """Return heading [rad], and signed path lengths ahead and to the left [m], at `t` [s]."""
         twist = self._at(t)
-        return (0.0, 0.0) if twist is None else twist.reckoned(t)
+        return (0.0, 0.0, 0.0) if twist is None else twist.reckoned(t)
 
     def reckoned_at(self, times: list[float]) -> np.ndarray | None:
-        """Return `reckoned` at k times [s], newest first, (2, k); None before the first twist."""
+        """Return `reckoned` at k times [s], newest first, (3, k); None before the first twist."""
         if self.before(times[0]) is None:
             return None
         return np.array([self.reckoned(t) for t in times]).T

@@ -170,12 +170,13 @@ class SignCheck:
     def bearings(self, t: float, sightings: Mapping[str, float], reckoned: np.ndarray) -> None:
         """Add sightings of stamp `t` [s]: bearings from the camera's axis [rad] by landmark.
 
-        `reckoned` (2, l) is the heading [rad] and the signed path [m] from odometry alone, at `t`
-        minus each of `SIGN_LAGS_S`.
+        `reckoned` (3, l) is the heading [rad] and the signed paths ahead and to the left [m] from
+        odometry alone, at `t` minus each of `SIGN_LAGS_S`.
         """
-        turn, way = np.zeros_like(reckoned) if self._before is None else reckoned - self._before
-        self._before, heading = reckoned, reckoned[0]
-        self._place = self._place + way * np.exp(1j * (heading - turn / 2.0))
+        before, self._before = self._before, reckoned
+        turn, ahead, left = np.zeros_like(reckoned) if before is None else reckoned - before
+        heading = reckoned[0]
+        self._place = self._place + (ahead + 1j * left) * np.exp(1j * (heading - turn / 2.0))
         self._turned += abs(float(turn[0]))
         self._has_turned |= bool(turn[0] != 0.0)
         if not self._rows:

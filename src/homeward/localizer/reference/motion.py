@@ -4,9 +4,9 @@ The twists between two times become one motion, with its covariance and its Jaco
 calibration, so that a new calibration needs no new integration.
 
 The true turn rate is ``(1 + turn_scale) omega + turn_bias`` while the robot moves; the true speed
-is reduced in bends by the slip ``turn_slip (|omega| - r |v|)``; twists act ``delay`` seconds after
-their stamps; all speeds are ``1 + speed_scale`` times as large. A robot whose twist is exactly zero
-is stationary, and gathers neither drift nor noise.
+ahead is reduced in bends by the slip ``turn_slip (|omega| - r |v|)``; twists act ``delay`` seconds
+after their stamps; all speeds, that to the left too, are ``1 + speed_scale`` times as large. A
+robot whose twist is exactly zero is stationary, and gathers neither drift nor noise.
 
 Where odometry is the commanded twist u, the robot follows as a first-order lag with the time
 constant T: its twist is s, with ``T ds/dt = u - s``. Its pose is then the commanded one less the
@@ -48,7 +48,7 @@ from homeward.localizer.tunables import (
 from homeward.odometry.history import STEADY_S, OdometrySample
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
-T, V, OMEGA, UNTIL, HEADING, PATH = range(6)
+T, V, VY, OMEGA, UNTIL, HEADING, PATH, SIDE = range(8)
 """Columns of the table of twists; see `OdometrySample`."""
 LAG_TIMES = -np.log1p(-np.arange(11) / 10.5)
 """Times before the present, in time constants, between which a first-order lag weighs the command
@@ -62,10 +62,10 @@ time constant."""
 class SettledTwist(NamedTuple):
     """The twist of a robot that follows its odometry as a first-order lag with time constant T."""
 
-    twist: tuple[float, float]
-    """Speed [m/s] and yaw rate [rad/s]."""
-    slope: tuple[float, float]
-    """Derivative by T of T times `twist` [m/s], [rad/s]."""
+    twist: tuple[float, float, float]
+    """Speeds ahead and to the left [m/s], and yaw rate [rad/s]."""
+    slope: tuple[float, float, float]
+    """Derivative by T of T times `twist` [m/s], [m/s], [rad/s]."""
 
 
 class Piece(NamedTuple):
@@ -79,10 +79,12 @@ class Piece(NamedTuple):
     """[s]"""
     v: float
     """[m/s]"""
+    vy: float
+    """[m/s]"""
     omega: float
     """[rad/s]"""
     steady: float
-    """Smoothed speed: slip computed from noisy samples would be correlated with their noise [m/s].
+    """Smoothed `v`: slip computed from noisy samples would be correlated with their noise [m/s].
     """
 
 
@@ -97,19 +99,20 @@ def preintegrate(
 ) -> tuple[Motion, np.ndarray, float]:
     """Preintegrate the twists between two times.
 
-    Return the motion, the length driven by class of turn per metre, (NUM_BENDS,) [m], and the time
-    in motion [s].
+    Return the motion, the length driven ahead by class of turn per metre, (NUM_BENDS,) [m], and the
+    time in motion [s].
 
     Parameters
     ----------
-    table : ndarray, shape (n, 13)
+    table : ndarray, shape (n, 15)
         Twists in order of time, a row as `OdometrySample`.
     begin, end : float
         The times, of which the delay is not subtracted yet [s].
     calibration : ndarray, shape (9,)
         Linearisation point.
     rates : ndarray, shape (3, 3)
-        Growth of the variances (`homeward.drives.settings.noise_rates`).
+        Growth of the variances (`homeward.drives.settings.noise_rates`), along and across the
+        direction of motion.
     usual : tuple of float
         Usual speed [m/s] and turn rate [rad/s], for dropouts.
     straightest : float
@@ -129,24 +132,27 @@ def preintegrate(
     motion = first.compose(motion).compose(last)
     (scale, bias), size = calibration[[TURN_SCALE, TURN_BIAS]].tolist(), _size(calibration)
     motion.jacobian[:2, SPEED_SCALE] = motion.delta[:2] / size
-    twists = [(size * v, (1.0 + scale) * w + bias if v or w else 0.0) for (v, w), _ in ends]
-    motion.jacobian[:, DELAY] = _shift(motion.delta, *twists[0], *twists[1])
-    return motion, by_bend, sum(piece.dt for piece in pieces if piece.v or piece.omega)
+    twists = [
+        (size * v, size * vy, (1.0 + scale) * omega + bias if v or vy or omega else 0.0)
+        for (v, vy, omega), _ in ends
+    ]
+    motion.jacobian[:, DELAY] = _shift(motion.delta, *twists)
+    return motion, by_bend, sum(p.dt for p in pieces if p.v or p.vy or p.omega)
 
 
 def settled(table: np.ndarray, t: float, time_constant: float) -> SettledTwist:
     """Return the robot's twist at `t` [s]; the time constant [s] is `MEAN_S` / 2 at least."""
     if not len(table):
-        return SettledTwist((0.0, 0.0), (0.0, 0.0))
+        return SettledTwist((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
     lag = max(time_constant, 0.5 * MEAN_S)
     times = t - lag * LAG_TIMES
     rows = table[np.maximum(table[:, T].searchsorted(times, "right") - 1, 0)]
     dt = times - rows[:, T]  # the first twist counts before its stamp, too
     dt = np.where(dt > 0.0, np.maximum(np.minimum(dt, rows[:, UNTIL] - rows[:, T]), 0.0), dt)
-    reckoned = rows[:, [PATH, HEADING]] + rows[:, [V, OMEGA]] * dt[:, None]
+    reckoned = rows[:, [PATH, SIDE, HEADING]] + rows[:, [V, VY, OMEGA]] * dt[:, None]
     rates = (reckoned[:-1] - reckoned[1:]) / (lag * np.diff(LAG_TIMES))[:, None]
-    (v, omega), (by_v, by_omega) = (WEIGHTS @ rates).tolist()
-    return SettledTwist((v, omega), (by_v, by_omega))
+    (v, vy, omega), (by_v, by_vy, by_omega) = (WEIGHTS @ rates).tolist()
+    return SettledTwist((v, vy, omega), (by_v, by_vy, by_omega))
 
 
 def variance_growth(silent: float, time: float, usual: tuple[float, float]) -> tuple[float, float]:
@@ -175,7 +181,7 @@ def _pieces(table: np.ndarray, begin: float, end: float, usual: tuple[float, flo
         return variance_growth(max(since - silent, 0.0), until - since, usual)
 
     if not held:  # before the first twist, or none at all
-        return [Piece(*dropout(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0)]
+        return [Piece(*dropout(-math.inf, begin, end), 0.0, 0.0, 0.0, 0.0, 0.0)]
     pieces: list[Piece] = []
     until = [twist.t for twist in held[1:]] + [end]
     steady = [twist.steady for twist in held[1:]] + [steady_speed(table, end)]
@@ -186,9 +192,9 @@ def _pieces(table: np.ndarray, begin: float, end: float, usual: tuple[float, flo
         if start + known < then:
             shift, swing = dropout(silent, start + known, then)
         if (bridged := start + known - max(start, twist.t + TWIST_VALIDITY_S)) > 0.0:
-            shift += (BRIDGED * twist.v * bridged) ** 2
+            shift += (BRIDGED * math.hypot(twist.v, twist.vy) * bridged) ** 2
             swing += (BRIDGED * twist.omega * bridged) ** 2
-        pieces.append(Piece(shift, swing, known, twist.v, twist.omega, speed))
+        pieces.append(Piece(shift, swing, known, twist.v, twist.vy, twist.omega, speed))
     if held[0].t > begin:
         shift, swing = dropout(-math.inf, begin, held[0].t)
         begun = pieces[0]
@@ -197,7 +203,7 @@ def _pieces(table: np.ndarray, begin: float, end: float, usual: tuple[float, flo
 
 
 def steady_speed(table: np.ndarray, t: float) -> float:
-    """Return the mean speed just before `t` [s], without the noise of single samples [m/s].
+    """Return the mean speed ahead just before `t` [s], without the noise of single samples [m/s].
 
     There is a twist at least.
     """
@@ -217,24 +223,25 @@ def _size(calibration: np.ndarray) -> float:
 def _commanded(
     pieces: Sequence[Piece], calibration: np.ndarray, rates: np.ndarray, straightest: float
 ) -> tuple[Motion, np.ndarray]:
-    """Integrate pieces without a lag; return the motion, and the length driven by bend [m]."""
+    """Integrate pieces without a lag; return the motion, and the length ahead by bend [m]."""
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
     size = _size(calibration)
     x = y = psi = path = turned = 0.0
     by_bend, chords = [0.0] * NUM_BENDS, []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
-        _, _, dt, v, omega, steady = piece
-        way, spin = abs(v) * dt, abs(omega)
-        rate = (1.0 + scale) * omega + bias if v or omega else 0.0
+        _, _, dt, v, vy, omega, steady = piece
+        spin, rate = abs(omega), (1.0 + scale) * omega + bias if v or vy or omega else 0.0
         ahead = steady if abs(steady) > MIN_STEADY_SPEED else v
         slips = math.copysign(spin, ahead) - steady * straightest if v else 0.0
         speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
-        chord = speed * dt * (math.sin(half) / half if half else 1.0)
-        chords.append((piece, x + 0.5 * chord * c, y + 0.5 * chord * s, c, s, size * slips))
-        x, y, psi = x + chord * c, y + chord * s, psi + 2.0 * half
-        path, turned = path + way, turned + 2.0 * abs(half)
-        by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), NUM_BENDS - 1)] += way
+        shrink = math.sin(half) / half if half else 1.0
+        chord, left = speed * dt * shrink, size * vy * dt * shrink
+        dx, dy = chord * c - left * s, chord * s + left * c
+        chords.append((piece, x + 0.5 * dx, y + 0.5 * dy, c, s, size * slips))
+        x, y, psi = x + dx, y + dy, psi + 2.0 * half
+        path, turned = path + math.hypot(v, vy) * dt, turned + 2.0 * abs(half)
+        by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), NUM_BENDS - 1)] += abs(v) * dt
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     motion = Motion(delta, covariance, jacobian, path, turned, calibration, True)
@@ -242,8 +249,8 @@ def _commanded(
 
 
 def _outstanding(
-    twist: tuple[float, float],
-    slope: tuple[float, float],
+    twist: tuple[float, float, float],
+    slope: tuple[float, float, float],
     calibration: np.ndarray,
     sign: float,
 ) -> Motion:
@@ -252,20 +259,26 @@ def _outstanding(
     A first-order lag is behind its command by its time constant times its own twist.
     """
     scale, bias, lag = calibration[[TURN_SCALE, TURN_BIAS, TIME_CONSTANT]].tolist()
-    size, (v, omega) = _size(calibration), twist
-    rate = (1.0 + scale) * omega + bias if v or omega else 0.0
-    half = 0.5 * rate * sign * lag
-    chord = size * v * sign * lag * (math.sin(half) / half if half else 1.0)
-    x, y, heading = chord * math.cos(half), chord * math.sin(half), 2.0 * half
-    by_calibration = np.zeros((3, NC))
-    c, s = math.cos(heading), math.sin(heading)
-    for column, turn in ((TURN_SCALE, sign * lag * omega), (TURN_BIAS, sign * lag)):
-        by_calibration[:, column] = -x * heading / 3.0 * turn, 0.5 * x * turn, turn
-    ahead, turn = size * slope[0], (1.0 + scale) * slope[1] + bias if v or omega else 0.0
-    by_calibration[:, TIME_CONSTANT] = sign * c * ahead, sign * s * ahead, sign * turn
-    return Motion(
-        np.array([x, y, heading]), np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True
+    size, (v, vy, omega), (by_v, by_vy, by_omega) = _size(calibration), twist, slope
+    rate, by_rate = (
+        (1.0 + scale) * turn + bias if v or vy or omega else 0.0 for turn in (omega, by_omega)
     )
+    half, heading = 0.5 * rate * sign * lag, rate * sign * lag
+    shrink = math.sin(half) / half if half else 1.0
+    chord, left = size * v * sign * lag * shrink, size * vy * sign * lag * shrink
+    c, s = math.cos(half), math.sin(half)
+    delta = np.array([chord * c - left * s, chord * s + left * c, heading])
+    by_calibration = np.zeros((3, NC))
+    ahead, side = chord * c, left * c
+    by_turn = np.array(
+        [-ahead * heading / 3.0 - 0.5 * side, 0.5 * ahead - side * heading / 3.0, 1.0]
+    )
+    by_calibration[:, TURN_SCALE] = by_turn * (sign * lag * omega)
+    by_calibration[:, TURN_BIAS] = by_turn * (sign * lag)
+    c, s, ahead, side = math.cos(heading), math.sin(heading), size * by_v, size * by_vy
+    by_calibration[:, TIME_CONSTANT] = c * ahead - s * side, s * ahead + c * side, by_rate
+    by_calibration[:, TIME_CONSTANT] *= sign
+    return Motion(delta, np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
 
 
 def _add_errors(
@@ -276,18 +289,21 @@ def _add_errors(
 ) -> np.ndarray:
     """Return the covariance of a motion, and fill in its Jacobian by scale, bias and slip.
 
-    Each chord is an interval, its midpoint x, y, the cosine and sine of its direction, and its
+    Each chord is an interval, its midpoint x, y, the cosine and sine of the heading there, and its
     slip. A turn in it rotates everything from its midpoint to the motion's `end`.
     """
     xx = xy = xt = yy = yt = tt = 0.0
     scale_x = scale_y = scale_t = bias_x = bias_y = bias_t = slip_x = slip_y = 0.0
     end_x, end_y, _ = end.tolist()
     (a, a_speed, a_turn), (b, b_speed, b_turn), (h, h_speed, h_turn) = rates
-    for (shift, swing, dt, v, omega, _), x, y, c, s, slips in chords:
-        steady, speed, spin = dt if v or omega else 0.0, abs(v), abs(omega)
+    for (shift, swing, dt, v, vy, omega, _), x, y, c, s, slips in chords:
+        steady, speed, spin = dt if v or vy or omega else 0.0, math.hypot(v, vy), abs(omega)
         along = steady * (a + a_speed * speed + a_turn * spin) + shift
         across = steady * (b + b_speed * speed + b_turn * spin) + shift
         heading = steady * (h + h_speed * speed + h_turn * spin) + swing
+        slip_x, slip_y = slip_x - c * slips * dt, slip_y - s * slips * dt
+        if vy:  # from the heading to the direction of the motion
+            c, s = (c * v - s * vy) / speed, (s * v + c * vy) / speed
         dx, dy = y - end_y, end_x - x
         xx += dx * dx * heading + c * c * along + s * s * across
         xy += dx * dy * heading + c * s * (along - across)
@@ -296,14 +312,18 @@ def _add_errors(
         scale_x, bias_x = scale_x + dx * omega * dt, bias_x + dx * steady
         scale_y, bias_y = scale_y + dy * omega * dt, bias_y + dy * steady
         scale_t, bias_t = scale_t + omega * dt, bias_t + steady
-        slip_x, slip_y = slip_x - c * slips * dt, slip_y - s * slips * dt
     jacobian[:, TURN_SCALE] = scale_x, scale_y, scale_t
     jacobian[:, TURN_BIAS] = bias_x, bias_y, bias_t
     jacobian[:2, TURN_SLIP] = slip_x, slip_y
     return np.array([[xx, xy, xt], [xy, yy, yt], [xt, yt, tt]])
 
 
-def _shift(delta: np.ndarray, v0: float, rate0: float, v1: float, rate1: float) -> np.ndarray:
+def _shift(
+    delta: np.ndarray, first: tuple[float, float, float], last: tuple[float, float, float]
+) -> np.ndarray:
     """Return the derivative of a motion by a delay of all its twists, shape (3,)."""
-    c, s = math.cos(delta[2]), math.sin(delta[2])
-    return np.array([v0 - rate0 * delta[1] - c * v1, rate0 * delta[0] - s * v1, rate0 - rate1])
+    (x, y, heading), (v0, vy0, rate0), (v1, vy1, rate1) = delta.tolist(), first, last
+    c, s = math.cos(heading), math.sin(heading)
+    return np.array(
+        [v0 - rate0 * y - (c * v1 - s * vy1), vy0 + rate0 * x - (s * v1 + c * vy1), rate0 - rate1]
+    )
