@@ -208,9 +208,6 @@ MECHANISMS = {
         "change of scene", "recovery.monitor:SceneChangeDetector.has_changed", False
     ),
     "common-motion": off("common motion of landmarks", "chart:carried_since"),
-    "updates-between-solutions": off(
-        "EKF updates between solutions", "map.map:Map._update_if_linear", False
-    ),
 }
 
 

@@ -13,6 +13,7 @@ namespace homeward {
 using In = Array<const double>;
 using Out = Array<double>;
 using Numbers = Array<const int64_t>;
+using Flags = Array<const bool>;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
@@ -23,7 +24,7 @@ using Matrix3 = Fixed<3, 3>;
 
 constexpr int NC = 9;         // unknowns of the calibration, in the order of localizer/motions.py
 constexpr int HEAD = 3 + NC;  // the newest pose, and the calibration
-enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE };
+enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y };
 using Jacobian = Fixed<3, NC>;
 
 // A pose b in the frame of a, in the parent frame of a, and its Jacobians by both: geometry/se2.py.

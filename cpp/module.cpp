@@ -3,6 +3,7 @@
 
 // One function for each file of functions; CMakeLists.txt lists the files.
 void bind_align(nanobind::module_ &m);
+void bind_factors(nanobind::module_ &m);
 void bind_motion(nanobind::module_ &m);
 void bind_refine(nanobind::module_ &m);
 void bind_window(nanobind::module_ &m);
@@ -14,6 +15,7 @@ constexpr int INTERFACE = 2;
 NB_MODULE(_core, m) {
   m.attr("INTERFACE") = INTERFACE;
   bind_align(m);
+  bind_factors(m);
   bind_motion(m);
   bind_refine(m);
   bind_window(m);

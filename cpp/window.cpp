@@ -1,160 +1,21 @@
-// Normal equations of the window, and their solution: the text to read is reference/window.py.
-#include "algebra.h"
-
+// The window, solved by Gauss-Newton: the text to read is reference/window.py.
 #include <algorithm>
+#include <limits>
 #include <vector>
+
+#include "equations.h"
 
 namespace homeward {
 namespace {
 
-constexpr int STEP = 13 + 3 * NC, INFORMATION = 3, BY_CALIBRATION = 12;
-constexpr double MIN_SQUARED_DISTANCE = 1e-6, TURN = 6.283185307179586;
-
-double wrap(double x) { return x - TURN * std::ceil((x - 0.5 * TURN) / TURN); }
-
-// Normal equations as NumPy holds them; everything is added in place.
-struct Equations {
-  Equations(Out own, Out next, Out shared, Out common, Out slope, Out common_slope)
-      : w(own.size() / 9), a(common.shape(0)), own(own.data()), next(next.data()), shared(shared.data()),
-        common(common.data()), slope(slope.data()), common_slope(common_slope.data()) {
-    require_shape("own", own, {w, 3, 3});
-    if (w < 1) throw nb::value_error("own is empty");
-    require_shape("next", next, {w - 1, 3, 3}), require_shape("shared", shared, {w, 3, a});
-    require_shape("common", common, {a, a}), require_shape("slope", slope, {w, 3}), require_shape("common_slope", common_slope, {a});
-  }
-  Eigen::Map<Matrix3> own_of(size_t k) const { return Eigen::Map<Matrix3>(own + 9 * k); }
-  Eigen::Map<Matrix3> next_of(size_t k) const { return Eigen::Map<Matrix3>(next + 9 * k); }
-  Eigen::Map<Matrix> shared_of(size_t k) const { return Eigen::Map<Matrix>(shared + 3 * a * k, 3, a); }
-  Eigen::Map<Vector3> slope_of(size_t k) const { return Eigen::Map<Vector3>(slope + 3 * k); }
-  Eigen::Map<Matrix> common_all() const { return Eigen::Map<Matrix>(common, a, a); }
-  Eigen::Map<Vector> common_slope_all() const { return Eigen::Map<Vector>(common_slope, a); }
-  size_t w, a;
-  double *own, *next, *shared, *common, *slope, *common_slope;
+struct Step {
+  Matrix poses;  // (w, 3)
+  Vector shared;
+  Eigen::MatrixXd covariance;  // of the newest pose and the shared unknowns
 };
 
-// Motions between keyframes: odometry_errors and add_odometry.
-void add_odometry(In poses, In calibration, In steps, Out own, Out next, Out shared, Out common, Out slope,
-                  Out common_slope) {
-  const Equations e(own, next, shared, common, slope, common_slope);
-  require_shape("poses", poses, {e.w, 3}), require_shape("calibration", calibration, {NC});
-  require_shape("steps", steps, {e.w - 1, STEP});
-  const Eigen::Map<const Fixed<NC, 1>> cal(calibration.data());
-  const double size = 1.0 + cal[SPEED_SCALE];
-  const Vector3 scale(1.0 / size, 1.0 / size, 1.0);
-  for (size_t k = 0; k + 1 < e.w; k++) {
-    const double *row = steps.data() + STEP * k, *p = poses.data() + 3 * k;
-    const Eigen::Map<const Vector3> free(row);
-    const Eigen::Map<const Matrix3> information(row + INFORMATION);
-    const Eigen::Map<const Jacobian> by_calibration(row + BY_CALIBRATION);
-    const double c = std::cos(p[2]), s = std::sin(p[2]), x = p[3] - p[0], y = p[4] - p[1];
-    Matrix3 back = Matrix3::Identity(), lever = Matrix3::Identity();
-    back(0, 0) = back(1, 1) = c, back(0, 1) = s, back(1, 0) = -s;
-    lever(0, 2) = -y, lever(1, 2) = x;
-    const Vector3 between(c * x + s * y, c * y - s * x, p[5] - p[2]);
-    const Vector3 error = (free + by_calibration * cal - between).cwiseProduct(scale);
-    Fixed<3, 6 + NC> jacobian;
-    jacobian.leftCols<3>() = -back * lever;
-    jacobian.middleCols<3>(3) = back;
-    jacobian.rightCols<NC>() = -by_calibration;
-    jacobian.block<2, 1>(0, 6 + SPEED_SCALE) += error.head<2>();
-    jacobian = scale.asDiagonal() * jacobian;
-    const double weight = 4.0 / std::max(1.0 + error.dot(information * error), 4.0);
-    const Fixed<3, 6 + NC> weighted = weight * information * jacobian;
-    const Vector3 pulled = weight * information * error;
-    const Fixed<6 + NC, 6 + NC> blocks = jacobian.transpose() * weighted;
-    const Fixed<6 + NC, 1> pull = jacobian.transpose() * pulled;
-    e.own_of(k) += blocks.topLeftCorner<3, 3>();
-    e.own_of(k + 1) += blocks.block<3, 3>(3, 3);
-    e.next_of(k) += blocks.block<3, 3>(0, 3);
-    e.shared_of(k).leftCols<NC>() += blocks.block<3, NC>(0, 6);
-    e.shared_of(k + 1).leftCols<NC>() += blocks.block<3, NC>(3, 6);
-    e.slope_of(k) += pull.head<3>(), e.slope_of(k + 1) += pull.segment<3>(3);
-    e.common_all().topLeftCorner<NC, NC>() += blocks.bottomRightCorner<NC, NC>();
-    e.common_slope_all().head<NC>() += pull.tail<NC>();
-  }
-}
-
-// Factors of one sighting each: of a pose, the calibration and a landmark.
-void add_one(const Equations &e, const double *j, double residual, size_t pose, size_t landmark) {
-  const Eigen::Map<const Fixed<3, 1>> by_pose(j);
-  const Eigen::Map<const Fixed<NC, 1>> by_calibration(j + 3);
-  const Eigen::Map<const Fixed<2, 1>> by_landmark(j + HEAD);
-  const size_t at = NC + 2 * landmark;
-  e.own_of(pose) += by_pose * by_pose.transpose();
-  auto shared = e.shared_of(pose);
-  shared.leftCols<NC>() += by_pose * by_calibration.transpose();
-  shared.middleCols<2>(at) += by_pose * by_landmark.transpose();
-  e.slope_of(pose) += residual * by_pose;
-  auto common = e.common_all();
-  common.topLeftCorner<NC, NC>() += by_calibration * by_calibration.transpose();
-  common.block<2, 2>(at, at) += by_landmark * by_landmark.transpose();
-  const Fixed<2, NC> cross = by_landmark * by_calibration.transpose();
-  common.block<2, NC>(at, 0) += cross;
-  common.block<NC, 2>(0, at) += cross.transpose();
-  e.common_slope_all().head<NC>() += residual * by_calibration;
-  e.common_slope_all().segment<2>(at) += residual * by_landmark;
-}
-
-// Sightings that are linearised and weighted already: reference.window.add_sightings().
-void add_sightings(In residual, In jacobian, Numbers poses_of, Numbers landmarks_of, Out own, Out next, Out shared,
-                   Out common, Out slope, Out common_slope) {
-  const Equations e(own, next, shared, common, slope, common_slope);
-  const size_t m = residual.size(), n = (e.a - NC) / 2;
-  require_shape("residual", residual, {m}), require_shape("jacobian", jacobian, {m, HEAD + 2});
-  require_shape("pose", poses_of, {m}), require_shape("landmark", landmarks_of, {m});
-  for (size_t i = 0; i < m; i++) {
-    const size_t pose = size_t(poses_of.data()[i]), mark = size_t(landmarks_of.data()[i]);
-    if (pose >= e.w || mark >= n) throw nb::index_error("a sighting of another window");
-    add_one(e, jacobian.data() + (HEAD + 2) * i, residual.data()[i], pose, mark);
-  }
-}
-
-// Bearings: reference.window.add_bearings().
-void add_bearings(In bearings, In sigmas, In effective, Numbers frames_of, Numbers landmarks_of, Numbers poses_of,
-                  In free, In jacobians, In poses, In unknowns, double gate, Out own, Out next, Out shared, Out common,
-                  Out slope, Out common_slope) {
-  const Equations e(own, next, shared, common, slope, common_slope);
-  const size_t m = bearings.shape(0), f = free.shape(0), n = (e.a - NC) / 2;
-  require_shape("bearings", bearings, {m}), require_shape("sigmas", sigmas, {m}), require_shape("effective", effective, {m});
-  require_shape("frame", frames_of, {m}), require_shape("landmark", landmarks_of, {m}), require_shape("pose", poses_of, {f});
-  require_shape("free", free, {f, 3}), require_shape("jacobians", jacobians, {f, 3, NC});
-  require_shape("poses", poses, {e.w, 3}), require_shape("shared", unknowns, {NC + 2 * n});
-  const Eigen::Map<const Fixed<NC, 1>> calibration(unknowns.data());
-  size_t of = f;  // the frame of the last bearing, whose camera is known; none yet
-  Vector3 eye = Vector3::Zero();
-  Fixed<3, HEAD> by_head = Fixed<3, HEAD>::Zero();
-  for (size_t i = 0; i < m; i++) {
-    const size_t frame = size_t(frames_of.data()[i]), mark = size_t(landmarks_of.data()[i]);  // negative: huge
-    if (frame >= f || mark >= n) throw nb::index_error("a sighting of another window");
-    const size_t pose = size_t(poses_of.data()[frame]);
-    if (pose >= e.w) throw nb::index_error("a frame of another window");
-    if (frame != of) {
-      of = frame;
-      const Eigen::Map<const Jacobian> by(jacobians.data() + 3 * NC * frame);
-      const Vector3 camera = Eigen::Map<const Vector3>(free.data() + 3 * frame) + by * calibration;
-      const Composition there(Eigen::Map<const Vector3>(poses.data() + 3 * pose), camera);
-      eye = there.pose;
-      by_head.leftCols<3>() = there.by_a;
-      by_head.rightCols<NC>() = there.by_b * by;
-    }
-    const double *place = unknowns.data() + NC + 2 * mark;
-    const double dx = place[0] - eye[0], dy = place[1] - eye[1];
-    const double square = std::max(dx * dx + dy * dy, MIN_SQUARED_DISTANCE);
-    const double residual = wrap(bearings.data()[i] - (std::atan2(dy, dx) - eye[2]));
-    const double outlying = std::max(std::abs(residual) / (gate * sigmas.data()[i]), 1.0);
-    const double scale = 1.0 / (effective.data()[i] * outlying);
-    Fixed<1, HEAD + 2> j;
-    const Fixed<1, 3> by_eye(dy / square, -dx / square, -1.0);
-    j.leftCols<HEAD>() = by_eye * by_head;
-    j[HEAD] = -dy / square, j[HEAD + 1] = dx / square;
-    j *= scale;
-    add_one(e, j.data(), scale * residual, pose, mark);
-  }
-}
-
 // Eliminate the chain of poses, solve, and invert: eliminate() and Elimination.solve().
-nb::tuple solve_chain(Out own, Out next, Out shared, Out common, Out slope, Out common_slope) {
-  const Equations e(own, next, shared, common, slope, common_slope);
+Step solved(const Equations &e) {
   const size_t w = e.w, a = e.a, n = 3 + a;
   Matrix information(n, n);
   information.topLeftCorner(3, 3) = e.own_of(w - 1);
@@ -168,34 +29,40 @@ nb::tuple solve_chain(Out own, Out next, Out shared, Out common, Out slope, Out 
   Matrix rows = Matrix::Zero(3 * (w - 1), n + 1);
   std::vector<Matrix3> factors(w - 1), following(factors.size());
   Matrix3 block = e.own_of(0);
-  {
-    nb::gil_scoped_release release;
-    for (size_t k = 0; k + 1 < w; k++) {
-      const Eigen::LLT<Eigen::Matrix3d> llt{Eigen::Matrix3d(block)};
-      if (llt.info() != Eigen::Success) throw std::domain_error("a pose is not determined");
-      auto row = rows.middleRows(3 * k, 3);
-      row.block(0, 3, 3, a) += e.shared_of(k);
-      row.col(n) += e.slope_of(k);
-      const auto coupling = e.next_of(k);
-      const Eigen::Matrix3d lower = llt.matrixL();
-      factors[k] = lower;
-      following[k] = lower.triangularView<Eigen::Lower>().solve(Eigen::Matrix3d(coupling));
-      const bool last = k + 2 == w;
-      if (last) row.leftCols(3) = coupling;
-      lower.triangularView<Eigen::Lower>().solveInPlace(row);
-      if (!last) {
-        block = e.own_of(k + 1) - following[k].transpose() * following[k];
-        rows.middleRows(3 * (k + 1), 3).noalias() -= following[k].transpose() * row;
-      }
+  for (size_t k = 0; k + 1 < w; k++) {
+    const Eigen::LLT<Eigen::Matrix3d> llt{Eigen::Matrix3d(block)};
+    if (llt.info() != Eigen::Success) throw std::domain_error("a pose is not determined");
+    auto row = rows.middleRows(3 * k, 3);
+    row.block(0, 3, 3, a) += e.shared_of(k);
+    row.col(n) += e.slope_of(k);
+    const auto coupling = e.next_of(k);
+    const Eigen::Matrix3d lower = llt.matrixL();
+    factors[k] = lower;
+    following[k] = lower.triangularView<Eigen::Lower>().solve(Eigen::Matrix3d(coupling));
+    const bool last = k + 2 == w;
+    if (last) row.leftCols(3) = coupling;
+    row.row(0) /= lower(0, 0);
+    row.row(1) = (row.row(1) - lower(1, 0) * row.row(0)) / lower(1, 1);
+    row.row(2) = (row.row(2) - lower(2, 0) * row.row(0) - lower(2, 1) * row.row(1)) / lower(2, 2);
+    if (!last) {
+      block = e.own_of(k + 1) - following[k].transpose() * following[k];
+      for (int i = 0; i < 3; i++)
+        rows.row(3 * (k + 1) + i) -=
+            following[k](0, i) * row.row(0) + following[k](1, i) * row.row(1) + following[k](2, i) * row.row(2);
     }
-    information.noalias() -= rows.leftCols(n).transpose() * rows.leftCols(n);
+  }
+  if (w > 1) {  // of matrices without rows, Eigen divides by zero
+    information.selfadjointView<Eigen::Lower>().rankUpdate(rows.leftCols(n).transpose(), -1.0);
     gradient.noalias() -= rows.leftCols(n).transpose() * rows.col(n);
   }
-  information = (0.5 * (information + information.transpose())).eval();
+  // Only the lower half of the information is used.
   const Eigen::LLT<Eigen::MatrixXd> llt{Eigen::MatrixXd(information)};
   if (llt.info() != Eigen::Success) throw std::domain_error("not positive definite");
-  Eigen::MatrixXd covariance = llt.solve(Eigen::MatrixXd::Identity(n, n));
-  covariance = (0.5 * (covariance + covariance.transpose())).eval();
+  Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
+  llt.matrixL().solveInPlace(inverse);
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(n, n);
+  covariance.selfadjointView<Eigen::Lower>().rankUpdate(inverse.transpose());
+  covariance.triangularView<Eigen::StrictlyUpper>() = covariance.transpose();
   const Vector tail = covariance * gradient;
   Matrix steps(w, 3);
   steps.row(w - 1) = tail.head(3);
@@ -207,8 +74,143 @@ nb::tuple solve_chain(Out own, Out next, Out shared, Out common, Out slope, Out 
     lower.transpose().triangularView<Eigen::Upper>().solveInPlace(x);
     steps.row(k) = x;
   }
-  return nb::make_tuple(array_of(steps, {w, 3}), array_of(Matrix(tail.tail(a)), {a}),
-                        array_of(Matrix(covariance), {n, n}));
+  return {steps, tail.tail(a), covariance};
+}
+
+// Constants of localizer/tunables.py.
+struct WindowTunables {
+  double gate, linear, close, converged, negligible, rounding, min_distance;
+  int max_steps;
+};
+
+// reference.window.Window: the arrays, which must not change meanwhile, and the estimate of the unknowns.
+class Window {
+ public:
+  Window(In poses, In shared, In steps, In bearings, In sigmas, In effective, Numbers frames, Numbers landmarks,
+         Numbers poses_of, In free, In jacobians, In information, In gradient, In at, In weights, In means,
+         Flags one_sided, Flags bounded, const WindowTunables &tunables)
+      : w(poses.shape(0)), a(shared.size()), steps_(steps), bearings_(bearings), sigmas_(sigmas),
+        effective_(effective), frames_(frames), landmarks_(landmarks), poses_of_(poses_of), free_(free),
+        jacobians_(jacobians), information_(information), gradient_(gradient), at_(at), weights_(weights),
+        means_(means), one_sided_(one_sided), tunables_(tunables) {
+    const size_t m = bearings.size(), f = poses_of.size();
+    if (w < 1 || a < NC || (a - NC) % 2) throw nb::value_error("poses or shared has another shape");
+    require_shape("poses", poses, {w, 3}), require_shape("shared", shared, {a});
+    require_shape("steps", steps, {w - 1, STEP}), require_shape("bearings", bearings, {m});
+    require_shape("sigmas", sigmas, {m}), require_shape("effective", effective, {m});
+    require_shape("frame", frames, {m}), require_shape("landmark", landmarks, {m});
+    require_shape("pose", poses_of, {f}), require_shape("free", free, {f, 3});
+    require_shape("jacobians", jacobians, {f, 3, NC}), require_shape("information", information, {3 + a, 3 + a});
+    require_shape("gradient", gradient, {3 + a}), require_shape("at", at, {3 + a});
+    require_shape("weights", weights, {NC}), require_shape("means", means, {NC});
+    require_shape("is_one_sided", one_sided, {NC}), require_shape("is_bounded", bounded, {NC});
+    poses_ = Eigen::Map<const Matrix>(poses.data(), w, 3), shared_ = Eigen::Map<const Vector>(shared.data(), a);
+    std::copy_n(bounded.data(), NC, bounded_);
+  }
+
+  // reference.window.equations(), without more factors.
+  nb::tuple equations() const {
+    const OwnEquations e(w, a);
+    add_to(e);
+    return e.arrays();
+  }
+
+  // reference.window.solve(). `add_more` takes the arrays of normal equations, poses and shared unknowns; or None.
+  nb::tuple solve(nb::object add_more) {
+    OwnEquations e(w, a);
+    Step step;
+    bool converged = false;
+    for (int k = 0; k < tunables_.max_steps && !converged; k++) {
+      e.clear();
+      add_to(e);
+      if (!add_more.is_none()) add_more(e.arrays(), array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}));
+      step = solved(e);
+      if (!step.poses.allFinite() || !step.covariance.allFinite()) throw std::domain_error("a step is not finite");
+      if (!(step.covariance.diagonal().array() > 0.0).all()) throw std::domain_error("a variance is not positive");
+      const bool is_small = move(step) < tunables_.converged;
+      converged = !bound() && is_small;
+    }
+    Fixed<1, NC> bounded;
+    for (int k = 0; k < NC; k++) bounded[k] = bounded_[k];
+    return nb::make_tuple(array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}),
+                          array_of(Matrix(step.covariance), {3 + a, 3 + a}), array_of(bounded, {size_t(NC)}), converged);
+  }
+
+ private:
+  void add_to(const Equations &e) const {
+    const Eigen::Map<const Matrix> information(information_.data(), 3 + a, 3 + a);
+    Vector off(3 + a);
+    off << poses_.row(0).transpose(), shared_;
+    off -= Eigen::Map<const Vector>(at_.data(), 3 + a);
+    const Vector downhill = Eigen::Map<const Vector>(gradient_.data(), 3 + a) - information * off;
+    e.own_of(0) += information.topLeftCorner<3, 3>();
+    e.shared_of(0) += information.topRightCorner(3, a);
+    e.common_all() += information.bottomRightCorner(a, a);
+    e.slope_of(0) += downhill.head<3>();
+    e.common_slope_all() += downhill.tail(a);
+    add_odometry(e, poses_.data(), shared_.data(), steps_.data());
+    const Bearings seen{bearings_.data(), sigmas_.data(), effective_.data(), frames_.data(), landmarks_.data(),
+                        poses_of_.data(), free_.data(), jacobians_.data(), bearings_.size(), poses_of_.size()};
+    add_bearings(e, seen, poses_.data(), shared_.data(), tunables_.gate);
+    const double kept = 1.0 / (tunables_.negligible * tunables_.negligible);
+    for (int k = 0; k < NC; k++) {
+      const double weight = weights_.data()[k] + (bounded_[k] ? kept : 0.0);
+      e.common[a * k + k] += weight;
+      e.common_slope[k] -= weights_.data()[k] * (shared_[k] - means_.data()[k]) + (bounded_[k] ? kept * shared_[k] : 0.0);
+    }
+  }
+
+  // Apply a step, limited to the linear range; return its full size.
+  double move(const Step &step) {
+    const size_t n = (a - NC) / 2;
+    std::vector<double> distances(n), apart(n);
+    for (size_t k = 0; k < n; k++) {
+      distances[k] = std::hypot(shared_[NC + 2 * k] - poses_(w - 1, 0), shared_[NC + 2 * k + 1] - poses_(w - 1, 1));
+      apart[k] = std::hypot(step.shared[NC + 2 * k], step.shared[NC + 2 * k + 1]);
+    }
+    const double scale = n ? std::max(median(distances), tunables_.min_distance) : std::numeric_limits<double>::infinity();
+    double share = 0.0;
+    for (size_t k = 0; k < n; k++) share = std::max(share, apart[k] / (distances[k] + tunables_.close * scale));
+    const double turn = step.poses.col(2).cwiseAbs().maxCoeff();
+    const double shift = std::max(step.poses.leftCols(2).cwiseAbs().maxCoeff(),
+                                  step.shared.segment<2>(CAMERA_X).cwiseAbs().maxCoeff());
+    const double limited = 1.0 / std::max(1.0, std::max(turn, share) / tunables_.linear);
+    poses_ += limited * step.poses, shared_ += limited * step.shared;
+    return std::max(std::max(turn, share), std::max(shift / scale, step.shared.head(CAMERA_X).cwiseAbs().maxCoeff()));
+  }
+
+  // Update which unknowns are kept at zero; return whether any changed.
+  bool bound() {
+    bool changed = false;
+    for (int k = 0; k < NC; k++) {
+      const double limit = bounded_[k] ? -tunables_.rounding : -tunables_.negligible;
+      const bool now = one_sided_.data()[k] && shared_[k] < limit;
+      changed |= now != bounded_[k], bounded_[k] = now;
+    }
+    return changed;
+  }
+
+  static double median(std::vector<double> values) {
+    std::sort(values.begin(), values.end());
+    return 0.5 * (values[(values.size() - 1) / 2] + values[values.size() / 2]);
+  }
+  const size_t w, a;
+  Matrix poses_;
+  Vector shared_;
+  bool bounded_[NC];
+  const In steps_, bearings_, sigmas_, effective_;
+  const Numbers frames_, landmarks_, poses_of_;
+  const In free_, jacobians_, information_, gradient_, at_, weights_, means_;
+  const Flags one_sided_;
+  const WindowTunables tunables_;
+};
+
+// Elimination.solve() of reference/window.py, of normal equations.
+nb::tuple solve_equations(Out own, Out next, Out shared, Out common, Out slope, Out common_slope) {
+  const Equations e(own, next, shared, common, slope, common_slope);
+  const Step step = solved(e);
+  return nb::make_tuple(array_of(step.poses, {e.w, 3}), array_of(Matrix(step.shared), {e.a}),
+                        array_of(Matrix(step.covariance), {3 + e.a, 3 + e.a}));
 }
 
 // Arrays are taken as they are: a copy of one with another layout would be written to in vain.
@@ -220,14 +222,19 @@ auto array(const char *name) { return nb::arg(name).noconvert(); }
 
 void bind_window(nanobind::module_ &m) {
   using namespace homeward;
-  m.def("add_odometry", &add_odometry, array("poses"), array("calibration"), array("steps"), array("own"),
-        array("next"), array("shared"), array("common"), array("slope"), array("common_slope"));
-  m.def("add_sightings", &add_sightings, array("residual"), array("jacobian"), array("pose"), array("landmark"),
-        array("own"), array("next"), array("shared"), array("common"), array("slope"), array("common_slope"));
-  m.def("add_bearings", &add_bearings, array("bearings"), array("sigmas"), array("effective"), array("frame"),
-        array("landmark"), array("pose"), array("free"), array("jacobians"), array("poses"), array("unknowns"),
-        nb::arg("gate"), array("own"), array("next"), array("shared"), array("common"), array("slope"),
-        array("common_slope"));
-  m.def("solve_chain", &solve_chain, array("own"), array("next"), array("shared"), array("common"), array("slope"),
-        array("common_slope"));
+  nb::class_<WindowTunables>(m, "WindowTunables")
+      .def(nb::init<double, double, double, double, double, double, double, int>(), nb::arg("gate"), nb::arg("linear"),
+           nb::arg("close"), nb::arg("converged"), nb::arg("negligible"), nb::arg("rounding"), nb::arg("min_distance"),
+           nb::arg("max_steps"));
+  nb::class_<Window>(m, "Window")
+      .def(nb::init<In, In, In, In, In, In, Numbers, Numbers, Numbers, In, In, In, In, In, In, In, Flags, Flags,
+                    const WindowTunables &>(),
+           array("poses"), array("shared"), array("steps"), array("bearings"), array("sigmas"), array("effective"),
+           array("frame"), array("landmark"), array("pose"), array("free"), array("jacobians"), array("information"),
+           array("gradient"), array("at"), array("weights"), array("means"), array("is_one_sided"),
+           array("is_bounded"), nb::arg("tunables"))
+      .def("equations", &Window::equations)
+      .def("solve", &Window::solve, nb::arg("add_more").none());
+  m.def("solve_equations", &solve_equations, array("own"), array("next"), array("shared"), array("common"),
+        array("slope"), array("common_slope"));
 }

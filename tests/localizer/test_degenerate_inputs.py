@@ -2,7 +2,6 @@
 
 import dataclasses
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,8 +18,7 @@ from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.gating import Prediction, predict_bearings
-from homeward.localizer.map.map import Map
+from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
@@ -243,13 +241,6 @@ def test_a_landmark_far_away_is_predicted_with_the_noise_of_its_bearing(line, di
     camera = state.pose_after(Motion.identity())
     seen = predict_bearings(state, np.zeros(1), np.array([sigma]), camera, np.zeros(1, int))
     assert seen.innovation_covariance[0, 0] >= sigma**2
-
-
-def test_an_update_that_is_singular_is_left_to_the_solution_of_the_window():
-    state = Marginal(np.zeros(HEAD + 2), np.eye(HEAD + 2))
-    known = SimpleNamespace(smoother=SimpleNamespace(state=state))
-    seen = Prediction(np.zeros(2), np.zeros((2, 14)), np.ones((2, HEAD + 2)), np.ones((2, 2)))
-    assert not Map._update_if_linear(known, seen)
 
 
 @settings(deadline=None)

@@ -1,5 +1,7 @@
 """The compiled core gives the numbers of the reference, and refuses what would be read wrongly."""
 
+import copy
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -8,8 +10,9 @@ from hypothesis import strategies as st
 from homeward import core
 from homeward.localizer import kernels
 from homeward.localizer.motions import DELAY, NC, SPEED_SCALE, TIME_CONSTANT, TURN_SLIP
-from homeward.localizer.reference import motion, window
-from homeward.localizer.reference.window import STEP, NormalEquations, SightedFrom
+from homeward.localizer.reference import factors, motion, window
+from homeward.localizer.reference.factors import STEP, NormalEquations, SightedFrom
+from homeward.localizer.reference.window import Window
 from homeward.odometry.history import TwistHistory
 
 pytestmark = pytest.mark.skipif(core.compiled is None, reason=f"NumPy only: {core.missing}")
@@ -51,7 +54,7 @@ def random_window(rng, w, n, f):
     steps = rng.normal(0.0, 0.1, (w - 1, STEP))
     for row in steps:
         root = rng.normal(size=(3, 3))
-        row[window.INFORMATION] = (root @ root.T + 10.0 * np.eye(3)).ravel()
+        row[factors.INFORMATION] = (root @ root.T + 10.0 * np.eye(3)).ravel()
     pose = np.sort(rng.integers(0, w, f))
     m = 3 * f
     frame = np.sort(rng.integers(0, f, m))
@@ -69,48 +72,82 @@ def random_window(rng, w, n, f):
     return poses, shared, steps, seen
 
 
-def built(module, poses, shared, steps, seen):
-    """Normal equations as one of the two builds them, with a prior that makes them definite."""
-    e = NormalEquations.zeros(len(poses), shared.size)
-    e.own[0] += np.eye(3)
-    e.common[:] += np.eye(shared.size)
-    module.add_odometry(e, poses, shared[:NC], steps)
-    module.add_bearings(e, seen, poses, shared)
-    module.add_sightings(e, window.weighed(seen, poses, shared))
-    return e
+def random_problem(rng, w, n, f):
+    """A window whose solution is well determined, and a factor that is added from outside."""
+    poses, shared, steps, seen = random_window(rng, w, n, f)
+    size = 3 + len(shared)
+    root = rng.normal(size=(size, size))
+    bounds = rng.random(NC) < 0.5, rng.random(NC) < 0.3
+    prior = root @ root.T + 50.0 * np.eye(size), rng.normal(size=size), rng.normal(size=size)
+    known = rng.uniform(1.0, 100.0, NC), rng.normal(0.0, 0.01, NC)
+    given = Window(poses, shared, steps, seen, *prior, *known, *bounds)
+
+    def add_more(e, poses, shared):
+        e.common[0, 0] += 30.0
+        e.common_slope[0] += 30.0 * (0.01 - shared[0])
+        e.own[-1] += np.eye(3)
+        e.slope[-1] -= poses[-1]
+
+    return given, add_more
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_the_window_is_built_and_solved_as_by_the_reference(seed):
     rng = np.random.default_rng(seed)
-    w, n = int(rng.integers(1, 12)), int(rng.integers(1, 9))
-    inputs = random_window(rng, w, n, int(rng.integers(1, 20)))
-    here, there = built(kernels, *inputs), built(window, *inputs)
+    w, n = int(rng.integers(1, 12)) if seed else 1, int(rng.integers(0, 9))
+    given, add_more = random_problem(rng, w, n, int(rng.integers(1, 20)) if n else 0)
+    more = add_more if seed % 2 else None
+    here, there = kernels.equations(given, more), window.equations(given, more)
     size = np.abs(there.common).max()
+    weighed = factors.weighed(given.seen, given.poses, given.shared)
+    for module, e in ((kernels, here), (factors, there)):
+        module.add_sightings(e, weighed)
     for name in ("own", "next", "shared", "common", "slope", "common_slope"):
         found, expected = getattr(here, name), getattr(there, name)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-12 * size), name
-    for found, expected in zip(kernels.solve(there), window.eliminate(there).solve(), strict=True):
+    of_both = kernels.solve_equations(there), window.eliminate(there).solve()
+    for found, expected in zip(*of_both, strict=True):
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * np.abs(expected).max())
+    for found, expected in zip(kernels.solve(given, more), window.solve(given, more), strict=True):
+        scale = np.abs(expected).max()
+        assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * scale)  # up to five steps
+
+
+def test_a_window_that_is_given_does_not_change():
+    given, add_more = random_problem(np.random.default_rng(3), 6, 4, 9)
+    before = copy.deepcopy(given)
+    kernels.solve(given, add_more)
+    for found, expected in zip(given, before, strict=True):
+        np.testing.assert_equal(found, expected)
 
 
 def test_a_singular_window_is_the_error_of_the_reference():
     e = NormalEquations.zeros(3, NC)
-    for solve in (kernels.solve, lambda e: window.eliminate(e).solve()):
+    for solve in (kernels.solve_equations, lambda e: window.eliminate(e).solve()):
         with pytest.raises(np.linalg.LinAlgError):
             solve(e)
+    given, _ = random_problem(np.random.default_rng(0), 3, 2, 4)
+    nothing = given._replace(
+        information=np.zeros_like(given.information),
+        steps=np.zeros_like(given.steps),
+    )
+    for solve in (kernels.solve, window.solve):
+        with pytest.raises(np.linalg.LinAlgError):
+            solve(nothing)
 
 
 def test_arrays_of_another_layout_or_shape_are_refused():
-    e = NormalEquations.zeros(2, NC)
-    arrays = e.own, e.next, e.shared, e.common, e.slope, e.common_slope
-    core.compiled.add_odometry(np.zeros((2, 3)), np.zeros(NC), np.zeros((1, STEP)), *arrays)
+    given, _ = random_problem(np.random.default_rng(0), 2, 2, 3)
+    tunables = kernels._window_tunables(core.compiled.WindowTunables)
+    poses, shared, steps, seen, *rest = given
+    core.compiled.Window(poses, shared, steps, *seen, *rest, tunables)
     with pytest.raises(TypeError):
-        core.compiled.add_odometry(np.zeros((3, 2)).T, np.zeros(NC), np.zeros((1, STEP)), *arrays)
-    with pytest.raises(ValueError, match="poses has another shape"):
-        core.compiled.add_odometry(np.zeros((3, 3)), np.zeros(NC), np.zeros((1, STEP)), *arrays)
-    seen = random_window(np.random.default_rng(0), 2, 2, 3)[3]
-    wrong = seen._replace(landmark=seen.landmark + 7)
-    e = NormalEquations.zeros(2, NC + 4)
+        core.compiled.Window(poses.T.copy().T, shared, steps, *seen, *rest, tunables)
+    with pytest.raises(ValueError, match="steps has another shape"):
+        core.compiled.Window(poses[:1], shared, steps, *seen, *rest, tunables)
+    wrong = given._replace(seen=seen._replace(landmark=seen.landmark + 7))
     with pytest.raises(IndexError, match="a sighting of another window"):
-        kernels.add_bearings(e, wrong, np.zeros((2, 3)), np.zeros(NC + 4))
+        kernels.solve(wrong)
+    wrong = given._replace(seen=seen._replace(pose=seen.pose + 7))
+    with pytest.raises(IndexError, match="a frame of another window"):
+        kernels.solve(wrong)

@@ -25,7 +25,7 @@ from homeward.localizer.map.survey.factors import (
 )
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE, Motion
-from homeward.localizer.reference.window import NormalEquations, add_odometry
+from homeward.localizer.reference.factors import NormalEquations, add_odometry
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.localizer.tunables import CLOSE

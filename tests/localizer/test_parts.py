@@ -30,7 +30,7 @@ from homeward.localizer.motions import (
 )
 from homeward.localizer.recovery.monitor import SlipDetector
 from homeward.localizer.reference import window as elimination
-from homeward.localizer.reference.window import bearing_residuals
+from homeward.localizer.reference.factors import bearing_residuals
 from homeward.localizer.tunables import MEAN_S
 from homeward.odometry.clock import Clock
 

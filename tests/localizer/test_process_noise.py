@@ -13,8 +13,9 @@ from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motions import NC, Motion
 from homeward.localizer.reference import window as elimination
+from homeward.localizer.reference.factors import add_odometry, odometry_errors
 from homeward.localizer.reference.motion import steady_speed
-from homeward.localizer.reference.window import add_odometry, eliminate, odometry_errors
+from homeward.localizer.reference.window import eliminate
 from homeward.odometry.history import STEADY_S, TwistHistory
 from homeward.runs.scoring import errors
 from homeward.track import run

@@ -11,12 +11,8 @@ from homeward.geometry.angles import wrap
 from homeward.localizer.home.observation import averaged_covariance
 from homeward.localizer.map.learning.walking import Walks, walking_probabilities, walks
 from homeward.localizer.motions import NC
-from homeward.localizer.reference.window import (
-    NormalEquations,
-    WeighedSightings,
-    add_sightings,
-    eliminate,
-)
+from homeward.localizer.reference.factors import NormalEquations, WeighedSightings, add_sightings
+from homeward.localizer.reference.window import eliminate
 from homeward.localizer.tunables import WALKING_PRIOR
 
 SIGMA, SPEED = 0.01, 0.2

@@ -172,7 +172,7 @@ class Chart:
 
         At most a piece of the work that is due, unless `everything`.
         """
-        if self.map.solved and self.noise.confirmed and self.map.smoother.is_stale:
+        if self.map.evaluated and self.noise.confirmed and self.map.smoother.is_stale:
             calibration, since = self.map.smoother.state.calibration, self._integrable_since
             self.map.integrate_again(
                 since, lambda begin, end: self.odometry.between(begin, end, calibration)

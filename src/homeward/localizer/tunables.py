@@ -314,10 +314,11 @@ MIN_GAIN = 1e-6
 """Smallest gain of log posterior that counts, above rounding."""
 MAX_PER_KEYFRAME = 12
 """Maximum sightings of a landmark per keyframe; more add nothing while the robot is stationary."""
-SOLVES_PER_WINDOW = 8
-"""Solutions per window, once it is full: so each keyframe costs the same on average."""
-SOLVED_AFTER_DENIAL = 2
-"""Keyframes from one solution to the next, for a window after bearings have denied a motion: a
+EVALUATIONS_PER_WINDOW = 8
+"""Evaluations of a solution per window, once it is full: what is learnt from one costs more than
+the solution, and changes slowly."""
+EVALUATED_AFTER_DENIAL = 2
+"""Keyframes from one evaluation to the next, for a window after bearings have denied a motion: a
 robot with a knocked camera should not drive far."""
 MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
 """Ranges tried, over the median distance of the mapped landmarks; geometric, all equally probable.
@@ -325,7 +326,7 @@ MIN_RANGE_RATIO, MAX_RANGE_RATIO, NUM_RANGES = 0.1, 30.0, 24
 RANGE_STEPS = 2
 """Gauss-Newton steps of a direction: the residuals are nearly linear in it."""
 MAX_SOLVE_STEPS = 5
-"""Largest number of Gauss-Newton steps: most solutions need one or two, from the last one."""
+"""Largest number of Gauss-Newton steps: most solutions need one, from the last one."""
 RANGE_CORRELATION_S = 10.0
 """Correlation time of the errors of ranges [s]: on five real drives with barcodes the correlation
 is 0.9 after 0.5 s, 0.4 after 6 s and 0.25 after 25 s, by edges, viewing angle and distance."""

@@ -10,6 +10,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance
 from homeward.odometry.validity import TwistValidity
+from homeward.table import Table
 
 STEADY_S = 0.5
 """Averaging time of the speed: long enough against noise, shorter than changes of speed [s]."""
@@ -118,31 +119,31 @@ class TwistHistory:
     """The history of twists; all users of odometry share one."""
 
     def __init__(self) -> None:
-        self._table, self._begin, self._end = np.empty((64, NUM_COLUMNS)), 0, 0
-        """Rows of `OdometrySample`, of which those from `_begin` to `_end` are used."""
+        self._table = Table((NUM_COLUMNS,))
+        """Rows of `OdometrySample`."""
         self._validity = TwistValidity()
         self.newest = -math.inf
         """Stamp of the newest twist [s]; minus infinity if there was none."""
 
     def __bool__(self) -> bool:
         """Whether there was any twist."""
-        return self._end > self._begin
+        return len(self._table) > 0
 
     @property
     def table(self) -> np.ndarray:
         """(n, 15): the twists in order of time, a row as `OdometrySample`."""
-        return self._table[self._begin : self._end]
+        return self._table.rows
 
     def _sample(self, row: int) -> OdometrySample:
-        """Return a row of the whole table."""
-        return OdometrySample._make(self._table[row].tolist())
+        """Return a row of the table."""
+        return OdometrySample._make(self.table[row].tolist())
 
     def _count_before(self, t: float, side: Literal["left", "right"]) -> int:
         """Return the end of the rows before `t` [s]; with the side "right", of those at it, too."""
-        if self._end > self._begin and t > self._table[self._end - 1, 0]:
-            return self._end
-        stamps = self._table[self._begin : self._end, 0]
-        return self._begin + int(stamps.searchsorted(t, side))
+        stamps = self.table[:, 0]
+        if len(stamps) and t > stamps[-1]:
+            return len(stamps)
+        return int(stamps.searchsorted(t, side))
 
     def add(
         self, t: float, v: float, omega: float, pose: Pose | None = None, vy: float = 0.0
@@ -157,8 +158,8 @@ class TwistHistory:
         if math.isnan(v + vy + omega):
             v = vy = omega = validity = 0.0
         kept = self._count_before(t, "left")
-        later = [self._sample(row) for row in range(kept, self._end)]
-        self._end = kept
+        later = [self._sample(row) for row in range(kept, len(self._table))]
+        self._table.drop_last(len(later))
         same = later.pop(0) if later and later[0].t == t else None
         self._append(t, v, vy, omega, validity, pose, same)
         for old in later:
@@ -179,7 +180,7 @@ class TwistHistory:
 
         Dead reckoning continues from the last twist, or from one of the `same` stamp.
         """
-        last = self._sample(self._end - 1) if self else same
+        last = self._sample(-1) if self else same
         x, y, heading = ORIGIN
         known, path, side, driven = -math.inf, 0.0, 0.0, Driven()
         if last is not None:
@@ -189,27 +190,17 @@ class TwistHistory:
         if pose is not None:
             x, y, heading = pose.x, pose.y, heading + wrap(pose.heading - heading)
         steady = (path - self.path(t - STEADY_S)) / STEADY_S if self else 0.0
-        if self._end == len(self._table):
-            self._make_room()
         reckoned = heading, path, side, steady, x, y, *driven
-        self._table[self._end] = t, v, vy, omega, until, *reckoned, pose is not None
-        self._end += 1
-
-    def _make_room(self) -> None:
-        """Move the rows to the beginning of a table that is at most half full."""
-        kept, size = self.table, max(64, 2 * (self._end - self._begin))
-        self._table = np.empty((size, NUM_COLUMNS))
-        self._table[: len(kept)] = kept
-        self._begin, self._end = 0, len(kept)
+        self._table.add((t, v, vy, omega, until, *reckoned, pose is not None))
 
     def before(self, t: float) -> OdometrySample | None:
         """Return the latest twist at `t` [s]; None before the first."""
         after = self._count_before(t, "right")
-        return self._sample(after - 1) if after > self._begin else None
+        return self._sample(after - 1) if after else None
 
     def _at(self, t: float) -> OdometrySample | None:
         """Return the twist for dead reckoning at `t` [s]: the latest, or else the first, if any."""
-        return self.before(t) or (self._sample(self._begin) if self else None)
+        return self.before(t) or (self._sample(0) if self else None)
 
     def unknown_time(self, t: float) -> float:
         """Return the time since the motion became unknown, at `t` [s]; infinite without twists."""
@@ -260,7 +251,7 @@ class TwistHistory:
         """
         if not self:
             return 0.0, 0.0, 0.0
-        first = self._sample(self._begin)
+        first = self._sample(0)
         since = max(t - over, first.t)
         if t <= since:
             return first.v, first.vy, first.omega
@@ -281,4 +272,4 @@ class TwistHistory:
 
     def forget(self, t: float) -> None:
         """Drop the twists that ended before `t` [s]."""
-        self._begin = max(self._begin, self._count_before(t, "left") - 1)
+        self._table.drop_first(max(0, self._count_before(t, "left") - 1))

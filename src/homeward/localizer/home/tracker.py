@@ -83,7 +83,7 @@ class HomeTracker:
     def update(self, known: Map) -> None:
         """Update home after a change of the map, by a new search if necessary."""
         now, before, frame = self.hypotheses, self.names, self._surveyed
-        if known.solved or known.smoother.p_static is not self._p_static:
+        if known.evaluated or known.smoother.p_static is not self._p_static:
             self.names = known.landmarks.shared_with_home(self.observation.bearings)
             self._p_static = None
         self._surveyed = known.registration.has_home
@@ -143,7 +143,7 @@ class HomeTracker:
         """
         now = propagate(problem, before)
         self.is_updated = now is None or (
-            known.solved
+            known.evaluated
             and (not known.is_window_full or self._is_doubted(now) or now.best.linear.has_changed)
         )
         if self.is_updated:

@@ -19,7 +19,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.sightings import LANDMARK, SIGMA
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, Motion
-from homeward.localizer.reference.window import bearing_residuals, positive_inverse
+from homeward.localizer.reference.factors import bearing_residuals
+from homeward.localizer.reference.window import positive_inverse
 from homeward.localizer.tunables import (
     BASELINE,
     FALSE_ALARM,

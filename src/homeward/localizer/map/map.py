@@ -1,4 +1,4 @@
-"""The map: keyframes, landmark life cycle, and updates by EKF or by the whole window."""
+"""The map: keyframes, landmark life cycle, and the solution of the window at each keyframe."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.gating import (
     Gated,
-    Prediction,
     contradicts_motion,
     gate_bearings,
     inflate_by_odometry,
@@ -38,16 +37,17 @@ from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     CALIBRATION_DRIFT,
     CANDIDATE_MEMORY_S,
+    EVALUATED_AFTER_DENIAL,
+    EVALUATIONS_PER_WINDOW,
     FALSE_ALARM,
     INLIER,
     MAX_IDS,
     MAX_PER_KEYFRAME,
-    NEGLIGIBLE,
-    SOLVED_AFTER_DENIAL,
-    SOLVES_PER_WINDOW,
     STANDSTILL,
 )
 from homeward.reasons import Rejection
+
+PRESOLVE = bool(__import__("os").environ.get("PRESOLVE"))
 
 
 class Map:
@@ -95,15 +95,16 @@ class Map:
         self.denied_at = -settings.window
         """Newest keyframe at which bearings denied a motion: then the window is solved often."""
         self.begun = t
-        self.solved = True
-        """Whether the state is a solution of the whole window, not an EKF update."""
-        self._solved_at, self._solved_positions = 0, self.smoother.state.positions
+        self.evaluated = True
+        """Whether the newest solution was evaluated: landmarks that do not fit it are dropped, and
+        learning from it is due. That takes long, so that it is not done at each keyframe."""
+        self._evaluated_at = 0
         self.busy = False
-        """Whether the newest frame has taken long already: for a solution, or learning from one."""
-        self._after_solution: list[Callable[[], None]] = []
-        """Work that is due after a solution, one piece per frame."""
-        self._solve_due = True
-        """Whether the whole window must be solved at this keyframe."""
+        """Whether the newest frame has taken long already: for an evaluation, or learning."""
+        self._after_evaluation: list[Callable[[], None]] = []
+        """Learning that is due, one piece per frame."""
+        self._evaluation_due = True
+        """Whether the solution at this keyframe is to be evaluated."""
         self._last_path = 0.0
         """Path from the newest keyframe to the last frame [m]."""
         self._counts_here: dict[str, int] = {}
@@ -113,8 +114,8 @@ class Map:
         self._is_vague, self._num_vague = False, 0
         """Whether odometry to the newest frame is too uncertain for the map, so that its bearings
         only show landmarks that are new or moved; number of such frames since the keyframe."""
-        self._pending_rows: list[np.ndarray] = []
-        """Sightings that have not been applied to the state yet."""
+        self._num_between = 0
+        """Number of frames since the keyframe that are not vague and not in a solution yet."""
         self._ranges_counted = 0
         """First keyframe whose ranges have not been counted."""
         self._scale_information = 0.0
@@ -159,13 +160,13 @@ class Map:
         return len(self.smoother.stamps) >= self._settings.window
 
     def learn(self, everything: bool = False) -> None:
-        """Do a piece of the work after a solution: learning from residuals, marginalisation.
+        """Do a piece of the work after an evaluation: learning from residuals, marginalisation.
 
         Or `everything` that is due. `numpy.linalg.LinAlgError` when the map has become singular.
         """
-        self.busy = bool(self._after_solution)
-        while self._after_solution:
-            self._after_solution.pop(0)()
+        self.busy = bool(self._after_evaluation)
+        while self._after_evaluation:
+            self._after_evaluation.pop(0)()
             if not everything:
                 break
 
@@ -222,18 +223,14 @@ class Map:
     def _add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray) -> None:
         """Add a keyframe; see `Smoother.add_keyframe`."""
         smoother = self.smoother
-        kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._solved_at
-        full, every = kept >= self._settings.window, kept / SOLVES_PER_WINDOW
+        kept, since = len(smoother.stamps) + 1, smoother.newest + 1 - self._evaluated_at
+        full, every = kept >= self._settings.window, kept / EVALUATIONS_PER_WINDOW
         if smoother.newest - self.denied_at < self._settings.window:
-            every = min(every, SOLVED_AFTER_DENIAL)
-        self._solve_due = not full or since >= every or not smoother.converged
-        if self._pending_rows and not self._solve_due:
-            seen = smoother.predict(np.concatenate(self._pending_rows))
-            self._solve_due = not self._update_if_linear(seen)
+            every = min(every, EVALUATED_AFTER_DENIAL)
+        self._evaluation_due = not full or since >= every or not smoother.converged
         smoother.add_keyframe(t, motion, inlier_ratios)
         self._counts_here.clear()
-        self._num_vague = 0
-        self._pending_rows = []
+        self._num_vague = self._num_between = 0
 
     def gate(self, frame: WeighedFrame, motion: Motion, view: View | None) -> Gated:
         """Gate the bearings of a frame: innovations, and which of them are accepted.
@@ -275,7 +272,7 @@ class Map:
         self._is_vague = False
         if gated.new_keyframe:
             return True
-        stamp = len(self._pending_rows) + 1
+        stamp = self._num_between + 1
         stamps = stamp, stamp + self._num_vague
         arguments = gated.motion, stamps, gated.prediction, self.smoother.state
         widened = inflate_by_odometry(gated.rows, *arguments)
@@ -292,15 +289,14 @@ class Map:
         Landmarks in `moved` are not where they were mapped, and are reinitialised.
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
-        rows, prediction = gated.rows, gated.prediction
-        kept = self._add_sightings(gated.frame, rows, gated.camera[2], gated.fits)
+        kept = self._add_sightings(gated.frame, gated.rows, gated.camera[2], gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         briefly = not self._extrinsics.is_assumed
         changed = bool(moved and self.landmarks.reinitialise(moved, briefly)) or fixed
         rests = gated.motion.path == 0.0 and bool(kept.any())  # standing, with new bearings
         due = gated.new_keyframe or changed or rests
         if due:
-            self._correct(None if changed else self._effective(prediction, rows, kept))
+            self._correct(changed)
         if fixed and not self.landmarks.mapped:
             self.landmarks.expected = {}  # wait for the next frame
         return due
@@ -314,7 +310,7 @@ class Map:
         self.denied_at = self.smoother.newest
         view = self.view(Motion.identity(), frame.offset)
         self._add_sightings(frame, self._rows(frame, view), view.pose[2], {})
-        self._correct(None)
+        self._correct(True)
 
     def revert_to(self, keyframe: int) -> None:
         """Revert the landmarks to those of a keyframe, undoing later initialisations and moves.
@@ -322,19 +318,18 @@ class Map:
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
         self.landmarks.revert_to(keyframe)
-        self._pending_rows = []
-        self._correct(None)
+        self._correct(True)
 
     def integrate_again(self, since: float, between: Callable[[float, float], Motion]) -> None:
-        """Integrate the motions since a time again, and solve the window at the next keyframe."""
+        """Integrate the motions since a time again, and evaluate the next solution with them."""
         self.smoother.integrate_again(since, between, self._mount)
-        self._solve_due = True
+        self._evaluation_due = True
 
     def replace_solution(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive, for the same landmarks."""
         self.smoother = whole
         self.landmarks.replace_solution(whole)
-        self._after_solution = []
+        self._after_evaluation = []
 
     def _rows(self, frame: WeighedFrame, view: View) -> np.ndarray:
         """Return a frame as rows of the table of sightings, to which it is added."""
@@ -378,46 +373,23 @@ class Map:
         accepted = rows[kept]
         fitting = [n for n, k in zip(names, kept.tolist(), strict=True) if k]
         self.landmarks.add_accepted(t, fitting, accepted, heading + frame.bearings[kept])
-        if not self._is_vague:
-            self._pending_rows.append(accepted[accepted[:, LANDMARK] >= 0])
+        self._num_between += not self._is_vague
         return kept
 
-    def _effective(self, seen: Prediction, rows: np.ndarray, kept: np.ndarray) -> Prediction:
-        """Return the accepted part of a prediction, with effective standard deviations."""
-        mapped = rows[:, LANDMARK] >= 0
-        rows = rows[mapped & kept]
-        more = self.smoother.effective_sigmas(rows) ** 2 - rows[:, SIGMA] ** 2
-        return seen.only(kept[mapped]).widened(more)
-
-    def _correct(self, seen: Prediction | None) -> None:
-        """Update the state: by an EKF step with the newest sightings, or by the whole window."""
+    def _correct(self, changed: bool) -> None:
+        """Solve the window with the newest sightings, after landmarks have `changed` or not."""
         initialised = self.landmarks.initialise()
         if initialised:
             self.registration.fix_expected()
-        due = initialised or self._solve_due
-        if seen is None or due or not self._update_if_linear(seen):
+        if changed or initialised or self._evaluation_due:
             self._solve()
         else:
-            self.solved = False
-        self._pending_rows = []
-
-    def _update_if_linear(self, seen: Prediction) -> bool:
-        """Apply an EKF update if it is near enough to linear; return whether it was."""
-        try:
-            updated = self.smoother.state.update(seen)
-        except np.linalg.LinAlgError:  # the window may be solvable
-            return False
-        if not (np.isfinite(updated.mean).all() and (updated.covariance.diagonal() > 0).all()):
-            return False
-        turned = abs(updated.mean[2] - self.smoother.state.mean[2])
-        moved = updated.positions - self._solved_positions
-        if turned > NEGLIGIBLE or (np.hypot(*moved.T) > NEGLIGIBLE * updated.reach).any():
-            return False
-        self.smoother.state = updated
-        return True
+            self.evaluated = False
+            self.smoother.solve()
+        self._num_between = 0
 
     def _solve(self) -> None:
-        """Solve the whole window, remove inconsistent landmarks, and learn from the residuals."""
+        """Solve the window, remove landmarks that do not fit, and learn from the residuals."""
         self.busy, smoother = True, self.smoother
         if self.landmarks.mapped:
             self._learner.scale_noise_prior(smoother)
@@ -428,10 +400,9 @@ class Map:
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self.solved = True
-        self._solved_at, self._solved_positions = smoother.newest, smoother.state.positions
+        self.evaluated, self._evaluated_at = True, smoother.newest
         work = self._learn_bearings, self._learn_odometry
-        self._after_solution += [piece for piece in work if piece not in self._after_solution]
+        self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
         if not self.is_window_full:  # takes no time
             self.learn(everything=True)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.motions import HEAD
-from homeward.localizer.reference.window import Elimination, NormalEquations
+from homeward.localizer.reference.window import Elimination
 
 
 class Prior:
@@ -15,40 +15,32 @@ class Prior:
     """
 
     def __init__(self, information: np.ndarray) -> None:
-        self._information = information
-        self._gradient = np.zeros(len(information))
-        self._at = np.zeros(len(information))
-
-    def add_to(self, e: NormalEquations, now: np.ndarray) -> None:
-        """Add it to the normal equations around `now`, shape (12 + 2 n,)."""
-        information = self._information
-        downhill = self._gradient - information @ (now - self._at)
-        e.own[0] += information[:3, :3]
-        e.shared[0] += information[:3, 3:]
-        e.common[:] += information[3:, 3:]
-        e.slope[0] += downhill[:3]
-        e.common_slope[:] += downhill[3:]
+        self.information = information
+        self.gradient = np.zeros(len(information))
+        """Negative gradient at ..."""
+        self.at = np.zeros(len(information))
+        """... the linearisation point."""
 
     def add_landmark(self, position: np.ndarray, sigma: float) -> None:
         """Add a landmark with a weak prior, around (2,) with standard deviation `sigma`."""
-        size = len(self._gradient)
+        size = len(self.gradient)
         grown = np.zeros((size + 2, size + 2))
-        grown[:size, :size] = self._information
+        grown[:size, :size] = self.information
         grown[size, size] = grown[size + 1, size + 1] = sigma**-2.0
-        self._information = grown
-        self._gradient = np.append(self._gradient, [0.0, 0.0])
-        self._at = np.append(self._at, position)
+        self.information = grown
+        self.gradient = np.append(self.gradient, [0.0, 0.0])
+        self.at = np.append(self.at, position)
 
     def drop_landmark(self, index: int, now: np.ndarray) -> None:
         """Marginalise a landmark, linearised at `now`, shape (12 + 2 n,)."""
         out = HEAD + 2 * index + np.arange(2)
         keep = np.delete(np.arange(now.size), out)
-        information = self._information
+        information = self.information
         gain = np.linalg.solve(information[np.ix_(out, out)], information[np.ix_(out, keep)]).T
-        gradient = self._gradient - information @ (now - self._at)
-        self._information = information[np.ix_(keep, keep)] - gain @ information[np.ix_(out, keep)]
-        self._gradient = gradient[keep] - gain @ gradient[out]
-        self._at = now[keep]
+        gradient = self.gradient - information @ (now - self.at)
+        self.information = information[np.ix_(keep, keep)] - gain @ information[np.ix_(out, keep)]
+        self.gradient = gradient[keep] - gain @ gradient[out]
+        self.at = now[keep]
 
     def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
         """Replace it by an elimination, linearised at `at`.
@@ -67,4 +59,4 @@ class Prior:
         new[:, c], new[c, :] = cross, cross.T
         new[c, c] = inverse - inverse @ gain @ inverse
         new_gradient[c] = inverse @ gain @ gradient[c]
-        self._information, self._gradient, self._at = 0.5 * (new + new.T), new_gradient, at
+        self.information, self.gradient, self.at = 0.5 * (new + new.T), new_gradient, at

@@ -21,7 +21,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
 from homeward.localizer.map.sightings import GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE
-from homeward.localizer.reference.window import WeighedSightings, weigh_sightings
+from homeward.localizer.reference.factors import WeighedSightings, weigh_sightings
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     INLIER,

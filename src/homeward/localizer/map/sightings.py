@@ -11,7 +11,8 @@ import numpy as np
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motions import NC, Motion
-from homeward.localizer.reference.window import cameras
+from homeward.localizer.reference.factors import cameras
+from homeward.table import Table
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
 COLUMNS = 10
@@ -24,24 +25,37 @@ logarithm of the range [m] and its standard deviation (NaN where there is none).
 class Frames:
     """Table of frames: the camera relative to its keyframe at f stamps, numbered consecutively."""
 
-    def __init__(self) -> None:
-        self.first = 0
+    def __init__(self, first: int = 0, columns: tuple[Table, ...] = ()) -> None:
+        self.first = first
         """Number of the oldest frame."""
-        self.keyframes = np.zeros(0, int)
-        """(f,): numbers of the keyframes."""
-        self.stamps = np.zeros(0)
-        """(f,): their times [s]."""
-        self.free = np.zeros((0, 3))
-        """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
-        self.jacobians = np.zeros((0, 3, NC))
-        """(f, 3, 9): ... and its Jacobian by the calibration."""
+        self._columns = columns or (Table(dtype=int), Table(), Table((3,)), Table((3, NC)))
         self.offsets: dict[int, np.ndarray] = {}
         """Pose (3,) of the camera in the frame of the first one, by number, if it is another."""
 
     @property
+    def keyframes(self) -> np.ndarray:
+        """(f,): numbers of the keyframes."""
+        return self._columns[0].rows
+
+    @property
+    def stamps(self) -> np.ndarray:
+        """(f,): their times [s]."""
+        return self._columns[1].rows
+
+    @property
+    def free(self) -> np.ndarray:
+        """(f, 3): camera's pose in its keyframe's frame for a calibration of zero ..."""
+        return self._columns[2].rows
+
+    @property
+    def jacobians(self) -> np.ndarray:
+        """(f, 3, 9): ... and its Jacobian by the calibration."""
+        return self._columns[3].rows
+
+    @property
     def next(self) -> int:
         """Number of the next frame."""
-        return self.first + len(self.keyframes)
+        return self.first + len(self._columns[0])
 
     def add(self, keyframe: int, camera: Motion, frame: WeighedFrame) -> np.ndarray:
         """Add a frame, `camera` being the motion from its keyframe.
@@ -50,40 +64,33 @@ class Frames:
         """
         rows = np.empty((len(frame.names), COLUMNS))
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
-        rows[:, FRAME], rows[:, TIME] = self.first + len(self.keyframes), frame.t
+        rows[:, FRAME], rows[:, TIME] = self.next, frame.t
         rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         if frame.offset is not None:
             self.offsets[self.next] = frame.offset
-        uncalibrated = camera.delta - camera.jacobian @ camera.calibration
-        self.keyframes = np.concatenate([self.keyframes, [keyframe]])
-        self.stamps = np.concatenate([self.stamps, [frame.t]])
-        self.free = np.concatenate([self.free, uncalibrated[None]])
-        self.jacobians = np.concatenate([self.jacobians, camera.jacobian[None]])
+        row = keyframe, frame.t, camera.uncalibrated, camera.jacobian
+        for column, value in zip(self._columns, row, strict=True):
+            column.add(value)
         return rows
 
     def drop_newest(self) -> None:
         """Drop the newest frame."""
-        self.keyframes, self.free = self.keyframes[:-1], self.free[:-1]
-        self.jacobians, self.stamps = self.jacobians[:-1], self.stamps[:-1]
+        for column in self._columns:
+            column.drop_last(1)
         self.offsets.pop(self.next, None)
 
     def since(self, number: int) -> Frames:
         """Return the frames from a number on."""
-        some, begin = Frames(), number - self.first
-        some.first, some.keyframes = number, self.keyframes[begin:]
-        some.free, some.jacobians = self.free[begin:], self.jacobians[begin:]
-        some.stamps = self.stamps[begin:]
-        return some
+        begin = number - self.first
+        return Frames(number, tuple(Table.of(column.rows[begin:]) for column in self._columns))
 
     def take_before(self, keyframe: int) -> Frames:
         """Remove and return the frames of keyframes before a number."""
-        old, count = Frames(), int((self.keyframes < keyframe).sum())
-        old.first = self.first
-        old.keyframes, self.keyframes = self.keyframes[:count], self.keyframes[count:]
-        old.free, self.free = self.free[:count], self.free[count:]
-        old.jacobians, self.jacobians = self.jacobians[:count], self.jacobians[count:]
-        old.stamps, self.stamps = self.stamps[:count], self.stamps[count:]
+        count = int((self.keyframes < keyframe).sum())
+        old = Frames(self.first, tuple(Table.of(c.rows[:count].copy()) for c in self._columns))
+        for column in self._columns:
+            column.drop_first(count)
         self.first += count
         for number in [n for n in self.offsets if n < self.first]:
             del self.offsets[number]
@@ -96,13 +103,9 @@ class Frames:
     @staticmethod
     def joined(parts: list[Frames]) -> Frames:
         """Return consecutive tables as one."""
-        whole = Frames()
-        whole.first = parts[0].first
-        whole.keyframes = np.concatenate([p.keyframes for p in parts])
-        whole.free = np.concatenate([p.free for p in parts])
-        whole.jacobians = np.concatenate([p.jacobians for p in parts])
-        whole.stamps = np.concatenate([p.stamps for p in parts])
-        return whole
+        columns = zip(*(p._columns for p in parts), strict=True)
+        joined = (Table.of(np.concatenate([c.rows for c in same])) for same in columns)
+        return Frames(parts[0].first, tuple(joined))
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 12).

@@ -1,10 +1,10 @@
 """Fixed-lag smoother: recent keyframes, calibration and landmarks, in the odometry frame.
 
-The state is one Gaussian on the newest pose, the calibration and the landmarks. Between solutions
-it is propagated and updated as in an EKF. The poses of the last keyframes, the window, are kept as
-well; from time to time all are solved together by Gauss-Newton. Poses that leave the window are
-marginalised (Schur complement) into a Gaussian prior on the pose after them, the calibration and
-the landmarks.
+The poses of the last keyframes, the window, are solved together with calibration and landmarks at
+each keyframe, by Gauss-Newton. The state is one Gaussian on the newest pose, the calibration and
+the landmarks; a motion to a new keyframe propagates it until the next solution. Poses that leave
+the window are marginalised (Schur complement) into a Gaussian prior on the pose after them, the
+calibration and the landmarks.
 
 Home is not part of it: a home bearing may turn out to be wrong, and nothing that may have to be
 undone is marginalised.
@@ -19,11 +19,9 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE, sight
 from homeward.localizer import kernels
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
-from homeward.localizer.map.gating import Prediction, predict_bearings
 from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
 from homeward.localizer.map.sightings import (
@@ -42,7 +40,6 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motions import (
-    CAMERA_X,
     CAMERA_YAW,
     DELAY,
     HEAD,
@@ -55,7 +52,7 @@ from homeward.localizer.motions import (
     Motion,
     camera_after,
 )
-from homeward.localizer.reference.window import (
+from homeward.localizer.reference.factors import (
     BY_CALIBRATION,
     FREE,
     IS_ODOMETRY,
@@ -64,22 +61,19 @@ from homeward.localizer.reference.window import (
     OdometryErrors,
     SightedFrom,
     WeighedSightings,
-    eliminate,
-    marginals,
     odometry_errors,
     weighed,
 )
+from homeward.localizer.reference.window import AddMore, Window, eliminate, marginals
 from homeward.localizer.tunables import (
     FIXED_TIME_CONSTANT_S,
     INFINITY_RATIO,
     LAG_GATE,
     LINEAR,
-    MAX_SOLVE_STEPS,
     MIN_CALIBRATION_SIGMA,
-    NEGLIGIBLE_CALIBRATION,
-    SOLVE_CONVERGED,
     STALE_S,
 )
+from homeward.table import Table
 
 ONE_SIDED = [TURN_SLIP, TIME_CONSTANT]
 """Unknowns that cannot be negative: wheels gain no way in bends, and no robot precedes its command.
@@ -124,8 +118,7 @@ class Smoother:
         """(n,): ids of the landmarks in the state, ascending; none is reused."""
         self.p_static = np.zeros(0)
         """(n,): probability of each to be static, the weight of its sightings [1]."""
-        self._sightings = np.zeros((0, COLUMNS))
-        self._added: tuple[np.ndarray, ...] = ()
+        self._sightings = Table((COLUMNS,))
         self.frames = Frames()
         self.turn_variances: list[float] = []
         """Variance of turn of the motion into each keyframe but the oldest [rad^2]."""
@@ -148,9 +141,10 @@ class Smoother:
         """Which of the calibration are kept at zero, since they would be negative without that."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
-        self._older = np.zeros((0, 3))
-        """(w - 1, 3): poses of the keyframes in the window but the newest."""
-        self._steps = np.zeros((0, STEP))
+        self._poses = Table((3,))
+        """(w, 3): poses of the keyframes in the window."""
+        self._poses.add(np.zeros(3))
+        self._steps = Table((STEP,))
         """(w - 1, STEP): the motions between them."""
         self._next_id = 0
         self._closed: list[Closed] | None = None
@@ -179,12 +173,13 @@ class Smoother:
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
-        whole._older = np.concatenate([*(part.poses for part in closed), self._older])
+        whole._poses = Table.of(np.concatenate([*(part.poses for part in closed), self.poses]))
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
         rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
         whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
-        whole._steps = np.concatenate([*(part.steps for part in closed), self._steps])
+        steps = [*(part.steps for part in closed), self._steps.rows]
+        whole._steps = Table.of(np.concatenate(steps))
         whole.ids, whole.state, whole.survey = self.ids, self.state, self.survey
         whole.p_static = self.p_static
         information = np.eye(self.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
@@ -195,23 +190,21 @@ class Smoother:
     @property
     def sightings(self) -> np.ndarray:
         """Sightings of landmarks in the state from keyframes in the window."""
-        if self._added:  # joined when they are needed: a window may have 100,000
-            self.sightings = np.concatenate([self._sightings, *self._added])
-        return self._sightings
+        return self._sightings.rows
 
     @sightings.setter
     def sightings(self, rows: np.ndarray) -> None:
-        self._sightings, self._added = rows, ()
+        self._sightings = Table.of(rows)
 
     @property
     def poses(self) -> np.ndarray:
         """(w, 3): poses of the keyframes in the window, in the odometry frame."""
-        return np.concatenate([self._older, self.state.mean[None, :3]])
+        return self._poses.rows
 
     @property
     def newest(self) -> int:
         """Number of the newest keyframe."""
-        return self.first + len(self._older)
+        return self.first + len(self._poses) - 1
 
     @property
     def range_scale(self) -> float:
@@ -231,10 +224,16 @@ class Smoother:
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 12)."""
+        return self._cameras(rows, self.poses, self.state.calibration)
+
+    def _cameras(
+        self, rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the same at poses (w, 3) of the keyframes and a calibration (9,)."""
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
         some = self.frames.since(begin)
-        eyes, by_head = some.eyes(self.poses[some.keyframes - self.first], self.state.calibration)
+        eyes, by_head = some.eyes(poses[some.keyframes - self.first], calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
     def add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray = NO_TAIL) -> None:
@@ -243,14 +242,14 @@ class Smoother:
         The factor has the variances of inlier motions, `inlier_ratios` (2,) of those of shift and
         turn; its robust weight then decides how far this one is an outlier.
         """
-        self._older = self.poses
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
         step = step_row(motion)
         scale_steps(step, inlier_ratios)
-        self._steps = np.concatenate([self._steps, step])
+        self._steps.extend(step)
         self.state = self.state.propagate(motion)
+        self._poses.add(self.state.mean[:3])
 
     def add_landmark(self, position: np.ndarray) -> int:
         """Add a landmark at `position` [m], shape (2,), without sightings yet; return its id."""
@@ -265,7 +264,7 @@ class Smoother:
 
     def add_sightings(self, rows: np.ndarray) -> None:
         """Add rows of the table of sightings, shape (m, COLUMNS), of keyframes in the window."""
-        self._added = (*self._added, rows)
+        self._sightings.extend(rows)
 
     def drop_sightings_from(self, keyframe: int) -> None:
         """Drop the sightings from a keyframe, by its number."""
@@ -273,9 +272,10 @@ class Smoother:
 
     def move_keyframe(self, number: int, pose: np.ndarray) -> None:
         """Set the pose (3,) of a keyframe in the window, where the next `solve` begins."""
-        if number < self.newest:
-            self._older[number - self.first] = pose
-        else:
+        poses = self.poses.copy()
+        poses[number - self.first] = pose
+        self._poses = Table.of(poses)
+        if number == self.newest:
             mean = np.concatenate([pose, self.state.mean[3:]])
             self.state = Marginal(mean, self.state.covariance)
 
@@ -304,10 +304,11 @@ class Smoother:
         """
         self._integrated_at = self.state.calibration[[DELAY, TIME_CONSTANT]]
         known = np.array(self.stamps[:-1]) >= since
-        for k in np.flatnonzero(known & (self._steps[:, IS_ODOMETRY] > 0.0)).tolist():
+        steps = self._steps.rows
+        for k in np.flatnonzero(known & (steps[:, IS_ODOMETRY] > 0.0)).tolist():
             motion = between(self.stamps[k], self.stamps[k + 1])
-            self._steps[k, FREE] = motion.uncalibrated
-            self._steps[k, BY_CALIBRATION] = motion.jacobian.ravel()
+            steps[k, FREE] = motion.uncalibrated
+            steps[k, BY_CALIBRATION] = motion.jacobian.ravel()
         frames = self.frames
         for k, (keyframe, t) in enumerate(zip(frames.keyframes, frames.stamps, strict=True)):
             begin = self.stamps[keyframe - self.first]
@@ -318,7 +319,9 @@ class Smoother:
 
     def replace_motion(self, k: int, motion: Motion) -> None:
         """Replace the motion from the k-th keyframe in the window to the next."""
-        self._steps = np.concatenate([self._steps[:k], step_row(motion), self._steps[k + 1 :]])
+        steps = self._steps.rows.copy()
+        steps[k] = step_row(motion)
+        self._steps = Table.of(steps)
 
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
@@ -327,14 +330,14 @@ class Smoother:
 
     def scale_odometry(self, factors: np.ndarray) -> None:
         """Scale variances of shift and turn by factors (2, 2): of inlier motions, and of all."""
-        for steps in (self._steps, *(part.steps for part in self._closed or [])):
+        for steps in (self._steps.rows, *(part.steps for part in self._closed or [])):
             scale_steps(steps, factors[0])
         self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
         self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
     def odometry_errors(self) -> OdometryErrors:
         """Return the residuals of the motions between keyframes in the window, linearised."""
-        return odometry_errors(self.poses, self.state.calibration, self._steps)
+        return odometry_errors(self.poses, self.state.calibration, self._steps.rows)
 
     def denied_turns(self) -> np.ndarray:
         """Return the squares of the normalised residuals of turns between keyframes, (w - 1,) [1].
@@ -343,7 +346,7 @@ class Smoother:
         """
         found = self.odometry_errors()
         squares = found.error[:, 2] ** 2 * found.information[:, 2, 2]
-        return np.where(self._steps[:, IS_ODOMETRY] > 0.0, squares, np.inf)
+        return np.where(self._steps.rows[:, IS_ODOMETRY] > 0.0, squares, np.inf)
 
     def drop_landmark(self, number: int) -> None:
         """Marginalise the landmark of an id: the information on the others is kept."""
@@ -354,34 +357,22 @@ class Smoother:
         self.survey = self.survey.among(self.ids)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
 
-    def predict(self, rows: np.ndarray) -> Prediction:
-        """Predict sightings from the newest keyframe, rows of the table."""
-        seen = rows[:, BEARING], self.effective_sigmas(rows)
-        index = self.index(rows[:, LANDMARK])
-        return predict_bearings(self.state, *seen, self.cameras(rows), index)
-
     def solve(self) -> None:
         """Solve the whole window by Gauss-Newton.
 
-        `numpy.linalg.LinAlgError` when the normal equations are singular.
+        `numpy.linalg.LinAlgError` when the normal equations are singular; then nothing changes.
         """
-        for _ in range(MAX_SOLVE_STEPS):
-            poses, common, covariance = kernels.solve(self.equations())
-            if not (np.isfinite(poses).all() and np.isfinite(covariance).all()):
-                raise np.linalg.LinAlgError("a step is not finite")
-            if not (covariance.diagonal() > 0.0).all():
-                raise np.linalg.LinAlgError("a variance is not positive")
-            small = self._move(poses, common, covariance) < SOLVE_CONVERGED
-            self.converged = not self._update_bounded() and small
-            if self.converged:
-                break
+        found = kernels.solve(self._window(), self._add_more())
+        mean = np.concatenate([found.poses[-1], found.shared])
+        self._poses, self.state = Table.of(found.poses), Marginal(mean, found.covariance)
+        self._bounded, self.converged = found.is_bounded, found.has_converged
 
     def without_survey(self, size: float) -> Marginal:
         """Return the state without the survey; each landmark has a prior of `size` [m] instead."""
-        equations = self._equations_without_survey()
+        equations = kernels.equations(self._window(), self._add_ranges(self.sightings))
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0
-        poses, common, covariance = kernels.solve(equations)
+        poses, common, covariance = kernels.solve_equations(equations)
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
     def marginals(self, indices: Sequence[int] | None = None) -> list[Marginal]:
@@ -400,9 +391,9 @@ class Smoother:
         Earlier keyframes are marginalised: the error of the new yaw is another one than before.
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
-        poses = self.poses
+        poses = self.poses.copy()
         poses[keyframe - self.first :, 2] -= size
-        self._older = poses[:-1]
+        self._poses = Table.of(poses)
         self.move_keyframe(self.newest, poses[-1])
         self.frames.free[self.frames.keyframes >= keyframe, 2] += size
         self.marginalise(keyframe - self.first, yaw_variance=LINEAR**2)
@@ -416,16 +407,26 @@ class Smoother:
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
         rows = self.sightings[old]
-        eliminated = eliminate(self._normal_equations(count + 1, rows))
+        whole, free = self._window(), np.zeros(NC, bool)
+        oldest = whole._replace(
+            poses=whole.poses[: count + 1],
+            steps=whole.steps[:count],
+            seen=self._seen(rows),
+            weights=np.zeros(NC),  # priors that may change
+            is_bounded=free,
+        )
+        eliminated = eliminate(kernels.equations(oldest, self._add_ranges(rows)))
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         drift[CAMERA_YAW] += yaw_variance
         frames = self.frames.take_before(first)
         if self._closed is not None:
-            chain = self._older[:count], self.stamps[:count]
-            self._closed.append(Closed(*chain, rows, frames, self._steps[:count]))
+            chain = self.poses[:count].copy(), self.stamps[:count]
+            steps = self._steps.rows[:count].copy()
+            self._closed.append(Closed(*chain, rows, frames, steps))
         self.first = first
-        self._older, self.stamps = self._older[count:], self.stamps[count:]
-        self._steps = self._steps[count:]
+        self.stamps = self.stamps[count:]
+        self._poses.drop_first(count)
+        self._steps.drop_first(count)
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
@@ -441,7 +442,7 @@ class Smoother:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
         rows = self.sightings
         rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
-        residual, _ = self._range_residuals(rows, self.index(rows[:, LANDMARK]))
+        residual, _ = self._range_residuals(rows, self.poses, self.state.mean[3:])
         return np.asarray(residual / range_sigmas(rows))
 
     def effective_sigmas(self, rows: np.ndarray) -> np.ndarray:
@@ -452,25 +453,61 @@ class Smoother:
         p_static = self.p_static[self.index(rows[:, LANDMARK])]
         return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(p_static))
 
-    def equations(self, seen: WeighedSightings | None = None) -> NormalEquations:
-        """Return the normal equations at the present estimate.
-
-        `seen` are the sightings, if they are weighted already.
-        """
-        equations = self._equations_without_survey(seen)
-        self.survey.add_to(equations, self.state.positions, self.ids)
-        return equations
+    def equations(self) -> NormalEquations:
+        """Return the normal equations at the present estimate."""
+        return kernels.equations(self._window(), self._add_more())
 
     def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
         """Return the normal equations and the weighted sightings at the present estimate."""
-        seen = weighed(self._seen(self.sightings), self.poses, self.state.mean[3:])
-        return self.equations(seen), seen
+        window = self._window()
+        equations = kernels.equations(window, self._add_more())
+        return equations, weighed(window.seen, window.poses, window.shared)
+
+    def _window(self) -> Window:
+        """Return what is known of poses, calibration and landmarks, except survey and ranges."""
+        time_constant, sigma = self.time_constant_prior
+        at = [*ONE_SIDED, *range(NC)[MOUNT]]
+        weights, means, is_one_sided = np.zeros(NC), np.zeros(NC), np.zeros(NC, bool)
+        weights[at] = np.array([self.slip_sigma, sigma, *self.mount_sigmas]) ** -2.0
+        means[TIME_CONSTANT] = time_constant
+        is_one_sided[self.one_sided] = True
+        bounds = is_one_sided, self._bounded
+        seen, prior, shared = self._seen(self.sightings), self._prior, self.state.mean[3:]
+        known = self._steps.rows, seen, prior.information, prior.gradient, prior.at
+        return Window(self.poses, shared, *known, weights, means, *bounds)
+
+    def _add_more(self) -> AddMore | None:
+        """Return what adds survey and ranges to normal equations; None: there are none."""
+        add_ranges, survey, ids = self._add_ranges(self.sightings), self.survey, self.ids
+        if not survey.is_given:
+            return add_ranges
+
+        def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
+            survey.add_to(e, shared[NC:].reshape(-1, 2), ids)
+            if add_ranges is not None:
+                add_ranges(e, poses, shared)
+
+        return add
+
+    def _add_ranges(self, rows: np.ndarray) -> AddMore | None:
+        """Return what adds the ranges in rows of the table; None: there are none."""
+        rows = rows[rows[:, RANGE_SIGMA] > 0.0]
+        if not len(rows):
+            return None
+        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
+        p_static = self.p_static[landmark]
+
+        def add(e: NormalEquations, poses: np.ndarray, shared: np.ndarray) -> None:
+            seen = self._range_residuals(rows, poses, shared)
+            kernels.add_sightings(e, weigh_ranges(rows, seen, p_static, pose, landmark))
+
+        return add
 
     def _seen(self, rows: np.ndarray) -> SightedFrom:
         """Return the bearings in rows of the table, for the normal equations."""
         return SightedFrom(
-            rows[:, BEARING],
-            rows[:, SIGMA],
+            rows[:, BEARING].copy(),
+            rows[:, SIGMA].copy(),
             self.effective_sigmas(rows),
             rows[:, FRAME].astype(int) - self.frames.first,
             self.index(rows[:, LANDMARK]),
@@ -479,80 +516,15 @@ class Smoother:
             self.frames.jacobians,
         )
 
-    def _weighed_ranges(self, rows: np.ndarray) -> WeighedSightings:
-        """Return the ranges in rows of the table as factors, linearised and weighted."""
-        pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
-        seen = self._range_residuals(rows, landmark)
-        return weigh_ranges(rows, seen, self.p_static[landmark], pose, landmark)
-
     def _range_residuals(
-        self, rows: np.ndarray, landmark: np.ndarray
+        self, rows: np.ndarray, poses: np.ndarray, shared: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals of ranges and their Jacobian; see `range_residuals`."""
-        scale = self.range_scale, self.range_ratio
-        return range_residuals(rows, self.cameras(rows), self.state.positions[landmark], *scale)
+        cameras = self._cameras(rows, poses, shared[:NC])
+        positions = shared[NC:].reshape(-1, 2)[self.index(rows[:, LANDMARK])]
+        scale = self.range_ratio * float(shared[SPEED_SCALE]), self.range_ratio
+        return range_residuals(rows, cameras, positions, *scale)
 
     def _linearisation_point(self) -> np.ndarray:
         """Return oldest pose, calibration and landmarks as one vector."""
         return np.concatenate([self.poses[0], self.state.mean[3:]])
-
-    def _move(self, poses: np.ndarray, common: np.ndarray, covariance: np.ndarray) -> float:
-        """Apply a step, limited to the linear range; return its full size."""
-        landmarks = common[NC:].reshape(-1, 2)
-        turn = float(np.abs(poses[:, 2]).max())
-        share = float((np.hypot(*landmarks.T) / self.state.reach).max(initial=0.0))
-        scale = 1.0 / max(1.0, max(turn, share) / LINEAR)
-        self._older = self._older + scale * poses[:-1]
-        shift = max(np.abs(poses[:, :2]).max(), np.abs(common[CAMERA_X:NC]).max())
-        size = max(turn, share, shift / self.state.scale, np.abs(common[:CAMERA_X]).max())
-        step = np.concatenate([poses[-1], common])
-        self.state = Marginal(self.state.mean + scale * step, covariance)
-        return float(size)
-
-    def _normal_equations(
-        self, w: int, rows: np.ndarray, seen: WeighedSightings | None = None
-    ) -> NormalEquations:
-        """Return the normal equations of the oldest w poses, sightings from them, and the prior.
-
-        The priors on extrinsics, slip and time constant are not among them, since they may change.
-        """
-        equations = NormalEquations.zeros(w, NC + self.state.positions.size)
-        self._prior.add_to(equations, self._linearisation_point())
-        poses, calibration = self.poses[:w], self.state.calibration
-        kernels.add_odometry(equations, poses, calibration, self._steps[: w - 1])
-        if seen is None:
-            kernels.add_bearings(equations, self._seen(rows), poses, self.state.mean[3:])
-        else:
-            kernels.add_sightings(equations, seen)
-        with_range = rows[:, RANGE_SIGMA] > 0.0
-        if with_range.any():
-            kernels.add_sightings(equations, self._weighed_ranges(rows[with_range]))
-        return equations
-
-    def _update_bounded(self) -> bool:
-        """Update which unknowns are kept at zero (an active set); return whether any changed.
-
-        An unknown that nothing observes is zero but for rounding, whose sign must not decide: one
-        is kept at zero from a notable negative value on, until it is not negative even then.
-        """
-        now, before = self.state.calibration, self._bounded
-        limit = np.where(before, -ROUNDING, -NEGLIGIBLE_CALIBRATION)
-        self._bounded = np.zeros(NC, bool)
-        self._bounded[self.one_sided] = (now < limit)[self.one_sided]
-        return bool((self._bounded != before).any())
-
-    def _equations_without_survey(self, seen: WeighedSightings | None = None) -> NormalEquations:
-        """Return the normal equations of everything but the survey."""
-        equations = self._normal_equations(len(self.poses), self.sightings, seen)
-        at = np.array([*ONE_SIDED, *range(NC)[MOUNT]])
-        time_constant, sigma = self.time_constant_prior
-        means = np.array([0.0, time_constant, 0.0, 0.0, 0.0])
-        information = np.array([self.slip_sigma, sigma, *self.mount_sigmas]) ** -2.0
-        equations.common[at, at] += information
-        equations.common_slope[at] -= information * (self.state.calibration[at] - means)
-        bounded = self._bounded.nonzero()[0]
-        equations.common[bounded, bounded] += NEGLIGIBLE_CALIBRATION**-2.0
-        equations.common_slope[bounded] -= (
-            NEGLIGIBLE_CALIBRATION**-2.0 * self.state.calibration[bounded]
-        )
-        return equations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.motions import Motion
-from homeward.localizer.reference.window import (
+from homeward.localizer.reference.factors import (
     BY_CALIBRATION,
     FREE,
     INFORMATION,

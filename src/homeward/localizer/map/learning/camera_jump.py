@@ -17,7 +17,8 @@ import numpy as np
 
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motions import CAMERA_YAW, HEAD, MOUNT, NC
-from homeward.localizer.reference.window import eliminate, sum_by, sum_by_pair
+from homeward.localizer.reference.factors import sum_by, sum_by_pair
+from homeward.localizer.reference.window import eliminate
 from homeward.localizer.tunables import (
     FINAL_GATE,
     GATE,

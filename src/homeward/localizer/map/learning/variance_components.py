@@ -17,7 +17,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from homeward.localizer.motions import NC
-from homeward.localizer.reference.window import Elimination, OdometryErrors, cauchy_weights
+from homeward.localizer.reference.factors import OdometryErrors, cauchy_weights
+from homeward.localizer.reference.window import Elimination
 from homeward.localizer.tunables import GATE, MAX_INFLATION
 
 CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)

@@ -20,13 +20,13 @@ from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motions import NC
-from homeward.localizer.reference.window import (
+from homeward.localizer.reference.factors import (
     NormalEquations,
     WeighedSightings,
-    eliminate,
     sum_by,
     sum_by_pair,
 )
+from homeward.localizer.reference.window import eliminate
 from homeward.localizer.tunables import FALSE_ALARM, MIN_GAIN, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20

@@ -17,7 +17,7 @@ import numpy as np
 from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC
-from homeward.localizer.reference.window import NormalEquations
+from homeward.localizer.reference.factors import NormalEquations
 from homeward.localizer.tunables import ALIGNMENT_STEPS, ONE_PLACE
 
 
@@ -103,6 +103,11 @@ class SurveyFactors:
     """(m,) [m]"""
     distance_sigmas: np.ndarray
     """(m,) [m]"""
+
+    @property
+    def is_given(self) -> bool:
+        """Whether there are any."""
+        return bool(self.ids.size or self.distances.size)
 
     def datum(self, positions: np.ndarray, index: np.ndarray) -> Datum:
         """Return the datum by positions (n, 2) of a state, those of `ids` at `index` (k,)."""

@@ -1,0 +1,53 @@
+// Normal equations of the window, and their factors: the text to read is reference/factors.py.
+#pragma once
+
+#include "algebra.h"
+
+namespace homeward {
+
+constexpr int STEP = 13 + 3 * NC;
+
+// Normal equations as NumPy holds them; everything is added in place.
+struct Equations {
+  Equations(size_t w, size_t a) : w(w), a(a) {}
+  Equations(Out own, Out next, Out shared, Out common, Out slope, Out common_slope)
+      : w(own.size() / 9), a(common.shape(0)), own(own.data()), next(next.data()), shared(shared.data()),
+        common(common.data()), slope(slope.data()), common_slope(common_slope.data()) {
+    require_shape("own", own, {w, 3, 3});
+    if (w < 1) throw nb::value_error("own is empty");
+    require_shape("next", next, {w - 1, 3, 3}), require_shape("shared", shared, {w, 3, a});
+    require_shape("common", common, {a, a}), require_shape("slope", slope, {w, 3}), require_shape("common_slope", common_slope, {a});
+  }
+  Eigen::Map<Matrix3> own_of(size_t k) const { return Eigen::Map<Matrix3>(own + 9 * k); }
+  Eigen::Map<Matrix3> next_of(size_t k) const { return Eigen::Map<Matrix3>(next + 9 * k); }
+  Eigen::Map<Matrix> shared_of(size_t k) const { return Eigen::Map<Matrix>(shared + 3 * a * k, 3, a); }
+  Eigen::Map<Vector3> slope_of(size_t k) const { return Eigen::Map<Vector3>(slope + 3 * k); }
+  Eigen::Map<Matrix> common_all() const { return Eigen::Map<Matrix>(common, a, a); }
+  Eigen::Map<Vector> common_slope_all() const { return Eigen::Map<Vector>(common_slope, a); }
+  size_t w, a;  // numbers of poses and of shared unknowns
+  double *own, *next, *shared, *common, *slope, *common_slope;
+};
+
+// Normal equations with memory of their own, of zeros.
+struct OwnEquations : Equations {
+  OwnEquations(size_t w, size_t a);
+  void clear();
+  nb::tuple arrays() const;  // as NumPy's, in the order of NormalEquations
+
+ private:
+  size_t size_;
+  nb::capsule owner_;
+};
+
+// Bearings as in SightedFrom, after their shapes have been tested.
+struct Bearings {
+  const double *bearings, *sigmas, *effective;
+  const int64_t *frames, *landmarks, *poses;
+  const double *free, *jacobians;
+  size_t m, f;
+};
+
+void add_odometry(const Equations &e, const double *poses, const double *calibration, const double *steps);
+void add_bearings(const Equations &e, const Bearings &seen, const double *poses, const double *unknowns, double gate);
+
+}  // namespace homeward
