@@ -1,4 +1,4 @@
-"""Quick corrections between solutions of the window, and what many landmarks ask for."""
+"""The window: what it keeps when keyframes leave it, and what many landmarks ask for."""
 
 import math
 
@@ -74,36 +74,6 @@ def test_rounding_does_not_decide_the_variance_of_a_slip_that_nothing_observes(r
         assert window.state.calibration_variances[TURN_SLIP] == pytest.approx(
             SIGMAS[TURN_SLIP] ** 2
         )
-
-
-def test_a_quick_correction_is_what_the_whole_window_says_while_that_is_linear():
-    rng = np.random.default_rng(3)
-    window, odometry = circle(rng, 12)
-    window.solve()
-    move_on(odometry, window, 13.0)
-    rows = seen(rng, window)
-    quick = window.state.update(window.predict(rows))
-    window.add_sightings(rows)
-    window.solve()
-    whole = window.state
-    deviation = np.sqrt(np.diag(whole.covariance))
-    assert np.abs(quick.mean - whole.mean).max() < 0.1 * deviation.max()
-    assert (np.abs(quick.mean - whole.mean) < 0.1 * deviation).all()
-    assert np.sqrt(np.diag(quick.covariance)) == pytest.approx(deviation, rel=0.05)
-    assert np.linalg.eigvalsh(quick.covariance).min() > 0
-
-
-def test_sightings_without_spread_are_an_error_and_change_nothing():
-    rng = np.random.default_rng(3)
-    window, _ = circle(rng, 3)
-    window.solve()
-    prediction = window.predict(seen(rng, window))
-    prediction.innovation_covariance[:] = -1.0
-    prediction.residual[:] = 0.0
-    before = window.state.covariance.copy()
-    with pytest.raises(np.linalg.LinAlgError):
-        window.state.update(prediction)
-    assert np.array_equal(window.state.covariance, before)
 
 
 def test_closing_keyframes_at_once_keeps_what_they_said():
