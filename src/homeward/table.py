@@ -15,7 +15,8 @@ class Table:
     """
 
     def __init__(self, shape: tuple[int, ...] = (), dtype: type = float) -> None:
-        self._data, self._begin, self._end = np.empty((SPARE, *shape), dtype), 0, 0
+        self._data: np.ndarray = np.empty((SPARE, *shape), dtype)
+        self._begin, self._end = 0, 0
 
     @staticmethod
     def of(rows: np.ndarray) -> Table:

@@ -69,9 +69,11 @@ class Frames:
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         if frame.offset is not None:
             self.offsets[self.next] = frame.offset
-        row = keyframe, frame.t, camera.uncalibrated, camera.jacobian
-        for column, value in zip(self._columns, row, strict=True):
-            column.add(value)
+        keyframes, stamps, free, jacobians = self._columns
+        keyframes.add(keyframe)
+        stamps.add(frame.t)
+        free.add(camera.uncalibrated)
+        jacobians.add(camera.jacobian)
         return rows
 
     def drop_newest(self) -> None:
