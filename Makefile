@@ -12,7 +12,7 @@ PIP_OPTIONS := --quiet --disable-pip-version-check --no-compile
 BUILD_PINS := PIP_CONSTRAINT=$(CURDIR)/constraints.txt PIP_BUILD_CONSTRAINT=$(CURDIR)/constraints.txt
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-mcu ros-environments test-ros wheel rehearsal test-wheel lint docs paper bench figures state-log clean
+.PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-sanitizer test-mcu ros-environments test-ros wheel rehearsal test-wheel lint docs paper bench figures state-log clean
 
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
 EXTRAS := filters,live,report,scale,vision
@@ -95,6 +95,33 @@ interpreter-environment: install
 
 test-interpreter: interpreter-environment
 	$(BIN)/python -m pytest -m interpreter
+
+# The tests that call the compiled core, with the address and undefined-behaviour sanitizers and Eigen's
+# assertions. They run with the packages of $(VENV), but PYTHONPATH names a copy of homeward with such a
+# core. The sanitizer and libstdc++, whose exceptions it intercepts, must be loaded before Python.
+SANITIZED := out/sanitizer$(OTHER)
+SANITIZER_TESTS = test_compiled_core.py localizer/test_kernels.py vision/test_vision_compiled.py
+test-sanitizer: dev
+	@if [ -f "$$($(CXX) -print-file-name=libasan.so 2>/dev/null)" ] \
+		&& $(BIN)/python -c 'import os, sysconfig as s; os.stat(s.get_path("include") + "/Python.h")'; \
+		then $(MAKE) --no-print-directory sanitizer-tests; \
+		else echo "test-sanitizer skipped: no g++ with libasan, or no headers of Python"; fi
+
+.PHONY: sanitizer-tests
+sanitizer-tests: $(SANITIZED)/installed
+	LD_PRELOAD="$$($(CXX) -print-file-name=libasan.so) $$($(CXX) -print-file-name=libstdc++.so)" \
+		ASAN_OPTIONS=detect_leaks=0 UBSAN_OPTIONS=print_stacktrace=1 PYTHONMALLOC=malloc \
+		PYTHONPATH=$(CURDIR)/$(SANITIZED) $(BIN)/python -m pytest -o addopts=-v --capture=sys \
+		$(addprefix tests/,$(SANITIZER_TESTS)) -k 'not version and not variable'
+
+# A failed build would leave NumPy alone, and the tests would be skipped.
+$(SANITIZED)/installed: $(PINS) $(shell find src -name '*.py')
+	rm -rf $(SANITIZED)
+	$(BUILD_PINS) $(BIN)/python -m pip install $(PIP_OPTIONS) --no-deps --target $(SANITIZED) \
+		-C cmake.build-type=Debug -C cmake.define.HOMEWARD_SANITIZE=ON .
+	@grep -q __asan_init $(SANITIZED)/homeward/_core*.so \
+		|| { echo "no sanitized core was built; add -v to this pip install for the reason"; exit 1; }
+	touch $@
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
 test-mcu: dev
