@@ -62,6 +62,28 @@ def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp
     assert drive.odometry.t[0] == pytest.approx(turned, abs=0.1)
 
 
+def test_frames_that_are_late_at_the_end_of_a_turn_do_not_displace_the_robot():
+    rig, waiting = Rig(0, settings=LiveSettings(bearings_timeout=0.4), **NARROW), []
+
+    def late(message):
+        """Deliver frames late by 0.4 s."""
+        if isinstance(message, BearingsIn):
+            waiting.append(message)
+            return []
+        out = [message]
+        while isinstance(message, OdometryIn) and waiting and message.t - waiting[0].t > 0.39:
+            out.append(waiting.pop(0))
+        return out
+
+    rig.spoil, home = late, rig.robot.pose
+    rig.until(events)
+    assert "16 home bearings from a rotation of 36" in events(rig)[0]
+    start = rig.session.localisation.drive.settings.start
+    error = wrap(rig.robot.pose.heading - home.heading - start.alpha)
+    # The robot has turned for two periods since the last twist at 0.5 rad/s.
+    assert abs(error) < 2 * rig.robot.period * 0.5 + 3 * start.sigma_alpha
+
+
 @pytest.mark.parametrize("message", [Cancel(), EStop(engaged=True)])
 def test_a_turn_that_is_broken_off_stores_nothing(message):
     rig = Rig(1, **NARROW).until(lambda r: r.robot.t > 3.0)

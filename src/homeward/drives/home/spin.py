@@ -83,11 +83,11 @@ class Spin(JointHome):
     left_out: tuple[str, ...]
     """Landmarks whose sightings disagree: moved meanwhile, or duplicate ids."""
     turned: float
-    """Corrected rotation [rad]; positive anti-clockwise."""
+    """Corrected rotation until the last sighting [rad]; positive anti-clockwise."""
     seen: float
     """Angle that was in view, at most a full turn [rad]."""
     end: Pose
-    """Pose of the robot at the last sighting, in the home frame."""
+    """Pose of the robot at the last sighting or twist, in the home frame."""
 
 
 def spin(
@@ -115,7 +115,7 @@ def spin(
             "home: bearings and yaw rates must both be positive anti-clockwise"
         )
     kept = np.flatnonzero(share >= MIN_AGREEMENT)
-    headings = turn.headings(x)
+    headings = turn.headings(x)[: turn.pose[-1] + 1]
     return Spin(
         tuple(turn.names[i] for i in kept),
         turn.home_bearings(x)[kept],

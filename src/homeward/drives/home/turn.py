@@ -1,9 +1,9 @@
 """A rotation on the spot as one least-squares problem.
 
-The unknowns are: a pose of the robot at each stamp, constrained to the next one by odometry, whose
-noise is a random walk; constant errors of odometry (scale and bias of the yaw rate, lag behind the
-camera, and the slip that moves the robot's centre on a circle); and for each landmark the direction
-from home and the inverse range (Civera, Davison, Montiel, 2008).
+The unknowns are: a pose of the robot at each stamp and at the end, constrained to the next one by
+odometry, whose noise is a random walk; constant errors of odometry (scale and bias of the yaw rate,
+lag behind the camera, and the slip that moves the robot's centre on a circle); and for each
+landmark the direction from home and the inverse range (Civera, Davison, Montiel, 2008).
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SCALE, BIAS, LAG, SLIP, POSES = range(5)
 
 @dataclass(frozen=True)
 class TurnProblem:
-    """m sightings of n landmarks from K poses, the first of which is home."""
+    """m sightings of n landmarks from K poses; the first is home."""
 
     names: list[str]
     odometry: Odometry
@@ -91,8 +91,11 @@ class TurnProblem:
         seen = sightings.rows(there)
         if not seen.t.size:
             raise InputError("no sightings during the rotation at home")
-        _require_odometry(begin, float(seen.t[-1]), odometry)
-        stamps = np.unique([begin, *seen.t])
+        last = float(seen.t[-1])
+        _require_odometry(begin, last, odometry)
+        # Sightings arrive late: the robot has turned further since the last one.
+        after = odometry.t[(odometry.t > last) & (odometry.t <= end)][-1:]
+        stamps = np.unique([begin, *seen.t, *after])
         path = dead_reckoning_unwrapped(odometry, stamps)
         centre = (path.x + 1j * path.y - path.x[0] - 1j * path.y[0]) * np.exp(-1j * path.heading[0])
         during = (odometry.t >= begin) & (odometry.t <= end)
