@@ -19,6 +19,9 @@ LENS = Lens(fx=457.0, fy=457.0, cx=319.5, cy=119.5, width=640, height=240)
 TAGS, SIZE = 16, 0.2
 FINE = 2
 """Parts of a pixel, either way."""
+SHEET, BORDER = 40, 5
+"""Width of a tag and of its white border [pixels of its sheet]. Finer sheets than pictures make
+steps in edges: then bearings have errors of 7 sigma, and which tags agree is chance."""
 
 
 class PictureNode(RobotNode):
@@ -28,8 +31,8 @@ class PictureNode(RobotNode):
         self.pictures = self.create_publisher(CompressedImage if packed else Image, "image", 5)
         self.info = self.create_publisher(CameraInfo, "camera_info", 5)
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
-        sheets = [cv2.aruco.generateImageMarker(family, k, 160) for k in range(TAGS)]
-        self.sheets = [np.pad(sheet, 20, constant_values=255) for sheet in sheets]
+        sheets = [cv2.aruco.generateImageMarker(family, k, SHEET) for k in range(TAGS)]
+        self.sheets = [np.pad(sheet, BORDER, constant_values=255) for sheet in sheets]
         rng, way = np.random.default_rng(0), math.tau * np.arange(TAGS) / TAGS
         away = rng.uniform(1.6, 2.6, TAGS)
         self.places = np.array([self.robot.pose[:2]]) + np.stack(
@@ -57,7 +60,7 @@ class PictureNode(RobotNode):
         canvas = np.full((240 * FINE, 640 * FINE), 120, np.uint8)
         c, s = math.cos(pose.heading), math.sin(pose.heading)
         for sheet, place, facing in zip(self.sheets, self.places, self.facing, strict=True):
-            half = SIZE * 200 / 160 / 2  # with its white border
+            half = SIZE * (0.5 + BORDER / SHEET)  # with its white border
             right = np.array([math.sin(facing), -math.cos(facing)]) * half
             corners = [
                 (place + a * right, b * half) for a, b in ((-1, 1), (1, 1), (1, -1), (-1, -1))

@@ -1,6 +1,7 @@
 """A robot that sends its images to the node, which detects the tags."""
 
 import math
+import re
 import statistics
 import sys
 import time
@@ -51,7 +52,10 @@ def test_home_by_a_turn_and_back_again_by_pictures(stage):
     stored = stage.hear("/homeward/said", lambda s: "is stored" in s.get("text", ""), 40.0)
     number, _, rest = stored["value"]["text"].partition("stored: ")[2].partition(" ")
     assert int(number) >= 12
-    assert rest.startswith("home bearings from a rotation of 37")
+    turned = int(re.fullmatch(r"home bearings from a rotation of (\d+) degrees,.*", rest)[1])
+    # 1.05 turns at 0.5 rad/s: at the end, pictures may be 0.5 s late (largest_lag), and commands
+    # 0.2 s, after which the base stops.
+    assert 363 <= turned <= 386
     drive_about(stage)
     stage.go()
     stage.hear("/homeward/said", lambda s: s.get("state") == "arrived", 40.0)
