@@ -6,11 +6,12 @@ void bind_align(nanobind::module_ &m);
 void bind_factors(nanobind::module_ &m);
 void bind_motion(nanobind::module_ &m);
 void bind_refine(nanobind::module_ &m);
+void bind_sets(nanobind::module_ &m);
 void bind_window(nanobind::module_ &m);
 
 // Increase it, and that of core.py, with each change of a signature: an editable installation may have a
 // module that is older than its Python.
-constexpr int INTERFACE = 2;
+constexpr int INTERFACE = 3;
 
 NB_MODULE(_core, m) {
   m.attr("INTERFACE") = INTERFACE;
@@ -18,5 +19,6 @@ NB_MODULE(_core, m) {
   bind_factors(m);
   bind_motion(m);
   bind_refine(m);
+  bind_sets(m);
   bind_window(m);
 }

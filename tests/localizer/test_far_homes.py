@@ -11,10 +11,10 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, update
-from homeward.localizer.home.linearisation import expected
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.output.pose import uncheckable_outliers
 from homeward.localizer.output.status import IntegrityMonitor
+from homeward.localizer.reference.sets import expected
 from homeward.localizer.settings import LocalizerSettings
 
 NEAR, FAR = Pose(0.5, 0.6, -0.4), Pose(-18.0, -4.0, 0.2)
@@ -75,7 +75,7 @@ def test_the_unit_of_length_does_not_matter(times):
 def test_a_step_that_was_cut_short_is_not_rest():
     known, near = divided(sigma=2.0)
     begun = fit(known, np.array(FAR), near, 1)
-    assert known.step_length(begun.step) == pytest.approx(1.0)
+    assert known.step_length(begun.solution.step) == pytest.approx(1.0)
     assert not begun.converged
     assert fit(known, np.array(FAR) / 2, near, 60).converged
 
@@ -88,7 +88,8 @@ def test_doubt_is_a_covariance_where_next_to_nothing_is_known_too():
             assert (
                 np.linalg.eigvalsh(found.inflation)[0] > -1e-9 * np.trace(found.inflation) - 1e-12
             )
-            crisp = replace(found, information=1e6 * np.eye(3), known_inflation=found.inflation)
+            sure = found.solution._replace(inverse=1e-6 * np.eye(3))
+            crisp = replace(found, solution=sure, known_inflation=found.inflation)
             assert (np.linalg.eigvalsh(crisp.covariance) > 0.0).all()
 
 

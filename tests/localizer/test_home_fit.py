@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from homeward.geometry.angles import wrap
-from homeward.localizer.home.evidence import log_odds, log_outlier, log_set_prior, moved_share
-from homeward.localizer.home.gauss_newton import fit, solved
+from homeward.localizer.home.estimate import HomeFit
+from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
-from homeward.localizer.home.linearisation import linearised
-from homeward.localizer.home.problem import POSE_AND_YAW, Assumption, HomeProblem
+from homeward.localizer.home.problem import Assumption, HomeProblem
+from homeward.localizer.reference.labels import log_odds, log_outlier, log_set_prior, moved_share
+from homeward.localizer.reference.sets import POSE_AND_YAW, YAW, linearised, solved
 from homeward.localizer.tunables import FIT_CONVERGED, GIVEN_WRONG
 
 PRIOR = np.array([0.1, -0.1, 0.2])
@@ -35,6 +36,21 @@ def a_home(rng, q=6, prior=None):
     )
 
 
+def by_state(linear):
+    """Return the Jacobian of the expected home bearings by pose, yaw and landmarks."""
+    q = len(linear.by_yaw)
+    found = np.zeros((q, POSE_AND_YAW + 2 * q))
+    found[:, YAW] = linear.by_yaw
+    for i, by_place in enumerate(linear.by_place):
+        found[i, POSE_AND_YAW + 2 * i :][:2] = by_place
+    return found
+
+
+def solved_fit(problem, linear, inliers):
+    """Return the fit of a set at a linearisation."""
+    return HomeFit(problem, linear, inliers, solved(problem.arrays, linear, inliers))
+
+
 def log_normal(off, covariance):
     return -0.5 * (
         off @ np.linalg.solve(covariance, off) + np.linalg.slogdet(2.0 * np.pi * covariance)[1]
@@ -45,26 +61,28 @@ def log_normal(off, covariance):
 @pytest.mark.parametrize("inliers", [[1, 1, 1, 1, 1, 1], [1, 0, 1, 1, 0, 1], [0, 0, 0, 0, 0, 0]])
 def test_a_fit_is_the_posterior_of_home_and_map_together(prior, inliers):
     problem, inliers = a_home(np.random.default_rng(4), prior=prior), np.array(inliers, bool)
-    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
-    found = solved(linear, inliers)
-    whole = np.concatenate([linear.by_home, linear.by_state], axis=1)
+    linear = linearised(problem.arrays, np.array([0.1, 0.1, -0.2]), problem.mean)
+    found = solved_fit(problem, linear, inliers)
+    whole = np.concatenate([linear.by_home, by_state(linear)], axis=1)
     before = np.zeros((len(whole[0]), len(whole[0])))
     before[:3, :3], before[3:, 3:] = problem.initial_information, np.linalg.inv(problem.covariance)
     weighed = whole[inliers].T / problem.sigmas[inliers] ** 2
     covariance = np.linalg.inv(before + weighed @ whole[inliers])
-    slope = weighed @ linear.residual[inliers] + before[:, :3] @ problem.prior_offset(linear.at)
+    slope = weighed @ linear.residual[inliers] + before[:, :3] @ problem.arrays.prior_offset(
+        linear.at
+    )
     step = covariance @ slope
     assert problem.step_length(step[:3]) < 1.0
-    assert found.step == pytest.approx(step[:3], rel=1e-6, abs=1e-9)
+    assert found.solution.step == pytest.approx(step[:3], rel=1e-6, abs=1e-9)
     assert found.state - problem.mean == pytest.approx(step[3:], rel=1e-6, abs=1e-9)
     assert found.pose == pytest.approx(found.state[:3])
-    assert np.linalg.inv(found.information) == pytest.approx(covariance[:3, :3], rel=1e-6)
-    follows = -found.by_home
-    assert follows @ np.linalg.inv(found.information) == pytest.approx(
+    assert np.linalg.inv(found.solution.information) == pytest.approx(covariance[:3, :3], rel=1e-6)
+    follows = -found.solution.pose_by_home
+    assert follows @ np.linalg.inv(found.solution.information) == pytest.approx(
         covariance[3:6, :3], rel=1e-6, abs=1e-9
     )
     alone = covariance[3:6, 3:6] - follows @ covariance[:3, 3:6]
-    assert found.pose_covariance == pytest.approx(alone, rel=1e-5, abs=1e-9)
+    assert found.solution.pose_covariance == pytest.approx(alone, rel=1e-5, abs=1e-9)
     predicted = whole @ covariance @ whole.T + np.diag(problem.sigmas**2)
     outside = ~inliers
     innovation = wrap(linear.residual - whole @ step)
@@ -75,19 +93,21 @@ def test_a_fit_is_the_posterior_of_home_and_map_together(prior, inliers):
 @pytest.mark.parametrize("prior", [None, PRIOR])
 def test_each_bearing_is_predicted_by_all_others(prior):
     problem = a_home(np.random.default_rng(4), prior=prior)
-    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    linear = linearised(problem.arrays, np.array([0.1, 0.1, -0.2]), problem.mean)
     inliers = np.array([1, 0, 1, 1, 1, 1], bool)
-    innovation, variance = solved(linear, inliers).innovations
+    innovation, variance = solved_fit(problem, linear, inliers).innovations
     for i in range(6):
         others = inliers & (np.arange(6) != i)
-        rest = solved(linear, others)
-        jacobian = np.concatenate([linear.by_home, linear.by_state], axis=1)
-        expected = linear.by_home[i] @ rest.step
+        rest = solved_fit(problem, linear, others)
+        jacobian = np.concatenate([linear.by_home, by_state(linear)], axis=1)
+        expected = linear.by_home[i] @ rest.solution.step
         expected += jacobian[i, 3:] @ (rest.state - problem.mean)
         assert innovation[i] == pytest.approx(wrap(linear.residual[i] - expected), rel=1e-6)
         assert variance[i] == pytest.approx(rest.innovations[1][i], rel=1e-6)
     share = np.where(inliers, moved_share(4, 1, 0.1), moved_share(5, 0, 0.1))
-    assert solved(linear, inliers).odds == pytest.approx(log_odds(innovation, variance, share))
+    assert solved_fit(problem, linear, inliers).odds == pytest.approx(
+        log_odds(innovation, variance, share)
+    )
 
 
 def test_where_many_were_found_wrong_another_one_is_no_wonder():
@@ -101,10 +121,10 @@ def test_where_many_were_found_wrong_another_one_is_no_wonder():
 
 def test_the_evidence_is_the_density_of_the_bearings_whatever_home_and_map_are():
     problem = a_home(np.random.default_rng(4), prior=PRIOR)
-    linear = linearised(problem, np.array([0.1, 0.1, -0.2]), problem.mean)
+    linear = linearised(problem.arrays, np.array([0.1, 0.1, -0.2]), problem.mean)
     inliers = np.array([1, 0, 1, 1, 0, 1], bool)
-    found = solved(linear, inliers)
-    by_home, off = linear.by_home[inliers], problem.prior_offset(linear.at)
+    found = solved_fit(problem, linear, inliers)
+    by_home, off = linear.by_home[inliers], problem.arrays.prior_offset(linear.at)
     spread = linear.residual_covariance[inliers][:, inliers]
     spread = spread + by_home @ np.linalg.inv(problem.initial_information) @ by_home.T
     density = log_normal(linear.residual[inliers] - by_home @ off, spread)
@@ -149,17 +169,18 @@ def test_home_is_iterated_to(prior):
     problem = a_home(np.random.default_rng(6), prior=prior)
     inliers = np.array([1, 1, 1, 0, 1, 1], bool)
     one, many = (fit(problem, np.array([0.4, -0.3, 0.3]), inliers, steps) for steps in (1, 20))
-    assert problem.step_length(many.step) < FIT_CONVERGED < problem.step_length(one.step)
-    again = linearised(problem, many.home, many.state)
-    assert solved(again, inliers).step == pytest.approx(np.zeros(3), abs=1e-4)
+    assert problem.step_length(many.solution.step) < FIT_CONVERGED
+    assert problem.step_length(one.solution.step) > FIT_CONVERGED
+    again = linearised(problem.arrays, many.home, many.state)
+    assert solved(problem.arrays, again, inliers).step == pytest.approx(np.zeros(3), abs=1e-4)
     assert (fit(problem, np.zeros(3), np.zeros(6, bool)) is None) == (prior is None)
 
 
 def test_bearings_without_spread_fix_no_home():
     problem = a_home(np.random.default_rng(5))
-    around = linearised(problem, np.zeros(3), problem.mean)
+    around = linearised(problem.arrays, np.zeros(3), problem.mean)
     around.residual_covariance[:] = -1.0
-    assert solved(around, np.ones(6, bool)) is None
+    assert solved(problem.arrays, around, np.ones(6, bool)) is None
 
 
 def test_errors_that_move_all_landmarks_alike_are_not_spurious_information():
@@ -170,8 +191,8 @@ def test_errors_that_move_all_landmarks_alike_are_not_spurious_information():
     rigid[POSE_AND_YAW::2, 2], rigid[POSE_AND_YAW + 1 :: 2, 2] = -away[:, 1], away[:, 0]
     alike = rigid @ np.diag([0.04, 0.05, 0.02]) @ rigid.T
     home = np.zeros(3)
-    moved = solved(
-        linearised(replace(problem, covariance=alike), home, problem.mean), np.ones(6, bool)
+    moved, own = (
+        solved_fit(p, linearised(p.arrays, home, p.mean), np.ones(6, bool))
+        for p in (replace(problem, covariance=alike), problem)
     )
-    own = solved(linearised(problem, home, problem.mean), np.ones(6, bool))
     assert np.abs(moved.inflation).max() < 1e-3 * np.abs(own.inflation).max()

@@ -13,7 +13,6 @@ from test_parts import problem
 from homeward.estimator import Status
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import Pose, between
-from homeward.localizer.home.evidence import log_inlier, log_odds, log_outlier
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_for
 from homeward.localizer.home.problem import USUAL, HomeProblem
@@ -25,6 +24,7 @@ from homeward.localizer.output.pose import (
     other_hypotheses,
 )
 from homeward.localizer.output.status import IntegrityMonitor
+from homeward.localizer.reference.labels import log_inlier, log_odds, log_outlier
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import INLIER
 
@@ -130,7 +130,9 @@ def test_the_answer_lies_between_the_hypotheses_with_the_second_moment_of_all_ar
 def test_a_home_nearby_is_the_same_however_certain_both_are(share, probability):
     best = two_hypotheses().best
     shift = share * best.landmark_distance(best.home) * np.array([0.6, 0.8, 0.0])
-    other = dataclasses.replace(best, step=best.step + shift)
+    other = dataclasses.replace(
+        best, solution=best.solution._replace(step=best.solution.step + shift)
+    )
     assert Hypotheses((best, other), np.array([0.6, 0.4])).rivals(0.01) == probability
 
 
@@ -169,7 +171,7 @@ def test_headings_on_both_sides_of_half_a_turn_meet_there():
     fits = []
     for f, off in zip(both.fits, (0.1, -0.1), strict=True):
         turn = np.array([0.0, 0.0, wrap(math.pi + off - f.pose[2] + f.home[2])])
-        turned = dataclasses.replace(f.linear, at=f.linear.at - turn)
+        turned = f.linear._replace(at=f.linear.at - turn)
         fits.append(dataclasses.replace(f, linear=turned))
     other = Hypotheses(tuple(fits), both.weights)
     answer = combined_estimate(other.best, other_hypotheses(other))

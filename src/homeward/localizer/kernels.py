@@ -17,24 +17,29 @@ from homeward import core
 from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.motions import Motion
-from homeward.localizer.reference import factors, motion, window
+from homeward.localizer.reference import factors, labels, motion, sets, window
 from homeward.localizer.reference.factors import NormalEquations, WeighedSightings
+from homeward.localizer.reference.sets import Evidence, HomeArrays, Linear
 from homeward.localizer.reference.window import AddMore, Solution, Window
 from homeward.localizer.tunables import (
     BEND,
     BRIDGED,
     CLOSE,
+    FIT_CONVERGED,
     GATE,
     LINEAR,
+    MAX_HOME_TURN,
     MAX_LAG_S,
     MAX_SOLVE_STEPS,
     MEAN_S,
     MIN_STEADY_SPEED,
     NEGLIGIBLE_CALIBRATION,
     NUM_BENDS,
+    OUTLIER_SIGMA,
     SOLVE_CONVERGED,
     SPEED_TIME_S,
     TURN_TIME_S,
+    UPHEAVAL,
 )
 from homeward.odometry.history import STEADY_S
 from homeward.odometry.validity import TWIST_VALIDITY_S
@@ -146,6 +151,86 @@ def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
         factors.add_sightings(e, seen)
         return
     compiled.add_sightings(*(np.ascontiguousarray(each) for each in seen), *_arrays(e))
+
+
+@cache
+def _set_tunables(build: Callable[..., Any]) -> Any:
+    """Return the tunables of sets of home bearings for the compiled core."""
+    return build(
+        max_turn=MAX_HOME_TURN,
+        converged=FIT_CONVERGED,
+        rounding=ROUNDING,
+        min_distance=MIN_DISTANCE,
+        outlier_sigma=OUTLIER_SIGMA,
+        upheaval=UPHEAVAL,
+    )
+
+
+def _compiled_home(compiled: ModuleType, given: HomeArrays) -> Any:
+    """Return a resection problem as the compiled core has it."""
+    arrays = (np.ascontiguousarray(a) if isinstance(a, np.ndarray) else a for a in given)
+    return compiled.Home(*arrays, _set_tunables(compiled.SetTunables))
+
+
+def fit_home(
+    given: HomeArrays, home: np.ndarray, inliers: np.ndarray, steps: int
+) -> tuple[Linear, sets.Solution] | None:
+    """Fit home to a set of home bearings by Gauss-Newton; see `reference.sets.fit`."""
+    compiled = core.compiled
+    if compiled is None:
+        return sets.fit(given, home, inliers, steps)
+    found = _compiled_home(compiled, given).fit(*_contiguous(home, inliers), steps)
+    return None if found is None else (Linear(*found[0]), sets.Solution(*found[1]))
+
+
+def propagate_home(given: HomeArrays, linear: Linear, mean: np.ndarray) -> Linear:
+    """Return a linearisation after a change of the map; see `reference.sets.propagated`."""
+    compiled = core.compiled
+    if compiled is None:
+        return sets.propagated(given, linear, mean)
+    return Linear(*_compiled_home(compiled, given).propagate(*linear, *_contiguous(mean)))
+
+
+def solve_set(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> sets.Solution | None:
+    """Solve for home by a set of home bearings; see `reference.sets.solved`."""
+    compiled = core.compiled
+    if compiled is None:
+        return sets.solved(given, linear, inliers)
+    found = _compiled_home(compiled, given).solve(*linear, *_contiguous(inliers))
+    return None if found is None else sets.Solution(*found)
+
+
+def weigh_set(
+    given: HomeArrays, linear: Linear, inliers: np.ndarray, found: sets.Solution
+) -> Evidence:
+    """Return the evidence of a set of home bearings; see `reference.sets.weighed`."""
+    compiled = core.compiled
+    if compiled is None:
+        return sets.weighed(given, linear, inliers, found)
+    arrays = _contiguous(linear.at, inliers, found.step, found.inverse, found.alone)
+    return Evidence(*_compiled_home(compiled, given).weigh(*arrays, found.log_density))
+
+
+def log_labels(
+    members: np.ndarray,
+    one_body: np.ndarray,
+    right: np.ndarray,
+    wrong: np.ndarray | float,
+    more: np.ndarray,
+) -> np.ndarray:
+    """Return the log prior of labels; see `reference.labels.log_labels`."""
+    compiled = core.compiled
+    if compiled is None:
+        return labels.log_labels(members, one_body, right, wrong, more)
+    each = np.broadcast_to(np.asarray(wrong, float), right.shape[1:])
+    return np.asarray(
+        compiled.log_labels(*_contiguous(members, one_body, right, each, more), UPHEAVAL)
+    )
+
+
+def _contiguous(*arrays: np.ndarray) -> Iterator[np.ndarray]:
+    """Return arrays as the compiled core needs them."""
+    return (np.ascontiguousarray(each) for each in arrays)
 
 
 @contextmanager

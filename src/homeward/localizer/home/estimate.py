@@ -1,8 +1,8 @@
 """Home by least squares among the mapped landmarks, for a given set of inlier home bearings.
 
 Everything is Gaussian around one point: the map's state (newest pose, camera yaw, landmarks that
-home saw), the home bearings of the set, and a start prior if there is one. The evidence of the set
-and of each home bearing is in `evidence`.
+home saw), the home bearings of the set, and a start prior if there is one. The algebra is in
+`homeward.localizer.reference.sets`.
 """
 
 from __future__ import annotations
@@ -16,58 +16,70 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import MIN_DISTANCE, lever, rotation
-from homeward.localizer.home.evidence import Evidence, log_odds, moved_share
-from homeward.localizer.home.linearisation import (
-    HOME,
-    POSE,
-    RESIDUAL,
-    Linear,
-    Whitened,
-    expected,
-    inverted,
-)
-from homeward.localizer.home.problem import POSE_AND_YAW, YAW, Assumption, HomeProblem
+from homeward.localizer import kernels
+from homeward.localizer.home.problem import Assumption, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance
-from homeward.localizer.tunables import CUT_SHORT, MAX_LAST_STEP, OUTLIER_SIGMA, SAME_HOME
+from homeward.localizer.reference.labels import log_odds, moved_share
+from homeward.localizer.reference.sets import (
+    POSE_AND_YAW,
+    YAW,
+    Evidence,
+    Linear,
+    Solution,
+    expected,
+    posterior,
+)
+from homeward.localizer.tunables import (
+    CLOSE,
+    CUT_SHORT,
+    MAX_LAST_STEP,
+    OUTLIER_SIGMA,
+    SAME_HOME,
+)
 
 
 @dataclass(frozen=True)
 class HomeFit:
     """Gaussian posterior of home, pose and map for one set of inliers, evaluated lazily."""
 
+    problem: HomeProblem
+    """The resection problem, ..."""
     linear: Linear
+    """... its linearisation, ..."""
     inliers: np.ndarray
-    """(q,), bool: the set."""
-    step: np.ndarray
-    """(3,): step of home from the linearisation point."""
-    whitened: Whitened
-    """Whitened residuals of the set."""
-    information: np.ndarray
-    """(3, 3): information on home."""
+    """(q,), bool: ... the set, ..."""
+    solution: Solution
+    """... and its solution."""
     known_inflation: np.ndarray | None = None
-    """(3, 3): `inflation` of the fit that this one was propagated from."""
-
-    @cached_property
-    def problem(self) -> HomeProblem:
-        """The resection problem."""
-        return self.linear.problem
+    """(3, 3): `inflation` of the fit that this one was propagated from, ..."""
+    fitted: Linear | None = None
+    """... and the linearisation of the last one that was not propagated."""
 
     @cached_property
     def home(self) -> np.ndarray:
         """(3,): pose of the robot at home, in the odometry frame."""
-        return np.asarray(self.linear.at + self.step)
+        return np.asarray(self.linear.at + self.solution.step)
+
+    @property
+    def has_changed(self) -> bool:
+        """Whether a residual, or its variance, has changed notably since home was fitted."""
+        now, then = self.linear, self.fitted or self.linear
+        off, variance = now.residual - then.residual, then.residual_covariance.diagonal()
+        wider = np.abs(now.residual_covariance.diagonal() - variance)
+        return bool(((off**2 > CLOSE**2 * variance) | (wider > CLOSE * variance)).any())
 
     @cached_property
     def converged(self) -> bool:
         """Whether the last step was small compared with home's uncertainty, and not limited."""
-        whole = self.problem.step_length(self.step) < CUT_SHORT
-        return bool(whole and self.step @ self.information @ self.step < MAX_LAST_STEP**2)
+        step, information = self.solution.step, self.solution.information
+        whole = self.problem.step_length(step) < CUT_SHORT
+        return bool(whole and step @ information @ step < MAX_LAST_STEP**2)
 
     def is_same_home(self, home: np.ndarray) -> bool:
         """Return whether another home (3,) is the same, within its uncertainty."""
         off = self.home - home
         off[2] = wrap(off[2])
-        return bool(off @ self.information @ off < SAME_HOME**2)
+        return bool(off @ self.solution.information @ off < SAME_HOME**2)
 
     def landmark_distance(self, place: np.ndarray) -> float:
         """Return the median distance of home's landmarks from a place [m]; infinite without any.
@@ -81,16 +93,12 @@ class HomeFit:
     @cached_property
     def state(self) -> np.ndarray:
         """(4 + 2 q,): posterior of pose, camera yaw and landmarks."""
-        weighted = np.zeros(self.inliers.size)
-        by_home, residual = self.whitened.weighted[:, HOME], self.whitened.weighted[:, RESIDUAL]
-        weighted[self.whitened.members] = residual - by_home @ self.step
-        return np.asarray(self.problem.mean + weighted @ self.linear.cross_covariance)
+        return posterior(self.problem.arrays, self.linear, self.solution)
 
-    @cached_property
+    @property
     def pose(self) -> np.ndarray:
         """(3,): posterior of the newest pose, in the odometry frame."""
-        correction = self.whitened.products[POSE, RESIDUAL] - self.by_home @ self.step
-        return np.asarray(self.problem.mean[:3] + correction)
+        return self.solution.pose
 
     @property
     def landmarks(self) -> np.ndarray:
@@ -98,61 +106,34 @@ class HomeFit:
         return np.asarray(self.state[POSE_AND_YAW:].reshape(-1, 2))
 
     @cached_property
-    def inverse(self) -> tuple[np.ndarray, float]:
-        """(3, 3): inverse of the information on home; and the latter's log determinant."""
-        return inverted(self.information)
-
-    @cached_property
     def covariance(self) -> np.ndarray:
         """(3, 3): covariance of home."""
-        return np.asarray(self.inverse[0] + self.inflation)
+        return np.asarray(self.solution.inverse + self.inflation)
 
-    @property
-    def by_home(self) -> np.ndarray:
-        """(3, 3): minus the Jacobian of the newest pose by home."""
-        return self.whitened.products[POSE, HOME]
-
-    @property
-    def pose_covariance(self) -> np.ndarray:
-        """(3, 3): covariance of the newest pose given home."""
-        return np.asarray(self.problem.covariance[:3, :3] - self.whitened.products[POSE, POSE])
-
-    @property
+    @cached_property
     def home_frame_jacobians(self) -> tuple[np.ndarray, np.ndarray]:
         """(3, 3), (3, 3): Jacobians of the newest pose in the home frame, by home and by the pose.
 
         That by home is total: home bearings let the pose follow home.
         """
-        by_pose = rotation(self.home[2]).T
-        return -by_pose @ (lever(self.pose - self.home) + self.by_home), by_pose
+        by_pose = rotation(float(self.home[2])).T
+        return -by_pose @ (lever(self.pose - self.home) + self.solution.pose_by_home), by_pose
 
     @cached_property
     def in_home_frame(self) -> tuple[np.ndarray, np.ndarray]:
         """(3,), (3, 3): newest pose in the home frame, heading not wrapped, and its covariance."""
+        found, before = self.solution, self.problem.covariance[:3, :3]
         by_home, by_pose = self.home_frame_jacobians
-        covariance = by_home @ self.covariance @ by_home.T
-        covariance += by_pose @ self.pose_covariance @ by_pose.T
-        covariance += self._walk_covariance(by_home)
-        terms = (by_home * by_home).sum() * self.covariance.trace()
-        terms = float(terms + self.problem.covariance[:3, :3].trace())
+        of_home = self.covariance + found.inverse @ found.walk_information @ found.inverse
+        covariance = by_home @ of_home @ by_home.T + by_pose @ found.pose_covariance @ by_pose.T
+        terms = float((by_home * by_home).sum() * self.covariance.trace() + before.trace())
         covariance = positive(covariance, "the covariance of a pose in the home frame", terms)
         return by_pose @ (self.pose - self.home), covariance
-
-    def _walk_covariance(self, by_home: np.ndarray) -> np.ndarray:
-        """Return the covariance (3, 3) by landmarks that may walk, beyond that in the fit."""
-        if self.problem.walk_excess is None:
-            return np.zeros((3, 3))
-        members = self.whitened.members
-        each = POSE_AND_YAW + 2 * members[:, None] + np.arange(2)
-        by_place = self.linear.by_state[members[:, None], each]
-        variance = np.einsum("ki,kij,kj->k", by_place, self.problem.walk_excess[members], by_place)
-        by_bearing = by_home @ self.inverse[0] @ self.whitened.weighted[:, HOME].T
-        return np.asarray(variance * by_bearing @ by_bearing.T)
 
     @cached_property
     def evidence(self) -> Evidence:
         """Evidence of the set, and for and against each home bearing."""
-        return Evidence(self.linear, self.whitened, self.step, self.information, *self.inverse)
+        return kernels.weigh_set(self.problem.arrays, self.linear, self.inliers, self.solution)
 
     @cached_property
     def log_evidence(self) -> float:
@@ -226,6 +207,5 @@ class HomeFit:
         """(3, 3): covariance inflation of home; see `spurious_information`."""
         if self.known_inflation is not None:
             return self.known_inflation
-        return spurious_covariance(
-            self.linear, self.whitened.members, self.landmarks, self.information
-        )
+        members, information = self.inliers.nonzero()[0], self.solution.information
+        return spurious_covariance(self.problem, self.linear, members, self.landmarks, information)

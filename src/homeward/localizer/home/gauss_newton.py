@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
-from scipy.linalg.lapack import dposv
 
+from homeward.localizer import kernels
 from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.linearisation import HOME, RESIDUAL, Linear, linearised, whitened
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.home.spurious_information import position_root
-from homeward.localizer.tunables import FIT_CONVERGED, MAX_FIT_STEPS
+from homeward.localizer.tunables import MAX_FIT_STEPS
 
 
 def fit(
@@ -23,37 +19,34 @@ def fit(
     """
     if np.count_nonzero(inliers) < problem.min_inliers:
         return None
-    state, now = problem.mean, None
-    for _ in range(steps):
-        now = solved(linearised(problem, home, state), inliers)
-        if now is None or problem.step_length(now.step) < FIT_CONVERGED:
-            break
-        home, state = now.home, now.state
-    return now if now is not None and problem.is_plausible(now.home) else None
+    found = kernels.fit_home(problem.arrays, home, inliers, steps)
+    if found is None:
+        return None
+    linear, solution = found
+    now = HomeFit(problem, linear, inliers, solution)
+    return now if problem.is_plausible(now.home) else None
 
 
 def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
     """Return a fit after a negligible change of the map, with the old linearisation."""
     problem = problem.under(fit.problem.assumed)
-    return solved(fit.linear.propagated(problem), fit.inliers, fit.inflation)
+    linear = kernels.propagate_home(problem.arrays, fit.linear, fit.problem.mean)
+    solution = kernels.solve_set(problem.arrays, linear, fit.inliers)
+    if solution is None:
+        return None
+    fitted = fit.fitted or fit.linear
+    return HomeFit(problem, linear, fit.inliers, solution, fit.inflation, fitted)
 
 
 def solved(
-    linear: Linear, inliers: np.ndarray, inflation: np.ndarray | None = None
+    lead: HomeFit, inliers: np.ndarray, inflation: np.ndarray | None = None
 ) -> HomeFit | None:
-    """Solve the linearised problem for inliers (q,); None when they do not determine home.
+    """Solve the problem of another fit, as linearised there, for inliers (q,).
 
-    `inflation` (3, 3) is that of `HomeFit`; evaluated lazily unless given.
+    None when they do not determine home. `inflation` (3, 3) is that of `HomeFit`; evaluated lazily
+    unless given.
     """
-    problem, of_set = linear.problem, whitened(linear, inliers)
-    if of_set is None:
+    solution = kernels.solve_set(lead.problem.arrays, lead.linear, inliers)
+    if solution is None:
         return None
-    information = problem.initial_information + of_set.products[HOME, HOME]
-    slope = of_set.products[HOME, RESIDUAL]
-    if problem.prior is not None:
-        slope = slope + problem.initial_information @ problem.prior_offset(linear.at)
-    _, step, failed = dposv(information, slope)
-    if failed or not math.isfinite(step @ step) or position_root(information) is None:
-        return None
-    step = step / max(1.0, problem.step_length(step))
-    return HomeFit(linear, inliers, step, of_set, information, inflation)
+    return HomeFit(lead.problem, lead.linear, inliers, solution, inflation, lead.fitted)

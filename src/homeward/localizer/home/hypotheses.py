@@ -19,8 +19,9 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
-from homeward.localizer.home.problem import POSE_AND_YAW, USUAL, Assumption, HomeProblem
+from homeward.localizer.home.problem import USUAL, Assumption, HomeProblem
 from homeward.localizer.home.resection import innovations_from, mixture_scores, poses_from_triples
+from homeward.localizer.reference.sets import POSE_AND_YAW
 from homeward.localizer.tunables import (
     IMPROBABLE,
     INLIER,
@@ -151,7 +152,7 @@ def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
         inliers[list(pair)] ^= True
         if inliers.sum() < problem.min_inliers or (problem.assumed, inliers.tobytes()) in found:
             continue
-        tried = solved(best.linear, inliers)
+        tried = solved(best, inliers)
         if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
             _local_search(problem, tried.home, inliers, found)
 
@@ -338,7 +339,7 @@ def _fit_nearby(
 ) -> HomeFit | None:
     """Fit home from `home` (3,), reusing another fit's linearisation if it has the same home."""
     if lead is not None and inliers.sum() >= problem.min_inliers:
-        quick = solved(lead.linear, inliers, lead.inflation)
+        quick = solved(lead, inliers, lead.inflation)
         if quick is not None and quick.converged and quick.is_same_home(home):
             return quick
     return fit(problem, home, inliers, steps=3)

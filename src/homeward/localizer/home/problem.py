@@ -14,6 +14,7 @@ from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import from_polar
 from homeward.geometry.se2 import between, lever, rotation
 from homeward.localizer.map.bodies import Bodies
+from homeward.localizer.reference.sets import POSE_AND_YAW, HomeArrays
 from homeward.localizer.tunables import (
     EXCHANGED,
     GIVEN_WRONG,
@@ -25,10 +26,6 @@ from homeward.localizer.tunables import (
     NOISE_SCALES,
     ORIGIN_SIGMA,
 )
-
-POSE_AND_YAW = 4
-"""Length of the state before the landmarks: newest pose (3) and camera yaw (1)."""
-YAW = 3
 
 
 class Assumption(NamedTuple):
@@ -203,11 +200,26 @@ class HomeProblem:
         prior = self.prior_information
         return self.weak_prior if prior is None else prior
 
-    def prior_offset(self, home: np.ndarray) -> np.ndarray:
-        """Return the offset of the start prior from a home (3,); zeros without a prior."""
-        offset = np.zeros(3) if self.prior is None else self.prior - home
-        offset[2] = wrap(offset[2])
-        return offset
+    @cached_property
+    def arrays(self) -> HomeArrays:
+        """The arrays that fits and evidence depend on."""
+        q = self.bearings.size
+        return HomeArrays(
+            self.mean,
+            self.covariance,
+            self.bearings,
+            self.sigmas,
+            self.mount,
+            self.offsets,
+            self.prior,
+            self.initial_information,
+            np.zeros((q, 2, 2)) if self.walk_excess is None else self.walk_excess,
+            self.bodies.members.reshape(self.bodies.one_body.size, q),
+            self.bodies.one_body,
+            self.same_camera,
+            self.moved_prior,
+            MAX_HOME_STEP * self.range,
+        )
 
     @property
     def min_inliers(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import compose, sight
-from homeward.localizer.home.evidence import moved_share
+from homeward.localizer.reference.labels import moved_share
 from homeward.localizer.tunables import MAX_RANGE, MAX_TRIPLES, OFFSET_STEPS
 
 

@@ -11,45 +11,32 @@ import math
 
 import numpy as np
 
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE
-from homeward.localizer.home.linearisation import Linear, inverted
-from homeward.localizer.home.problem import POSE_AND_YAW
+from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.reference.sets import POSE_AND_YAW, Linear, inverted, position_root
 from homeward.localizer.tunables import MIN_INFORMATION_SHARE
 
 
 def spurious_covariance(
-    linear: Linear, members: np.ndarray, landmarks: np.ndarray, information: np.ndarray
+    problem: HomeProblem,
+    linear: Linear,
+    members: np.ndarray,
+    landmarks: np.ndarray,
+    information: np.ndarray,
 ) -> np.ndarray:
     """Return the covariance (3, 3) of home beyond the inverse of its information (3, 3).
 
     `members` (r,) are the indices of the set, and `landmarks` (q, 2) [m] are corrected by it.
     `numpy.linalg.LinAlgError` if home is not determined.
     """
-    whole = information + linear.problem.weak_prior
+    whole = information + problem.weak_prior
     reduced = whole.copy()
     if members.size:
-        reduced[:2, :2] -= _spurious(information, *_by_curvature(linear, members, landmarks))
+        reduced[:2, :2] -= _spurious(
+            information, *_by_curvature(problem.covariance, linear, members, landmarks)
+        )
     # Both with the weak prior: then the difference is a covariance in any case.
     return np.asarray(inverted(reduced)[0] - inverted(whole)[0])
-
-
-def position_root(information: np.ndarray) -> tuple[float, float, float] | None:
-    """Return the Cholesky factor [a, 0; b, c] of the information on home's position.
-
-    It is the Schur complement of the heading in the information (3, 3) on home. None where only
-    rounding remains of it, so that the position is not determined.
-    """
-    (m, n, along), (_, o, across), (_, _, turn) = information.tolist()
-    if not turn > 0.0:
-        return None
-    square = m - along * along / turn
-    if not square > ROUNDING * m:
-        return None
-    a = math.sqrt(square)
-    b = (n - along * across / turn) / a
-    square = o - across * across / turn - b * b
-    return (a, b, math.sqrt(square)) if square > ROUNDING * o else None
 
 
 def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.ndarray:
@@ -76,7 +63,7 @@ def _spurious(information: np.ndarray, spread: float, pseudo: complex) -> np.nda
 
 
 def _by_curvature(
-    linear: Linear, members: np.ndarray, landmarks: np.ndarray
+    covariance: np.ndarray, linear: Linear, members: np.ndarray, landmarks: np.ndarray
 ) -> tuple[float, complex]:
     """Return the information that errors of the landmarks add by the curvature of bearings.
 
@@ -84,7 +71,7 @@ def _by_curvature(
     its bearing, with the curvature k = -i / conj(z)^2.
     """
     away = landmarks.view(complex)[members, 0] - complex(*linear.at[:2].tolist())
-    spread, pseudo = _own_errors(away, linear.problem.covariance, POSE_AND_YAW // 2 + members)
+    spread, pseudo = _own_errors(away, covariance, POSE_AND_YAW // 2 + members)
     square = away * away
     size = np.maximum(np.abs(square), MIN_SQUARED_DISTANCE)
     weight = 1.0 / (linear.residual_covariance[members, members] * size * size)

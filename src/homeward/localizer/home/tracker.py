@@ -144,7 +144,7 @@ class HomeTracker:
         now = propagate(problem, before)
         self.is_updated = now is None or (
             known.evaluated
-            and (not known.is_window_full or self._is_doubted(now) or now.best.linear.has_changed)
+            and (not known.is_window_full or self._is_doubted(now) or now.best.has_changed)
         )
         if self.is_updated:
             now = update(problem, before)

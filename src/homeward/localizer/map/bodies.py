@@ -6,15 +6,13 @@ landmarks agree with each other, but this is no evidence that they are in place.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
-from scipy.special import betaln
 
-from homeward.localizer.tunables import BODY_M, CLOSE, GIVEN_WRONG, ONE_BODY, UPHEAVAL
+from homeward.localizer import kernels
+from homeward.localizer.tunables import BODY_M, CLOSE, GIVEN_WRONG, ONE_BODY
 
 
 @dataclass(frozen=True)
@@ -30,13 +28,6 @@ class Bodies:
     def none(items: int) -> Bodies:
         """Return no bodies among k items."""
         return Bodies(np.zeros((0, items), bool), np.zeros(0))
-
-    @cached_property
-    def pairs(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Each member but the first of its body: the body, the member, and the first one, (p,)."""
-        body, member = self.members.nonzero()
-        first = self.members.argmax(axis=1)[body]
-        return body[member != first], member[member != first], first[member != first]
 
     def among(self, items: np.ndarray) -> Bodies:
         """Return the bodies among some of the items, by their indices."""
@@ -54,27 +45,11 @@ class Bodies:
     ) -> np.ndarray:
         """Return the log prior of labels, and the gain in density of bodies that moved, (f,).
 
-        As a rule each item has its own probability to be moved; after an upheaval, or at another
-        place, any share of them may be. `right` (f, k) are the labels: the items in place; `wrong`
-        (k,), or one for all, is the prior probability of each to be moved; `more` (b,) is the log
-        density of a body that moved, less that of its members moved independently.
+        `right` (f, k) are the labels: the items in place; `wrong` (k,), or one for all, is the
+        prior probability of each to be moved; `more` (b,) is the log density of a body that moved,
+        less that of its members moved independently.
         """
-        number, items = right.sum(axis=1), right.shape[1]
-        both = np.full((2, items), 0.5)  # by the rule, and after an upheaval
-        both[0] = wrong
-        stays, moves, of_body = np.log1p(-both), np.log(both), self.members.T.astype(float)
-        size, inside = of_body.sum(axis=0), right @ of_body
-        share = both @ of_body / size
-        stayed = np.log1p(-share) - stays @ of_body
-        moved = np.log(share) - moves @ of_body + more
-        as_one = np.where(
-            inside == size, stayed[:, None], np.where(inside == 0, moved[:, None], -np.inf)
-        )
-        as_one = np.logaddexp(np.log1p(-self.one_body), np.log(self.one_body) + as_one).sum(axis=2)
-        rule = moves[0].sum() + right @ (stays[0] - moves[0]) + as_one[0]
-        upheaval = betaln(1.0 + number, 1.0 + items - number) + as_one[1]
-        log = np.logaddexp(math.log1p(-UPHEAVAL) + rule, math.log(UPHEAVAL) + upheaval)
-        return np.asarray(log)
+        return kernels.log_labels(self.members, self.one_body, right, wrong, more)
 
 
 def given_bodies(together: Iterable[Sequence[str]], site: Collection[str]) -> list[Sequence[str]]:

@@ -12,8 +12,8 @@ from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import composition
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
-from homeward.localizer.home.linearisation import HOME, inverted
 from homeward.localizer.output.tails import missing_tails
+from homeward.localizer.reference.sets import HOME, inverted
 from homeward.localizer.tunables import CENTRE_CONVERGED, INLIER, MAX_CENTRE_STEPS, OUTLIER_SIGMA
 
 
@@ -97,7 +97,7 @@ def uncheckable_outliers(fit: HomeFit, checked: np.ndarray) -> np.ndarray | None
     problem, alone = fit.problem, fit.inliers & ~checked
     if problem.prior is not None or not alone.any():
         return None
-    by_bearing = fit.inverse[0] @ fit.whitened.weighted[alone[fit.inliers], HOME].T
+    by_bearing = fit.solution.inverse @ fit.solution.weighted[alone, HOME].T
     share = fit.moved_share(checked)
     moves = math.sqrt(share) * OUTLIER_SIGMA * fit.home_frame_jacobians[0] @ by_bearing
     # Outliers are too large to take the direction in which they move the pose as linear.
