@@ -69,22 +69,20 @@ class Home {
     for (int k = 1;; k++) {
       const Linear linear = linearised(at, state);
       const std::optional<Solution> found = solved(linear, inliers.data());
-      if (!found) return nb::none();
-      if (k >= steps || length(found->step) < tunables_.converged)
-        return nb::make_tuple(linear.arrays(), found->arrays());
+      if (!found || k >= steps || length(found->step) < tunables_.converged) return both(linear, found);
       at += found->step;
       const Vector correction = found->weighted.col(RESIDUAL) - found->weighted.leftCols(3) * found->step;
       state = mean() + linear.cross.transpose() * correction;
     }
   }
 
-  // sets.propagated().
-  nb::tuple propagate(In at, In by_place, In by_yaw, In cross, In columns, In mean_before) const {
-    require_shape("mean", mean_before, {n});
+  // sets.propagated(), or None.
+  nb::object propagate(In at, In by_place, In by_yaw, In cross, In columns, In mean_before, Flags inliers) const {
+    require_shape("mean", mean_before, {n}), require_shape("inliers", inliers, {q});
     Linear linear = linear_of(at, by_place, by_yaw, cross, columns);
     add_by_map(linear, Eigen::Map<const Vector>(mean_before.data(), n) - mean());
     set_covariances(linear);
-    return linear.arrays();
+    return both(linear, solved(linear, inliers.data()));
   }
 
   // sets.solved(), or None.
@@ -127,6 +125,9 @@ class Home {
   }
 
  private:
+  static nb::object both(const Linear &linear, const std::optional<Solution> &found) {
+    return found ? nb::object(nb::make_tuple(linear.arrays(), found->arrays())) : nb::none();
+  }
   static Vector3 vector3(const In &array) { return Eigen::Map<const Vector3>(array.data()); }
   Eigen::Map<const Vector> mean() const { return Eigen::Map<const Vector>(mean_.data(), n); }
   Eigen::Map<const Matrix> covariance() const { return Eigen::Map<const Matrix>(covariance_.data(), n, n); }
@@ -313,7 +314,7 @@ void bind_sets(nanobind::module_ &m) {
            nb::arg("tunables"))
       .def("fit", &Home::fit, array("home"), array("inliers"), nb::arg("steps"))
       .def("propagate", &Home::propagate, array("at"), array("by_place"), array("by_yaw"), array("cross_covariance"),
-           array("columns"), array("mean"))
+           array("columns"), array("mean"), array("inliers"))
       .def("solve", &Home::solve, array("at"), array("by_place"), array("by_yaw"), array("cross_covariance"),
            array("columns"), array("inliers"))
       .def("weigh", &Home::weigh, array("at"), array("inliers"), array("step"), array("inverse"), array("alone"),

@@ -64,11 +64,12 @@ def compare(given, home, inliers):
             assert_same(found, solution, solution._fields)
     moved = given.mean + 1e-3 * np.sin(np.arange(given.mean.size))
     after = given._replace(mean=moved, covariance=1.01 * given.covariance)
-    propagated = sets.propagated(after, expected, given.mean)
-    assert_same(kernels.propagate_home(after, expected, given.mean), propagated, NAMES)
-    solution = sets.solved(after, propagated, inliers)
-    found = kernels.solve_set(after, propagated, inliers)
+    before = expected, given.mean, inliers
+    both = [f(after, *before) for f in (kernels.propagate_home, sets.propagated)]
+    (linear, found), (propagated, solution) = both
+    assert_same(linear, propagated, NAMES)
     assert_same(found, solution, solution._fields)
+    assert_same(kernels.solve_set(after, propagated, inliers), solution, solution._fields)
     both = [f(after, propagated, inliers, solution) for f in (kernels.weigh_set, sets.weighed)]
     # Where the others hardly predict a bearing, its variance is a reciprocal of rounding.
     shares = [solution.alone[:, 4] / e.variance for e in both]

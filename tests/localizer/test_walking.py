@@ -191,11 +191,12 @@ def test_evidence_that_is_no_number_is_an_error():
 def test_a_place_that_may_be_wrong_counts_by_the_information_of_either_case():
     stands = np.array([[[0.04, 0.01], [0.01, 0.09]]] * 3)
     walk_moment = np.array([[[1.0, 0.3], [0.3, 2.0]]] * 3)
-    found = averaged_covariance(stands, np.array([0.0, 0.3, 1.0]), walk_moment)
+    found, excess = averaged_covariance(stands, np.array([0.0, 0.3, 1.0]), walk_moment)
     assert np.allclose(found[0], stands[0])
     assert np.allclose(found[2], stands[2] + walk_moment[2])
     either = 0.7 * np.linalg.inv(stands[1]) + 0.3 * np.linalg.inv(stands[1] + walk_moment[1])
     assert np.allclose(np.linalg.inv(found[1]), either)
+    assert np.allclose(found[1] + excess[1], stands[1] + 0.3 * walk_moment[1])
 
 
 def test_sight_lines_from_one_place_say_nothing():

@@ -183,12 +183,16 @@ def fit_home(
     return None if found is None else (Linear(*found[0]), sets.Solution(*found[1]))
 
 
-def propagate_home(given: HomeArrays, linear: Linear, mean: np.ndarray) -> Linear:
-    """Return a linearisation after a change of the map; see `reference.sets.propagated`."""
+def propagate_home(
+    given: HomeArrays, linear: Linear, mean: np.ndarray, inliers: np.ndarray
+) -> tuple[Linear, sets.Solution] | None:
+    """Solve for home after a small change of the map; see `reference.sets.propagated`."""
     compiled = core.compiled
     if compiled is None:
-        return sets.propagated(given, linear, mean)
-    return Linear(*_compiled_home(compiled, given).propagate(*linear, *_contiguous(mean)))
+        return sets.propagated(given, linear, mean, inliers)
+    arrays = _contiguous(*linear, mean, inliers)
+    found = _compiled_home(compiled, given).propagate(*arrays)
+    return None if found is None else (Linear(*found[0]), sets.Solution(*found[1]))
 
 
 def solve_set(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> sets.Solution | None:
@@ -196,7 +200,7 @@ def solve_set(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> sets.So
     compiled = core.compiled
     if compiled is None:
         return sets.solved(given, linear, inliers)
-    found = _compiled_home(compiled, given).solve(*linear, *_contiguous(inliers))
+    found = _compiled_home(compiled, given).solve(*_contiguous(*linear, inliers))
     return None if found is None else sets.Solution(*found)
 
 

@@ -86,9 +86,19 @@ class HomeFit:
 
         At least `MIN_DISTANCE`: the place may be that of a landmark.
         """
-        d = np.concatenate([self.problem.landmarks, self.problem.surveyed]) - place[:2]
-        squares = sorted((d * d).sum(axis=1).tolist())
-        return max(math.sqrt(squares[len(squares) // 2]), MIN_DISTANCE) if squares else math.inf
+        marks = self.problem.landmarks
+        if self.problem.surveyed.size:
+            marks = np.concatenate([marks, self.problem.surveyed])
+        dx, dy = (marks - place[:2]).T
+        squares = np.sort(dx * dx + dy * dy)
+        if not squares.size:
+            return math.inf
+        return max(math.sqrt(squares[squares.size // 2]), MIN_DISTANCE)
+
+    @cached_property
+    def home_distance(self) -> float:
+        """Median distance of home's landmarks from home [m]."""
+        return self.landmark_distance(self.home)
 
     @cached_property
     def state(self) -> np.ndarray:

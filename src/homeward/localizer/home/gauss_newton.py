@@ -30,10 +30,10 @@ def fit(
 def propagated(fit: HomeFit, problem: HomeProblem) -> HomeFit | None:
     """Return a fit after a negligible change of the map, with the old linearisation."""
     problem = problem.under(fit.problem.assumed)
-    linear = kernels.propagate_home(problem.arrays, fit.linear, fit.problem.mean)
-    solution = kernels.solve_set(problem.arrays, linear, fit.inliers)
-    if solution is None:
+    found = kernels.propagate_home(problem.arrays, fit.linear, fit.problem.mean, fit.inliers)
+    if found is None:
         return None
+    linear, solution = found
     fitted = fit.fitted or fit.linear
     return HomeFit(problem, linear, fit.inliers, solution, fit.inflation, fitted)
 

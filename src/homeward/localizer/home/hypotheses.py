@@ -101,7 +101,7 @@ class Hypotheses:
         finest = [f if f.problem.assumed.noise_scale < scale else best for f in self.fits]
         covariances = np.array([f.covariance for f in finest]) + 1e-12 * np.eye(3)
         apart = (off * np.linalg.solve(covariances, off[:, :, None])[:, :, 0]).sum(axis=1)
-        reach = best.landmark_distance(best.home)
+        reach = best.home_distance
         away = np.maximum(np.hypot(off[:, 0], off[:, 1]) / reach, np.abs(off[:, 2]))
         return float(self.weights @ ((apart > deviations**2) & (away > SAME_BEARINGS)))
 

@@ -126,18 +126,16 @@ class HomeObservation:
         bearings, sigmas = self._columns(names, noise)
         covariance = state.covariance.take(columns, axis=0).take(columns, axis=1)
         places = covariance[at]
-        averaged = averaged_covariance(places, walks, walk_moment)
-        walk_excess = places + walks[:, None, None] * walk_moment - averaged
-        covariance[at] = averaged
-        shift = np.zeros(3)
+        covariance[at], walk_excess = averaged_covariance(places, walks, walk_moment)
+        mount = self.mount.copy()
         if self.same_camera:
-            shift[:2] = state.mean[[3 + CAMERA_X, 3 + CAMERA_Y]]
+            mount[:2] += state.mean[3 + CAMERA_X : 3 + CAMERA_Y + 1]
         return HomeProblem(
             mean=state.mean[columns],
             covariance=covariance,
             bearings=bearings,
             sigmas=sigmas,
-            mount=self.mount + shift,
+            mount=mount,
             same_camera=self.same_camera,
             names=tuple(names),
             moved_prior=self._settings.moved_prior,
@@ -165,11 +163,14 @@ class HomeObservation:
 
 def averaged_covariance(
     static: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray
-) -> np.ndarray:
-    """Return the covariances of landmarks that may walk, shape (q, 2, 2).
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the covariances of landmarks that may walk, and what they lack, (q, 2, 2) each.
 
     Their information is the mean of that of both cases, weighted by probability: `static` (q, 2, 2)
     if all are static; each walks with probability `walks` (q,), which adds `walk_moment` (q, 2, 2).
+    They lack a part of the mean of the covariances of both cases.
     """
-    either = static + (1.0 - walks)[:, None, None] * walk_moment
-    return np.asarray((static + walk_moment) @ np.linalg.solve(either, static))
+    share = walks[:, None, None]
+    either = static + (1.0 - share) * walk_moment
+    excess = share * (1.0 - share) * walk_moment @ np.linalg.solve(either, walk_moment)
+    return static + share * walk_moment - excess, excess

@@ -104,11 +104,16 @@ class HomeProblem:
                 order[[i, j]] = order[[j, i]]
         sigmas = assumed.noise_scale / self.assumed.noise_scale * self.sigmas[order]
         offsets = None if self.offsets is None else self.offsets[order]
-        changed = replace(self, bearings=self.bearings[order], sigmas=sigmas, assumed=assumed)
-        changed = replace(changed, offsets=offsets)
-        if assumed.start:
-            return changed
-        return replace(changed, prior=None, prior_information=None)
+        prior = (self.prior, self.prior_information) if assumed.start else (None, None)
+        return replace(
+            self,
+            bearings=self.bearings[order],
+            sigmas=sigmas,
+            offsets=offsets,
+            prior=prior[0],
+            prior_information=prior[1],
+            assumed=assumed,
+        )
 
     @property
     def assumptions(self) -> list[Assumption]:

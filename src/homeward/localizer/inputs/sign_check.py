@@ -108,7 +108,10 @@ class SignCheck:
         )
         self._since = -math.inf
         self._index: dict[str, int] = {}
-        self._rows: list[tuple[int, float, np.ndarray, np.ndarray]] = []
+        self._rows: list[tuple[int, float, int]] = []
+        """Sightings of a window: landmark, bearing, and frame, of which these are
+        the heading and the place of the camera:"""
+        self._frames: list[tuple[np.ndarray, np.ndarray]] = []
 
     @property
     def is_wrong(self) -> bool:
@@ -183,36 +186,39 @@ class SignCheck:
             self._since, self._turned = t, 0.0
         camera = self._place + np.exp(1j * heading) * complex(self._sensor.x, self._sensor.y)
         if len(self._rows) < SIGN_MAX_SIGHTINGS:
-            index = self._index
+            index, frame = self._index, len(self._frames)
+            self._frames.append((heading, camera))
             self._rows += [
-                (index.setdefault(name, len(index)), beta, heading, camera)
+                (index.setdefault(name, len(index)), beta, frame)
                 for name, beta in sightings.items()
             ]
         if t - self._since >= SIGN_WINDOW_S or self._turned >= SIGN_MAX_TURN:
             if self._has_turned:  # else the turn rate may be dead
                 self._weigh()
-            self._rows, self._index = [], {}
+            self._rows, self._frames, self._index = [], [], {}
 
     def _weigh(self) -> None:
         """Update the probabilities by the window."""
-        columns = zip(*self._rows, strict=True)
-        index, beta, heading, camera = (np.array(column) for column in columns)
+        index, beta, frame = (np.array(column) for column in zip(*self._rows, strict=True))
+        heading, camera = (np.array(column)[frame] for column in zip(*self._frames, strict=True))
         place, yaw = camera * np.exp(-1j * heading[0]), self._sensor.yaw
-        turned, senses = heading - heading[0], (beta + yaw, yaw - beta)
+        turned = heading - heading[0]
         path, turn = np.abs(place[:, 0] - place[0, 0]).max(), np.abs(turned[:, 0]).max()
         if path < SIGN_MIN_PATH and turn < SIGN_MIN_TURN:
             return
-        seen = _centred(_unwrapped(beta, index), index)[0]
+        members = index == np.arange(len(self._index))[:, None]
+        seen = _centred(_unwrapped(beta[:, None], members), members)[0]
         if (
             turn >= SIGN_MIN_TURN
-            and seen.std() < STAYING_SHARE * _centred(turned[:, 0], index)[0].std()
+            and seen.std() < STAYING_SHARE * _centred(turned[:, :1], members)[0].std()
         ):
             return
-        logs = np.array(
+        logs = np.stack(
             [
-                [_log_likelihood(index, sense, turned[:, k], place[:, k]) for sense in senses]
-                for k in range(SIGN_LAGS_S.size)
-            ]
+                _log_likelihood(members, sense[:, None] + turned, place)
+                for sense in (beta + yaw, yaw - beta)
+            ],
+            axis=1,
         )
         likelihood = np.exp(logs - logs.max()).sum(axis=0)
         likelihood /= likelihood.sum()
@@ -223,40 +229,40 @@ class SignCheck:
         self.is_doubtful = float(self._probability[self._right].sum()) < self._doubtful
 
 
-def _unwrapped(angle: np.ndarray, index: np.ndarray) -> np.ndarray:
-    """Return angles (n,) without jumps by a full turn, for each landmark of `index` (n,) [rad]."""
-    first = angle[np.unique(index, return_index=True)[1]][index]
-    return np.asarray(first + (angle - first + math.pi) % math.tau - math.pi)
+def _unwrapped(angles: np.ndarray, members: np.ndarray) -> np.ndarray:
+    """Return angles (n, l) without jumps by a full turn, for each landmark [rad].
+
+    `members` (m, n), bool, are the sightings of each landmark.
+    """
+    first = angles[members.argmax(axis=1)[members.argmax(axis=0)]]
+    return np.asarray(first + (angles - first + math.pi) % math.tau - math.pi)
 
 
-def _centred(values: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return values (n,) minus the mean of their landmark of `index` (n,), and the means."""
-    mean = np.bincount(index, values) / np.bincount(index)
-    return values - mean[index], mean
+def _centred(values: np.ndarray, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return values (n, l) minus the mean of their landmark, and the means (m, l)."""
+    mean = members @ values / members.sum(axis=1)[:, None]
+    return values - mean[members.argmax(axis=0)], mean
 
 
-def _log_likelihood(
-    index: np.ndarray, beta: np.ndarray, heading: np.ndarray, camera: np.ndarray
-) -> np.ndarray:
-    """Return the log-likelihood (k,) of each yaw error, from all landmarks of a window.
+def _log_likelihood(members: np.ndarray, angles: np.ndarray, camera: np.ndarray) -> np.ndarray:
+    """Return the log-likelihood (l, k) of each lag and yaw error, from all landmarks of a window.
 
-    Of each sighting (n,): `index` of its landmark, from 0 on; bearing `beta` from the robot's axis,
-    and the robot's `heading` since the first [rad]; position of the `camera` in the robot's frame
-    at the first, complex [m].
+    `members` (m, n), bool, are the sightings of each landmark. Of each sighting (n, l): `angles`,
+    the bearing from the robot's axis plus the robot's heading since the first [rad]; position of
+    the `camera` in the robot's frame at the first, complex [m].
     """
     # Least squares of angle = direction + inverse distance * lever(direction, position).
-    num = np.bincount(index)
-    angle, direction = _centred(_unwrapped(beta + heading, index), index)
-    x, y = _centred(camera.real, index)[0], _centred(camera.imag, index)[0]
+    angle, direction = _centred(_unwrapped(angles, members), members)
+    x, y = _centred(camera.real, members)[0], _centred(camera.imag, members)[0]
     aa, ax, ay, xx, xy, yy = (
-        np.bincount(index, product)[:, None]
+        (members @ product)[:, :, None]
         for product in (angle**2, angle * x, angle * y, x * x, x * y, y * y)
     )
-    s, c = np.sin(direction[:, None] + _YAWS), np.cos(direction[:, None] + _YAWS)
+    s, c = np.sin(direction[:, :, None] + _YAWS), np.cos(direction[:, :, None] + _YAWS)
     fitted = np.maximum(s * ax - c * ay, 0.0) ** 2
     lever = s * s * xx - 2.0 * s * c * xy + c * c * yy
     residual = aa - np.divide(fitted, lever, out=np.zeros_like(lever), where=lever > 1e-12)
-    variance = np.maximum(residual, 0.0) / num[:, None]
+    variance = np.maximum(residual, 0.0) / members.sum(axis=1)[:, None, None]
     return np.asarray(-0.5 * NUM_INDEPENDENT_ERRORS * np.log(variance + SIGN_NOISE**2).sum(axis=0))
 
 

@@ -116,12 +116,12 @@ class Contradiction:
         elapsed = frame.t - before.t
         each = zip(before.names, reference.ids.tolist(), strict=True)
         row_before = {name: row for row, (name, number) in enumerate(each) if number >= 0}
-        common = [row for row, name in enumerate(frame.names) if name in row_before]
         if frame.offset is not before.offset:  # another camera
-            common = []
-        if not common:
+            row_before = {}
+        rows = [(row, row_before[n]) for row, n in enumerate(frame.names) if n in row_before]
+        if not rows:
             return -math.inf if elapsed < UNSEEN_S else None
-        then = [row_before[frame.names[row]] for row in common]
+        common, then = np.array(rows).T
         change = np.asarray(wrap(frame.bearings[common] - before.bearings[then]))
         variance = frame.sigmas[common] ** 2 + before.sigmas[then] ** 2
         stays = np.abs(change) <= INLIER * np.sqrt(variance)

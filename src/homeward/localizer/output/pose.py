@@ -153,7 +153,7 @@ def combined_estimate(
     # A large uncertainty is curved around the landmarks: add the sagitta of the arc.
     (a, b), (_, d) = covariance[:2, :2].tolist()
     largest = 0.5 * (a + d) + math.hypot(0.5 * (a - d), b)
-    sagitta = largest / (2.0 * best.landmark_distance(best.home))
+    sagitta = largest / (2.0 * best.home_distance)
     covariance[0, 0] += sagitta**2
     covariance[1, 1] += sagitta**2
     return PoseEstimate.of(pose + others.shift, covariance)

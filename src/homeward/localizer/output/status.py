@@ -160,7 +160,7 @@ class IntegrityMonitor:
 
     def home_is_found(self, best: HomeFit) -> bool:
         """Return whether home is certain enough to evaluate landmarks by it."""
-        reach = self._settings.largest_sigma * best.landmark_distance(best.home)
+        reach = self._settings.largest_sigma * best.home_distance
         return _sigma(best.covariance) <= reach and (best.converged or self.fixed)
 
     def _status(self, estimate: PoseEstimate, best: HomeFit, coasting: bool) -> tuple[Status, str]:
@@ -196,7 +196,7 @@ class IntegrityMonitor:
     def _is_fixed(self, best: HomeFit) -> bool:
         """Return whether the pose is certain enough to be published, with hysteresis."""
         # For a wrong home far away the landmarks would be distant; for the robot they are not.
-        distance = min(best.landmark_distance(best.home), best.landmark_distance(best.pose))
+        distance = min(best.home_distance, best.landmark_distance(best.pose))
         reach = self._settings.largest_sigma * distance
         self._max_sigma, self._max_survey_sigma = FIX_HYSTERESIS * reach, CLOSE * distance
         limit = self._max_sigma if self.fixed else reach

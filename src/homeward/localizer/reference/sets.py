@@ -183,14 +183,18 @@ def linearised(given: HomeArrays, home: np.ndarray, state: np.ndarray) -> Linear
     return _linear(given, home, by_place, by_yaw, by_home, residual)
 
 
-def propagated(given: HomeArrays, linear: Linear, mean: np.ndarray) -> Linear:
-    """Return them at the same linearisation point after a small change of the map.
+def propagated(
+    given: HomeArrays, linear: Linear, mean: np.ndarray, inliers: np.ndarray
+) -> tuple[Linear, Solution] | None:
+    """Solve for inliers (q,) at the same linearisation point after a small change of the map.
 
-    `mean` (4 + 2 q,) is that of the map before.
+    `mean` (4 + 2 q,) is that of the map before. None when they do not determine home.
     """
     at, by_place, by_yaw = linear[:3]
     residual = linear.residual - _by_map(by_place, by_yaw, given.mean - mean)
-    return _linear(given, at, by_place, by_yaw, linear.by_home, residual)
+    linear = _linear(given, at, by_place, by_yaw, linear.by_home, residual)
+    found = solved(given, linear, inliers)
+    return None if found is None else (linear, found)
 
 
 def _by_map(by_place: np.ndarray, by_yaw: np.ndarray, columns: np.ndarray) -> np.ndarray:
