@@ -1,14 +1,18 @@
 """Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; plain iSAM2.
 
-`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer|ekf ...]` prints milliseconds
-of processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one core). The peer
-is a plain GTSAM script that keeps the pose of every sample, on the samples of the first part. `ekf`
-is 20 landmarks at 20 Hz next to an EKF that is given the map and the start.
+`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer|ekf|mcap ...]` prints
+milliseconds of processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one
+core). The peer is a plain GTSAM script that keeps the pose of every sample, on the samples of the
+first part. `ekf` is 20 landmarks at 20 Hz next to an EKF that is given the map and the start.
+`mcap` is the processor time of the estimation of whole drives, one in circles and those after
+`--drive` (by default the sample), and of writing run.mcap; the first includes the types of ROS.
 """
 
 import resource
 import time
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -16,12 +20,16 @@ from benchmarks import monte_carlo
 from benchmarks.peers import surveyed
 from homeward.drives.drive import Drive
 from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.opening import SAMPLE, open_drive
 from homeward.drives.settings import Start
 from homeward.estimator import Estimator
 from homeward.geometry.frames import to_polar
 from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
+from homeward.registry import DEFAULT, estimator_settings, make_estimator
+from homeward.runs.report.mcap import write_recording
+from homeward.track import run
 
 RATE = 2.0  # bearing stamps, and so keyframes, per second [Hz]
 
@@ -175,10 +183,29 @@ def ekf() -> None:
         )
 
 
+def mcap(paths: list[str]) -> None:
+    drives = {"20 landmarks, 300 s": make_drive(20, 300.0)}
+    drives |= {Path(path).name: open_drive(path) for path in paths}
+    for name, drive in drives.items():
+        estimator = make_estimator(DEFAULT, drive, estimator_settings(DEFAULT, {}))
+        began = time.process_time()
+        track = run(drive, estimator)
+        estimated = time.process_time()
+        with TemporaryDirectory() as folder:
+            write_recording(file := Path(folder, "run.mcap"), drive, track)
+            written = time.process_time()
+            size = file.stat().st_size / 1e6
+        cost, whole = written - estimated, estimated - began
+        print(
+            f"{name}: estimation {whole:.2f} s, run.mcap ({size:.1f} MB) {cost:.2f} s, ratio "
+            f"{cost / whole:.3f} (goal: less than 0.2)"
+        )
+
+
 def main() -> None:
     parts = {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}
-    parts["ekf"] = ekf
-    options = monte_carlo.parsed(__doc__, hours=8.0, part=parts)
+    parts |= {"ekf": ekf, "mcap": lambda: mcap(options.drive)}
+    options = monte_carlo.parsed(__doc__, hours=8.0, part=parts, drive=[SAMPLE])
     for part in options.part:
         parts[part]()
 
