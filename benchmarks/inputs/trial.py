@@ -22,7 +22,7 @@ MAX_ERROR = 0.15
 MAX_ERROR_95 = 0.6
 """The same for 95 % of the time; plain tables have 0.34 m, in the first 30 s."""
 WRITERS = ("page.write_page", "mcap.write_recording")
-"""What a run writes for people, which takes half of the time of a short run."""
+"""What a run writes for people; without it a short run takes less time."""
 
 
 @dataclass(frozen=True)

@@ -75,15 +75,23 @@ class LogFile:
             return np.zeros(size, inner[1][0]) if given is None else given
         return [self._value(inner, each) for each in given or [None] * size]
 
+    def encoded(self, message: Any) -> bytes | memoryview:
+        """Return a message as it is written."""
+        encode = self._store.serialize_ros1 if self._ros1 else self._store.serialize_cdr
+        data: memoryview = encode(message, message.__msgtype__)
+        return data
+
     def write(self, topic: str, stamp: int, message: Any) -> None:
         """Write a message with its stamp as receive time [ns]."""
-        kind = message.__msgtype__
+        self.write_encoded(topic, message.__msgtype__, stamp, self.encoded(message))
+
+    def write_encoded(self, topic: str, kind: str, stamp: int, data: bytes | memoryview) -> None:
+        """Write a message of a type as `encoded` returns it."""
         if topic not in self._connections:
             self._connections[topic] = self._writer.add_connection(
                 topic, kind, typestore=self._store
             )
-        serialize = self._store.serialize_ros1 if self._ros1 else self._store.serialize_cdr
-        self._writer.write(self._connections[topic], stamp, serialize(message, kind))
+        self._writer.write(self._connections[topic], stamp, data)
 
 
 @contextmanager

@@ -9,27 +9,50 @@ draws point clouds: so paths, ellipses, rays, landmarks and home are coloured po
 
 from __future__ import annotations
 
-import heapq
 import math
-from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, Truth
 from homeward.drives.images import KINDS, Images
 from homeward.drives.ros.messages.stamps import split
-from homeward.drives.ros.writing import LogFile, writing
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose, inverse
 from homeward.odometry.dead_reckoning import dead_reckoning
-from homeward.runs.report.palette import BLUE, HOUSE, MOVED, MUTED, STATUS_COLOURS, colour, levels
+from homeward.runs.report.palette import (
+    BLUE,
+    HOUSE,
+    LEVEL_COLOURS,
+    MOVED,
+    MUTED,
+    STATUS_COLOURS,
+    UNTESTED,
+    colour,
+    levels,
+)
 from homeward.runs.report.plots.moments import NEW, REJECTED, USED, bearings_at
+from homeward.runs.report.recording import (
+    DOTS,
+    MAP,
+    Fields,
+    Stream,
+    along,
+    cloud_stream,
+    header,
+    number_stream,
+    pose,
+    rgb,
+    shapes_of,
+    time,
+    transform,
+    write_streams,
+)
 from homeward.runs.scoring import errors
 from homeward.track import Track
 
-MAP, ODOM, BASE, CAMERA = "map", "odom", "base_link", "camera"
+ODOM, BASE, CAMERA = "odom", "base_link", "camera"
 STATUS_S = 1.0
 """The status is written at each change, and at this interval [s]."""
 IMAGE_S = 0.5
@@ -38,289 +61,290 @@ STALE_S = 0.5
 """Rays disappear after this time without new sightings [s]."""
 UNPLACED_M = 2.0
 """Length of a ray whose landmark has no position [m]."""
-DOTS = 24
-"""Number of points of a ray, and of an ellipse."""
 HOUSE_M = 0.15
 """Half the width of home's symbol [m]."""
-PLANAR = (0, 1, 5)
+PLANAR = np.array([0, 1, 5])
 """Indices of x, y and the rotation about z in ROS's 6 x 6 covariances."""
 LEVELS = dict.fromkeys((Status.MAPPING, Status.UNVERIFIED, Status.COASTING), 1)
 LEVELS |= {Status.LOCALISED: 0, Status.WAITING: 3}
 """Levels of diagnostic_msgs: 0 is OK, 1 is WARN, 3 is STALE."""
-FATES = {USED: BLUE, REJECTED: MOVED, NEW: MUTED}
-_TEXT, _INFO, _WARN, _UINT32, _FLOAT32 = 9, 20, 30, 6, 7
-_POINT = np.dtype([(axis, "<f4") for axis in "xyz"] + [("rgb", "<u4"), ("color", "<u4")])
-"""A point: `rgb` is 0x00RRGGBB, as Foxglove and RViz read it; `color` is 0xRRGGBBAA, for Rerun."""
+POSE_COLUMNS = "x [m], y [m], heading [rad]"
+_TEXT, _INFO, _WARN = 9, 20, 30
 PALE = "#e1e6eb"
 """Pale colour, since the viewers have dark backgrounds."""
-
-Row = tuple[int, str, Any]
-"""A stamp [ns], a topic and a message."""
+_ROBOT_RGB = rgb([BLUE] * DOTS + [PALE] * DOTS)
+_FATE_RGB = dict(zip((USED, REJECTED, NEW), rgb([BLUE, MOVED, MUTED]), strict=True))
+_LEVEL_RGB = rgb([*LEVEL_COLOURS, colour(UNTESTED)])
+"""By level; `UNTESTED`, which is -1, is the last."""
+_TRANSFORMS = "tf2_msgs/msg/TFMessage"
 
 
 def write_recording(file: Path, drive: Drive, track: Track, images: Images | None = None) -> None:
     """Write a run as an MCAP file of ROS 2 messages, as listed in docs/look-up/files.md."""
-    with writing(file) as log:
-        for stamp, topic, message in _Messages(log, drive, track).all(images):
-            log.write(topic, stamp, message)
+    write_streams(file, _Recording(drive, track).streams(images))
 
 
-class _Messages:
-    """The messages of a run in order of time, created one by one."""
+class _Recording:
+    """The messages of a run, in streams."""
 
-    def __init__(self, log: LogFile, drive: Drive, track: Track) -> None:
-        self._log, self._drive, self._track = log, drive, track
-        self._stamps = [self._stamp(t) for t in track.t.tolist()]
-        self._fields = [
-            log.make(
-                "sensor_msgs/msg/PointField",
-                name=name,
-                offset=4 * i,
-                datatype=_FLOAT32 if name in "xyz" else _UINT32,
-                count=1,
-            )
-            for i, name in enumerate(_POINT.names or ())
-        ]
+    def __init__(self, drive: Drive, track: Track) -> None:
+        self._drive, self._track = drive, track
+        self._stamp = cache(lambda t: split(t, drive.settings.epoch or 0)[0])
+        self._stamps = self._at(track.t)
         self._poses = np.column_stack([track.x, track.y, track.heading])
         self._has_pose, self._sigmas = track.has_pose, track.sigmas
 
-    def _stamp(self, t: float) -> int:
-        return split(t, self._drive.settings.epoch or 0)[0]
+    def _at(self, t: np.ndarray) -> np.ndarray:
+        """Return the stamps [ns] of times [s], (n,)."""
+        return np.array([self._stamp(each) for each in t.tolist()], np.int64)
 
-    def all(self, images: Images | None) -> Iterator[Row]:
-        streams = [self._transforms(), self._robots(), self._statuses(), self._true_poses()]
-        if self._stamps:
-            streams += [self._fixed(), self._rays(), self._landmarks(), self._errors()]
-        if images is not None:
-            streams.append(self._images(images))
-        return heapq.merge(*streams, key=lambda row: row[0])
+    def streams(self, images: Images | None) -> list[Stream]:
+        """Return the streams; messages with equal stamps are written in this order."""
+        streams = [self._transforms(), *self._robots(), *self._statuses()]
+        if (truth := self._drive.truth) is not None:
+            streams.append(self._true_poses(truth))
+        if self._stamps.size:
+            streams += [*self._fixed(), self._rays(), *self._landmarks()]
+            if truth is not None:
+                e = errors(self._track, truth)
+                values = np.column_stack([e.x, e.y, e.heading])
+                streams.append(number_stream("error", POSE_COLUMNS, self._at(e.t), values))
+        return streams if images is None else [*streams, self._images(images)]
 
-    def _fixed(self) -> Iterator[Row]:
-        """Yield the messages at the start: camera extrinsics, home, and the two paths."""
-        track, start = self._track, self._stamps[0]
-        posed = self._has_pose
-        settings = self._drive.settings
+    def _fixed(self) -> list[Stream]:
+        """Return the messages at the start: camera extrinsics, home, and the two paths."""
+        track, start, settings = self._track, self._stamps[:1], self._drive.settings
         poses = {f"{CAMERA}_{name}": mount.pose for name, mount in settings.cameras.items()}
         poses = {CAMERA: settings.sensor.pose, **poses}
-        fixed = [self._transform(start, BASE, frame, pose) for frame, pose in poses.items()]
-        yield start, "/tf_static", self._log.make("tf2_msgs/msg/TFMessage", transforms=fixed)
+        mounts = [transform(start, BASE, name, np.array([mount])) for name, mount in poses.items()]
         corners = HOUSE_M * np.array(HOUSE)
-        yield self._cloud(start, "home", _along(corners[:-1], corners[1:]), PALE)
+        posed = self._has_pose
         status = [STATUS_COLOURS[s] for s, ok in zip(track.status, posed, strict=True) if ok]
-        yield self._cloud(start, "path", self._poses[posed, :2], *status)
-        if self._drive.truth is not None:
-            truth = np.column_stack([self._drive.truth.x, self._drive.truth.y])
-            yield self._cloud(start, "true_path", truth, MUTED)
+        clouds = {
+            "home": (along(corners[:-1], corners[1:]), rgb([PALE])),
+            "path": (self._poses[posed, :2], rgb(status)),
+        }
+        if (truth := self._drive.truth) is not None:
+            clouds["true_path"] = np.column_stack([truth.x, truth.y]), rgb([MUTED])
 
-    def _transforms(self) -> Iterator[Row]:
+        def drawing(topic: str, points: np.ndarray, colours: np.ndarray) -> Stream:
+            return cloud_stream(topic, start, lambda _: (points[None], colours))
+
+        return [
+            Stream("/tf_static", _TRANSFORMS, start, lambda _: {"transforms": mounts}),
+            *(drawing(topic, *cloud) for topic, cloud in clouds.items()),
+        ]
+
+    def _transforms(self) -> Stream:
         rolled = dead_reckoning(self._drive.odometry, self._track.t)
-        offset = compose(Pose(*self._poses.T), inverse(rolled))
-        columns = zip(
-            np.column_stack(rolled).tolist(), np.column_stack(offset).tolist(), strict=True
-        )
-        for stamp, (base, odom) in zip(self._stamps, columns, strict=True):
-            steps = [(ODOM, BASE, base)]
-            if math.isfinite(odom[0]):
-                steps.append((MAP, ODOM, odom))
-            transforms = [self._transform(stamp, *step) for step in steps]
-            yield stamp, "/tf", self._log.make("tf2_msgs/msg/TFMessage", transforms=transforms)
+        offset = np.column_stack(compose(Pose(*self._poses.T), inverse(rolled)))
+        base, is_placed = np.column_stack(rolled), np.isfinite(offset[:, 0])
 
-    def _robots(self) -> Iterator[Row]:
-        """Yield poses with covariance, and the robot as a heading in its 2-sigma ellipse."""
+        def fields(at: np.ndarray) -> Fields:
+            transforms = [transform(self._stamps[at], ODOM, BASE, base[at])]
+            if is_placed[at[0]]:
+                transforms.append(transform(self._stamps[at], MAP, ODOM, offset[at]))
+            return {"transforms": transforms}
+
+        return Stream("/tf", _TRANSFORMS, self._stamps, fields, is_placed.astype(int))
+
+    def _robots(self) -> list[Stream]:
+        """Return poses with covariance, and the robot as a heading in its 2-sigma ellipse."""
+        posed = np.flatnonzero(self._has_pose)
+        stamps = self._stamps[posed]
+        return [
+            Stream(
+                "/homeward/pose", "nav_msgs/msg/Odometry", stamps, lambda i: self._pose(posed[i])
+            ),
+            number_stream("sigma", POSE_COLUMNS, stamps, self._sigmas[posed]),
+            cloud_stream("robot", self._stamps, self._robot, self._has_pose.astype(int)),
+        ]
+
+    def _pose(self, at: np.ndarray) -> Fields:
         track, odometry = self._track, self._drive.odometry.bridged
-        last = np.searchsorted(odometry.t, track.t, side="right") - 1
-        circle = np.linspace(0.0, math.tau, DOTS, endpoint=False)
-        circle = 2.0 * np.column_stack([np.cos(circle), np.sin(circle)])
-        for row, stamp in enumerate(self._stamps):
-            if not self._has_pose[row]:
-                yield self._cloud(stamp, "robot", np.empty((0, 2)))
-                continue
-            covariance = np.zeros((6, 6))
-            covariance[np.ix_(PLANAR, PLANAR)] = track.covariance[row]
-            v, omega = (
-                (odometry.v[last[row]], odometry.omega[last[row]]) if last[row] >= 0 else (0, 0)
-            )
-            message = self._log.make(
-                "nav_msgs/msg/Odometry",
-                header=self._log.header(stamp, MAP),
-                child_frame_id=BASE,
-                pose={"pose": _pose(*self._poses[row]), "covariance": covariance.ravel()},
-                twist={"twist": {"linear": {"x": float(v)}, "angular": {"z": float(omega)}}},
-            )
-            yield stamp, "/homeward/pose", message
-            yield self._numbers(stamp, "sigma", "x [m], y [m], heading [rad]", self._sigmas[row])
-            variance, axes = np.linalg.eigh(track.covariance[row, :2, :2])
-            ellipse = circle * np.sqrt(np.maximum(variance, 0.0)) @ axes.T
-            here, heading = self._poses[row, :2], self._poses[row, 2]
-            ahead = here + 0.4 * np.array([np.cos(heading), np.sin(heading)])
-            points = np.vstack([here + ellipse, _along(here[None], ahead[None])])
-            yield self._cloud(stamp, "robot", points, *[BLUE] * DOTS, *[PALE] * DOTS)
+        covariance = np.zeros((at.size, 6, 6))
+        covariance[:, PLANAR[:, None], PLANAR] = track.covariance[at]
+        last = np.searchsorted(odometry.t, track.t[at], side="right") - 1
+        v, omega = (np.where(last < 0, 0.0, twist[last]) for twist in (odometry.v, odometry.omega))
+        return {
+            "header": header(self._stamps[at]),
+            "child_frame_id": BASE,
+            "pose": {"pose": pose(self._poses[at]), "covariance": covariance.reshape(-1, 36)},
+            "twist": {"twist": {"linear": {"x": v}, "angular": {"z": omega}}},
+        }
 
-    def _rays(self) -> Iterator[Row]:
-        """Yield the sightings as rays from the camera to the mapped landmarks."""
+    def _robot(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self._has_pose[at[0]]:
+            return np.empty((at.size, 0, 2)), _ROBOT_RGB[:0]
+        angles = np.linspace(0.0, math.tau, DOTS, endpoint=False)
+        circle = 2.0 * np.column_stack([np.cos(angles), np.sin(angles)])
+        variance, axes = np.linalg.eigh(self._track.covariance[at, :2, :2])
+        ellipse = circle * np.sqrt(np.maximum(variance, 0.0))[:, None] @ axes.swapaxes(1, 2)
+        here, heading = self._poses[at, None, :2], self._poses[at, 2]
+        ahead = here + 0.4 * np.stack([np.cos(heading), np.sin(heading)], axis=-1)[:, None]
+        return np.concatenate([here + ellipse, along(here, ahead)], axis=1), _ROBOT_RGB
+
+    def _rays(self) -> Stream:
+        """Return the sightings as rays from the camera to the mapped landmarks."""
         track, history = self._track, self._track.history
         rows = np.flatnonzero(self._has_pose & np.isin(track.t, self._drive.sightings.t))
         column = {landmark: i for i, landmark in enumerate(history.landmark)}
         known, mount_of = history.at(track.t[rows]), self._drive.settings.mount_of
         frames = zip(rows.tolist(), known, bearings_at(self._drive, track, rows), strict=True)
         following = [*track.t[rows[1:]].tolist(), math.inf]
+        t, lines, colours = list[float](), list[np.ndarray](), list[np.ndarray]()
         for (row, k, seen), next_s in zip(frames, following, strict=False):
-            pose = Pose(*self._poses[row])
-            begins, ends = np.empty((len(seen), 2)), np.empty((len(seen), 2))
+            at = Pose(*self._poses[row])
+            ends = np.empty((2, len(seen), 2))
             for i, (name, bearing, _, by) in enumerate(seen):
-                camera = begins[i] = np.array(compose(pose, mount_of(by).pose)[:2])
-                way = pose.heading + bearing
+                camera = ends[0, i] = np.array(compose(at, mount_of(by).pose)[:2])
+                way = at.heading + bearing
                 reach = UNPLACED_M
                 if k >= 0 and name in column and math.isfinite(history.x[k, column[name]]):
                     place = (history.x[k, column[name]], history.y[k, column[name]])
                     reach = math.dist(place, camera)
-                ends[i] = camera + reach * np.array([math.cos(way), math.sin(way)])
-            colours = [FATES[fate] for _, _, fate, _ in seen for _ in range(DOTS)]
-            yield self._cloud(self._stamps[row], "rays", _along(begins, ends), *colours)
-            if next_s - (t := float(track.t[row])) > STALE_S:
-                yield self._cloud(self._stamp(t + STALE_S), "rays", np.empty((0, 2)))
+                ends[1, i] = camera + reach * np.array([math.cos(way), math.sin(way)])
+            t.append(now := float(track.t[row]))
+            lines.append(ends)
+            colours.append(np.array([_FATE_RGB[fate] for _, _, fate, _ in seen], np.uint32))
+            if next_s - now > STALE_S:
+                t.append(now + STALE_S)
+                lines.append(ends[:, :0])
+                colours.append(colours[-1][:0])
 
-    def _landmarks(self) -> Iterator[Row]:
-        """Yield landmarks in the colour of their probability of having moved, and their names."""
-        history, named = self._track.history, None
-        label = ", ".join(history.landmark)
-        for row, t in enumerate(history.t.tolist()):
-            stamp, chances = self._stamp(t), history.moved_probability[row]
-            places = np.column_stack([history.x[row], history.y[row]])
-            placed = np.isfinite(places).all(axis=1)
-            colours = [colour(level) for level in levels(chances[placed]).tolist()]
-            yield self._cloud(stamp, "landmarks", places[placed], *colours)
-            yield self._numbers(stamp, "moved_probability", label, chances)
-            # Names are written again when a position changes by 0.1 m or a probability by 10 %.
-            if named != (shown := np.round([*places.T, chances], 1).tobytes()):
-                named = shown
-                markers = [
-                    self._name(stamp, i, places[i], chances[i])
-                    for i in np.flatnonzero(placed).tolist()
-                ]
-                array = self._log.make("visualization_msgs/msg/MarkerArray", markers=markers)
-                yield stamp, "/homeward/landmark_names", array
+        def points(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            ends = np.stack([lines[i] for i in at], axis=1)
+            shown = np.stack([colours[i] for i in at])
+            return along(*ends), np.repeat(shown, DOTS, axis=1)
 
-    def _name(self, stamp: int, i: int, place: np.ndarray, chance: float) -> dict[str, Any]:
-        """Return the marker of a landmark's name and its probability of having moved."""
-        pose = _pose(place[0], place[1], 0.0)
-        pose["position"]["z"] = 0.3
+        return cloud_stream("rays", self._at(np.array(t)), points, shapes_of([*map(len, colours)]))
+
+    def _landmarks(self) -> list[Stream]:
+        """Return landmarks in the colour of their probability of having moved, and their names."""
+        history = self._track.history
+        stamps, chances = self._at(history.t), history.moved_probability
+        places = np.stack([history.x, history.y], axis=-1)
+        is_placed = np.isfinite(places).all(axis=-1)
+        colours = _LEVEL_RGB[levels(chances)]
+
+        def points(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            here = is_placed[at]
+            shown = places[at][here].reshape(at.size, -1, 2)
+            return shown, colours[at][here].reshape(shown.shape[:2])
+
+        # Names are written again when a position changes by 0.1 m or a probability by 10 %.
+        shown = np.round(np.stack([*np.moveaxis(places, -1, 0), chances], axis=1), 1)
+        rounded = [row.tobytes() for row in shown]
+        named = np.array(
+            [i for i, row in enumerate(rounded) if not i or row != rounded[i - 1]], int
+        )
+        labels = [
+            tuple((i, self._label(i, chance[i])) for i in np.flatnonzero(ok).tolist())
+            for ok, chance in zip(is_placed[named], chances[named].tolist(), strict=True)
+        ]
+
+        def names(at: np.ndarray) -> Fields:
+            here = named[at]
+            shown = [_marker(stamps[here], i, places[here, i], text) for i, text in labels[at[0]]]
+            return {"markers": shown}
+
+        markers = "visualization_msgs/msg/MarkerArray"
+        return [
+            cloud_stream("landmarks", stamps, points, is_placed.sum(axis=1)),
+            number_stream("moved_probability", ", ".join(history.landmark), stamps, chances),
+            Stream("/homeward/landmark_names", markers, stamps[named], names, shapes_of(labels)),
+        ]
+
+    def _label(self, i: int, chance: float) -> str:
+        """Return the name of a landmark and its probability of having moved."""
         moved = f"\nmoved: {chance:.0%}" if chance >= 0.05 else ""
-        return {
-            "header": self._log.header(stamp, MAP),
-            "ns": "names",
-            "id": i,
-            "type": _TEXT,
-            "pose": pose,
-            "scale": dict.fromkeys("xyz", 0.2),
-            "color": dict.fromkeys("rgba", 1.0),
-            "texture": {"header": self._log.header(stamp, "")},
-            "text": self._track.history.landmark[i] + moved,
-        }
+        return self._track.history.landmark[i] + moved
 
-    def _statuses(self) -> Iterator[Row]:
+    def _statuses(self) -> list[Stream]:
+        """Return each change of status, and the status at each change and each second."""
         track, last, since = self._track, None, -math.inf
-        name = f"homeward: {track.estimator}"
+        changed, reported = list[int](), list[int]()
         for row, t in enumerate(track.t.tolist()):
             now = (track.status[row], track.reason[row])
             if now == last and t - since < STATUS_S:
                 continue
-            stamp, (status, reason) = self._stamps[row], now
-            words = f"{status.value}: {reason}" if reason else status.value
-            header = self._log.header(stamp, "")
             if now != last:
-                severity = _WARN if LEVELS[status] else _INFO
-                fields = {"stamp": header.stamp, "level": severity, "name": name, "msg": words}
-                yield stamp, "/homeward/status", self._log.make("rcl_interfaces/msg/Log", **fields)
+                changed.append(row)
+            reported.append(row)
             last, since = now, t
+        changes, reports = np.array(changed, int), np.array(reported, int)
+
+        def words(row: int, text: str) -> dict[str, str]:
+            status, reason = track.status[row], track.reason[row]
+            message = f"{status.value}: {reason}" if reason else status.value
+            return {"name": f"homeward: {track.estimator}", text: message}
+
+        def change(at: np.ndarray) -> Fields:
+            row = changed[at[0]]
+            level = _WARN if LEVELS[track.status[row]] else _INFO
+            return {"stamp": time(self._stamps[changes[at]]), "level": level, **words(row, "msg")}
+
+        def report(at: np.ndarray) -> Fields:
+            row = reported[at[0]]
+            status = track.status[row]
             values = {"status": status.value}
             if self._has_pose[row]:
-                sigma = self._sigmas[row]
                 names = ("sigma_x [m]", "sigma_y [m]", "sigma_heading [rad]")
-                values |= {n: f"{s:.4g}" for n, s in zip(names, sigma.tolist(), strict=True)}
+                sigma = self._sigmas[row].tolist()
+                values |= {n: f"{s:.4g}" for n, s in zip(names, sigma, strict=True)}
             pairs = [{"key": k, "value": v} for k, v in values.items()]
-            found = {"level": LEVELS[status], "name": name, "message": words, "values": pairs}
-            array = "diagnostic_msgs/msg/DiagnosticArray"
-            yield stamp, "/diagnostics", self._log.make(array, header=header, status=[found])
+            found = {"level": LEVELS[status], **words(row, "message"), "values": pairs}
+            return {"header": header(self._stamps[reports[at]], ""), "status": [found]}
 
-    def _true_poses(self) -> Iterator[Row]:
-        truth = self._drive.truth
-        if truth is None:
-            return
-        for t, *pose in zip(*map(np.ndarray.tolist, vars(truth).values()), strict=True):
-            header = self._log.header(stamp := self._stamp(t), MAP)
-            kind = "geometry_msgs/msg/PoseStamped"
-            message = self._log.make(kind, header=header, pose=_pose(*pose))
-            yield stamp, "/homeward/truth", message
-
-    def _errors(self) -> Iterator[Row]:
-        if self._drive.truth is None:
-            return
-        e = errors(self._track, self._drive.truth)
-        for t, *values in zip(e.t.tolist(), e.x, e.y, e.heading, strict=True):
-            yield self._numbers(self._stamp(t), "error", "x [m], y [m], heading [rad]", values)
-
-    def _images(self, images: Images) -> Iterator[Row]:
-        last = -math.inf
-        for t, file in zip(images.t.tolist(), images.files, strict=True):
-            if t - last < IMAGE_S:
-                continue
-            stamp, last = self._stamp(t), t
-            message = self._log.make(
-                "sensor_msgs/msg/CompressedImage",
-                header=self._log.header(stamp, CAMERA),
-                format=KINDS[file.suffix.lower()].removeprefix("image/"),
-                data=np.frombuffer(file.read_bytes(), np.uint8),
+        return [
+            Stream(topic, kind, self._stamps[rows], fields, np.arange(rows.size))
+            for topic, kind, rows, fields in (
+                ("/homeward/status", "rcl_interfaces/msg/Log", changes, change),
+                ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray", reports, report),
             )
-            yield stamp, "/camera/image/compressed", message
+        ]
 
-    def _cloud(self, stamp: int, topic: str, points: np.ndarray, *colours: str) -> Row:
-        """Return points (n, 2) [m] in the home frame; the last colour is for all further points."""
-        array = np.zeros(len(points), _POINT)
-        # 1/1024 m is fine enough to draw, and compresses well.
-        array["x"], array["y"] = np.round(points.T * 1024) / 1024
-        if colours:
-            rgb = np.array([int(c[1:], 16) for c in colours], np.uint32)
-            array["rgb"] = np.pad(rgb, (0, len(points) - len(rgb)), "edge")
-            array["color"] = array["rgb"] << 8 | 0xFF
-        message = self._log.make(
-            "sensor_msgs/msg/PointCloud2",
-            header=self._log.header(stamp, MAP),
-            height=1,
-            width=len(array),
-            fields=self._fields,
-            point_step=_POINT.itemsize,
-            row_step=array.nbytes,
-            data=array.view(np.uint8),
-            is_dense=True,
-        )
-        return stamp, f"/homeward/{topic}", message
+    def _true_poses(self, truth: Truth) -> Stream:
+        stamps, poses = self._at(truth.t), np.column_stack([truth.x, truth.y, truth.heading])
 
-    def _numbers(self, stamp: int, topic: str, label: str, values: Any) -> Row:
-        """Return an array of numbers, for plots."""
-        data = np.asarray(values, float)
-        layout = {"dim": [{"label": label, "size": data.size, "stride": data.size}]}
-        message = self._log.make("std_msgs/msg/Float64MultiArray", layout=layout, data=data)
-        return stamp, f"/homeward/{topic}", message
+        def fields(at: np.ndarray) -> Fields:
+            return {"header": header(stamps[at]), "pose": pose(poses[at])}
 
-    def _transform(self, stamp: int, parent: str, child: str, pose: Any) -> dict[str, Any]:
-        there = _pose(*pose)
-        return {
-            "header": self._log.header(stamp, parent),
-            "child_frame_id": child,
-            "transform": {"translation": there["position"], "rotation": there["orientation"]},
-        }
+        return Stream("/homeward/truth", "geometry_msgs/msg/PoseStamped", stamps, fields)
+
+    def _images(self, images: Images) -> Stream:
+        kept, last = list[int](), -math.inf
+        for i, t in enumerate(images.t.tolist()):
+            if t - last >= IMAGE_S:
+                kept.append(i)
+                last = t
+        stamps = self._at(images.t[kept])
+
+        def fields(at: np.ndarray) -> Fields:
+            file = images.files[kept[at[0]]]
+            return {
+                "header": header(stamps[at], CAMERA),
+                "format": KINDS[file.suffix.lower()].removeprefix("image/"),
+                "data": np.frombuffer(file.read_bytes(), np.uint8)[None],
+            }
+
+        kind = "sensor_msgs/msg/CompressedImage"
+        return Stream("/camera/image/compressed", kind, stamps, fields, np.arange(stamps.size))
 
 
-def _along(begins: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return `DOTS` points along each of n lines (n, 2)."""
-    share = np.linspace(0.0, 1.0, DOTS)[:, None]
-    points: np.ndarray = begins[:, None] + share * (ends - begins)[:, None]
-    return points.reshape(-1, 2)
-
-
-def _pose(x: float, y: float, heading: float) -> dict[str, dict[str, float]]:
-    """Return the fields of a geometry_msgs/Pose."""
-    half = float(heading) / 2
-    turn = {"z": math.sin(half), "w": math.cos(half)}
-    return {"position": {"x": float(x), "y": float(y)}, "orientation": turn}
+def _marker(stamps: np.ndarray, i: int, places: np.ndarray, text: str) -> Fields:
+    """Return the name of the landmark with index i at places, (n, 2)."""
+    return {
+        "header": header(stamps),
+        "ns": "names",
+        "id": i,
+        "type": _TEXT,
+        "pose": {
+            "position": {"x": places[:, 0], "y": places[:, 1], "z": 0.3},
+            "orientation": {"w": 1.0},
+        },
+        "scale": dict.fromkeys("xyz", 0.2),
+        "color": dict.fromkeys("rgba", 1.0),
+        "texture": {"header": header(stamps, "")},
+        "text": text,
+    }
