@@ -28,7 +28,7 @@ struct Linear {
   }
 };
 
-// sets.Solution.
+// sets.HomeSolution.
 struct Solution {
   Vector3 step, pose;
   Matrix3 information, inverse, pose_by_home, pose_covariance, walk_information;

@@ -19,7 +19,7 @@ from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.motions import Motion
 from homeward.localizer.reference import factors, labels, motion, sets, window
 from homeward.localizer.reference.factors import NormalEquations, WeighedSightings
-from homeward.localizer.reference.sets import Evidence, HomeArrays, Linear
+from homeward.localizer.reference.sets import Evidence, HomeArrays, HomeSolution, Linear
 from homeward.localizer.reference.window import AddMore, Solution, Window
 from homeward.localizer.tunables import (
     BEND,
@@ -174,38 +174,38 @@ def _compiled_home(compiled: ModuleType, given: HomeArrays) -> Any:
 
 def fit_home(
     given: HomeArrays, home: np.ndarray, inliers: np.ndarray, steps: int
-) -> tuple[Linear, sets.Solution] | None:
+) -> tuple[Linear, HomeSolution] | None:
     """Fit home to a set of home bearings by Gauss-Newton; see `reference.sets.fit`."""
     compiled = core.compiled
     if compiled is None:
         return sets.fit(given, home, inliers, steps)
     found = _compiled_home(compiled, given).fit(*_contiguous(home, inliers), steps)
-    return None if found is None else (Linear(*found[0]), sets.Solution(*found[1]))
+    return None if found is None else (Linear(*found[0]), HomeSolution(*found[1]))
 
 
 def propagate_home(
     given: HomeArrays, linear: Linear, mean: np.ndarray, inliers: np.ndarray
-) -> tuple[Linear, sets.Solution] | None:
+) -> tuple[Linear, HomeSolution] | None:
     """Solve for home after a small change of the map; see `reference.sets.propagated`."""
     compiled = core.compiled
     if compiled is None:
         return sets.propagated(given, linear, mean, inliers)
     arrays = _contiguous(*linear, mean, inliers)
     found = _compiled_home(compiled, given).propagate(*arrays)
-    return None if found is None else (Linear(*found[0]), sets.Solution(*found[1]))
+    return None if found is None else (Linear(*found[0]), HomeSolution(*found[1]))
 
 
-def solve_set(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> sets.Solution | None:
+def solve_set(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> HomeSolution | None:
     """Solve for home by a set of home bearings; see `reference.sets.solved`."""
     compiled = core.compiled
     if compiled is None:
         return sets.solved(given, linear, inliers)
     found = _compiled_home(compiled, given).solve(*_contiguous(*linear, inliers))
-    return None if found is None else sets.Solution(*found)
+    return None if found is None else HomeSolution(*found)
 
 
 def weigh_set(
-    given: HomeArrays, linear: Linear, inliers: np.ndarray, found: sets.Solution
+    given: HomeArrays, linear: Linear, inliers: np.ndarray, found: HomeSolution
 ) -> Evidence:
     """Return the evidence of a set of home bearings; see `reference.sets.weighed`."""
     compiled = core.compiled

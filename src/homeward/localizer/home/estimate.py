@@ -24,8 +24,8 @@ from homeward.localizer.reference.sets import (
     POSE_AND_YAW,
     YAW,
     Evidence,
+    HomeSolution,
     Linear,
-    Solution,
     expected,
     posterior,
 )
@@ -48,7 +48,7 @@ class HomeFit:
     """... its linearisation, ..."""
     inliers: np.ndarray
     """(q,), bool: ... the set, ..."""
-    solution: Solution
+    solution: HomeSolution
     """... and its solution."""
     known_inflation: np.ndarray | None = None
     """(3, 3): `inflation` of the fit that this one was propagated from, ..."""

@@ -164,11 +164,11 @@ class HomeObservation:
 def averaged_covariance(
     static: np.ndarray, walks: np.ndarray, walk_moment: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the covariances of landmarks that may walk, and what they lack, (q, 2, 2) each.
+    """Return covariances of landmarks that may walk, and the missing part, (q, 2, 2) each.
 
     Their information is the mean of that of both cases, weighted by probability: `static` (q, 2, 2)
     if all are static; each walks with probability `walks` (q,), which adds `walk_moment` (q, 2, 2).
-    They lack a part of the mean of the covariances of both cases.
+    The missing part is that of the mean of the covariances of both cases.
     """
     share = walks[:, None, None]
     either = static + (1.0 - share) * walk_moment

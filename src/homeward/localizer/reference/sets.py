@@ -106,7 +106,7 @@ class Linear(NamedTuple):
         return self.columns[:, REST]
 
 
-class Solution(NamedTuple):
+class HomeSolution(NamedTuple):
     """Least-squares solution for one set of inliers, around a linearisation."""
 
     step: np.ndarray
@@ -185,7 +185,7 @@ def linearised(given: HomeArrays, home: np.ndarray, state: np.ndarray) -> Linear
 
 def propagated(
     given: HomeArrays, linear: Linear, mean: np.ndarray, inliers: np.ndarray
-) -> tuple[Linear, Solution] | None:
+) -> tuple[Linear, HomeSolution] | None:
     """Solve for inliers (q,) at the same linearisation point after a small change of the map.
 
     `mean` (4 + 2 q,) is that of the map before. None when they do not determine home.
@@ -226,7 +226,7 @@ def _linear(
 
 def fit(
     given: HomeArrays, home: np.ndarray, inliers: np.ndarray, steps: int
-) -> tuple[Linear, Solution] | None:
+) -> tuple[Linear, HomeSolution] | None:
     """Fit home (3,) to inlier home bearings (q,), by at most `steps` Gauss-Newton steps.
 
     None when they do not determine it.
@@ -241,7 +241,7 @@ def fit(
     return None if found is None else (linear, found)
 
 
-def posterior(given: HomeArrays, linear: Linear, found: Solution) -> np.ndarray:
+def posterior(given: HomeArrays, linear: Linear, found: HomeSolution) -> np.ndarray:
     """Return the posterior of pose, camera yaw and landmarks (4 + 2 q,)."""
     correction = found.weighted[:, RESIDUAL] - found.weighted[:, HOME] @ found.step
     return np.asarray(given.mean + correction @ linear.cross_covariance)
@@ -253,7 +253,7 @@ def _step_length(given: HomeArrays, step: np.ndarray) -> float:
     return float(max(max(dx, dy) / given.max_step, turn / MAX_HOME_TURN))
 
 
-def solved(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> Solution | None:
+def solved(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> HomeSolution | None:
     """Solve the linearised problem for inliers (q,); None when they do not determine home."""
     members, rest, across, asked = _columns_of(inliers.tobytes())
     rows = linear.columns.take(members, axis=0)
@@ -288,7 +288,7 @@ def solved(given: HomeArrays, linear: Linear, inliers: np.ndarray) -> Solution |
     log_volume = 2.0 * sum(map(math.log, root.diagonal().tolist()))
     square -= float(step @ information @ step)
     log_home = 3.0 * math.log(TWO_PI) - log_determinant
-    return Solution(
+    return HomeSolution(
         step=step,
         information=information,
         inverse=inverse,
@@ -340,7 +340,9 @@ def position_root(information: np.ndarray) -> tuple[float, float, float] | None:
     return (a, b, math.sqrt(square)) if square > ROUNDING * o else None
 
 
-def weighed(given: HomeArrays, linear: Linear, inliers: np.ndarray, found: Solution) -> Evidence:
+def weighed(
+    given: HomeArrays, linear: Linear, inliers: np.ndarray, found: HomeSolution
+) -> Evidence:
     """Return the evidence of a set of inliers (q,), given its solution."""
     jacobian, residual, alone = found.alone[:, HOME], found.alone[:, RESIDUAL], found.alone[:, 4]
     off = residual - jacobian @ found.step
