@@ -149,17 +149,17 @@ MECHANISMS = {
         "slip common to motions", "motion.process_noise:ProcessNoise.common_slip_variance", 0.0
     ),
     "motion-tails": changed(
-        "heavy tails of motions", "reference.window:cauchy_weights", lambda _: np.ones_like
+        "heavy tails of motions", "reference.factors:cauchy_weights", lambda _: np.ones_like
     ),
     # Gating
-    "data-snooping": off("gate of each bearing by the others", "map.gating:_data_snooping"),
+    "data-snooping": off("gate of each bearing by the others", "reference.frame:_data_snooping"),
     "contradicts-motion": off(
-        "joint test of bearings against a motion", "map.map:contradicts_motion", False
+        "joint test of bearings against a motion", "map.gating:contradicts_motion", False
     ),
     "vague-frames": changed(
         "frames after uncertain motions",
-        "map.map:inflate_by_odometry",
-        by_result(lambda found: None if found is None or found[1] else found),
+        "map.map:Map.inflate",
+        lambda inflate: lambda self, gated: inflate(self, gated) and not gated.result.is_vague,
     ),
     # Landmarks
     "mid-drive-moves": off(

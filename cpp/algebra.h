@@ -2,9 +2,11 @@
 #pragma once
 
 #include <Eigen/Dense>
+#include <algorithm>
 #include <cmath>
 #include <initializer_list>
 #include <stdexcept>
+#include <vector>
 
 #include "common.h"
 
@@ -26,6 +28,15 @@ constexpr int NC = 9;         // unknowns of the calibration, in the order of lo
 constexpr int HEAD = 3 + NC;  // the newest pose, and the calibration
 enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y };
 using Jacobian = Fixed<3, NC>;
+
+// geometry/se2.py and geometry/angles.py
+constexpr double MIN_SQUARED_DISTANCE = 1e-6, TURN = 6.283185307179586;
+inline double wrap(double x) { return x - TURN * std::ceil((x - 0.5 * TURN) / TURN); }
+
+inline double median(std::vector<double> values) {
+  std::sort(values.begin(), values.end());
+  return 0.5 * (values[(values.size() - 1) / 2] + values[values.size() / 2]);
+}
 
 // A pose b in the frame of a, in the parent frame of a, and its Jacobians by both: geometry/se2.py.
 struct Composition {

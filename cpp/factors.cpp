@@ -8,9 +8,6 @@ namespace homeward {
 namespace {
 
 constexpr int INFORMATION = 3, BY_CALIBRATION = 12;
-constexpr double MIN_SQUARED_DISTANCE = 1e-6, TURN = 6.283185307179586;
-
-double wrap(double x) { return x - TURN * std::ceil((x - 0.5 * TURN) / TURN); }
 
 class FrameSum {
  public:

@@ -10,8 +10,6 @@ namespace homeward {
 constexpr double PI = 3.14159265358979323846, TWO_PI = 2.0 * PI;
 const double LOG_TWO_PI = std::log(TWO_PI);
 
-inline double wrap(double angle) { return angle - TWO_PI * std::ceil((angle - PI) / TWO_PI); }
-
 inline double log_add(double a, double b) {
   const double low = std::min(a, b), high = std::max(a, b);
   return low == -INFINITY ? high : high + std::log1p(std::exp(low - high));

@@ -4,6 +4,7 @@
 // One function for each file of functions; CMakeLists.txt lists the files.
 void bind_align(nanobind::module_ &m);
 void bind_factors(nanobind::module_ &m);
+void bind_frame(nanobind::module_ &m);
 void bind_motion(nanobind::module_ &m);
 void bind_refine(nanobind::module_ &m);
 void bind_sets(nanobind::module_ &m);
@@ -17,6 +18,7 @@ NB_MODULE(_core, m) {
   m.attr("INTERFACE") = INTERFACE;
   bind_align(m);
   bind_factors(m);
+  bind_frame(m);
   bind_motion(m);
   bind_refine(m);
   bind_sets(m);

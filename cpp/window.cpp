@@ -190,10 +190,6 @@ class Window {
     return changed;
   }
 
-  static double median(std::vector<double> values) {
-    std::sort(values.begin(), values.end());
-    return 0.5 * (values[(values.size() - 1) / 2] + values[values.size() / 2]);
-  }
   const size_t w, a;
   Matrix poses_;
   Vector shared_;

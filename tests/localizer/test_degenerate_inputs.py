@@ -18,7 +18,6 @@ from homeward.localizer.home.problem import HomeProblem, home_from_start
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
@@ -30,6 +29,7 @@ from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
 from homeward.localizer.recovery.resection import Resection
 from homeward.localizer.reference import motion
+from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import bridged
 from homeward.odometry.history import OdometrySample
@@ -239,8 +239,9 @@ def test_a_landmark_far_away_is_predicted_with_the_noise_of_its_bearing(line, di
     covariance[HEAD:, HEAD:] = (100.0 * distance) ** 2 * np.outer(along, along)
     state = Marginal(np.r_[np.zeros(HEAD), distance * along], covariance)
     camera = state.pose_after(Motion.identity())
-    seen = predict_bearings(state, np.zeros(1), np.array([sigma]), camera, np.zeros(1, int))
-    assert seen.innovation_covariance[0, 0] >= sigma**2
+    frame = np.zeros(1), np.array([sigma]), camera, np.zeros(1, int)
+    seen = predict_bearings(state.mean, state.covariance, *frame)
+    assert seen.covariance[0, 0] >= sigma**2
 
 
 @settings(deadline=None)

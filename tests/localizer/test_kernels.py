@@ -9,9 +9,18 @@ from hypothesis import strategies as st
 
 from homeward import core
 from homeward.localizer import kernels
-from homeward.localizer.motions import DELAY, NC, SPEED_SCALE, TIME_CONSTANT, TURN_SLIP
-from homeward.localizer.reference import factors, motion, window
+from homeward.localizer.motions import (
+    DELAY,
+    HEAD,
+    NC,
+    SPEED_SCALE,
+    TIME_CONSTANT,
+    TURN_SLIP,
+    Motion,
+)
+from homeward.localizer.reference import factors, frame, motion, window
 from homeward.localizer.reference.factors import STEP, NormalEquations, SightedFrom
+from homeward.localizer.reference.frame import GateInput
 from homeward.localizer.reference.window import Window
 from homeward.odometry.history import TwistHistory
 
@@ -113,6 +122,78 @@ def test_the_window_is_built_and_solved_as_by_the_reference(seed):
         assert found == pytest.approx(expected, rel=1e-7, abs=1e-7 * scale)  # up to five steps
 
 
+def random_frame(rng, case):
+    """A frame whose bearings are near their prediction, and the state that predicts them."""
+    n = {"none mapped": 0, "one": 1, "two": 2}.get(case, int(rng.integers(3, 25)))
+    places = 4.0 * rng.normal(size=2 * n)
+    mean = np.concatenate([rng.normal(size=3), rng.normal(0.0, 0.01, NC), places])
+    root = rng.normal(size=(mean.size, mean.size)) / 100.0
+    motion = Motion(
+        rng.normal(0.0, 0.3, 3),
+        np.diag(rng.uniform(1e-5, 0.01, 3)),
+        rng.normal(0.0, 0.2, (3, NC)),
+        calibration=rng.normal(0.0, 0.01, NC),
+    )
+    m = n + int(rng.integers(0, 4))
+    landmark = np.concatenate([np.arange(n), np.full(m - n, -1)])
+    rng.shuffle(landmark)
+    exact = GateInput(
+        mean=mean,
+        covariance=root @ root.T,
+        p_static=np.where(rng.random(n) < 0.1, 0.0, 1.0),
+        scale=float(rng.uniform(1.0, 5.0)) if n else np.inf,
+        motion=motion,
+        is_keyframe=bool(rng.random() < 0.3),
+        mount=rng.normal(0.0, 0.2, 3),
+        offset=rng.normal(size=3) if rng.random() < 0.3 else None,
+        bearings=np.zeros(m),
+        sigmas=rng.uniform(0.002, 0.02, m),
+        landmark=landmark,
+        gate=4.0,
+        stamps=(int(rng.integers(1, 5)), 6),
+    )
+    if case == "singular":  # all bearings are exact but for a common turn
+        one, still = np.zeros_like(exact.covariance), np.zeros((3, 3))
+        one[2, 2] = 0.01
+        exact = exact._replace(covariance=one, sigmas=np.zeros(m), is_keyframe=True)
+        exact = exact._replace(motion=Motion(motion.delta, still, motion.jacobian))
+    if case == "on a landmark":
+        near = frame.gate_frame(exact).eye[:2] + 1e-4 * rng.normal(size=2)
+        exact = exact._replace(mean=np.concatenate([mean[:HEAD], near, places[2:]]))
+    expected = frame.gate_frame(exact)
+    drawn = 0.5 if case == "singular" else rng.uniform(0.1, 1.0) * rng.normal(size=n)
+    bearings = np.zeros(m)
+    bearings[landmark >= 0] = drawn * expected.deviation - expected.residual
+    outliers = rng.random(m) < (0.4 if case == "many outliers" else 0.05)
+    return exact._replace(bearings=bearings + outliers * rng.uniform(-1.0, 1.0, m))
+
+
+CASES = ("none mapped", "one", "two", "any", "many outliers", "singular", "on a landmark")
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_frame_is_gated_as_by_the_reference(case):
+    rejected = tested = 0
+    for seed in range(60):
+        given = random_frame(np.random.default_rng(seed), case)
+        here, there = kernels.gate_frame(given), frame.gate_frame(given)
+        for name, found, expected in zip(there._fields, here, there, strict=True):
+            scale = np.abs(expected).max(initial=0.0)
+            assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * scale), (seed, name)
+        assert here.accepted.tolist() == there.accepted.tolist()
+        rejected += np.count_nonzero(~there.accepted)
+        tested += there.square > 0.0
+    assert (rejected > 0) == (case != "none mapped")
+    assert (tested > 0) == (case not in ("none mapped", "one", "singular"))
+
+
+def test_a_state_is_propagated_as_by_the_reference():
+    given = random_frame(np.random.default_rng(0), "any")
+    state = given.mean, given.covariance, given.motion
+    for found, expected in zip(kernels.propagate(*state), frame.propagate(*state), strict=True):
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
 def test_a_window_that_is_given_does_not_change():
     given, add_more = random_problem(np.random.default_rng(3), 6, 4, 9)
     before = copy.deepcopy(given)
@@ -151,3 +232,9 @@ def test_arrays_of_another_layout_or_shape_are_refused():
     wrong = given._replace(seen=seen._replace(pose=seen.pose + 7))
     with pytest.raises(IndexError, match="a frame of another window"):
         kernels.solve(wrong)
+    another = random_frame(np.random.default_rng(0), "any")._replace(landmark=np.array([99]))
+    with pytest.raises(ValueError, match="landmark has another shape"):
+        kernels.gate_frame(another)
+    one = another._replace(bearings=np.zeros(1), sigmas=np.ones(1))
+    with pytest.raises(IndexError, match="a landmark of another map"):
+        kernels.gate_frame(one)

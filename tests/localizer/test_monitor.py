@@ -41,9 +41,9 @@ def seen(monitor, off, sigmas_off=10.0, names=NAMES):
         for i, n in enumerate(names)
     ]
     frame = WeighedFrame(1.0, list(names), np.zeros(len(names)), np.full(len(names), 0.01))
-    rows, camera = np.zeros((0, 6)), np.zeros(3)
+    rows, result = np.zeros((0, 6)), SimpleNamespace(eye=np.zeros(3))
     fits = {i.landmark: i.accepted for i in innovations}
-    gated = Gated(frame, drifted(), False, rows, camera, None, innovations, fits, False)
+    gated = Gated(frame, drifted(), False, rows, result, innovations, fits, False)
     return monitor.assess_innovations(gated, known())
 
 

@@ -171,7 +171,8 @@ def test_bearings_have_the_derivatives_they_say():
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
     nothing = WeighedFrame(0.0, [], np.zeros(0), np.zeros(0))
-    frames.add(0, camera_after(motion, mount, calibration), nothing)
+    camera = camera_after(motion, mount, calibration)
+    frames.add(0, camera.uncalibrated, camera.jacobian, nothing)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def expected(x):

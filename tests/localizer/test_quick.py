@@ -52,7 +52,7 @@ def seen(rng, window):
     sigmas = np.full(len(POINTS), 0.005)
     look = WeighedFrame(0.0, [str(i) for i in range(len(POINTS))], bearings, sigmas)
     camera = camera_after(Motion.identity(), MOUNT, window.state.calibration)
-    rows = window.frames.add(window.newest, camera, look)
+    rows = window.frames.add(window.newest, camera.uncalibrated, camera.jacobian, look)
     rows[:, LANDMARK] = np.arange(len(POINTS))
     return rows
 

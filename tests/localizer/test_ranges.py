@@ -85,7 +85,8 @@ def test_a_range_has_the_derivatives_it_says():
     frames, mount = Frames(), np.array([0.2, -0.1, 0.3])
     frame = WeighedFrame(0.0, ["a"], np.array([0.4]), np.array([0.01]))
     frame = frame._replace(ranges=np.array([[math.log(2.5), 0.1]]))
-    row = frames.add(0, camera_after(motion, mount, calibration), frame)
+    camera = camera_after(motion, mount, calibration)
+    row = frames.add(0, camera.uncalibrated, camera.jacobian, frame)
     x = np.concatenate([rng.normal(size=3), calibration, [3.0, 2.0]])
 
     def residual(x):

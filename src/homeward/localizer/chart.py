@@ -23,7 +23,6 @@ from homeward.localizer.map.learning.camera_jump import CameraJump
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.state import View
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motion.process_noise import ProcessNoise
@@ -141,8 +140,8 @@ class Chart:
             seen = seen._replace(sigmas=np.hypot(seen.sigmas, sigma))
         calibration = self.map.smoother.state.calibration
         motion = self.odometry.advance(seen.t, calibration)  # 2 preintegration
-        view, rates = self.map.view(motion, seen.offset), self.process_noise.rates
-        self._contradiction.add_bearings(seen, self.map, motion, view, rates, reckoned)
+        rates = self.process_noise.rates
+        self._contradiction.add_bearings(seen, self.map, motion, rates, reckoned)
         gated = found = None
         health = self.monitor.assess_odometry(motion, self.map)  # 3 can bearings be predicted?
         reset = health is Health.NO_MAP
@@ -154,13 +153,12 @@ class Chart:
             seen, reset = found.frame, True
         if reset:
             motion = self._reset_map(seen.t)
-            view = self.map.view(motion, seen.offset)
         if found is not None:
             self.map.registration.expect(found.origin, found.names)
             self.last_accepted = seen.t
         if reset or health is Health.OK:
-            self._take_first_fix(seen, motion, view)
-            gated = self._gate(seen, motion, view)  # 4 keyframe, innovations, outlier rejection
+            self._take_first_fix(seen, motion)
+            gated = self._gate(seen, motion)  # 4 keyframe, innovations, outlier rejection
             health = self.monitor.assess_innovations(gated, self.map)  # 5 monitor
         changed = self._react(health, seen, gated, motion)  # 6 update, or relocalisation
         if changed or reset or was_singular:
@@ -277,13 +275,14 @@ class Chart:
             observed.offsets,
         ).landmarks()
 
-    def _take_first_fix(self, seen: WeighedFrame, motion: Motion, view: View) -> None:
+    def _take_first_fix(self, seen: WeighedFrame, motion: Motion) -> None:
         """Try a first fix in a survey: the pose from a few frames along a short path."""
         known = self.map.registration
         if not self._known.landmarks or known.has_home or self.map.landmarks.expected:
             return
+        eye = self.map.camera_at(motion, seen.offset)
         variances = self.map.smoother.state.propagate(motion).covariance.diagonal()[:3]
-        found = self._first_fix.add_frame(seen, view.pose, variances)
+        found = self._first_fix.add_frame(seen, eye, variances)
         if found is not None:
             known.expect(*found)
             self.last_accepted = seen.t
@@ -294,7 +293,7 @@ class Chart:
         moved = self.odometry.dropout_motion(seen.t).covariance
         return self._resection.find(seen, camera, self.map.registration.survey, moved)
 
-    def _gate(self, seen: WeighedFrame, motion: Motion, view: View) -> Gated:
+    def _gate(self, seen: WeighedFrame, motion: Motion) -> Gated:
         """Gate a frame after a motion, at a new keyframe where one is due.
 
         One is also due where the bearings contradict the motion: the robot moved without odometry.
@@ -302,7 +301,7 @@ class Chart:
         if self.map.wants_keyframe(seen.t, motion):
             gated = self._gate_at_keyframe(seen, motion)
         else:
-            gated = self.map.gate(seen, motion, view)
+            gated = self.map.gate(seen, motion, False)
             if gated.contradicts_motion:
                 self.map.drop_frame()
                 wider = motion if motion.path else self.odometry.dropout_motion(seen.t)
@@ -319,7 +318,7 @@ class Chart:
         """Gate a frame at a new keyframe, reached by a motion."""
         self.map.add_keyframe(seen.t, motion)
         self._begin_motion(seen.t, motion)
-        return self.map.gate(seen, motion, None)
+        return self.map.gate(seen, motion, True)
 
     def _react(
         self, health: Health, seen: WeighedFrame, gated: Gated | None, motion: Motion

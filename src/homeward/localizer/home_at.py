@@ -15,9 +15,9 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
+from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
 from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, MIN_P_STATIC, NUM_NEAREST
 
@@ -58,8 +58,9 @@ def _predicted(solved: SolvedDrive, drive: Drive, t: float) -> JointHome:
     state = states[k].propagate(moved)
     camera = state.pose_after(chart.map.camera(Motion.identity()))
     sigmas = chart.noise.sigmas(list(ids), {})
-    expected = predict_bearings(state, np.zeros(index.size), sigmas, camera, index)
-    joint = expected.innovation_covariance
+    zeros = np.zeros(index.size)
+    expected = predict_bearings(state.mean, state.covariance, zeros, sigmas, camera, index)
+    joint = expected.covariance
     kept = joint.diagonal() <= MAX_PREDICTED_SIGMA**2
     kept &= whole.p_static[index] >= MIN_P_STATIC
     kept &= ~np.isin(list(ids), _moved(solved, drive, states, t))

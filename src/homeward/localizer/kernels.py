@@ -12,27 +12,34 @@ from types import ModuleType
 from typing import Any
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward import core
 from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.motions import Motion
-from homeward.localizer.reference import factors, labels, motion, sets, window
+from homeward.localizer.reference import factors, frame, labels, motion, sets, window
 from homeward.localizer.reference.factors import NormalEquations, WeighedSightings
+from homeward.localizer.reference.frame import GateInput, GateResult
 from homeward.localizer.reference.sets import Evidence, HomeArrays, HomeSolution, Linear
 from homeward.localizer.reference.window import AddMore, Solution, Window
 from homeward.localizer.tunables import (
     BEND,
     BRIDGED,
     CLOSE,
+    FALSE_ALARM,
     FIT_CONVERGED,
     GATE,
+    INFLATION,
     LINEAR,
+    MAJORITY,
     MAX_HOME_TURN,
     MAX_LAG_S,
     MAX_SOLVE_STEPS,
     MEAN_S,
+    MIN_BEARING_SIGMA,
     MIN_STEADY_SPEED,
+    MINIMAL,
     NEGLIGIBLE_CALIBRATION,
     NUM_BENDS,
     OUTLIER_SIGMA,
@@ -40,6 +47,8 @@ from homeward.localizer.tunables import (
     SPEED_TIME_S,
     TURN_TIME_S,
     UPHEAVAL,
+    VAGUE,
+    VARIANCE_ROUNDING,
 )
 from homeward.odometry.history import STEADY_S
 from homeward.odometry.validity import TWIST_VALIDITY_S
@@ -82,6 +91,52 @@ def preintegrate(
     )
     found = Motion(delta, covariance, jacobian, path, turned, calibration, True)
     return found, by_bend, moving
+
+
+@cache
+def _gate_tunables(build: Callable[..., Any]) -> Any:
+    """Return the tunables of `gate_frame` for the compiled core."""
+    return build(
+        false_alarm=FALSE_ALARM,
+        inflation=INFLATION,
+        linear=LINEAR,
+        majority=MAJORITY,
+        min_sigma=MIN_BEARING_SIGMA,
+        vague=VAGUE,
+        rounding=VARIANCE_ROUNDING,
+        turn_limit=float(chdtri(1, FALSE_ALARM)),
+        minimal=MINIMAL,
+    )
+
+
+def gate_frame(given: GateInput) -> GateResult:
+    """Predict and test the bearings of a frame; see `reference.frame.gate_frame`."""
+    compiled = core.compiled
+    if compiled is None:
+        return frame.gate_frame(given)
+    motion, offset = given.motion, np.zeros(3) if given.offset is None else given.offset
+    state = given.mean, given.covariance, given.p_static
+    camera = motion.delta, motion.covariance, motion.jacobian, given.mount, offset
+    seen = given.bearings, given.sigmas, given.landmark
+    found = compiled.gate_frame(
+        *(np.ascontiguousarray(each) for each in (*state, *camera, *seen)),
+        *(given.scale, given.is_keyframe, given.gate, *given.stamps),
+        _gate_tunables(compiled.GateTunables),
+    )
+    residual, deviation, accepted, *rest = found
+    return GateResult(residual, deviation, accepted.astype(bool), *rest)
+
+
+def propagate(
+    mean: np.ndarray, covariance: np.ndarray, motion: Motion
+) -> tuple[np.ndarray, np.ndarray]:
+    """Propagate the newest pose of a state by a motion; see `reference.frame.propagate`."""
+    compiled = core.compiled
+    if compiled is None:
+        return frame.propagate(mean, covariance, motion)
+    arrays = mean, covariance, motion.uncalibrated, motion.covariance, motion.jacobian
+    there, spread = compiled.propagate(*(np.ascontiguousarray(each) for each in arrays))
+    return there, spread
 
 
 @cache

@@ -315,8 +315,8 @@ MIN_GAIN = 1e-6
 MAX_PER_KEYFRAME = 12
 """Maximum sightings of a landmark per keyframe; more add nothing while the robot is stationary."""
 EVALUATIONS_PER_WINDOW = 8
-"""Evaluations of a solution per window, once it is full: what is learnt from one costs more than
-the solution, and changes slowly."""
+"""Evaluations of a solution per window, once it is full: learning from one takes longer than the
+solution, and its results change slowly."""
 EVALUATED_AFTER_DENIAL = 2
 """Keyframes from one evaluation to the next, for a window after bearings have denied a motion: a
 robot with a knocked camera should not drive far."""

@@ -9,45 +9,47 @@ import numpy as np
 
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings
-from homeward.estimator import Counts, Innovation
+from homeward.estimator import Counts
+from homeward.geometry.se2 import compose
+from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById
-from homeward.localizer.map.gating import (
-    Gated,
-    contradicts_motion,
-    gate_bearings,
-    inflate_by_odometry,
-    predict_bearings,
-)
+from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.camera_jump import CameraJump, JumpTest
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.state import View
 from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.map.survey.registration import Registration
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motion.process_noise import ProcessNoise
-from homeward.localizer.motions import DELAY, TURN_SLIP, Motion, camera_after
+from homeward.localizer.motions import (
+    CAMERA_X,
+    CAMERA_Y,
+    CAMERA_YAW,
+    DELAY,
+    TURN_SLIP,
+    Motion,
+    camera_after,
+)
+from homeward.localizer.reference.frame import GateInput
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    BASELINE,
     CALIBRATION_DRIFT,
     CANDIDATE_MEMORY_S,
     EVALUATED_AFTER_DENIAL,
     EVALUATIONS_PER_WINDOW,
-    FALSE_ALARM,
     INLIER,
     MAX_IDS,
     MAX_PER_KEYFRAME,
     STANDSTILL,
 )
 from homeward.reasons import Rejection
-
-PRESOLVE = bool(__import__("os").environ.get("PRESOLVE"))
 
 
 class Map:
@@ -129,7 +131,17 @@ class Map:
 
     def camera_pose(self, offset: np.ndarray | None) -> np.ndarray:
         """Return the pose of a camera on the robot, (3,) [m, m, rad], by the newest state."""
-        return self.camera(Motion.identity(), offset).delta
+        calibration = self.smoother.state.calibration
+        on_robot = self._mount + calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
+        return on_robot if offset is None else compose(on_robot, offset)
+
+    def camera_at(self, motion: Motion, offset: np.ndarray | None) -> np.ndarray:
+        """Return the pose of a camera in the odometry frame, (3,) [m, m, rad], after a motion.
+
+        The motion is from the newest keyframe, and `offset` as for `camera`.
+        """
+        robot = compose(self.smoother.state.mean[:3], motion.delta)
+        return compose(robot, self.camera_pose(offset))
 
     def camera(self, motion: Motion, offset: np.ndarray | None = None) -> Motion:
         """Return the motion to a camera after the robot's from the newest keyframe.
@@ -137,11 +149,6 @@ class Map:
         `offset` (3,) is its pose in the frame of the first camera; None for the first.
         """
         return camera_after(motion, self._mount, self.smoother.state.calibration, offset)
-
-    def view(self, motion: Motion, offset: np.ndarray | None) -> View:
-        """Return the view of a camera after a motion from the newest keyframe."""
-        camera = self.camera(motion, offset)
-        return View(camera, *self.smoother.state.pose_after(camera))
 
     def places_for_home(self, names: list[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return positions of q landmarks when home saw them, as far as known.
@@ -232,32 +239,33 @@ class Map:
         self._counts_here.clear()
         self._num_vague = self._num_between = 0
 
-    def gate(self, frame: WeighedFrame, motion: Motion, view: View | None) -> Gated:
+    def gate(self, frame: WeighedFrame, motion: Motion, new_keyframe: bool) -> Gated:
         """Gate the bearings of a frame: innovations, and which of them are accepted.
 
-        The motion led to the frame, and `view` is the view after it; None: the newest keyframe is
-        at the end of the motion, not at its start.
+        The motion led to the frame; with `new_keyframe`, the newest keyframe is at its end, not at
+        its start.
         """
-        new_keyframe, state = view is None, self.smoother.state
-        since = Motion.identity() if view is None else motion
-        view = self.view(since, frame.offset) if view is None else view
-        rows = self._rows(frame, view)
-        (known,) = (rows[:, LANDMARK] >= 0).nonzero()
-        bearings, sigmas = frame.bearings[known], frame.sigmas[known]
-        index = self.smoother.index(rows[known, LANDMARK])
-        seen = predict_bearings(state, bearings, sigmas, view[1:], index)
-        heading = float(state.mean[2]) - (motion.delta[2] if new_keyframe else 0.0)
-        accepted, deviations = gate_bearings(
-            seen, motion, new_keyframe, heading, self._settings.gate
+        smoother, state, ids = self.smoother, self.smoother.state, self.landmarks.ids(frame.names)
+        stamp = self._num_between + 1
+        given = GateInput(
+            mean=state.mean,
+            covariance=state.covariance,
+            p_static=smoother.p_static,
+            scale=math.inf if new_keyframe else state.scale,
+            motion=motion,
+            is_keyframe=new_keyframe,
+            mount=self._mount,
+            offset=frame.offset,
+            bearings=frame.bearings,
+            sigmas=frame.sigmas,
+            landmark=np.where(ids >= 0, smoother.index(ids), -1),
+            gate=self._settings.gate,
+            stamps=(stamp, stamp + self._num_vague),
         )
-        accepted &= self.smoother.p_static[index] > FALSE_ALARM  # who walks has no place
-        names = [frame.names[i] for i in known.tolist()]
-        columns = (column.tolist() for column in (seen.residual, deviations, accepted))
-        innovations = [Innovation(*each) for each in zip(names, *columns, strict=True)]
-        contradicted = not new_keyframe and contradicts_motion(seen, accepted, motion, heading)
-        fits = dict(zip(names, accepted.tolist(), strict=True))
-        pose = view.pose
-        return Gated(frame, since, new_keyframe, rows, pose, seen, innovations, fits, contradicted)
+        found = kernels.gate_frame(given)
+        rows = smoother.frames.add(smoother.newest, found.free, found.jacobian, frame)
+        rows[:, LANDMARK] = ids
+        return Gated.of(frame, given, rows, found)
 
     def drop_frame(self) -> None:
         """Drop the frame that was gated last, before an update with it."""
@@ -272,14 +280,13 @@ class Map:
         self._is_vague = False
         if gated.new_keyframe:
             return True
-        stamp = self._num_between + 1
-        stamps = stamp, stamp + self._num_vague
-        arguments = gated.motion, stamps, gated.prediction, self.smoother.state
-        widened = inflate_by_odometry(gated.rows, *arguments)
-        if widened is None:
+        motion, found = gated.motion, gated.result
+        across = 0.5 * (motion.covariance[0, 0] + motion.covariance[1, 1])
+        nothing_mapped = gated.frame.names and not self.smoother.ids.size
+        if nothing_mapped and across > (motion.path / BASELINE) ** 2:
             self._counts.reject(Rejection.VAGUE_ODOMETRY, len(gated.frame.names))
             return False
-        gated.rows[:, SIGMA], self._is_vague = widened
+        gated.rows[:, SIGMA], self._is_vague = found.inflated, found.is_vague
         self._num_vague += self._is_vague
         return True
 
@@ -289,7 +296,7 @@ class Map:
         Landmarks in `moved` are not where they were mapped, and are reinitialised.
         `numpy.linalg.LinAlgError` when the map has become singular.
         """
-        kept = self._add_sightings(gated.frame, gated.rows, gated.camera[2], gated.fits)
+        kept = self._add_sightings(gated.frame, gated.rows, gated.result.eye[2], gated.fits)
         fixed = bool(self.landmarks.expected and not self.landmarks.mapped)
         briefly = not self._extrinsics.is_assumed
         changed = bool(moved and self.landmarks.reinitialise(moved, briefly)) or fixed
@@ -308,8 +315,13 @@ class Map:
         """
         self._add_keyframe(frame.t, motion, NO_TAIL)
         self.denied_at = self.smoother.newest
-        view = self.view(Motion.identity(), frame.offset)
-        self._add_sightings(frame, self._rows(frame, view), view.pose[2], {})
+        here = Motion.identity()
+        camera = self.camera(here, frame.offset)
+        rows = self.smoother.frames.add(
+            self.smoother.newest, camera.uncalibrated, camera.jacobian, frame
+        )
+        rows[:, LANDMARK] = self.landmarks.ids(frame.names)
+        self._add_sightings(frame, rows, float(self.camera_at(here, frame.offset)[2]), {})
         self._correct(True)
 
     def revert_to(self, keyframe: int) -> None:
@@ -330,12 +342,6 @@ class Map:
         self.smoother = whole
         self.landmarks.replace_solution(whole)
         self._after_evaluation = []
-
-    def _rows(self, frame: WeighedFrame, view: View) -> np.ndarray:
-        """Return a frame as rows of the table of sightings, to which it is added."""
-        rows = self.smoother.frames.add(self.smoother.newest, view.camera, frame)
-        rows[:, LANDMARK] = self.landmarks.ids(frame.names)
-        return rows
 
     def _add_sightings(
         self, frame: WeighedFrame, rows: np.ndarray, heading: float, fits: Mapping[str, bool]

@@ -57,10 +57,12 @@ class Frames:
         """Number of the next frame."""
         return self.first + len(self._columns[0])
 
-    def add(self, keyframe: int, camera: Motion, frame: WeighedFrame) -> np.ndarray:
-        """Add a frame, `camera` being the motion from its keyframe.
+    def add(
+        self, keyframe: int, free: np.ndarray, jacobian: np.ndarray, frame: WeighedFrame
+    ) -> np.ndarray:
+        """Add a frame; return its rows in the table of sightings (m, COLUMNS).
 
-        Return its rows in the table of sightings (m, COLUMNS), with landmarks still open (-1).
+        `free` (3,) and `jacobian` (3, 9) are as in the table. Landmarks are still open (-1).
         """
         rows = np.empty((len(frame.names), COLUMNS))
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
@@ -69,11 +71,9 @@ class Frames:
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         if frame.offset is not None:
             self.offsets[self.next] = frame.offset
-        keyframes, stamps, free, jacobians = self._columns
-        keyframes.add(keyframe)
-        stamps.add(frame.t)
-        free.add(camera.uncalibrated)
-        jacobians.add(camera.jacobian)
+        row: tuple[float | np.ndarray, ...] = keyframe, frame.t, free, jacobian
+        for column, value in zip(self._columns, row, strict=True):
+            column.add(value)
         return rows
 
     def drop_newest(self) -> None:

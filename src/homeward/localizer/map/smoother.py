@@ -464,7 +464,7 @@ class Smoother:
         return equations, weighed(window.seen, window.poses, window.shared)
 
     def _window(self) -> Window:
-        """Return what is known of poses, calibration and landmarks, except survey and ranges."""
+        """Return all knowledge of poses, calibration and landmarks but survey and ranges."""
         time_constant, sigma = self.time_constant_prior
         at = [*ONE_SIDED, *range(NC)[MOUNT]]
         weights, means, is_one_sided = np.zeros(NC), np.zeros(NC), np.zeros(NC, bool)

@@ -1,4 +1,4 @@
-"""EKF state: a Gaussian on newest pose, calibration and landmarks, propagated and updated."""
+"""State of the map: a Gaussian on newest pose, calibration and landmarks."""
 
 from __future__ import annotations
 
@@ -6,28 +6,14 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 from statistics import median
-from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
-from homeward.geometry.se2 import MIN_DISTANCE, composition, rotation
+from homeward.geometry.se2 import MIN_DISTANCE
+from homeward.localizer import kernels
 from homeward.localizer.motions import HEAD, Motion
-from homeward.localizer.tunables import CLOSE, GATE
-
-if TYPE_CHECKING:
-    from homeward.localizer.map.gating import Prediction
-
-
-class View(NamedTuple):
-    """Where the camera is at a frame, by the newest state."""
-
-    camera: Motion
-    """Motion to the camera from the newest keyframe."""
-    pose: np.ndarray
-    """(3,): its pose [m, m, rad]."""
-    by_head: np.ndarray
-    """(3, 12): Jacobian of the pose; see `Marginal.pose_after`."""
+from homeward.localizer.reference.factors import cameras
+from homeward.localizer.tunables import CLOSE
 
 
 @dataclass(frozen=True)
@@ -74,40 +60,11 @@ class Marginal:
 
     def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
         """Return the pose after a motion from the newest one, and its Jacobian (3, 12)."""
-        by_calibration, now = motion.jacobian, self.mean[3:HEAD]
-        moved = motion.delta - by_calibration @ motion.calibration + by_calibration @ now
-        by_head = np.empty((3, HEAD))
-        there, by_head[:, :3], by_motion = composition(self.mean[:3], moved)
-        np.matmul(by_motion, by_calibration, out=by_head[:, 3:])
-        return there, by_head
+        return cameras(motion.uncalibrated, motion.jacobian, self.mean[:3], self.calibration)
 
     def propagate(self, motion: Motion) -> Marginal:
-        """EKF prediction: propagate the newest pose by a motion."""
-        mean, covariance = self.mean.copy(), self.covariance.copy()
-        mean[:3], by_head = self.pose_after(motion)
-        turn = rotation(self.mean[2])
-        covariance[:3] = by_head @ self.covariance[:HEAD]
-        covariance[:, :3] = covariance[:, :HEAD] @ by_head.T
-        covariance[:3, :3] += turn @ motion.covariance @ turn.T
-        return Marginal(mean, covariance)
-
-    def update(self, seen: Prediction) -> Marginal:
-        """EKF update by sightings, with a redescending M-estimator against large innovations.
-
-        `numpy.linalg.LinAlgError` when the innovation covariance is singular.
-        """
-        if not seen.residual.size:
-            return self
-        innovation_covariance = seen.innovation_covariance.copy()
-        variance = innovation_covariance.diagonal()
-        innovation_covariance.flat[:: len(innovation_covariance) + 1] = np.maximum(
-            seen.residual**2 / GATE**2, variance
-        )
-        _, gain, failed = lapack.dposv(innovation_covariance, seen.correlated)
-        if failed:
-            raise np.linalg.LinAlgError("the innovation covariance is singular")
-        covariance = self.covariance - seen.correlated.T @ gain
-        return Marginal(self.mean + seen.residual @ gain, 0.5 * (covariance + covariance.T))
+        """Return it with the newest pose propagated by a motion."""
+        return Marginal(*kernels.propagate(self.mean, self.covariance, motion))
 
     @staticmethod
     def columns(index: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from homeward.localizer.motions import Motion
@@ -29,5 +31,6 @@ def step_row(motion: Motion) -> np.ndarray:
 
 def scale_steps(steps: np.ndarray, factors: np.ndarray) -> None:
     """Scale the variances of shift and turn by factors (2,), in rows of the table."""
-    root = np.sqrt(factors)[[0, 0, 1]]
-    steps[:, INFORMATION] /= np.outer(root, root).ravel()
+    shift, turn = factors.tolist()
+    both = math.sqrt(shift * turn)
+    steps[:, INFORMATION] /= [shift, shift, both, shift, shift, both, both, both, turn]

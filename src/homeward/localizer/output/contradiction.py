@@ -18,7 +18,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose, composition, rotation, sight
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.map import Map
-from homeward.localizer.map.state import Marginal, View
+from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
 from homeward.localizer.tunables import (
     CONTRADICTION_S,
@@ -45,8 +45,8 @@ class _Reference(NamedTuple):
     """(n,): ... the ids of the landmarks in it ..."""
     motion: Motion
     """... and the motion from that keyframe to the frame."""
-    view: View
-    """View of the frame in that state."""
+    eye: np.ndarray
+    """(3,): pose of the camera at the frame, in that state [m, m, rad]."""
     odometry: np.ndarray
     """(3,): pose by odometry alone."""
 
@@ -68,7 +68,6 @@ class Contradiction:
         frame: WeighedFrame,
         known: Map,
         motion: Motion,
-        view: View,
         rates: np.ndarray,
         reckoned: Reckoned,
     ) -> None:
@@ -82,8 +81,6 @@ class Contradiction:
             The map.
         motion : Motion
             From its newest keyframe to the frame.
-        view : View
-            View of the frame in the map.
         rates : ndarray, shape (3, 3)
             Process noise of odometry; see `homeward.drives.settings.noise_rates`.
         reckoned : Reckoned
@@ -101,7 +98,7 @@ class Contradiction:
             ):
                 return
         ids, smoother = known.landmarks.ids(frame.names), known.smoother
-        state = smoother.state, smoother.ids, motion, view
+        state = smoother.state, smoother.ids, motion, known.camera_at(motion, frame.offset)
         self._reference = _Reference(frame, ids, *state, self._here)
         self.is_proved = False
 
@@ -129,7 +126,7 @@ class Contradiction:
             return None
         camera = known.camera_pose(frame.offset)
         at = reference.known.searchsorted(reference.ids[then])
-        distances = np.hypot(*(reference.state.positions[at] - reference.view.pose[:2]).T)
+        distances = np.hypot(*(reference.state.positions[at] - reference.eye[:2]).T)
         direction = before.bearings[then] + camera[2]
         places = np.stack([np.cos(direction), np.sin(direction)], axis=-1) * distances[:, None]
         motion = between(reference.odometry, self._here)

@@ -223,7 +223,7 @@ class Monitor:
         if self._kidnap.was_kidnapped(gated.fits):
             return Health.KIDNAPPED
         if self._scene.has_changed(
-            gated.frame, gated.fits, gated.camera, known.landmarks.positions
+            gated.frame, gated.fits, gated.result.eye, known.landmarks.positions
         ):
             return Health.SCENE_CHANGED
         suspects = self._slip.suspects(gated.innovations, gated.motion)

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.gating import predict_bearings
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
 from homeward.localizer.recovery.relocalise import SightLines, relocalise
+from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.tunables import GATE
 
 
@@ -41,8 +41,8 @@ class SeenAt:
         """
         eye = state.pose_after(known.camera(Motion.identity(), self.frame.offset))
         seen = self.frame.bearings, self.frame.sigmas, eye, whole.index(self.ids)
-        expected = predict_bearings(state, *seen)
-        sigmas = np.sqrt(expected.innovation_covariance.diagonal())
+        expected = predict_bearings(state.mean, state.covariance, *seen)
+        sigmas = np.sqrt(expected.covariance.diagonal())
         return np.asarray(np.abs(expected.residual) > GATE * sigmas)
 
     def contradicts(self, state: Marginal, known: Map, whole: Smoother) -> bool:
@@ -53,7 +53,7 @@ class SeenAt:
     def add_to(self, whole: Smoother, known: Map) -> None:
         """Add these sightings to all keyframes."""
         camera = known.camera(Motion.identity(), self.frame.offset)
-        rows = whole.frames.add(self.keyframe, camera, self.frame)
+        rows = whole.frames.add(self.keyframe, camera.uncalibrated, camera.jacobian, self.frame)
         rows[:, LANDMARK] = self.ids
         whole.add_sightings(rows)
 

@@ -286,4 +286,4 @@ def cameras(
     `free` and `jacobians` are as in `SightedFrom`.
     """
     eyes, by_pose, by_camera = composition(poses, free + jacobians @ calibration)
-    return eyes, np.concatenate([by_pose, by_camera @ jacobians], axis=2)
+    return eyes, np.concatenate([by_pose, by_camera @ jacobians], axis=-1)

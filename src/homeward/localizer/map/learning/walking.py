@@ -4,7 +4,7 @@ People, carts and doors move while they are observed. From a robot of constant v
 of constant velocity looks like a static one elsewhere; only turns of the robot distinguish them.
 Computed for each landmark are the evidence of a constant velocity against none, given which others
 walk, and the offset of its position if it walks. The share of walking landmarks is unknown, and
-integrated out, as that of moved ones (`homeward.localizer.home.evidence`).
+integrated out, as that of moved ones (`homeward.localizer.reference.labels`).
 """
 
 from __future__ import annotations
