@@ -139,7 +139,7 @@ MECHANISMS = {
     ),
     "bearing-component": off(
         "share of bearings in residuals of odometry",
-        "map.learning.variance_components:BearingErrors.variance",
+        "map.learning.variance_components:bearing_variance",
         1.0,
     ),
     "noise-prior-scale": off(

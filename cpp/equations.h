@@ -1,6 +1,8 @@
 // Normal equations of the window, and their factors: the text to read is reference/factors.py.
 #pragma once
 
+#include <vector>
+
 #include "algebra.h"
 
 namespace homeward {
@@ -47,7 +49,38 @@ struct Bearings {
   size_t m, f;
 };
 
-void add_odometry(const Equations &e, const double *poses, const double *calibration, const double *steps);
-void add_bearings(const Equations &e, const Bearings &seen, const double *poses, const double *unknowns, double gate);
+// Where the rows of factors are written to; null: nowhere. As in WeighedSightings and OdometryErrors.
+struct Linearised {
+  double *residual = nullptr, *by_bearing = nullptr, *error = nullptr, *by_motion = nullptr, *weight = nullptr;
+};
+
+void add_odometry(const Equations &e, const double *poses, const double *calibration, const double *steps,
+                  const Linearised &rows);
+void add_bearings(const Equations &e, const Bearings &seen, const double *poses, const double *unknowns, double gate,
+                  const Linearised &rows);
+
+struct Step {
+  Matrix poses;  // (w, 3)
+  Vector shared;
+  Eigen::MatrixXd covariance;  // of the newest pose and the shared unknowns
+};
+
+// Normal equations with all poses but the newest eliminated: reference.window.Elimination.
+struct Elimination {
+  explicit Elimination(const Equations &e);
+  Step solve() const;
+  // Divide other gradients, in columns, of poses (3 w) and shared unknowns (a) by the factor of the Hessian: the
+  // products of two columns are then those of one with the steps for the other.
+  void whiten(Matrix &gradients) const;
+  // From whitened gradients to steps: of newest pose and shared unknowns, or of `all`.
+  void substitute(Matrix &steps, bool all) const;
+  Matrix whitened;  // own gradient, a column
+
+ private:
+  size_t older_, n_;  // numbers of unknowns: of eliminated poses; of the newest one and shared ones
+  Matrix rows_;
+  std::vector<Matrix3> factors_, following_;
+  Eigen::LLT<Eigen::MatrixXd> factor_;
+};
 
 }  // namespace homeward

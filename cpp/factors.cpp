@@ -102,7 +102,8 @@ nb::tuple OwnEquations::arrays() const {
 }
 
 // Motions between poses: odometry_errors and add_odometry.
-void add_odometry(const Equations &e, const double *poses, const double *calibration, const double *steps) {
+void add_odometry(const Equations &e, const double *poses, const double *calibration, const double *steps,
+                  const Linearised &rows) {
   const Eigen::Map<const Fixed<NC, 1>> cal(calibration);
   const double size = 1.0 + cal[SPEED_SCALE];
   const Vector3 scale(1.0 / size, 1.0 / size, 1.0);
@@ -124,6 +125,10 @@ void add_odometry(const Equations &e, const double *poses, const double *calibra
     jacobian.block<2, 1>(0, 6 + SPEED_SCALE) += error.head<2>();
     jacobian = scale.asDiagonal() * jacobian;
     const double weight = 4.0 / std::max(1.0 + error.dot(information * error), 4.0);
+    if (rows.weight) {
+      Eigen::Map<Vector3>(rows.error + 3 * k) = error, rows.weight[k] = weight;
+      Eigen::Map<Fixed<3, 6 + NC>>(rows.by_motion + jacobian.size() * k) = jacobian;
+    }
     const Fixed<3, 6 + NC> weighted = weight * information * jacobian;
     const Vector3 pulled = weight * information * error;
     const Fixed<6 + NC, 6 + NC> blocks = jacobian.transpose() * weighted;
@@ -141,7 +146,8 @@ void add_odometry(const Equations &e, const double *poses, const double *calibra
 
 // Bearings: add_bearings. The bearings of one frame share the camera's pose, so that their products
 // are summed by that pose (3) and turned into products by keyframe and calibration (12) once.
-void add_bearings(const Equations &e, const Bearings &seen, const double *poses, const double *unknowns, double gate) {
+void add_bearings(const Equations &e, const Bearings &seen, const double *poses, const double *unknowns, double gate,
+                  const Linearised &rows) {
   const size_t n = (e.a - NC) / 2;
   const Fixed<NC, 1> calibration = Eigen::Map<const Fixed<NC, 1>>(unknowns);
   Matrix cross = Matrix::Zero(2 * n, NC);  // of landmarks and calibration
@@ -167,6 +173,10 @@ void add_bearings(const Equations &e, const Bearings &seen, const double *poses,
     sum.add(-x, -y, -scale, residual);
     double head[HEAD];
     for (int k = 0; k < HEAD; k++) head[k] = -x * sum.by_head(0, k) - y * sum.by_head(1, k) - scale * sum.by_head(2, k);
+    if (rows.residual) {
+      double *row = std::copy_n(head, HEAD, rows.by_bearing + (HEAD + 2) * i);
+      row[0] = x, row[1] = y, rows.residual[i] = residual;
+    }
     const size_t at = NC + 2 * mark;
     double *shared_at = e.shared + 3 * e.a * pose + at, *common_at = e.common + e.a * at + at;
     double *cross_at = cross.data() + 2 * NC * mark;

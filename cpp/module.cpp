@@ -3,6 +3,7 @@
 
 // One function for each file of functions; CMakeLists.txt lists the files.
 void bind_align(nanobind::module_ &m);
+void bind_extension(nanobind::module_ &m);
 void bind_factors(nanobind::module_ &m);
 void bind_frame(nanobind::module_ &m);
 void bind_motion(nanobind::module_ &m);
@@ -12,11 +13,12 @@ void bind_window(nanobind::module_ &m);
 
 // Increase it, and that of core.py, with each change of a signature: an editable installation may have a
 // module that is older than its Python.
-constexpr int INTERFACE = 3;
+constexpr int INTERFACE = 4;
 
 NB_MODULE(_core, m) {
   m.attr("INTERFACE") = INTERFACE;
   bind_align(m);
+  bind_extension(m);
   bind_factors(m);
   bind_frame(m);
   bind_motion(m);

@@ -6,76 +6,83 @@
 #include "equations.h"
 
 namespace homeward {
-namespace {
-
-struct Step {
-  Matrix poses;  // (w, 3)
-  Vector shared;
-  Eigen::MatrixXd covariance;  // of the newest pose and the shared unknowns
-};
-
-// Eliminate the chain of poses, solve, and invert: eliminate() and Elimination.solve().
-Step solved(const Equations &e) {
-  const size_t w = e.w, a = e.a, n = 3 + a;
-  Matrix information(n, n);
+Elimination::Elimination(const Equations &e)
+    : older_(3 * (e.w - 1)), n_(3 + e.a), rows_(Matrix::Zero(older_, n_ + 1)), factors_(e.w - 1), following_(e.w - 1) {
+  const size_t w = e.w, a = e.a;
+  Matrix information(n_, n_);
   information.topLeftCorner(3, 3) = e.own_of(w - 1);
   information.topRightCorner(3, a) = e.shared_of(w - 1);
   information.bottomLeftCorner(a, 3) = information.topRightCorner(3, a).transpose();
   information.bottomRightCorner(a, a) = e.common_all();
-  Vector gradient(n);
+  Vector gradient(n_);
   gradient << e.slope_of(w - 1), e.common_slope_all();
   // Of each eliminated pose: the inverse of its factor times its blocks with the newest pose and the shared
   // unknowns (n), and its gradient (1). All rows together have one product at the end.
-  Matrix rows = Matrix::Zero(3 * (w - 1), n + 1);
-  std::vector<Matrix3> factors(w - 1), following(factors.size());
   Matrix3 block = e.own_of(0);
   for (size_t k = 0; k + 1 < w; k++) {
     const Eigen::LLT<Eigen::Matrix3d> llt{Eigen::Matrix3d(block)};
     if (llt.info() != Eigen::Success) throw std::domain_error("a pose is not determined");
-    auto row = rows.middleRows(3 * k, 3);
+    auto row = rows_.middleRows<3>(3 * k);
     row.block(0, 3, 3, a) += e.shared_of(k);
-    row.col(n) += e.slope_of(k);
-    const auto coupling = e.next_of(k);
-    const Eigen::Matrix3d lower = llt.matrixL();
-    factors[k] = lower;
-    following[k] = lower.triangularView<Eigen::Lower>().solve(Eigen::Matrix3d(coupling));
+    row.col(n_) += e.slope_of(k);
+    const Eigen::Matrix3d lower = llt.matrixL(), coupling = e.next_of(k);
+    factors_[k] = lower;
+    following_[k] = lower.triangularView<Eigen::Lower>().solve(coupling);
     const bool last = k + 2 == w;
     if (last) row.leftCols(3) = coupling;
-    row.row(0) /= lower(0, 0);
-    row.row(1) = (row.row(1) - lower(1, 0) * row.row(0)) / lower(1, 1);
-    row.row(2) = (row.row(2) - lower(2, 0) * row.row(0) - lower(2, 1) * row.row(1)) / lower(2, 2);
-    if (!last) {
-      block = e.own_of(k + 1) - following[k].transpose() * following[k];
-      for (int i = 0; i < 3; i++)
-        rows.row(3 * (k + 1) + i) -=
-            following[k](0, i) * row.row(0) + following[k](1, i) * row.row(1) + following[k](2, i) * row.row(2);
-    }
+    factors_[k].triangularView<Eigen::Lower>().solveInPlace(row);
+    if (last) break;
+    block = e.own_of(k + 1) - following_[k].transpose() * following_[k];
+    rows_.middleRows<3>(3 * (k + 1)).noalias() -= following_[k].transpose().lazyProduct(row);
   }
   if (w > 1) {  // of matrices without rows, Eigen divides by zero
-    information.selfadjointView<Eigen::Lower>().rankUpdate(rows.leftCols(n).transpose(), -1.0);
-    gradient.noalias() -= rows.leftCols(n).transpose() * rows.col(n);
+    information.selfadjointView<Eigen::Lower>().rankUpdate(rows_.leftCols(n_).transpose(), -1.0);
+    gradient.noalias() -= rows_.leftCols(n_).transpose() * rows_.col(n_);
   }
-  // Only the lower half of the information is used.
-  const Eigen::LLT<Eigen::MatrixXd> llt{Eigen::MatrixXd(information)};
-  if (llt.info() != Eigen::Success) throw std::domain_error("not positive definite");
-  Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n, n);
-  llt.matrixL().solveInPlace(inverse);
-  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(n, n);
+  factor_.compute(information);  // only the lower half is used
+  if (factor_.info() != Eigen::Success) throw std::domain_error("not positive definite");
+  whitened.resize(older_ + n_, 1);
+  whitened << rows_.col(n_), factor_.matrixL().solve(gradient);
+}
+
+void Elimination::whiten(Matrix &gradients) const {
+  for (size_t k = 0; k < older_; k += 3) {
+    auto row = gradients.middleRows<3>(k);
+    factors_[k / 3].triangularView<Eigen::Lower>().solveInPlace(row);
+    if (k + 3 < older_) gradients.middleRows<3>(k + 3).noalias() -= following_[k / 3].transpose().lazyProduct(row);
+  }
+  Eigen::MatrixXd tail = gradients.bottomRows(n_);
+  if (older_) tail.noalias() -= rows_.leftCols(n_).transpose() * gradients.topRows(older_);
+  factor_.matrixL().solveInPlace(tail);
+  gradients.bottomRows(n_) = tail;
+}
+
+void Elimination::substitute(Matrix &steps, bool all) const {
+  Eigen::MatrixXd tail = steps.bottomRows(n_);
+  factor_.matrixU().solveInPlace(tail);
+  steps.bottomRows(n_) = tail;
+  if (!all || !older_) return;
+  steps.topRows(older_).noalias() -= rows_.leftCols(n_) * tail;
+  for (size_t k = older_; k > 0;) {
+    k -= 3;
+    auto row = steps.middleRows<3>(k);
+    if (k + 3 < older_) row.noalias() -= following_[k / 3].lazyProduct(steps.middleRows<3>(k + 3));
+    factors_[k / 3].transpose().triangularView<Eigen::Upper>().solveInPlace(row);
+  }
+}
+
+Step Elimination::solve() const {
+  Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n_, n_);
+  factor_.matrixL().solveInPlace(inverse);
+  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(n_, n_);
   covariance.selfadjointView<Eigen::Lower>().rankUpdate(inverse.transpose());
   covariance.triangularView<Eigen::StrictlyUpper>() = covariance.transpose();
-  const Vector tail = covariance * gradient;
-  Matrix steps(w, 3);
-  steps.row(w - 1) = tail.head(3);
-  Vector right = rows.col(n) - rows.leftCols(n) * tail;
-  for (size_t k = w - 1; k-- > 0;) {
-    Eigen::Vector3d x = right.segment<3>(3 * k);
-    if (k + 2 < w) x -= following[k] * Eigen::Vector3d(steps.row(k + 1));
-    Eigen::Matrix3d lower = factors[k];
-    lower.transpose().triangularView<Eigen::Upper>().solveInPlace(x);
-    steps.row(k) = x;
-  }
-  return {steps, tail.tail(a), covariance};
+  Matrix steps = whitened;
+  substitute(steps, true);
+  return {Eigen::Map<Matrix>(steps.data(), older_ / 3 + 1, 3), steps.bottomRows(n_ - 3), covariance};
 }
+
+namespace {
 
 // Constants of localizer/tunables.py.
 struct WindowTunables {
@@ -108,11 +115,19 @@ class Window {
     std::copy_n(bounded.data(), NC, bounded_);
   }
 
-  // reference.window.equations(), without more factors.
-  nb::tuple equations() const {
+  // reference.window.linearised(), without more factors: the arrays of the normal equations, of bearings (residual,
+  // Jacobian), and of motions (error, Jacobian, information, weight).
+  nb::tuple linearised() const {
+    const size_t m = bearings_.size();
     const OwnEquations e(w, a);
-    add_to(e);
-    return e.arrays();
+    Vector residual(m), weight(w - 1);
+    Matrix by_bearing(m, HEAD + 2), error(w - 1, 3), by_motion(w - 1, 3 * (6 + NC));
+    const Linearised rows{residual.data(), by_bearing.data(), error.data(), by_motion.data(), weight.data()};
+    add_to(e, rows);
+    const Matrix information = Eigen::Map<const Matrix>(steps_.data(), w - 1, STEP).middleCols<9>(3);
+    return nb::make_tuple(e.arrays(), array_of(Matrix(residual), {m}), array_of(by_bearing, {m, HEAD + 2}),
+                          array_of(error, {w - 1, 3}), array_of(by_motion, {w - 1, 3, 6 + NC}),
+                          array_of(information, {w - 1, 3, 3}), array_of(Matrix(weight), {w - 1}));
   }
 
   // reference.window.solve(). `add_more` takes the arrays of normal equations, poses and shared unknowns; or None.
@@ -124,7 +139,7 @@ class Window {
       e.clear();
       add_to(e);
       if (!add_more.is_none()) add_more(e.arrays(), array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}));
-      step = solved(e);
+      step = Elimination(e).solve();
       if (!step.poses.allFinite() || !step.covariance.allFinite()) throw std::domain_error("a step is not finite");
       if (!(step.covariance.diagonal().array() > 0.0).all()) throw std::domain_error("a variance is not positive");
       const bool is_small = move(step) < tunables_.converged;
@@ -137,7 +152,7 @@ class Window {
   }
 
  private:
-  void add_to(const Equations &e) const {
+  void add_to(const Equations &e, const Linearised &rows = {}) const {
     const Eigen::Map<const Matrix> information(information_.data(), 3 + a, 3 + a);
     Vector off(3 + a);
     off << poses_.row(0).transpose(), shared_;
@@ -148,10 +163,10 @@ class Window {
     e.common_all() += information.bottomRightCorner(a, a);
     e.slope_of(0) += downhill.head<3>();
     e.common_slope_all() += downhill.tail(a);
-    add_odometry(e, poses_.data(), shared_.data(), steps_.data());
+    add_odometry(e, poses_.data(), shared_.data(), steps_.data(), rows);
     const Bearings seen{bearings_.data(), sigmas_.data(), effective_.data(), frames_.data(), landmarks_.data(),
                         poses_of_.data(), free_.data(), jacobians_.data(), bearings_.size(), poses_of_.size()};
-    add_bearings(e, seen, poses_.data(), shared_.data(), tunables_.gate);
+    add_bearings(e, seen, poses_.data(), shared_.data(), tunables_.gate, rows);
     const double kept = 1.0 / (tunables_.negligible * tunables_.negligible);
     for (int k = 0; k < NC; k++) {
       const double weight = weights_.data()[k] + (bounded_[k] ? kept : 0.0);
@@ -204,7 +219,7 @@ class Window {
 // Elimination.solve() of reference/window.py, of normal equations.
 nb::tuple solve_equations(Out own, Out next, Out shared, Out common, Out slope, Out common_slope) {
   const Equations e(own, next, shared, common, slope, common_slope);
-  const Step step = solved(e);
+  const Step step = Elimination(e).solve();
   return nb::make_tuple(array_of(step.poses, {e.w, 3}), array_of(Matrix(step.shared), {e.a}),
                         array_of(Matrix(step.covariance), {3 + e.a, 3 + e.a}));
 }
@@ -229,7 +244,7 @@ void bind_window(nanobind::module_ &m) {
            array("frame"), array("landmark"), array("pose"), array("free"), array("jacobians"), array("information"),
            array("gradient"), array("at"), array("weights"), array("means"), array("is_one_sided"),
            array("is_bounded"), nb::arg("tunables"))
-      .def("equations", &Window::equations)
+      .def("linearised", &Window::linearised)
       .def("solve", &Window::solve, nb::arg("add_more").none());
   m.def("solve_equations", &solve_equations, array("own"), array("next"), array("shared"), array("common"),
         array("slope"), array("common_slope"));

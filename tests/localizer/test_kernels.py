@@ -18,7 +18,8 @@ from homeward.localizer.motions import (
     TURN_SLIP,
     Motion,
 )
-from homeward.localizer.reference import factors, frame, motion, window
+from homeward.localizer.reference import extension, factors, frame, motion, window
+from homeward.localizer.reference.extension import Unknown
 from homeward.localizer.reference.factors import STEP, NormalEquations, SightedFrom
 from homeward.localizer.reference.frame import GateInput
 from homeward.localizer.reference.window import Window
@@ -106,11 +107,14 @@ def test_the_window_is_built_and_solved_as_by_the_reference(seed):
     w, n = int(rng.integers(1, 12)) if seed else 1, int(rng.integers(0, 9))
     given, add_more = random_problem(rng, w, n, int(rng.integers(1, 20)) if n else 0)
     more = add_more if seed % 2 else None
-    here, there = kernels.equations(given, more), window.equations(given, more)
+    both = kernels.linearised(given, more), window.linearised(given, more)
+    for part in ("seen", "motions"):
+        for found, expected in zip(*(getattr(one, part) for one in both), strict=True):
+            assert found == pytest.approx(expected, rel=1e-9, abs=1e-12), part
+    here, there = (one.equations for one in both)
     size = np.abs(there.common).max()
-    weighed = factors.weighed(given.seen, given.poses, given.shared)
     for module, e in ((kernels, here), (factors, there)):
-        module.add_sightings(e, weighed)
+        module.add_sightings(e, both[1].seen)
     for name in ("own", "next", "shared", "common", "slope", "common_slope"):
         found, expected = getattr(here, name), getattr(there, name)
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-12 * size), name
@@ -192,6 +196,97 @@ def test_a_state_is_propagated_as_by_the_reference():
     state = given.mean, given.covariance, given.motion
     for found, expected in zip(kernels.propagate(*state), frame.propagate(*state), strict=True):
         assert found == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def unknown(rng, given, j, blocks, in_motions):
+    """Unknowns that change some bearings and, if so, some motions."""
+    m, w = len(given.seen.bearings), len(given.poses)
+    by_bearing = rng.normal(size=(m, j)) * (rng.random((m, j)) < 0.7)
+    by_motion = rng.normal(size=(w - 1, 3, j * blocks)) if in_motions else None
+    if by_motion is not None:
+        by_motion[::2] = 0.0
+    prior = rng.uniform(0.0, 3.0, j * blocks)
+    return Unknown(by_bearing, rng.integers(-1, blocks, m), prior, by_motion)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_window_is_extended_as_by_the_reference(seed):
+    rng = np.random.default_rng(seed)
+    w, n = int(rng.integers(2, 12)) if seed else 1, int(rng.integers(1, 9))
+    given, _ = random_problem(rng, w, n, int(rng.integers(1, 20)))
+    more = unknown(rng, given, *rng.integers(1, 5, 2).tolist(), seed % 2)
+    for module in (kernels, extension):
+        assert module.extend(window.linearised(given), more).absorbed == ()
+    here, there = (m.extend(window.linearised(given), more, True) for m in (kernels, extension))
+    for found, expected in zip((*here[:3], *here[3]), (*there[:3], *there[3]), strict=True):
+        scale = np.abs(expected).max(initial=0.0)
+        assert found == pytest.approx(expected, rel=1e-9, abs=1e-9 * scale)
+
+
+@pytest.mark.parametrize("module", [kernels, extension])
+def test_an_extension_is_the_window_with_more_unknowns(module):
+    """Information, slope and steps by the full matrices of all unknowns together."""
+    rng = np.random.default_rng(4)
+    given, _ = random_problem(rng, 4, 3, 9)
+    at, more = window.linearised(given), unknown(rng, given, 2, 2, True)
+    e, seen, motions = at
+    w, a, m, k = 4, len(given.shared), len(seen.pose), more.prior.size
+    old, new = np.zeros((m, 3 * w + a)), np.zeros((m, k))
+    for i, (pose, landmark, block) in enumerate(
+        zip(seen.pose, seen.landmark, more.block, strict=True)
+    ):
+        old[i, 3 * pose : 3 * pose + 3] = seen.jacobian[i, :3]
+        old[i, 3 * w : 3 * w + NC] = seen.jacobian[i, 3:HEAD]
+        old[i, 3 * w + NC + 2 * landmark :][:2] = seen.jacobian[i, HEAD:]
+        if block >= 0:
+            new[i, 2 * block : 2 * block + 2] = more.by_bearing[i]
+    moved = np.zeros((w - 1, 3, 3 * w + a))
+    for i in range(w - 1):
+        moved[i, :, 3 * i : 3 * i + 6] = motions.jacobian[i, :, :6]
+        moved[i, :, 3 * w : 3 * w + NC] = motions.jacobian[i, :, 6:]
+    weights = motions.weight[:, None, None] * motions.information
+    coupled = old.T @ new + np.einsum("iab,iac,icd->bd", moved, weights, more.by_motion)
+    own = new.T @ new + np.einsum("iab,iac,icd->bd", more.by_motion, weights, more.by_motion)
+    slope = new.T @ seen.residual + np.einsum(
+        "iab,iac,ic->b", more.by_motion, weights, motions.error
+    )
+    hessian = np.zeros((3 * w + a, 3 * w + a))
+    for i in range(w):
+        hessian[3 * i : 3 * i + 3, 3 * i : 3 * i + 3] = e.own[i]
+        hessian[3 * i : 3 * i + 3, 3 * w :] = e.shared[i]
+        if i < w - 1:
+            hessian[3 * i : 3 * i + 3, 3 * i + 3 : 3 * i + 6] = e.next[i]
+    hessian[3 * w :, 3 * w :] = e.common
+    hessian = np.triu(hessian) + np.triu(hessian, 1).T
+    steps = np.linalg.solve(hessian, coupled)
+    found = module.extend(at, more, True)
+    gradient = np.concatenate([e.slope.ravel(), e.common_slope])
+    expected = (
+        np.diag(more.prior) + own - coupled.T @ steps,
+        slope - steps.T @ gradient,
+        steps[3 * w :],
+        old @ steps,
+        moved @ steps,
+    )
+    for one, other in zip((*found[:3], *found[3]), expected, strict=True):
+        assert one == pytest.approx(other, rel=1e-8, abs=1e-8 * np.abs(other).max())
+
+
+def test_an_unknown_of_another_window_is_refused():
+    given, _ = random_problem(np.random.default_rng(0), 3, 2, 4)
+    at, more = window.linearised(given), unknown(np.random.default_rng(1), given, 2, 2, True)
+    with pytest.raises(IndexError, match="a sighting of another window"):
+        kernels.extend(at, more._replace(block=more.block + 2))
+    with pytest.raises(IndexError, match="a sighting of another window"):
+        kernels.extend(at._replace(seen=at.seen._replace(pose=at.seen.pose + 3)), more)
+    with pytest.raises(ValueError, match="by_motion has another shape"):
+        kernels.extend(at, more._replace(by_motion=more.by_motion[:, :, :1].copy()))
+    no_number = window.linearised(given).equations
+    no_number.own[0] = np.nan
+    for module in (kernels, extension):
+        for singular in (NormalEquations.zeros(3, len(given.shared)), no_number):
+            with pytest.raises(np.linalg.LinAlgError):
+                module.extend(at._replace(equations=singular), more)
 
 
 def test_a_window_that_is_given_does_not_change():

@@ -25,7 +25,7 @@ from homeward.localizer.map.survey.factors import (
 )
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE, Motion
-from homeward.localizer.reference.factors import NormalEquations, add_odometry
+from homeward.localizer.reference.factors import NormalEquations, add_odometry, odometry_errors
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
 from homeward.localizer.tunables import CLOSE
@@ -169,7 +169,7 @@ def test_odometry_in_its_own_metres_has_the_slope_that_it_says():
         e = NormalEquations.zeros(2, NC)
         calibration = np.zeros(NC)
         calibration[SPEED_SCALE] = x[0]
-        add_odometry(e, np.vstack([poses[0], x[1:]]), calibration, steps)
+        add_odometry(e, odometry_errors(np.vstack([poses[0], x[1:]]), calibration, steps))
         return e
 
     def off(x):

@@ -8,22 +8,25 @@ import pytest
 from benchmarks.odometry_noise import drive_of, row
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.learning.variance_components import BearingErrors, misfit
+from homeward.localizer.map.learning.variance_components import misfit
 from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motions import NC, Motion
 from homeward.localizer.reference import window as elimination
-from homeward.localizer.reference.factors import add_odometry, odometry_errors
+from homeward.localizer.reference.factors import (
+    WeighedSightings,
+    add_odometry,
+    odometry_errors,
+)
 from homeward.localizer.reference.motion import steady_speed
-from homeward.localizer.reference.window import eliminate
+from homeward.localizer.reference.window import Linearised, eliminate
 from homeward.odometry.history import STEADY_S, TwistHistory
 from homeward.runs.scoring import errors
 from homeward.track import run
 
 W = 30
-NONE_SEEN = BearingErrors(
-    np.zeros(0), np.zeros((0, 5 + NC)), np.zeros(0, int), np.zeros(0, int), np.zeros(0)
-)
+NONE, NUMBERS = np.zeros(0), np.zeros(0, int)
+NONE_SEEN = WeighedSightings(NONE, np.zeros((0, 5 + NC)), NUMBERS, NUMBERS)
 SIGMAS = np.array([0.05, 0.02, 0.03])
 
 
@@ -45,13 +48,18 @@ def chain(rng, fixes, noisier=1.0, believed=(1.0, 1.0), slips=0.0):
     estimate = poses.copy()
     for _ in range(5):
         equations = elimination.NormalEquations.zeros(W, NC)
-        add_odometry(equations, estimate, np.zeros(NC), rows)
+        add_odometry(equations, odometry_errors(estimate, np.zeros(NC), rows))
         equations.own[:] += np.eye(3) / fixes**2
         equations.slope[:] += (seen - estimate) / fixes**2
         equations.common[:] += 1e6 * np.eye(NC)
         step, _, _ = eliminate(equations).solve()
         estimate = estimate + step
     return equations, odometry_errors(estimate, np.zeros(NC), rows)
+
+
+def left_of(equations, errors, rng):
+    """Return what a window without bearings leaves of motions."""
+    return misfit(Linearised(equations, NONE_SEEN, errors), NONE, NONE, rng)
 
 
 def dense_redundancies(equations, errors):
@@ -77,10 +85,7 @@ def dense_redundancies(equations, errors):
 @pytest.mark.parametrize("fixes", [0.005, 0.05, 0.5])
 def test_redundancies_are_those_of_the_full_matrices(fixes):
     equations, errors = chain(np.random.default_rng(0), fixes)
-    drawn = [
-        misfit(eliminate(equations), errors, NONE_SEEN, np.random.default_rng(s)).redundancies
-        for s in range(300)
-    ]
+    drawn = [left_of(equations, errors, np.random.default_rng(s)).redundancies for s in range(300)]
     alike = np.array(drawn)[:, 1]
     spread = np.std(alike, axis=0) / np.sqrt(len(alike))
     assert np.abs(np.mean(alike, axis=0) - dense_redundancies(equations, errors)) == pytest.approx(
@@ -94,7 +99,7 @@ def test_where_poses_are_told_well_the_noise_comes_out_as_it_is(noisier):
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, noisier, noise.scales[0])
-        noise.update(*misfit(eliminate(equations), errors, NONE_SEEN, rng), W - 1, W - 1)
+        noise.update(*left_of(equations, errors, rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(noisier, rel=0.2)
     assert (np.sqrt(noise.inlier_ratios) > 0.7).all()
 
@@ -115,16 +120,16 @@ def test_bearings_that_are_better_than_believed_do_not_make_odometry_seem_so(bet
         off, estimate = better * rng.normal(size=9 * W), poses.copy()
         for _ in range(3):
             equations = elimination.NormalEquations.zeros(W, NC + 2)
-            add_odometry(equations, estimate, np.zeros(NC), rows)
+            add_odometry(equations, odometry_errors(estimate, np.zeros(NC), rows))
             left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
             np.add.at(equations.own, pose, directions[:, :, None] * directions[:, None, :])
             np.add.at(equations.slope, pose, directions * left[:, None])
             equations.common[:] += 1e6 * np.eye(NC + 2)
             estimate = estimate + eliminate(equations).solve()[0]
         left = off - (directions * (estimate - poses)[pose]).sum(axis=1)
-        seen = BearingErrors(left, jacobian, pose, np.zeros(9 * W, int), np.ones(9 * W))
-        errors = odometry_errors(estimate, np.zeros(NC), rows)
-        noise.update(*misfit(eliminate(equations), errors, seen, rng), W - 1, W - 1)
+        seen = WeighedSightings(left, jacobian, pose, np.zeros(9 * W, int))
+        given = Linearised(equations, seen, odometry_errors(estimate, np.zeros(NC), rows))
+        noise.update(*misfit(given, left, np.ones(9 * W), rng), W - 1, W - 1)
     assert np.sqrt(noise.scales[1]) == pytest.approx(1.0, rel=0.2)
 
 
@@ -133,7 +138,7 @@ def test_a_few_motions_that_slip_do_not_hide_how_good_the_others_are():
     rng = np.random.default_rng(1)
     for _ in range(40):
         equations, errors = chain(rng, 0.003, 1.0, noise.scales[0], slips=0.1)
-        noise.update(*misfit(eliminate(equations), errors, NONE_SEEN, rng), W - 1, W - 1)
+        noise.update(*left_of(equations, errors, rng), W - 1, W - 1)
     most, every = np.sqrt(noise.scales)
     assert most == pytest.approx(1.0, rel=0.25)
     assert (every > 1.5).all()

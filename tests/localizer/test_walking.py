@@ -11,8 +11,14 @@ from homeward.geometry.angles import wrap
 from homeward.localizer.home.observation import averaged_covariance
 from homeward.localizer.map.learning.walking import Walks, walking_probabilities, walks
 from homeward.localizer.motions import NC
-from homeward.localizer.reference.factors import NormalEquations, WeighedSightings, add_sightings
-from homeward.localizer.reference.window import eliminate
+from homeward.localizer.reference.factors import (
+    STEP,
+    NormalEquations,
+    WeighedSightings,
+    add_sightings,
+    odometry_errors,
+)
+from homeward.localizer.reference.window import Linearised, eliminate
 from homeward.localizer.tunables import WALKING_PRIOR
 
 SIGMA, SPEED = 0.01, 0.2
@@ -27,8 +33,14 @@ def way(turns, seconds=6.0):
     return t, np.concatenate([np.zeros((1, 2)), np.cumsum(step, axis=0)[:-1]])
 
 
+def of_bearings(e, seen):
+    """A window of bearings whose motions tell nothing."""
+    nothing = np.zeros((len(e.own) - 1, STEP))
+    return Linearised(e, seen, odometry_errors(np.zeros((len(e.own), 3)), np.zeros(NC), nothing))
+
+
 def linearised(lines, eyes, place, pose_sigma):
-    """Equations of m poses, each known so well, and one place; and the sight lines in them."""
+    """Window of m poses, each known so well, and one place."""
     m, d = len(eyes), place - eyes
     jacobian = np.zeros((m, 5 + NC))
     jacobian[:, 3 + NC :] = np.column_stack([-d[:, 1], d[:, 0]]) / (d**2).sum(axis=1)[:, None]
@@ -39,7 +51,7 @@ def linearised(lines, eyes, place, pose_sigma):
     e.own[:] = np.eye(3) * pose_sigma**-2.0
     e.common[:] = np.diag([1.0] * NC + [1e-8] * 2)
     add_sightings(e, seen)
-    return e, seen
+    return of_bearings(e, seen)
 
 
 def judged(velocity, turns, pose_sigma=1e-6):
@@ -47,9 +59,9 @@ def judged(velocity, turns, pose_sigma=1e-6):
     t, eyes = way(turns)
     d, at = PLACE + t[:, None] * velocity - eyes, PLACE.copy()
     for _ in range(50):
-        e, seen = linearised(np.arctan2(d[:, 1], d[:, 0]), eyes, at, pose_sigma)
-        at += 0.5 * eliminate(e).solve()[1][NC:]
-    return walks(e, seen, SPEED * t, np.array([0])).conditional_on(np.array([False])), at
+        given = linearised(np.arctan2(d[:, 1], d[:, 0]), eyes, at, pose_sigma)
+        at += 0.5 * eliminate(given.equations).solve()[1][NC:]
+    return walks(given, SPEED * t, np.array([0])).conditional_on(np.array([False])), at
 
 
 def test_one_that_keeps_its_way_is_told_from_one_that_stands_once_the_robot_turns():
@@ -81,7 +93,7 @@ def test_the_evidence_is_that_of_the_two_models():
     e.own[:], e.common[:] = np.eye(3), np.eye(NC + 2 * n)
     seen = WeighedSightings(residual, jacobian, pose, landmark)
     add_sightings(e, seen)
-    found = walks(e, seen, SPEED * since, np.arange(n))
+    found = walks(of_bearings(e, seen), SPEED * since, np.arange(n))
 
     dense, rows = np.zeros((m, 3 * w + NC + 2 * n)), np.arange(m)[:, None]
     dense[rows, 3 * pose[:, None] + np.arange(3)] = jacobian[:, :3]
@@ -201,7 +213,7 @@ def test_a_place_that_may_be_wrong_counts_by_the_information_of_either_case():
 
 def test_sight_lines_from_one_place_say_nothing():
     t, place = np.zeros(8), PLACE.copy()
-    e, seen = linearised(np.full(8, 0.3), np.zeros((8, 2)), place, 1e-6)
-    log_factor, moment = walks(e, seen, SPEED * t, np.array([0])).conditional_on(np.array([False]))
+    given = linearised(np.full(8, 0.3), np.zeros((8, 2)), place, 1e-6)
+    log_factor, moment = walks(given, SPEED * t, np.array([0])).conditional_on(np.array([False]))
     assert np.isfinite(moment).all()
     assert np.allclose(log_factor, 0.0)

@@ -18,11 +18,12 @@ from homeward import core
 from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.motions import Motion
-from homeward.localizer.reference import factors, frame, labels, motion, sets, window
+from homeward.localizer.reference import extension, factors, frame, labels, motion, sets, window
+from homeward.localizer.reference.extension import Extra, Unknown
 from homeward.localizer.reference.factors import NormalEquations, WeighedSightings
 from homeward.localizer.reference.frame import GateInput, GateResult
 from homeward.localizer.reference.sets import Evidence, HomeArrays, HomeSolution, Linear
-from homeward.localizer.reference.window import AddMore, Solution, Window
+from homeward.localizer.reference.window import AddMore, Linearised, Solution, Window
 from homeward.localizer.tunables import (
     BEND,
     BRIDGED,
@@ -178,15 +179,28 @@ def solve(given: Window, add_more: AddMore | None = None) -> Solution:
     return Solution(poses, shared, covariance, is_bounded.astype(bool), has_converged)
 
 
-def equations(given: Window, add_more: AddMore | None = None) -> NormalEquations:
-    """Return the normal equations of a window; see `reference.window.equations`."""
+def linearised(given: Window, add_more: AddMore | None = None) -> Linearised:
+    """Linearise a window at its estimate; see `reference.window.linearised`."""
     compiled = core.compiled
     if compiled is None:
-        return window.equations(given, add_more)
-    built = NormalEquations(*_compiled_window(compiled, given).equations())
+        return window.linearised(given, add_more)
+    arrays, residual, jacobian, *rest = _compiled_window(compiled, given).linearised()
+    built, seen = NormalEquations(*arrays), given.seen
     if add_more is not None:
         add_more(built, given.poses, given.shared)
-    return built
+    found = WeighedSightings(residual, jacobian, seen.pose[seen.frame], seen.landmark)
+    return Linearised(built, found, factors.OdometryErrors(*rest))
+
+
+def extend(given: Linearised, unknown: Unknown, with_absorbed: bool = False) -> Extra:
+    """Return the posterior of additional unknowns of a window; see `reference.extension.extend`."""
+    compiled = core.compiled
+    if compiled is None:
+        return extension.extend(given, unknown, with_absorbed)
+    arrays = *_arrays(given.equations), *given.seen, *given.motions, *unknown[:3]
+    contiguous = map(np.ascontiguousarray, arrays)
+    with _singular():
+        return Extra(*compiled.extend(*contiguous, unknown.by_motion, with_absorbed))
 
 
 def solve_equations(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

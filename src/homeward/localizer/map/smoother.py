@@ -60,11 +60,8 @@ from homeward.localizer.reference.factors import (
     NormalEquations,
     OdometryErrors,
     SightedFrom,
-    WeighedSightings,
-    odometry_errors,
-    weighed,
 )
-from homeward.localizer.reference.window import AddMore, Window, eliminate, marginals
+from homeward.localizer.reference.window import AddMore, Linearised, Window, eliminate, marginals
 from homeward.localizer.tunables import (
     FIXED_TIME_CONSTANT_S,
     INFINITY_RATIO,
@@ -335,17 +332,13 @@ class Smoother:
         self.shift_variances = [float(factors[1, 0] * v) for v in self.shift_variances]
         self.turn_variances = [float(factors[1, 1] * v) for v in self.turn_variances]
 
-    def odometry_errors(self) -> OdometryErrors:
-        """Return the residuals of the motions between keyframes in the window, linearised."""
-        return odometry_errors(self.poses, self.state.calibration, self._steps.rows)
-
-    def denied_turns(self) -> np.ndarray:
+    def denied_turns(self, motions: OdometryErrors) -> np.ndarray:
         """Return the squares of the normalised residuals of turns between keyframes, (w - 1,) [1].
 
-        Infinite where the robot was relocalised: odometry was denied entirely.
+        `motions` are those of the window, linearised. Infinite where the robot was relocalised:
+        odometry was denied entirely.
         """
-        found = self.odometry_errors()
-        squares = found.error[:, 2] ** 2 * found.information[:, 2, 2]
+        squares = motions.error[:, 2] ** 2 * motions.information[:, 2, 2]
         return np.where(self._steps.rows[:, IS_ODOMETRY] > 0.0, squares, np.inf)
 
     def drop_landmark(self, number: int) -> None:
@@ -369,7 +362,7 @@ class Smoother:
 
     def without_survey(self, size: float) -> Marginal:
         """Return the state without the survey; each landmark has a prior of `size` [m] instead."""
-        equations = kernels.equations(self._window(), self._add_ranges(self.sightings))
+        equations = kernels.linearised(self._window(), self._add_ranges(self.sightings)).equations
         at = np.arange(NC, len(equations.common))
         equations.common[at, at] += size**-2.0
         poses, common, covariance = kernels.solve_equations(equations)
@@ -377,7 +370,7 @@ class Smoother:
 
     def marginals(self, indices: Sequence[int] | None = None) -> list[Marginal]:
         """Return the state at poses in the window, by default at each, after `solve`."""
-        own, by_common, common = marginals(self.equations())
+        own, by_common, common = marginals(self.linearised().equations)
         found, poses = [], self.poses
         for k in range(len(poses)) if indices is None else indices:
             cross = -by_common[k] @ common
@@ -415,7 +408,7 @@ class Smoother:
             weights=np.zeros(NC),  # priors that may change
             is_bounded=free,
         )
-        eliminated = eliminate(kernels.equations(oldest, self._add_ranges(rows)))
+        eliminated = eliminate(kernels.linearised(oldest, self._add_ranges(rows)).equations)
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         drift[CAMERA_YAW] += yaw_variance
         frames = self.frames.take_before(first)
@@ -453,15 +446,12 @@ class Smoother:
         p_static = self.p_static[self.index(rows[:, LANDMARK])]
         return np.asarray(effective_sigmas(rows, self._correlated) / np.sqrt(p_static))
 
-    def equations(self) -> NormalEquations:
-        """Return the normal equations at the present estimate."""
-        return kernels.equations(self._window(), self._add_more())
-
-    def linearised(self) -> tuple[NormalEquations, WeighedSightings]:
-        """Return the normal equations and the weighted sightings at the present estimate."""
+    def linearised(self, mount_sigmas: np.ndarray | None = None) -> Linearised:
+        """Return the window, linearised; `mount_sigmas` (3,) may replace those of the prior."""
         window = self._window()
-        equations = kernels.equations(window, self._add_more())
-        return equations, weighed(window.seen, window.poses, window.shared)
+        if mount_sigmas is not None:
+            window.weights[MOUNT] = mount_sigmas**-2.0
+        return kernels.linearised(window, self._add_more())
 
     def _window(self) -> Window:
         """Return all knowledge of poses, calibration and landmarks but survey and ranges."""

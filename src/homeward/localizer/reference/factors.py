@@ -101,13 +101,9 @@ def odometry_errors(
     return OdometryErrors(error, jacobian, information, cauchy_weights(square))
 
 
-def add_odometry(
-    e: NormalEquations, poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
-) -> None:
-    """Add the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (9,)."""
-    if len(poses) < 2:
-        return
-    error, jacobian, information, weight = odometry_errors(poses, calibration, steps)
+def add_odometry(e: NormalEquations, motions: OdometryErrors) -> None:
+    """Add odometry factors to the normal equations."""
+    error, jacobian, information, weight = motions
     both = np.concatenate([jacobian, error[:, :, None]], axis=2)
     weighted = weight[:, None, None] * information @ both
     blocks = jacobian[:, :, :6].transpose(0, 2, 1) @ weighted
@@ -198,7 +194,7 @@ def add_sightings(e: NormalEquations, seen: WeighedSightings) -> None:
     landmarks[at, :, at] += of_landmark[:, :, NC + 1 :]
     e.common_slope[NC:] += of_landmark[:, :, NC].ravel()
 
-    e.shared[:, :, NC:] += sum_by_pair(seen, by_pose, by_landmark, w, n)
+    e.shared[:, :, NC:] += sum_by_pair(seen.pose, seen.landmark, by_pose, by_landmark, w, n)
 
 
 def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) -> np.ndarray:
@@ -220,11 +216,12 @@ def sum_by(group: np.ndarray, left: np.ndarray, right: np.ndarray, groups: int) 
 
 
 def sum_by_pair(
-    seen: WeighedSightings, left: np.ndarray, right: np.ndarray, w: int, n: int
+    first: np.ndarray, second: np.ndarray, left: np.ndarray, right: np.ndarray, w: int, n: int
 ) -> np.ndarray:
-    """Return such sums by pose and landmark, (w, i, j n), where each pair has few sightings."""
-    sums = _sum_one_by_one(seen.pose * n + seen.landmark, left, right, w * n)
-    return sums.reshape(w, n, *sums.shape[1:]).transpose(0, 2, 1, 3).reshape(w, left.shape[1], -1)
+    """Return such sums by pairs of groups, (w, i, j n), where each pair has few rows."""
+    sums = _sum_one_by_one(first * n + second, left, right, w * n)
+    i, j = sums.shape[1:]
+    return sums.reshape(w, n, i, j).transpose(0, 2, 1, 3).reshape(w, i, n * j)
 
 
 def _sum_one_by_one(
@@ -235,7 +232,7 @@ def _sum_one_by_one(
     size = left.shape[1] * right.shape[1]
     at = size * group[:, None] + np.arange(size)
     sums = np.bincount(at.ravel(), blocks.ravel(), size * groups)
-    return np.asarray(sums.reshape(groups, *blocks.shape[1:]))
+    return np.asarray(sums.reshape(groups, *blocks.shape[1:]), float)  # empty ones are integers
 
 
 class SightedFrom(NamedTuple):
@@ -259,15 +256,8 @@ class SightedFrom(NamedTuple):
     """(f, 3, 9): ... and the Jacobian of that by the calibration."""
 
 
-def add_bearings(
-    e: NormalEquations, seen: SightedFrom, poses: np.ndarray, shared: np.ndarray
-) -> None:
-    """Add bearings to the normal equations, at poses (w, 3) and shared unknowns (9 + 2 n,)."""
-    add_sightings(e, weighed(seen, poses, shared))
-
-
 def weighed(seen: SightedFrom, poses: np.ndarray, shared: np.ndarray) -> WeighedSightings:
-    """Return bearings as factors, linearised and weighted; arguments as of `add_bearings`."""
+    """Return bearings as factors, at poses (w, 3) and shared unknowns (9 + 2 n,)."""
     first = int(seen.frame.min(initial=len(seen.pose)))
     used, each = slice(first, int(seen.frame.max(initial=0)) + 1), seen.frame - first
     of_frame = poses[seen.pose[used]]

@@ -20,9 +20,13 @@ from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.motions import CAMERA_X, NC
 from homeward.localizer.reference.factors import (
     NormalEquations,
+    OdometryErrors,
     SightedFrom,
-    add_bearings,
+    WeighedSightings,
     add_odometry,
+    add_sightings,
+    odometry_errors,
+    weighed,
 )
 from homeward.localizer.tunables import (
     CLOSE,
@@ -37,7 +41,7 @@ BAND = 6
 
 
 class Window(NamedTuple):
-    """What the window knows of w poses, the calibration and n landmarks; a = 9 + 2 n."""
+    """All knowledge of w poses, the calibration and n landmarks; a = 9 + 2 n."""
 
     poses: np.ndarray
     """(w, 3): the present estimate of the poses, ..."""
@@ -67,6 +71,17 @@ AddMore = Callable[[NormalEquations, np.ndarray, np.ndarray], None]
 """Adds more factors to normal equations, at poses (w, 3) and shared unknowns (a,)."""
 
 
+class Linearised(NamedTuple):
+    """A window at its estimate: normal equations, and the factors of which they are the sum."""
+
+    equations: NormalEquations
+    """All of them, with priors, survey and ranges."""
+    seen: WeighedSightings
+    """Bearings."""
+    motions: OdometryErrors
+    """Motions between the poses."""
+
+
 class Solution(NamedTuple):
     """The window after Gauss-Newton steps."""
 
@@ -89,7 +104,7 @@ def solve(window: Window, add_more: AddMore | None = None) -> Solution:
     """
     has_converged = False
     for _ in range(MAX_SOLVE_STEPS):
-        step, common, covariance = eliminate(equations(window, add_more)).solve()
+        step, common, covariance = eliminate(linearised(window, add_more).equations).solve()
         if not (np.isfinite(step).all() and np.isfinite(covariance).all()):
             raise np.linalg.LinAlgError("a step is not finite")
         if not (covariance.diagonal() > 0.0).all():
@@ -103,13 +118,15 @@ def solve(window: Window, add_more: AddMore | None = None) -> Solution:
     return Solution(window.poses, window.shared, covariance, window.is_bounded, has_converged)
 
 
-def equations(window: Window, add_more: AddMore | None = None) -> NormalEquations:
-    """Return the normal equations of a window at its estimate."""
+def linearised(window: Window, add_more: AddMore | None = None) -> Linearised:
+    """Return the normal equations and the factors of a window at its estimate."""
     poses, shared, calibration = window.poses, window.shared, window.shared[:NC]
+    motions = odometry_errors(poses, calibration, window.steps)
+    seen = weighed(window.seen, poses, shared)
     e = NormalEquations.zeros(len(poses), len(shared))
     add_prior(e, window)
-    add_odometry(e, poses, calibration, window.steps)
-    add_bearings(e, window.seen, poses, shared)
+    add_odometry(e, motions)
+    add_sightings(e, seen)
     at, kept = np.arange(NC), window.is_bounded.nonzero()[0]
     e.common[at, at] += window.weights
     e.common_slope[at] -= window.weights * (calibration - window.means)
@@ -117,7 +134,7 @@ def equations(window: Window, add_more: AddMore | None = None) -> NormalEquation
     e.common_slope[kept] -= NEGLIGIBLE_CALIBRATION**-2.0 * calibration[kept]
     if add_more is not None:
         add_more(e, poses, shared)
-    return e
+    return Linearised(e, seen, motions)
 
 
 def add_prior(e: NormalEquations, window: Window) -> None:
@@ -170,10 +187,6 @@ class Elimination:
     gradient: np.ndarray
     """(3 + a,): their negative gradient."""
 
-    def zero_gradient(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return a gradient of zero, shapes (w, 3) and (a,)."""
-        return np.zeros((len(self.couplings) // 3 + 1, 3)), np.zeros(len(self.information) - 3)
-
     def solve(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the normal equations.
 
@@ -187,9 +200,7 @@ class Elimination:
         return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
 
     def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the steps of poses (w, 3) and shared unknowns (a,) for another gradient.
-
-        Or for c of them at once: then of shapes (w, 3, c) and (a, c).
+        """Return the steps of poses (w, 3, c) and shared unknowns (a, c) for c other gradients.
 
         `numpy.linalg.LinAlgError` when they are singular.
         """

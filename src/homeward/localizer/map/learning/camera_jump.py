@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from homeward.localizer import kernels
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motions import CAMERA_YAW, HEAD, MOUNT, NC
-from homeward.localizer.reference.factors import sum_by, sum_by_pair
-from homeward.localizer.reference.window import eliminate
+from homeward.localizer.motions import CAMERA_YAW
+from homeward.localizer.reference.extension import Unknown
 from homeward.localizer.tunables import (
     FINAL_GATE,
     GATE,
@@ -89,47 +89,21 @@ def find_jump(smoother: Smoother, mount_sigmas: np.ndarray) -> CameraJump | None
     w, n = len(smoother.stamps), len(smoother.ids)
     if w < 2 or not n or smoother.frames.offsets:
         return None
-    equations, seen = smoother.linearised()
-    calibration = smoother.state.calibration[MOUNT]
-    excess, at = smoother.mount_sigmas**-2.0 - mount_sigmas**-2.0, np.arange(NC)[MOUNT]
-    equations.common[at, at] -= excess
-    equations.common_slope[at] += excess * calibration
-    denied = smoother.denied_turns()
+    given = smoother.linearised(mount_sigmas)
+    seen, motions = given.seen, given.motions
+    denied = smoother.denied_turns(motions)
     at = np.sort(np.argsort(-denied, kind="stable")[:NUM_JUMPS])
-    count = at.size
     # Unknowns: first the jump at each of these motions, then a turn of the robot there.
-    poses, common = np.zeros((w, 3, 2 * count)), np.zeros((len(equations.common), 2 * count))
-    own, slope = np.zeros(2 * count), np.zeros(2 * count)
-
+    count, camera, robot = at.size, np.arange(at.size), at.size + np.arange(at.size)
+    by_bearing, by_motion = np.zeros((seen.pose.size, 2 * count)), np.zeros((w - 1, 3, 2 * count))
     yaw = seen.jacobian[:, 3 + CAMERA_YAW, None]
-    columns = np.column_stack([seen.jacobian[:, :HEAD], yaw, seen.residual])
-    by_pose = sum_by(seen.pose, yaw, columns, w)[:, 0]
-    by_landmark = sum_by_pair(seen, yaw, seen.jacobian[:, HEAD:], w, n)[:, 0]
-    poses[:, :, :count] = by_pose[:, :3, None] * (np.arange(w)[:, None, None] > at)
-    later = np.concatenate([by_pose[:, 3:], by_landmark], axis=1)[::-1].cumsum(axis=0)[-2::-1][at]
-    by_calibration, both, landmarks = np.split(later, [NC, NC + 2], axis=1)
-    common[:, :count] = np.concatenate([by_calibration, landmarks], axis=1).T
-    own[:count], slope[:count] = both.T
-
-    motions = smoother.odometry_errors()
-    turn = (motions.weight[:, None] * motions.information[:, 2])[at]
-    by_motion = (turn[:, None] @ motions.jacobian[at])[:, 0]
-    robot = count + np.arange(count)
-    poses[at, :, robot], poses[at + 1, :, robot] = by_motion[:, :3], by_motion[:, 3:6]
-    common[:NC, robot] = by_motion[:, 6:].T
-    own[robot], slope[robot] = turn[:, 2], (turn * motions.error[at]).sum(axis=1)
-
-    pose_steps, common_steps = eliminate(equations).step(poses, common)
-    information = np.diag(own) - np.tensordot(pose_steps, poses, ((0, 1), (0, 1)))
-    information -= common_steps.T @ common
-    slope -= np.tensordot(equations.slope, pose_steps) + equations.common_slope @ common_steps
-    camera = np.arange(count)
-    robot_own = np.maximum(information[robot, robot], 1e-12 * own[robot])
-    share = information[camera, robot] / robot_own
-    information, slope = (
-        information[camera, camera] - share * information[camera, robot],
-        slope[camera] - share * slope[robot],
-    )
+    by_bearing[:, :count], by_motion[at, 2, robot] = yaw * (seen.pose[:, None] > at), 1.0
+    unknown = Unknown(by_bearing, np.zeros_like(seen.pose), np.zeros(2 * count), by_motion)
+    extra, own = kernels.extend(given, unknown), motions.weight * motions.information[:, 2, 2]
+    both = extra.information[camera, robot]
+    share = both / np.maximum(extra.information[robot, robot], 1e-12 * own[at])
+    information = extra.information[camera, camera] - share * both
+    slope = extra.slope[camera] - share * extra.slope[robot]
     observable = information > LINEAR**-2.0
     square = np.divide(slope**2, information, out=np.zeros(count), where=observable)
     k = int(square.argmax())

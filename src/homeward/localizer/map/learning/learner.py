@@ -6,7 +6,7 @@ import numpy as np
 
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.learning.variance_components import BearingErrors, Misfit, misfit
+from homeward.localizer.map.learning.variance_components import Misfit, misfit
 from homeward.localizer.map.learning.walking import update_walking
 from homeward.localizer.map.sightings import GAP, LANDMARK, OWN, SIGMA
 from homeward.localizer.map.smoother import Smoother
@@ -14,7 +14,6 @@ from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motion.odometry import shows_lag
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motions import DELAY
-from homeward.localizer.reference.window import eliminate
 from homeward.localizer.tunables import ODOMETRY_EVERY, USUAL_DISTANCE_M
 
 
@@ -101,10 +100,7 @@ class Learner:
 
 def _odometry_misfit(smoother: Smoother) -> Misfit:
     """Compare the residuals of motions in the last solution with their expectation."""
-    everything, seen = smoother.linearised()
-    rows = smoother.sightings
-    sigma, effective = rows[:, SIGMA], smoother.effective_sigmas(rows)
-    error, own = seen.residual * effective / sigma, (rows[:, OWN] / sigma) ** 2
-    bearings = BearingErrors(error, *seen[1:], own)
-    rng = np.random.default_rng(smoother.newest)
-    return misfit(eliminate(everything), smoother.odometry_errors(), bearings, rng)
+    given, rows = smoother.linearised(), smoother.sightings
+    sigma, rng = rows[:, SIGMA], np.random.default_rng(smoother.newest)
+    error = given.seen.residual * smoother.effective_sigmas(rows) / sigma
+    return misfit(given, error, (rows[:, OWN] / sigma) ** 2, rng)

@@ -16,56 +16,14 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri
 
-from homeward.localizer.motions import NC
-from homeward.localizer.reference.factors import OdometryErrors, cauchy_weights
-from homeward.localizer.reference.window import Elimination
+from homeward.localizer import kernels
+from homeward.localizer.reference.extension import Unknown
+from homeward.localizer.reference.factors import cauchy_weights
+from homeward.localizer.reference.window import Linearised
 from homeward.localizer.tunables import GATE, MAX_INFLATION
 
 CHI_SQUARES = chdtri(3, (np.arange(64) + 0.5) / 64)
 """Quantiles of the squared Mahalanobis distance of a motion."""
-PARTS = (slice(0, 2), slice(2, 3))
-"""Components of a motion: shift along and across, and turn."""
-
-
-class BearingErrors(NamedTuple):
-    """Residuals of m bearings in a solved map."""
-
-    error: np.ndarray
-    """(m,): normalised by the standard deviation of a single bearing [1]."""
-    jacobian: np.ndarray
-    """(m, 14): Jacobian of `bearing_residuals`, normalised by effective standard deviations."""
-    pose: np.ndarray
-    """(m,), int: the pose from which each was made."""
-    landmark: np.ndarray
-    """(m,), int: its landmark."""
-    own: np.ndarray
-    """(m,): share of their own noise in their variance; the rest is from odometry [1]."""
-
-    def change(self, poses: np.ndarray, shared: np.ndarray) -> np.ndarray:
-        """Return the change (m,) [1] by a step of poses (w, 3) and shared unknowns."""
-        by_pose, by_common, by_place = np.split(self.jacobian, [3, 3 + NC], axis=1)
-        places = shared[NC:].reshape(-1, 2)[self.landmark]
-        turned = (by_pose * poses[self.pose]).sum(axis=1) + (by_place * places).sum(axis=1)
-        return np.asarray(turned + by_common @ shared[:NC])
-
-    def variance(self, eliminated: Elimination, rng: np.random.Generator) -> float:
-        """Return their variance over the assumed one, 1 at most: larger ones are handled elsewhere.
-
-        Parameters are those of `misfit`.
-        """
-        clear = self.own >= MAX_INFLATION**-2.0
-        if not clear.any():
-            return 1.0
-        signs = rng.choice([-1.0, 1.0], clear.shape) * clear
-        pulled = self.jacobian * signs[:, None]
-        slope, common = eliminated.zero_gradient()
-        np.add.at(slope, self.pose, pulled[:, :3])
-        common[:NC] = pulled[:, 3 : 3 + NC].sum(axis=0)
-        np.add.at(common[NC:].reshape(-1, 2), self.landmark, pulled[:, 3 + NC :])
-        free = (signs - self.change(*eliminated.step(slope, common)))[clear]
-        redundancy, own = float(signs[clear] @ free), float(free @ free)
-        squares = float(np.minimum(self.error[clear] ** 2, GATE**2).sum())
-        return min(max((squares - (redundancy - own)) / own, 0.0), 1.0)
 
 
 class Misfit(NamedTuple):
@@ -81,32 +39,53 @@ class Misfit(NamedTuple):
 
 
 def misfit(
-    eliminated: Elimination, steps: OdometryErrors, seen: BearingErrors, rng: np.random.Generator
+    given: Linearised, error: np.ndarray, own: np.ndarray, rng: np.random.Generator
 ) -> Misfit:
-    """Compare the residuals of motions with their expectation.
+    """Compare the residuals of motions in a window at its solution with their expectation.
 
-    `eliminated` is the elimination of all normal equations at the solution, `steps` the motions
-    between all its poses, and `rng` the source of the signs.
+    `error` (m,) are the residuals of bearings over the standard deviations of single ones, `own`
+    (m,) the shares of their own noise in their variances; the rest is from odometry [1]. `rng` is
+    the source of the signs.
     """
-    covariance = np.linalg.inv(steps.information)
-    squares, redundancies = np.zeros((2, len(PARTS))), np.zeros((2, len(PARTS)))
-    weight, overestimated = steps.weight[:, None, None], 1.0 - seen.variance(eliminated, rng)
-    for i, part in enumerate(PARTS):
-        root = np.linalg.cholesky(np.linalg.inv(covariance[:, part, part]))
-        root = root.transpose(0, 2, 1) * np.sqrt(weight)
-        square = (root @ steps.error[:, part, None]) ** 2
-        by_state = root @ steps.jacobian[:, part]
-        signs = rng.choice([-1.0, 1.0], square.shape)
-        poses, shared = _absorbed(eliminated, by_state, signs)
-        calibration = np.tile(shared[:NC], (len(signs), 1))
-        step = np.concatenate([poses[:-1], poses[1:], calibration], axis=1)
-        free = signs * (signs - by_state @ step[:, :, None])
-        by_bearings = (seen.own * seen.change(poses, shared) ** 2).sum() / max(free.sum(), 1e-9)
-        free *= 1.0 - overestimated * min(float(by_bearings), 1.0)
-        squares[:, i] = (weight * square).sum(), np.minimum(square / weight, GATE**2).sum()
-        redundancies[:, i] = (weight * free).sum(), free.sum()
-    redundancies[0] *= _robust_share(redundancies[1].sum() / steps.error.size)
+    motions, clear, steps = given.motions, own >= MAX_INFLATION**-2.0, len(given.motions.error)
+    covariance, weight = np.linalg.inv(motions.information), motions.weight[:, None, None]
+    root = np.zeros_like(covariance)  # of the information on shift, and on turn
+    root[:, :2, :2] = np.linalg.cholesky(np.linalg.inv(covariance[:, :2, :2])).transpose(0, 2, 1)
+    root[:, 2, 2] = covariance[:, 2, 2] ** -0.5
+    root *= np.sqrt(weight)
+    # Errors with random signs, of bearings, shift and turn: the map absorbs a part of them.
+    used = clear.size if clear.any() else 0
+    drawn = rng.choice([-1.0, 1.0], used + 3 * steps)
+    by_bearing, by_motion, signs = np.zeros((clear.size, 3)), root * 0.0, np.zeros((steps, 3, 2))
+    by_bearing[clear, 0] = drawn[:used][clear[:used]]
+    signs[:, :2, 0], signs[:, 2, 1] = drawn[used:-steps].reshape(-1, 2), drawn[-steps:]
+    by_motion[:, :, 1:] = covariance @ (root.transpose(0, 2, 1) @ signs / weight)
+    unknown = Unknown(by_bearing, np.zeros_like(given.seen.pose), np.zeros(3), by_motion)
+    bearings, absorbed = kernels.extend(given, unknown, with_absorbed=True).absorbed
+
+    overestimated = 1.0 - bearing_variance(error, by_bearing[:, 0], bearings[:, 0])
+    free = signs * (signs - root @ absorbed[:, :, 1:])
+    by_bearings = own @ bearings[:, 1:] ** 2 / np.maximum(free.sum(axis=(0, 1)), 1e-9)
+    free *= 1.0 - overestimated * np.minimum(by_bearings, 1.0)
+    square = (root @ motions.error[:, :, None]) ** 2 * signs**2
+    squares = np.sum([weight * square, np.minimum(square / weight, GATE**2)], axis=(1, 2))
+    redundancies = np.sum([weight * free, free], axis=(1, 2))
+    redundancies[0] *= _robust_share(redundancies[1].sum() / motions.error.size)
     return Misfit(squares, redundancies)
+
+
+def bearing_variance(error: np.ndarray, signs: np.ndarray, absorbed: np.ndarray) -> float:
+    """Return the variance of bearings over the assumed one, 1 at most: `BearingNoise` finds more.
+
+    From bearings with random `signs` (m,), of which the map absorbs some part (m,); 0: no part.
+    """
+    clear = signs != 0.0
+    if not clear.any():
+        return 1.0
+    free = (signs - absorbed)[clear]
+    redundancy, own = float(signs[clear] @ free), float(free @ free)
+    squares = float(np.minimum(error[clear] ** 2, GATE**2).sum())
+    return min(max((squares - (redundancy - own)) / own, 0.0), 1.0)
 
 
 def _robust_share(redundancy: float) -> float:
@@ -114,15 +93,3 @@ def _robust_share(redundancy: float) -> float:
     squares = max(redundancy, 1e-3) * CHI_SQUARES
     weight = cauchy_weights(squares)
     return float((weight**2 * squares).mean() / (weight.mean() * squares.mean()))
-
-
-def _absorbed(
-    eliminated: Elimination, by_state: np.ndarray, errors: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps of poses and shared unknowns that absorb errors (k, i, 1) of motions."""
-    pulled = (by_state.transpose(0, 2, 1) @ errors)[:, :, 0]
-    slope, common = eliminated.zero_gradient()
-    slope[:-1] += pulled[:, :3]
-    slope[1:] += pulled[:, 3:6]
-    common[:NC] = pulled[:, 6:].sum(axis=0)
-    return eliminated.step(slope, common)

@@ -16,17 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import expit, logsumexp
 
+from homeward.localizer import kernels
 from homeward.localizer.map.landmarks import Landmark
 from homeward.localizer.map.sightings import TIME
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motions import NC
-from homeward.localizer.reference.factors import (
-    NormalEquations,
-    WeighedSightings,
-    sum_by,
-    sum_by_pair,
-)
-from homeward.localizer.reference.window import eliminate
+from homeward.localizer.motions import HEAD, NC
+from homeward.localizer.reference.extension import Unknown
+from homeward.localizer.reference.window import Linearised
 from homeward.localizer.tunables import FALSE_ALARM, MIN_GAIN, UPHEAVAL, WALKING_PRIOR
 
 SHARES = (np.arange(20) + 0.5) / 20
@@ -93,11 +89,10 @@ def update_walking(smoother: Smoother, landmarks: Sequence[Landmark]) -> None:
     smoother.p_static = smoother.p_static.copy()  # others keep the old one
     smoother.p_static[at] = 1.0  # during the test
     first_seen = np.full(len(smoother.ids), np.inf)
-    everything, seen = smoother.linearised()
-    t = smoother.sightings[:, TIME]
-    np.minimum.at(first_seen, seen.landmark, t)
+    given, t = smoother.linearised(), smoother.sightings[:, TIME]
+    np.minimum.at(first_seen, given.seen.landmark, t)
     speed = path / duration / math.sqrt(2.0)
-    found = walks(everything, seen, speed * (t - first_seen[seen.landmark]), at)
+    found = walks(given, speed * (t - first_seen[given.seen.landmark]), at)
     probabilities, moments = walking_probabilities(found)
     for landmark, moment in zip(tested, moments, strict=True):
         landmark.walk_moment = moment
@@ -140,50 +135,18 @@ def log_prior_of_walkers(n: int) -> np.ndarray:
     return np.asarray(logsumexp(log, axis=0))
 
 
-def walks(
-    everything: NormalEquations, seen: WeighedSightings, displacement: np.ndarray, which: np.ndarray
-) -> Walks:
+def walks(given: Linearised, displacement: np.ndarray, which: np.ndarray) -> Walks:
     """Return the information on constant velocities of some landmarks, the others being static.
 
-    Poses, calibration and positions are unknown, too; if they were taken as known, their errors
-    would be mistaken for walks. `everything` is at the solution with all landmarks static,
-    `displacement` (m,) the standard deviation of each component of a walk at each sighting, since
-    the landmark's first one [m], and `which` (k,) are the landmarks that may walk.
-    `numpy.linalg.LinAlgError` when the normal equations are singular.
+    `given` is the window with all landmarks static, `displacement` (m,) the standard deviation of
+    each component of a walk at each sighting, since the landmark's first one [m], and `which` (k,)
+    are the landmarks that may walk. `numpy.linalg.LinAlgError` when the normal equations are
+    singular.
     """
-    k, n = which.size, (len(everything.common) - NC) // 2
-    number = np.full(n, -1)
-    number[which] = np.arange(k)
-    of = number[seen.landmark]
-    mine = WeighedSightings(*(part[of >= 0] for part in (*seen[:3], of)))
-    by_velocity = displacement[of >= 0, None] * mine.jacobian[:, 3 + NC :]
-    columns = np.concatenate([by_velocity, mine.residual[:, None]], axis=1)
-    own = sum_by(mine.landmark, by_velocity, columns, k)
-    coupled = _couplings(mine, by_velocity, len(everything.own), which, n)
-    pulled, settled = _absorbed(everything, coupled)
-    information, each = np.eye(2 * k) - coupled.T @ pulled, np.arange(k)
-    information.reshape(k, 2, k, 2)[each, :, each] += own[:, :, :2]
-    slope = own[:, :, 2].ravel() - coupled.T @ settled
-    return Walks(information, slope, pulled[-2 * n :].reshape(n, 2, 2 * k)[which])
-
-
-def _couplings(
-    mine: WeighedSightings, by_velocity: np.ndarray, w: int, which: np.ndarray, n: int
-) -> np.ndarray:
-    """Return the Hessian (3 w + a, 2 k) of w poses, calibration and n positions by k velocities."""
-    k, by_pose, by_common = which.size, mine.jacobian[:, :3], mine.jacobian[:, 3:]
-    poses = sum_by_pair(mine, by_pose, by_velocity, w, k).reshape(3 * w, 2 * k)
-    own = sum_by(mine.landmark, by_common, by_velocity, k)
-    calibration = own[:, :NC].transpose(1, 0, 2).reshape(NC, 2 * k)
-    places = np.zeros((n, 2, k, 2))
-    places[which, :, np.arange(k)] = own[:, NC:]
-    return np.concatenate([poses, calibration, places.reshape(2 * n, 2 * k)])
-
-
-def _absorbed(everything: NormalEquations, coupled: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the steps of poses and shared unknowns for velocities (3 w + a, 2 k), and for none."""
-    eliminated, poses = eliminate(everything), 3 * len(everything.own)
-    by_velocity = eliminated.step(coupled[:poses].reshape(-1, 3, coupled.shape[1]), coupled[poses:])
-    settled = eliminated.step(everything.slope, everything.common_slope)
-    pulled = np.concatenate([by_velocity[0].reshape(poses, -1), by_velocity[1]])
-    return pulled, np.concatenate([settled[0].ravel(), settled[1]])
+    n = (len(given.equations.common) - NC) // 2
+    block = np.full(n, -1)
+    block[which] = np.arange(which.size)
+    by_bearing = displacement[:, None] * given.seen.jacobian[:, HEAD:]
+    unknown = Unknown(by_bearing, block[given.seen.landmark], np.ones(2 * which.size))
+    extra = kernels.extend(given, unknown)
+    return Walks(extra.information, extra.slope, extra.shared[NC:].reshape(n, 2, -1)[which])
