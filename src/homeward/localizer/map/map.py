@@ -47,6 +47,7 @@ from homeward.localizer.tunables import (
     INLIER,
     MAX_IDS,
     MAX_PER_KEYFRAME,
+    NEGLIGIBLE,
     STANDSTILL,
 )
 from homeward.reasons import Rejection
@@ -99,8 +100,8 @@ class Map:
         self.begun = t
         self.evaluated = True
         """Whether the newest solution was evaluated: landmarks that do not fit it are dropped, and
-        learning from it is due. That takes long, so that it is not done at each keyframe."""
-        self._evaluated_at = 0
+        learning from it is due. That takes long, so it is not done at each keyframe."""
+        self._evaluated_at, self._evaluated_positions = 0, self.smoother.state.positions
         self.busy = False
         """Whether the newest frame has taken long already: for an evaluation, or learning."""
         self._after_evaluation: list[Callable[[], None]] = []
@@ -387,12 +388,18 @@ class Map:
         initialised = self.landmarks.initialise()
         if initialised:
             self.registration.fix_expected()
-        if changed or initialised or self._evaluation_due:
-            self._solve()
-        else:
-            self.evaluated = False
+        self.evaluated = False
+        due = changed or initialised or self._evaluation_due
+        if not due:
             self.smoother.solve()
+        if due or self._has_moved():
+            self._solve()
         self._num_between = 0
+
+    def _has_moved(self) -> bool:
+        """Return whether a landmark has moved notably in the map since the last evaluation."""
+        moved = self.smoother.state.positions - self._evaluated_positions
+        return bool((np.hypot(*moved.T) > NEGLIGIBLE * self.smoother.state.reach).any())
 
     def _solve(self) -> None:
         """Solve the window, remove landmarks that do not fit, and learn from the residuals."""
@@ -406,7 +413,8 @@ class Map:
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self.evaluated, self._evaluated_at = True, smoother.newest
+        self._evaluated_at, self._evaluated_positions = smoother.newest, smoother.state.positions
+        self.evaluated = True
         work = self._learn_bearings, self._learn_odometry
         self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
         if not self.is_window_full:  # takes no time
