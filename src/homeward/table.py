@@ -8,7 +8,7 @@ SPARE = 64
 """Rows for which a new table has room, at least."""
 
 
-class Table:
+class GrowingTable:
     """Table of numbers with room for more rows.
 
     `shape` is that of one row. `rows` is a view, which is valid until the next change.
@@ -19,9 +19,9 @@ class Table:
         self._begin, self._end = 0, 0
 
     @staticmethod
-    def of(rows: np.ndarray) -> Table:
+    def of(rows: np.ndarray) -> GrowingTable:
         """Return a table of these rows, which it takes over: they are not copied."""
-        table = Table.__new__(Table)
+        table = GrowingTable.__new__(GrowingTable)
         table._data, table._begin, table._end = rows, 0, len(rows)
         return table
 

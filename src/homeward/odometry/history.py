@@ -10,7 +10,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance
 from homeward.odometry.validity import TwistValidity
-from homeward.table import Table
+from homeward.table import GrowingTable
 
 STEADY_S = 0.5
 """Averaging time of the speed: long enough against noise, shorter than changes of speed [s]."""
@@ -119,7 +119,7 @@ class TwistHistory:
     """The history of twists; all users of odometry share one."""
 
     def __init__(self) -> None:
-        self._table = Table((NUM_COLUMNS,))
+        self._table = GrowingTable((NUM_COLUMNS,))
         """Rows of `OdometrySample`."""
         self._validity = TwistValidity()
         self.newest = -math.inf

@@ -12,7 +12,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.motions import NC, Motion
 from homeward.localizer.reference.factors import cameras
-from homeward.table import Table
+from homeward.table import GrowingTable
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
 COLUMNS = 10
@@ -25,10 +25,15 @@ logarithm of the range [m] and its standard deviation (NaN where there is none).
 class Frames:
     """Table of frames: the camera relative to its keyframe at f stamps, numbered consecutively."""
 
-    def __init__(self, first: int = 0, columns: tuple[Table, ...] = ()) -> None:
+    def __init__(self, first: int = 0, columns: tuple[GrowingTable, ...] = ()) -> None:
         self.first = first
         """Number of the oldest frame."""
-        self._columns = columns or (Table(dtype=int), Table(), Table((3,)), Table((3, NC)))
+        self._columns = columns or (
+            GrowingTable(dtype=int),
+            GrowingTable(),
+            GrowingTable((3,)),
+            GrowingTable((3, NC)),
+        )
         self.offsets: dict[int, np.ndarray] = {}
         """Pose (3,) of the camera in the frame of the first one, by number, if it is another."""
 
@@ -85,12 +90,16 @@ class Frames:
     def since(self, number: int) -> Frames:
         """Return the frames from a number on."""
         begin = number - self.first
-        return Frames(number, tuple(Table.of(column.rows[begin:]) for column in self._columns))
+        return Frames(
+            number, tuple(GrowingTable.of(column.rows[begin:]) for column in self._columns)
+        )
 
     def take_before(self, keyframe: int) -> Frames:
         """Remove and return the frames of keyframes before a number."""
         count = int((self.keyframes < keyframe).sum())
-        old = Frames(self.first, tuple(Table.of(c.rows[:count].copy()) for c in self._columns))
+        old = Frames(
+            self.first, tuple(GrowingTable.of(c.rows[:count].copy()) for c in self._columns)
+        )
         for column in self._columns:
             column.drop_first(count)
         self.first += count
@@ -106,7 +115,7 @@ class Frames:
     def joined(parts: list[Frames]) -> Frames:
         """Return consecutive tables as one."""
         columns = zip(*(p._columns for p in parts), strict=True)
-        joined = (Table.of(np.concatenate([c.rows for c in same])) for same in columns)
+        joined = (GrowingTable.of(np.concatenate([c.rows for c in same])) for same in columns)
         return Frames(parts[0].first, tuple(joined))
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -70,7 +70,7 @@ from homeward.localizer.tunables import (
     MIN_CALIBRATION_SIGMA,
     STALE_S,
 )
-from homeward.table import Table
+from homeward.table import GrowingTable
 
 ONE_SIDED = [TURN_SLIP, TIME_CONSTANT]
 """Unknowns that cannot be negative: wheels gain no way in bends, and no robot precedes its command.
@@ -115,7 +115,7 @@ class Smoother:
         """(n,): ids of the landmarks in the state, ascending; none is reused."""
         self.p_static = np.zeros(0)
         """(n,): probability of each to be static, the weight of its sightings [1]."""
-        self._sightings = Table((COLUMNS,))
+        self._sightings = GrowingTable((COLUMNS,))
         self.frames = Frames()
         self.turn_variances: list[float] = []
         """Variance of turn of the motion into each keyframe but the oldest [rad^2]."""
@@ -138,10 +138,10 @@ class Smoother:
         """Which of the calibration are kept at zero, since they would be negative without that."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
-        self._poses = Table((3,))
+        self._poses = GrowingTable((3,))
         """(w, 3): poses of the keyframes in the window."""
         self._poses.add(np.zeros(3))
-        self._steps = Table((STEP,))
+        self._steps = GrowingTable((STEP,))
         """(w - 1, STEP): the motions between them."""
         self._next_id = 0
         self._closed: list[Closed] | None = None
@@ -170,13 +170,15 @@ class Smoother:
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
-        whole._poses = Table.of(np.concatenate([*(part.poses for part in closed), self.poses]))
+        whole._poses = GrowingTable.of(
+            np.concatenate([*(part.poses for part in closed), self.poses])
+        )
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
         rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
         whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         steps = [*(part.steps for part in closed), self._steps.rows]
-        whole._steps = Table.of(np.concatenate(steps))
+        whole._steps = GrowingTable.of(np.concatenate(steps))
         whole.ids, whole.state, whole.survey = self.ids, self.state, self.survey
         whole.p_static = self.p_static
         information = np.eye(self.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
@@ -191,7 +193,7 @@ class Smoother:
 
     @sightings.setter
     def sightings(self, rows: np.ndarray) -> None:
-        self._sightings = Table.of(rows)
+        self._sightings = GrowingTable.of(rows)
 
     @property
     def poses(self) -> np.ndarray:
@@ -271,7 +273,7 @@ class Smoother:
         """Set the pose (3,) of a keyframe in the window, where the next `solve` begins."""
         poses = self.poses.copy()
         poses[number - self.first] = pose
-        self._poses = Table.of(poses)
+        self._poses = GrowingTable.of(poses)
         if number == self.newest:
             mean = np.concatenate([pose, self.state.mean[3:]])
             self.state = Marginal(mean, self.state.covariance)
@@ -318,7 +320,7 @@ class Smoother:
         """Replace the motion from the k-th keyframe in the window to the next."""
         steps = self._steps.rows.copy()
         steps[k] = step_row(motion)
-        self._steps = Table.of(steps)
+        self._steps = GrowingTable.of(steps)
 
     def scale_noise(self, factor: float) -> None:
         """Scale the measurement noise of all sightings in the window."""
@@ -357,7 +359,7 @@ class Smoother:
         """
         found = kernels.solve(self._window(), self._add_more())
         mean = np.concatenate([found.poses[-1], found.shared])
-        self._poses, self.state = Table.of(found.poses), Marginal(mean, found.covariance)
+        self._poses, self.state = GrowingTable.of(found.poses), Marginal(mean, found.covariance)
         self._bounded, self.converged = found.is_bounded, found.has_converged
 
     def without_survey(self, size: float) -> Marginal:
@@ -386,7 +388,7 @@ class Smoother:
         """
         poses = self.poses.copy()
         poses[keyframe - self.first :, 2] -= size
-        self._poses = Table.of(poses)
+        self._poses = GrowingTable.of(poses)
         self.move_keyframe(self.newest, poses[-1])
         self.frames.free[self.frames.keyframes >= keyframe, 2] += size
         self.marginalise(keyframe - self.first, yaw_variance=LINEAR**2)
