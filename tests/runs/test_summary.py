@@ -19,7 +19,7 @@ def test_summary_of_the_usual_run():
     drive, track = made_up(seconds=180.0)
     assert summarise(drive, track, score(track, drive.truth)) == (
         "Localised for 178 of 180 s (99 %, including 1 % on odometry alone), first after 2.0 s; "
-        "no pose for 1 %. "
+        "no pose for 1 % (longest: 2 of the landmarks that home saw are mapped). "
         "Position error 0.050 m RMSE, 0.050 m median, 0.050 m maximum; heading 0° RMSE. "
         "One landmark was moved since home was stored: a. 7,197 sightings used, 3 rejected."
     )
@@ -146,7 +146,15 @@ def test_summary_reports_unverified_poses_and_time_without_a_pose():
     late = dataclasses.replace(track, x=x, status=status)
     said = summarise(drive, late, score(late, None))
     assert "(65 %, including" in said
-    assert "first after 35 s; unverified pose for 3 %, no pose for 32 %." in said
+    assert "first after 35 s; unverified pose for 3 %, no pose for 32 % (longest: " in said
+
+
+def test_summary_gives_the_reason_for_most_of_the_time_without_a_pose():
+    drive, track = made_up(seconds=100.0)
+    t = track.t - track.t[0]
+    reason = np.where(t < 10.0, "few landmarks; drive on", "no samples").tolist()
+    late = dataclasses.replace(track, x=np.where(t < 32.0, np.nan, track.x), reason=reason)
+    assert "no pose for 32 % (longest: no samples)." in summarise(drive, late, score(late, None))
 
 
 def test_ground_truth_in_another_frame_is_reported_as_an_offset():

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
+
+import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.estimator import LandmarkEstimate, Status
@@ -75,9 +78,24 @@ def _localised(track: Track, metrics: Metrics) -> str:
     if Status.LOCALISED in track.status:
         since = float(track.t[track.status.index(Status.LOCALISED)] - track.t[0])
         text += f", first after {quantity(since, 's')}" if since > 0.5 else ""
-    others = ("unverified pose", unverified), ("no pose", 1.0 - (metrics.pose_share or 0.0))
+    missing = 1.0 - (metrics.pose_share or 0.0)
+    others = ("unverified pose", unverified), ("no pose", missing)
     rest = ", ".join(f"{what} for {percent(part)}" for what, part in others if part > 0.005)
+    if missing > 0.005:
+        rest += f" (longest: {_main_reason(track)})"
     return f"{text}; {rest}." if rest else f"{text}."
+
+
+def _main_reason(track: Track) -> str:
+    """Return the reason for most of the time without a pose, without its advice."""
+    seconds: dict[str, float] = {}
+    for step, reason, posed in zip(
+        np.diff(track.t, append=track.t[-1:]), track.reason, track.has_pose, strict=True
+    ):
+        if not posed:
+            what = re.split("[;:,(]", reason)[0].strip()
+            seconds[what] = seconds.get(what, 0.0) + float(step)
+    return max(seconds, key=lambda what: seconds[what])
 
 
 def _localised_share(metrics: Metrics) -> float:
