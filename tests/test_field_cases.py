@@ -608,23 +608,20 @@ def test_a_doubled_speed_gives_no_wrong_pose_in_the_sample():
 # 43: a real drive of 23 minutes, on which the yaw of the camera is right.
 
 
-@today("12,451 of 18,298 rows: 'bearings contradict a camera's yaw on the robot'")
 def test_a_right_camera_yaw_is_not_contradicted(result):
     assert not any("yaw" in reason for reason in result("yaw check").track.reason)
 
 
-@today("24 % of the time after the first pose")
 def test_a_drive_of_23_minutes_is_localised(result):
     assert result("yaw check").known_share() >= 0.9
 
 
-@today("83 % of the time")
+@today("70 % of the time: the map is 6 % too small, an error of scale that no covariance contains")
 def test_a_drive_of_23_minutes_is_inside_3_sigma(result):
     metrics = result("yaw check").metrics()
     assert metrics.accuracy.position_inside_sigma_shares[2] >= 0.97
 
 
-@today("'no pose for 79 %', without the reason")
 def test_the_summary_names_the_reason_for_time_without_a_pose(result):
     found = result("yaw check")
     track = found.track

@@ -33,13 +33,15 @@ def watched(
     view=math.tau,
     gain=1,
     vy=0.0,
+    turn_scale=1.0,
 ):
     """Senses after a drive past landmarks, each seen five times a second."""
     rng, sign_check = np.random.default_rng(0), SignCheck(Mount(yaw=yaw))
     x, y, psi, twists = 0.0, 0.0, 0.3, TwistHistory()
     for k in range(round(10 * seconds)):
         t, twist = k / 10, law(k / 10)
-        twists.add(t, gain * twist.v, twist.omega + gyro * rng.normal() / math.sqrt(0.1), vy=vy)
+        omega = turn_scale * twist.omega + gyro * rng.normal() / math.sqrt(0.1)
+        twists.add(t, gain * twist.v, omega, vy=vy)
         if k % 2 == 0:
             d = np.array(marks) - [x, y]
             bearings = np.arctan2(d[:, 1], d[:, 0]) - psi - yaw - off
@@ -151,6 +153,50 @@ def test_a_speed_of_the_wrong_sign_is_named_as_the_other_cause():
     note = watched(eight, FAR + NEAR, 0.02, 0.02, gain=-1).note()
     assert "yaw: 3.14159" in note
     assert "the speed v has the wrong sign" in note
+
+
+@pytest.mark.parametrize("turn_scale", [0.65, 0.8, 1.25, 1.6])
+@pytest.mark.parametrize("law", [weave, lambda t: eight(0.7 * t)])
+def test_a_wrong_scale_of_the_yaw_rate_is_no_wrong_yaw(law, turn_scale):
+    """It is an error common to all bearings, as of a robot whose odometry is the command."""
+    view, marks = math.radians(60.0), list(ring(16, 2, 2.0, 5.0).values())
+    given = {"view": view, "turn_scale": turn_scale, "seconds": 300.0}
+    assert not watched(law, marks, 0.01, 0.02, **given).is_doubtful
+    given = {"turn_scale": turn_scale, "seconds": 60.0}
+    for sign, off in ((-1.0, 0.0), (1.0, math.pi)):
+        found = watched(law, marks, 0.01, 0.02, sign=sign, off=off, **given)
+        assert (found.is_wrong, found.is_reversed) == (True, sign < 0)
+
+
+@pytest.mark.parametrize("view", [60, 120])
+@pytest.mark.parametrize("law", [round_and_round, lambda _: Twist(0.2, 0.4)])
+@pytest.mark.parametrize("turn_scale", [0.95, 1.0])
+def test_a_circle_contradicts_no_right_yaw(law, view, turn_scale):
+    """Another yaw with another scale of the yaw rate fits a circle, too."""
+    for seed in range(6):
+        marks = list(ring(16, seed, 2.0, 5.0).values())
+        given = {"view": math.radians(view), "turn_scale": turn_scale, "seconds": 200.0}
+        assert not watched(law, marks, 0.01, 0.02, **given).is_doubtful
+
+
+@pytest.mark.parametrize("turn_scale", [0.65, 1.6])
+def test_odometry_that_turns_too_much_or_too_little_costs_no_pose(turn_scale):
+    rig = Rig(ring(10), promise=None)
+    feel = rig.localizer.odometry
+    rig.localizer.odometry = lambda t, v, omega: feel(t, v, turn_scale * omega)
+    rig.drive(60)
+    assert Reason.CAMERA_YAW.words not in {answer.reason for answer, _ in rig.answers}
+    assert Reason.SIGNS_REVERSED.words not in {answer.reason for answer, _ in rig.answers}
+
+
+def test_a_wrong_yaw_that_a_rotation_on_the_spot_fits_is_found_once_the_robot_drives():
+    def first_on_the_spot(t):
+        return Twist(0.0, 0.5) if t < 120.0 else eight(t)
+
+    off = math.pi / 2
+    on_the_spot = watched(first_on_the_spot, FAR, 0.02, 0.02, off=off, seconds=120.0)
+    assert not on_the_spot.is_doubtful
+    assert watched(first_on_the_spot, FAR, 0.02, 0.02, off=off, seconds=180.0).is_wrong
 
 
 def test_odometry_that_never_turns_decides_nothing():

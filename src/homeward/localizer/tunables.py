@@ -277,6 +277,9 @@ is stationary while its wheels spin, or the camera is frozen. Landmarks that all
 centre of the bend would do the same [1]."""
 SIGN_MAX_SIGHTINGS = 5_000
 """Sightings of a window that are kept, which bounds memory and cost."""
+SIGN_MIN_KEPT = 12
+"""Of a landmark with at least twice as many sightings in a window, every k-th is used, but at least
+this many: three for each independent error (`NUM_INDEPENDENT_ERRORS`)."""
 SIGN_NOISE = 0.02
 """Standard deviation of a bearing from the geometry of a window, drift included [rad]."""
 NUM_INDEPENDENT_ERRORS = 4.0
@@ -286,6 +289,13 @@ BAD_WINDOW = 0.1
 SIGN_LAGS_S = np.array([0.0, 0.25, 0.5])
 """Lags of the bearings that are compared, equally probable [s]: in changing turns, a lag looks
 like a wrong yaw."""
+SIGN_TURN_SCALES = 2.0 ** np.linspace(-1.0, 1.0, 15)
+"""Scales of the odometry's yaw rate that are compared [1]: beyond a factor of 2 a unit is wrong.
+Half a step is an error of 0.05 rad in a window that turns by `SIGN_MAX_TURN`, of which 0.014 rad
+remain about its mean: less than `SIGN_NOISE`."""
+TURN_SCALE_OTHER = 0.1
+"""Prior probability that the scale is not 1 but for `TURN_ERROR`, and may be any of these: that of
+one in eleven real drives is 0.62, where odometry is the commanded twist [1]."""
 SIGN_FALSE_ALARM = 1e-4
 """The convention is rejected once its posterior probability is below this [1]."""
 SIGN_DOUBTFUL = 0.1

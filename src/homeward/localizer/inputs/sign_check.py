@@ -6,6 +6,9 @@ travel. The right convention is the one in which landmarks have positive distanc
 rotation from odometry removed, a static landmark moves away from the direction of travel, at any
 distance. So a wrong yaw needs negative distances, and a wrong sense of rotation fits no distance.
 Each camera is tested on its own, since one of several may have another convention.
+
+An error of the odometry's yaw rate is common to all bearings of a window, and of all windows. In a
+bend it looks like a wrong yaw. So the scale of the yaw rate is an unknown of each hypothesis.
 """
 
 from __future__ import annotations
@@ -15,7 +18,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from homeward.drives.settings import DriveSettings, Mount
+from homeward.drives.settings import DriveSettings, Mount, OdometryDefaults
 from homeward.io.table import quoted
 from homeward.localizer.tunables import (
     BAD_WINDOW,
@@ -27,11 +30,14 @@ from homeward.localizer.tunables import (
     SIGN_LAGS_S,
     SIGN_MAX_SIGHTINGS,
     SIGN_MAX_TURN,
+    SIGN_MIN_KEPT,
     SIGN_MIN_PATH,
     SIGN_MIN_TURN,
     SIGN_NOISE,
+    SIGN_TURN_SCALES,
     SIGN_WINDOW_S,
     STAYING_SHARE,
+    TURN_SCALE_OTHER,
     YAW_STEP,
     YAW_TOLERANCE,
     YAW_TOLERANCE_OFF_CENTRE,
@@ -39,6 +45,11 @@ from homeward.localizer.tunables import (
 from homeward.reasons import Reason
 
 _YAWS = YAW_STEP * np.arange(round(math.tau / YAW_STEP))
+_ACROSS = np.array([-np.sin(_YAWS), np.cos(_YAWS)])
+"""(2, k): real and imaginary part of a complex number to the imaginary part, turned back."""
+_TWICE_ALONG = 0.5 * np.array([np.cos(2.0 * _YAWS), np.sin(2.0 * _YAWS)])
+"""(2, k): the same to half of the real part, turned back twice."""
+_SCALES = SIGN_TURN_SCALES[:, None]
 
 
 class SignChecks:
@@ -79,11 +90,16 @@ class SignChecks:
 class SignCheck:
     """Bayesian comparison of both senses of rotation and of all yaws of a camera.
 
+    Each hypothesis also has a scale of the odometry's yaw rate, which is the same in all windows.
     In each window, every landmark has a direction and an inverse distance that is not negative,
     fitted to its bearings by least squares. The likelihood of a hypothesis follows from the
     residuals. It is mixed with a uniform one, so that no window alone decides. `sensor` is the pose
     of the camera on the robot, as given or assumed; `name` is that under `cameras`, or empty for
     the first camera.
+
+    On a circle, a wrong yaw and a wrong scale fit as well as the right ones: distances replace the
+    rotation. Then they would gain by fitting noise, in each window. So a hypothesis with both
+    errors pays for each distance what the Bayesian information criterion demands for a parameter.
     """
 
     def __init__(self, sensor: Mount, name: str = "") -> None:
@@ -96,22 +112,31 @@ class SignCheck:
         self._right = np.stack([right, np.zeros_like(right)])
         wrong = GIVEN_WRONG / np.count_nonzero(~self._right)
         share = (1.0 - GIVEN_WRONG) / np.count_nonzero(self._right)
-        self._probability = np.where(self._right, share, wrong)
-        """(2, k): of anti-clockwise and clockwise bearings, by yaw minus the assumed one."""
+        self._joint = _scale_prior()[:, None, None] * np.where(self._right, share, wrong)
+        """(s, 2, k): probability by scale of the yaw rate, of anti-clockwise and clockwise
+        bearings, by yaw minus the assumed one."""
+        unusual = np.abs(np.log(SIGN_TURN_SCALES)) > OdometryDefaults().turn_scale
+        self._doubly_wrong = ~self._right & unusual[:, None, None]
+        """(s, 2, k): where the scale has an error of more than a standard deviation, too."""
         self.is_doubtful = False
         """Whether the convention is too improbable to give a pose."""
         self._before: np.ndarray | None = None
         self._place, self._turned, self._has_turned = (
-            np.zeros(SIGN_LAGS_S.size, complex),
+            np.zeros((_SCALES.size, SIGN_LAGS_S.size), complex),
             0.0,
             False,
         )
         self._since = -math.inf
         self._index: dict[str, int] = {}
-        self._rows: list[tuple[int, float, int]] = []
-        """Sightings of a window: landmark, bearing, and frame, of which these are
-        the heading and the place of the camera:"""
+        self._rows: list[tuple[int, int, float]] = []
+        """Sightings of the window: number of the landmark, number of the frame, bearing [rad]."""
         self._frames: list[tuple[np.ndarray, np.ndarray]] = []
+        """Its frames: heading [rad] and position of the camera [m], complex, (s, l) each."""
+
+    @property
+    def _probability(self) -> np.ndarray:
+        """(2, k): probability with any scale of the yaw rate."""
+        return np.asarray(self._joint.sum(axis=0))
 
     @property
     def is_wrong(self) -> bool:
@@ -178,8 +203,9 @@ class SignCheck:
         """
         before, self._before = self._before, reckoned
         turn, ahead, left = np.zeros_like(reckoned) if before is None else reckoned - before
-        heading = reckoned[0]
-        self._place = self._place + (ahead + 1j * left) * np.exp(1j * (heading - turn / 2.0))
+        heading = _SCALES * reckoned[0]
+        middle = heading - _SCALES * turn / 2.0
+        self._place = self._place + (ahead + 1j * left) * np.exp(1j * middle)
         self._turned += abs(float(turn[0]))
         self._has_turned |= bool(turn[0] != 0.0)
         if not self._rows:
@@ -189,7 +215,7 @@ class SignCheck:
             index, frame = self._index, len(self._frames)
             self._frames.append((heading, camera))
             self._rows += [
-                (index.setdefault(name, len(index)), beta, frame)
+                (index.setdefault(name, len(index)), frame, beta)
                 for name, beta in sightings.items()
             ]
         if t - self._since >= SIGN_WINDOW_S or self._turned >= SIGN_MAX_TURN:
@@ -199,71 +225,109 @@ class SignCheck:
 
     def _weigh(self) -> None:
         """Update the probabilities by the window."""
-        index, beta, frame = (np.array(column) for column in zip(*self._rows, strict=True))
-        heading, camera = (np.array(column)[frame] for column in zip(*self._frames, strict=True))
-        place, yaw = camera * np.exp(-1j * heading[0]), self._sensor.yaw
-        turned = heading - heading[0]
-        path, turn = np.abs(place[:, 0] - place[0, 0]).max(), np.abs(turned[:, 0]).max()
+        columns = zip(*sorted(self._rows), strict=True)
+        index, frame, beta = _thinned(*(np.array(column) for column in columns))
+        heading, camera = (np.array(values) for values in zip(*self._frames, strict=True))
+        turned = (heading - heading[0])[frame]
+        place, yaw = (camera * np.exp(-1j * heading[0]))[frame], self._sensor.yaw
+        unscaled = int(np.abs(SIGN_TURN_SCALES - 1.0).argmin())
+        as_given, way = turned[:, unscaled, 0], place[:, unscaled, 0]
+        path, turn = np.abs(way - way[0]).max(), np.abs(as_given).max()
         if path < SIGN_MIN_PATH and turn < SIGN_MIN_TURN:
             return
-        members = index == np.arange(len(self._index))[:, None]
-        seen = _centred(_unwrapped(beta[:, None], members), members)[0]
+        landmarks = _Groups(index)
+        seen = landmarks.centred(landmarks.unwrapped(beta))[0]
         if (
             turn >= SIGN_MIN_TURN
-            and seen.std() < STAYING_SHARE * _centred(turned[:, :1], members)[0].std()
+            and seen.std() < STAYING_SHARE * landmarks.centred(as_given)[0].std()
         ):
             return
-        logs = np.stack(
-            [
-                _log_likelihood(members, sense[:, None] + turned, place)
-                for sense in (beta + yaw, yaw - beta)
-            ],
-            axis=1,
-        )
-        likelihood = np.exp(logs - logs.max()).sum(axis=0)
-        likelihood /= likelihood.sum()
-        mixed = (1.0 - BAD_WINDOW) * likelihood + BAD_WINDOW / likelihood.size
-        posterior = self._probability * mixed
-        posterior = np.maximum(posterior / posterior.sum(), MIN_PROBABILITY)
-        self._probability = posterior / posterior.sum()
+        logs = _log_likelihood(landmarks, (beta + yaw, yaw - beta), turned, place)
+        # Two sightings fit any direction and distance, and are no evidence.
+        penalty = 0.5 * math.log(NUM_INDEPENDENT_ERRORS) * np.count_nonzero(landmarks.num > 2)
+        logs -= penalty * self._doubly_wrong[:, :, None]
+        likelihood = np.exp(logs - logs.max()).sum(axis=2)
+        likelihood /= likelihood.sum(axis=(1, 2)).max()
+        mixed = (1.0 - BAD_WINDOW) * likelihood + BAD_WINDOW / self._right.size
+        posterior = self._joint * mixed
+        floor = MIN_PROBABILITY / _SCALES.size
+        posterior = np.maximum(posterior / posterior.sum(), floor)
+        self._joint = posterior / posterior.sum()
         self.is_doubtful = float(self._probability[self._right].sum()) < self._doubtful
 
 
-def _unwrapped(angles: np.ndarray, members: np.ndarray) -> np.ndarray:
-    """Return angles (n, l) without jumps by a full turn, for each landmark [rad].
+def _scale_prior() -> np.ndarray:
+    """Return the prior probabilities (s,) of the scales of the yaw rate."""
+    usual = np.exp(-0.5 * (np.log(SIGN_TURN_SCALES) / OdometryDefaults().turn_scale) ** 2)
+    other = TURN_SCALE_OTHER / SIGN_TURN_SCALES.size
+    return np.asarray((1.0 - TURN_SCALE_OTHER) * usual / usual.sum() + other)
 
-    `members` (m, n), bool, are the sightings of each landmark.
+
+def _thinned(index: np.ndarray, *columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return columns (n,), `index` first, with every k-th sighting of a landmark with many."""
+    num = np.bincount(index)
+    rank = np.arange(index.size) - np.repeat(num.cumsum() - num, num)
+    kept = rank % np.maximum(num // SIGN_MIN_KEPT, 1)[index] == 0
+    return tuple(column[kept] for column in (index, *columns))
+
+
+class _Groups:
+    """The sightings of each landmark among those of a window, which are in order of landmark."""
+
+    def __init__(self, index: np.ndarray) -> None:
+        self._start = np.flatnonzero(np.diff(index, prepend=-1))
+        self.num = np.bincount(index)
+        """(m,): number of each landmark's sightings."""
+
+    def sum(self, values: np.ndarray) -> np.ndarray:
+        """Return the sums (m, ...) of values (n, ...)."""
+        return np.asarray(np.add.reduceat(values, self._start, axis=0))
+
+    def centred(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return values (n, ...) minus the mean of their landmark, and the means (m, ...)."""
+        mean = self.sum(values) / self.num.reshape(-1, *[1] * (values.ndim - 1))
+        return values - np.repeat(mean, self.num, axis=0), mean
+
+    def unwrapped(self, angle: np.ndarray) -> np.ndarray:
+        """Return angles (n, ...) without jumps by a full turn, for each landmark [rad]."""
+        first = np.repeat(angle[self._start], self.num, axis=0)
+        return np.asarray(first + (angle - first + math.pi) % math.tau - math.pi)
+
+
+def _log_likelihood(
+    landmarks: _Groups, senses: tuple[np.ndarray, ...], heading: np.ndarray, camera: np.ndarray
+) -> np.ndarray:
+    """Return the log-likelihood (s, 2, l, k) of each scale, sense, lag and yaw error in a window.
+
+    Of each sighting: bearing (n,) from the robot's axis, in both `senses`; by scale and lag,
+    (n, s, l), the robot's `heading` since the first [rad], and position of the `camera` in the
+    robot's frame at the first, complex [m].
     """
-    first = angles[members.argmax(axis=1)[members.argmax(axis=0)]]
-    return np.asarray(first + (angles - first + math.pi) % math.tau - math.pi)
+    num_scales = heading.shape[1]
+    heading, camera = (values.reshape(values.shape[0], -1) for values in (heading, camera))
+    place, _ = landmarks.centred(camera)
+    square, half_size = landmarks.sum(place**2), 0.5 * landmarks.sum(np.abs(place) ** 2)[..., None]
+
+    def of_sense(beta: np.ndarray) -> np.ndarray:
+        # Least squares of angle = direction + inverse distance * lever; the lever is the part of
+        # the position to the right of the direction, which the yaw error turns.
+        angle, direction = landmarks.centred(landmarks.unwrapped(beta[:, None] + heading))
+        back = np.exp(-1j * direction)
+        product = _parts(back * landmarks.sum(angle * place)) @ _ACROSS
+        lever = half_size - _parts(back**2 * square) @ _TWICE_ALONG
+        explained = np.minimum(product, 0.0) ** 2
+        np.divide(explained, lever, out=explained, where=lever > 1e-12)
+        residual = landmarks.sum(angle**2)[..., None] - explained
+        variance = np.maximum(residual, 0.0) / landmarks.num[:, None, None]
+        return np.asarray(np.log(variance + SIGN_NOISE**2).sum(axis=0))
+
+    logs = np.array([of_sense(beta).reshape(num_scales, -1, _YAWS.size) for beta in senses])
+    return -0.5 * NUM_INDEPENDENT_ERRORS * logs.swapaxes(0, 1)
 
 
-def _centred(values: np.ndarray, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return values (n, l) minus the mean of their landmark, and the means (m, l)."""
-    mean = members @ values / members.sum(axis=1)[:, None]
-    return values - mean[members.argmax(axis=0)], mean
-
-
-def _log_likelihood(members: np.ndarray, angles: np.ndarray, camera: np.ndarray) -> np.ndarray:
-    """Return the log-likelihood (l, k) of each lag and yaw error, from all landmarks of a window.
-
-    `members` (m, n), bool, are the sightings of each landmark. Of each sighting (n, l): `angles`,
-    the bearing from the robot's axis plus the robot's heading since the first [rad]; position of
-    the `camera` in the robot's frame at the first, complex [m].
-    """
-    # Least squares of angle = direction + inverse distance * lever(direction, position).
-    angle, direction = _centred(_unwrapped(angles, members), members)
-    x, y = _centred(camera.real, members)[0], _centred(camera.imag, members)[0]
-    aa, ax, ay, xx, xy, yy = (
-        (members @ product)[:, :, None]
-        for product in (angle**2, angle * x, angle * y, x * x, x * y, y * y)
-    )
-    s, c = np.sin(direction[:, :, None] + _YAWS), np.cos(direction[:, :, None] + _YAWS)
-    fitted = np.maximum(s * ax - c * ay, 0.0) ** 2
-    lever = s * s * xx - 2.0 * s * c * xy + c * c * yy
-    residual = aa - np.divide(fitted, lever, out=np.zeros_like(lever), where=lever > 1e-12)
-    variance = np.maximum(residual, 0.0) / members.sum(axis=1)[:, None, None]
-    return np.asarray(-0.5 * NUM_INDEPENDENT_ERRORS * np.log(variance + SIGN_NOISE**2).sum(axis=0))
+def _parts(values: np.ndarray) -> np.ndarray:
+    """Return the real and imaginary parts (..., 2) of complex values (...)."""
+    return values[..., None].view(float)
 
 
 def _degrees(angle: float) -> str:
