@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Robot, Sensor, Start
     from homeward.errors import HomewardError, InputError
     from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
+    from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
     from homeward.geometry.frames import Polar, Pose
     from homeward.lab.engine.estimators.paper import a_ekf, ekf, pi_ekf
     from homeward.lab.filters.settings import (
@@ -41,6 +42,7 @@ _NAMES = {
     "errors": ("HomewardError", "InputError"),
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
     "lab.filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
+    "geometry.accuracy": ("AccuracyLimit", "PoseAccuracy"),
     "geometry.frames": ("Polar", "Pose"),
     "localizer.fixed_lag": ("FixedLag", "smooth_with_lag"),
     "localizer.localizer": ("Localizer",),
@@ -57,6 +59,7 @@ _NAMES = {
 _MODULES = {name: module for module, names in _NAMES.items() for name in names}
 
 __all__ = [
+    "AccuracyLimit",
     "AugmentedSettings",
     "Counts",
     "Drive",
@@ -79,6 +82,7 @@ __all__ = [
     "Place",
     "Polar",
     "Pose",
+    "PoseAccuracy",
     "ProportionalIntegralSettings",
     "Reason",
     "Rejection",

@@ -18,6 +18,7 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 
 from homeward.errors import InputError
+from homeward.geometry.accuracy import PoseAccuracy
 from homeward.geometry.frames import Polar, Pose, to_polar
 from homeward.reasons import Rejection
 
@@ -104,6 +105,17 @@ class Estimate(ByValue):
         if self.covariance is None:
             return np.full(3, np.nan)
         return np.sqrt(np.diag(self.covariance))
+
+    @property
+    def accuracy(self) -> PoseAccuracy | None:
+        """Standard deviations of position [m] and heading [rad], and protection level [m].
+
+        By the covariance; None without a pose. The status states that a pose is verified, not that
+        it is accurate enough for a use: that is an `AccuracyLimit`.
+        """
+        if self.covariance is None:
+            return None
+        return PoseAccuracy(*map(float, PoseAccuracy.of(self.covariance)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -23,6 +23,7 @@ from homeward.estimator import (
     UsesCameras,
     add_frame,
 )
+from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
 from homeward.internal_errors import Attempts, InternalFailure, failure_notes
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
@@ -131,6 +132,12 @@ class Track:
     def theta(self) -> np.ndarray:
         """Direction of the robot seen from home [rad], shape (n,)."""
         return np.asarray(np.arctan2(self.y, self.x))
+
+    def accurate(self, largest_sigma: float) -> np.ndarray:
+        """Return which rows have a pose within an `AccuracyLimit` [m], shape (n,), bool."""
+        limit = AccuracyLimit(largest_sigma)
+        sigmas = PoseAccuracy.of(self.covariance).position.tolist()
+        return np.array([limit.is_met(sigma) for sigma in sigmas], bool)
 
     @property
     def sigmas(self) -> np.ndarray:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.docking import dock
-from homeward.control.docking import MAX_ATTEMPTS, STAGING_M, DockGoal, _sigmas
+from homeward.control.docking import MAX_ATTEMPTS, STAGING_M, DockGoal
 from homeward.control.goals import Belief, GoalState
 from homeward.control.limits import Limits
 from homeward.estimator import Status
@@ -102,8 +102,3 @@ def test_it_stops_for_a_hindrance_and_does_not_arrive_unverified():
 def test_with_six_tags_of_which_one_was_moved_it_is_within_a_centimetre_and_a_degree():
     """The short form of `benchmarks.docking`."""
     assert dock(1).succeeded
-
-
-def test_variances_below_zero_by_rounding_are_zero():
-    assert _sigmas(np.diag([1e-6, 1e-6, -1e-22])) == pytest.approx((1e-3, 0.0))
-    assert _sigmas(np.diag([-1e-22, -1e-22, 1e-4])) == pytest.approx((0.0, 1e-2))

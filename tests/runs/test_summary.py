@@ -18,7 +18,8 @@ from homeward.runs.scoring import score
 def test_summary_of_the_usual_run():
     drive, track = made_up(seconds=180.0)
     assert summarise(drive, track, score(track, drive.truth)) == (
-        "Localised for 178 of 180 s (99 %, including 1 % on odometry alone), first after 2.0 s; "
+        "Localised for 178 of 180 s (99 %, including 1 % on odometry alone), with a standard "
+        "deviation below 0.25 m, first after 2.0 s; "
         "no pose for 1 % (longest: 2 of the landmarks that home saw are mapped). "
         "Position error 0.050 m RMSE, 0.050 m median, 0.050 m maximum; heading 0° RMSE. "
         "One landmark was moved since home was stored: a. 7,197 sightings used, 3 rejected."
@@ -28,7 +29,8 @@ def test_summary_of_the_usual_run():
 def test_one_sentence_has_the_result():
     drive, track = made_up(seconds=180.0)
     assert sentence(track, score(track, drive.truth)) == (
-        "Localised for 99 % of 180 s; position error 0.050 m RMSE; "
+        "Localised for 99 % of 180 s, with a standard deviation below 0.25 m; position error "
+        "0.050 m RMSE; "
         "1 of the four landmarks seen from home moved: a."
     )
     none = dataclasses.replace(track, x=np.full(track.t.size, np.nan))
@@ -37,8 +39,24 @@ def test_one_sentence_has_the_result():
         track, landmarks=[dataclasses.replace(m, moved=False) for m in track.landmarks]
     )
     assert sentence(still, score(still, None)) == (
-        "Localised for 99 % of 180 s; none of the four landmarks seen from home moved."
+        "Localised for 99 % of 180 s, with a standard deviation below 0.25 m; none of the four "
+        "landmarks seen from home moved."
     )
+
+
+def test_time_localised_and_time_with_an_accurate_pose_are_told_apart():
+    drive, track = made_up(seconds=180.0)
+    growing = np.linspace(0.01, 0.5, track.t.size)[:, None, None] ** 2 * np.eye(3)
+    drifting = dataclasses.replace(track, covariance=growing)
+    half = "99 % of 180 s, with a standard deviation below 0.25 m for 48 %;"
+    assert half in sentence(drifting, score(drifting, None))
+    for_20_cm = score(drifting, None, largest_sigma=0.2)
+    assert "below 0.20 m for 38 %" in sentence(drifting, for_20_cm)
+    assert for_20_cm.as_dict()["accurate_share"] == for_20_cm.accurate_share
+    assert "deviation" not in sentence(drifting, score(drifting, None, largest_sigma=np.inf))
+    outside = dataclasses.replace(track, covariance=1e-4 * np.eye(3) + 0.0 * track.covariance)
+    accuracy = score(outside, drive.truth).accuracy
+    assert accuracy.inside_protection_level_share == 0.0  # 5 cm off, with a level of 3.7 cm
 
 
 def test_summary_reports_overconfidence():

@@ -15,15 +15,14 @@ import enum
 import math
 from typing import NamedTuple
 
-import numpy as np
-
 from homeward.control.following import STAND
 from homeward.control.goals import Belief, ControlOutput, GoalController, GoalState
 from homeward.control.laws import steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
+from homeward.geometry.accuracy import PoseAccuracy
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, between, position_sigma
+from homeward.geometry.frames import Pose, Twist, between
 
 STAGING_M = 0.8
 """Distance behind the dock at which the robot turns to it: three times `AHEAD_M`, in which an
@@ -172,7 +171,9 @@ class Docking:
         if now - self._since < SETTLE_S:
             return ControlOutput(GoalState.DRIVING, self._words, STAND)
         off, turn = math.hypot(there.x, there.y), abs(there.heading)
-        sigma, sigma_turn = _sigmas(belief.covariance)
+        sigma = sigma_turn = math.inf
+        if belief.covariance is not None:
+            sigma, sigma_turn, _ = PoseAccuracy.of(belief.covariance)
         words = (
             f"{1e3 * off:.0f} mm and {math.degrees(turn):.1f} degrees from {self._goal.name} "
             f"(standard deviations {1e3 * sigma:.0f} mm, {math.degrees(sigma_turn):.1f} degrees)"
@@ -188,10 +189,3 @@ class Docking:
         turns_only = self._is_known and off <= TOLERANCE_M
         self._enter(Phase.TURNING if turns_only else Phase.RETREATING, now)
         return ControlOutput(GoalState.DRIVING, self._words, STAND)
-
-
-def _sigmas(covariance: np.ndarray | None) -> tuple[float, float]:
-    """Return the largest standard deviation of the position [m], and that of the heading [rad]."""
-    if covariance is None:
-        return math.inf, math.inf
-    return float(position_sigma(covariance)), math.sqrt(max(float(covariance[2, 2]), 0.0))

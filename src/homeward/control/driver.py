@@ -7,8 +7,9 @@ import math
 from homeward.control.following import STAND
 from homeward.control.goals import Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
-from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault
+from homeward.control.watchdog import Blind, DrivingTime, Fault
 from homeward.estimator import Status
+from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.frames import Twist, position_sigma
 
 AFTERWARDS_S = 1.0
@@ -37,7 +38,7 @@ class Driver:
         """When the state began."""
         self._unlocalised = DrivingTime(math.inf)
         """Since the robot was last localised."""
-        self._uncertain = Debounced()
+        self._accurate = AccuracyLimit(limits.largest_sigma or MAX_SIGMA_M)
         self._looked, self._look_rate = 0.0, 0.0
         """Angle turned to see landmarks, or to find the pose, since the robot last drove [rad], and
         the rate [rad/s]."""
@@ -148,8 +149,9 @@ class Driver:
         if belief.status is not Status.LOCALISED and since > limits.coast:
             reason = f"lost, not localised: {belief.status.value}"
             return Fault(reason, since if math.isfinite(since) else None)
-        sigma, limit = position_sigma(belief.covariance), limits.largest_sigma
-        if self._uncertain.is_active(not sigma <= limit, now):
+        sigma = float(position_sigma(belief.covariance))
+        if not self._accurate.is_met(sigma):
+            limit = self._accurate.largest_sigma
             return Fault(f"lost, too uncertain: sigma of more than {limit:g} m", sigma)
         return None
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from homeward.drives.settings import NonNegative, Positive
+from homeward.drives.settings import NonNegative, Positive, PositiveOrInf, RobotSettings
 from homeward.geometry.frames import Twist
 from homeward.io.checks import Field
 from homeward.io.keys import Strict
 
-PositiveOrInf = Annotated[float, Field(gt=0)]
 NonNegativeOrInf = Annotated[float, Field(ge=0)]
 
 
@@ -27,8 +26,9 @@ class Limits(Strict):
     """Maximum acceleration of the turn rate [rad/s^2]."""
     radius: Positive = 0.03
     """Home is reached when the robot is localised within this distance [m]."""
-    largest_sigma: PositiveOrInf = 0.25
-    """The robot stops if the larger axis of its 1-sigma position ellipse exceeds this [m]."""
+    largest_sigma: PositiveOrInf | None = None
+    """The robot stops if the standard deviation of its position, along the worst direction, exceeds
+    this, and drives on below 0.8 of it [m]; None: `largest_sigma` of robot.yaml."""
     coast: NonNegativeOrInf = 1.0
     """The robot drives on for this time with a pose but not localised. Also the maximum time
     without a landmark in view, 2 s more if the noise of odometry is given [s]. Turns on the spot do
@@ -40,6 +40,12 @@ class Limits(Strict):
     """The robot gives up after being stopped for this time, for any reasons [s]."""
     obstacle_distance: NonNegative = 0.3
     """The robot stops if a reported obstacle is nearer [m]."""
+
+    def of(self, robot: RobotSettings) -> Limits:
+        """Return these limits with those that the settings of the robot give."""
+        if self.largest_sigma is not None:
+            return self
+        return self.model_copy(update={"largest_sigma": robot.largest_sigma})
 
     def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
         """Return the twist nearest to the wanted one that is reachable in `dt` [s]."""

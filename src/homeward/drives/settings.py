@@ -9,6 +9,7 @@ from typing import Annotated, Any, Self, TypedDict, TypeVar
 import numpy as np
 
 from homeward.errors import InputError
+from homeward.geometry.accuracy import MAX_SIGMA_M
 from homeward.geometry.frames import Polar, Pose, between
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
@@ -16,6 +17,7 @@ from homeward.io.models import model_validator
 from homeward.io.settings import validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+PositiveOrInf = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Delay = Annotated[float, Field(ge=-5, le=5)]
@@ -182,6 +184,9 @@ class RobotSettings(Strict):
     covariance_scale: Annotated[float, Field(ge=0.01, le=100)] | None = None
     """Factor of the covariances of poses, fitted to errors on other drives of the robot [1]; None:
     1. The robust localiser uses it."""
+    largest_sigma: PositiveOrInf = MAX_SIGMA_M
+    """Largest standard deviation of a position, along its worst direction, with which the robot
+    drives; a run reports the time within it [m]."""
     wheels: Wheels | None = Field(None, examples=[{"wheel_radius": 0.1, "track_width": 0.4}])
     """Geometry with which the odometry was computed, which the corrections refer to."""
 

@@ -397,9 +397,8 @@ class Localisation:
 def _as_message(estimate: Estimate, kind: type[Kind]) -> Kind:
     pose, covariance = estimate.pose, estimate.covariance
     six = None if covariance is None else tuple(covariance[np.triu_indices(3)].tolist())
-    return kind(
-        t=estimate.t, status=estimate.status, reason=estimate.reason, pose=pose, covariance=six
-    )
+    about = {"t": estimate.t, "status": estimate.status, "reason": estimate.reason}
+    return kind(**about, pose=pose, covariance=six, accuracy=estimate.accuracy)
 
 
 def _finite(value: float) -> float | None:

@@ -243,6 +243,9 @@ class EstimateOut(Strict):
     """x [m], y [m], heading [rad] in the home frame."""
     covariance: tuple[float, ...] | None = None
     """Covariance of x, y, heading: xx, xy, xh, yy, yh, hh."""
+    accuracy: tuple[float, float, float] | None = None
+    """Standard deviations of position [m] and heading [rad], and the radius that contains the
+    position with a probability of 99.9 % [m]."""
 
 
 class Answer(EstimateOut):
@@ -298,6 +301,8 @@ class Diagnostics(Strict):
     reason: str
     homing: str
     """State and reason."""
+    is_accurate: bool
+    """Whether there is a pose, and its standard deviation is within `largest_sigma`."""
     can_home: bool
     """Whether a drive home could begin now."""
     cannot_home: str = ""

@@ -21,6 +21,7 @@ from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, Stam
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status
+from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
@@ -51,14 +52,16 @@ class Session:
     ) -> None:
         self.settings = settings = settings or LiveSettings()
         robot = robot or DriveSettings()
+        limits = settings.limits.of(robot)
         known = robot.uncorrected, homes or {}, place, settings.smoothed_lag
         self.localisation = Localisation(settings.estimator, *known)
         self._late, self._corrections = robot.bearings_late or 0.0, robot.odometry
         noise = robot.odometry
         self._is_calibrated = None not in (noise.speed_sigma, noise.turn_sigma)
         """Whether the odometry noise is given, so that the robot may drive on odometry alone."""
-        self.homing, self._turning = Driver(settings.limits), Driver(settings.limits)
+        self.homing, self._turning = Driver(limits), Driver(limits)
         self._driver = self.homing
+        self._accurate = AccuracyLimit(limits.largest_sigma or MAX_SIGMA_M)
         self._store_after_turn = msg.StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not reach the estimator, by reason in words."""
@@ -297,11 +300,14 @@ class Session:
         faults, blind = self.faults(now), self._blind(now)
         hindered = faults if blind is None else (*faults, blind.fault)
         hindrance = self.homing.hindrance(now, self.belief(now), hindered)
+        accuracy = estimate.accuracy
+        sigma = math.nan if accuracy is None else accuracy.position
         work, self._work_s = self._work_s, 0.0
         return msg.Diagnostics(
             status=estimate.status,
             reason=estimate.reason,
             homing=": ".join(filter(None, (self._driver.state.value, self._driver.reason))),
+            is_accurate=self._accurate.is_met(sigma),
             can_home=hindrance is None,
             cannot_home="" if hindrance is None else hindrance.reason,
             advice=self.localisation.advice,

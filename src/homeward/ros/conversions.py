@@ -198,12 +198,13 @@ def diagnostics_out(state: msg.Diagnostics, stamp: Any) -> Any:
     array = message_class("diagnostic_msgs/msg/DiagnosticArray")()
     status = message_class("diagnostic_msgs/msg/DiagnosticStatus")()
     pair = message_class("diagnostic_msgs/msg/KeyValue")
-    is_ok = state.status is Status.LOCALISED and not state.faults
+    is_ok = state.status is Status.LOCALISED and state.is_accurate and not state.faults
     is_stale = state.status is Status.WAITING
     status.level = status.OK if is_ok else status.STALE if is_stale else status.WARN
     status.name = "homeward"
     status.message = "; ".join([f"{state.status.value}: {state.reason}", *state.faults])
     values = {"homing": state.homing, "can_home": state.cannot_home or "yes"}
+    values |= {"accurate": "yes" if state.is_accurate else "no"}
     values |= {"advice": state.advice} if state.advice else {}
     values |= {"waiting": str(state.waiting), "work_ms": f"{state.work_ms:.1f}"}
     status.values = [pair(key=k, value=str(v)) for k, v in (values | state.counts).items()]

@@ -14,6 +14,7 @@ import numpy as np
 
 from homeward.drives.drive import TRUTH_GAP_S, Columns, Truth, is_slow
 from homeward.estimator import Status
+from homeward.geometry.accuracy import MAX_SIGMA_M, PoseAccuracy
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.reasons import Rejection
@@ -60,6 +61,8 @@ class Errors(Columns):
     """Normalised estimation error squared of (x, y, heading); chi-square(3) when consistent."""
     nees_position: np.ndarray
     """NEES of (x, y)."""
+    protection_level: np.ndarray
+    """Radius that contains the true position with a probability of 99.9 %, by the covariance."""
     true_x: np.ndarray
     true_y: np.ndarray
     true_heading: np.ndarray
@@ -95,6 +98,8 @@ class Accuracy:
     """Share of time inside the 95 % region of chi-square(3)."""
     position_inside_sigma_shares: tuple[float, float, float]
     """Shares of time inside the 1, 2 and 3 sigma ellipses; `ELLIPSE_SHARES` when consistent."""
+    inside_protection_level_share: float
+    """Share of time with an error within the protection level; 0.999 when consistent."""
     aligned: Statistics
     """Position error after the best rigid alignment with ground truth (aligned ATE) [m]."""
     rpe_1s: Statistics | None
@@ -122,6 +127,10 @@ class Metrics:
     """Share of the time with a pose."""
     status_shares: dict[Status, float]
     """Share of the time in each status that occurred."""
+    largest_sigma: float
+    """Largest standard deviation of a position that is accurate enough [m]."""
+    accurate_share: float
+    """Share of the time localised (or coasting) and accurate enough."""
     first_pose_after_s: float | None
     """Time of the first pose, from the first row on [s]."""
     innovation_nis_mean: float | None
@@ -150,6 +159,8 @@ class Metrics:
             "pose_share": self.pose_share,
             "first_pose_after_s": self.first_pose_after_s,
             **{f"{status.value}_share": s for status, s in self.status_shares.items()},
+            "largest_sigma_m": self.largest_sigma,
+            "accurate_share": self.accurate_share,
             **accuracy,
             "innovation_nis_mean": self.innovation_nis_mean,
             "innovation_inside_95_share": self.innovation_inside_95_share,
@@ -163,15 +174,18 @@ class Metrics:
         return {k: v for k, v in plain.items() if v not in (None, math.inf) and v == v}
 
 
-def score(track: Track, truth: Truth | None) -> Metrics:
+def score(track: Track, truth: Truth | None, largest_sigma: float = MAX_SIGMA_M) -> Metrics:
     """Return the metrics of a track, with accuracy where there is ground truth.
 
     `truth` holds true poses in the home frame. Rows outside its span, or inside one of its gaps
     longer than `TRUTH_GAP_S`, are not scored; if most gaps are longer, the rows at its stamps are.
+    `largest_sigma` is the limit of the robot [m].
     """
     seconds = np.diff(track.t, append=track.t[-1:])
     duration = float(seconds.sum())
     posed = np.flatnonzero(track.has_pose)
+    localised = [status in (Status.LOCALISED, Status.COASTING) for status in track.status]
+    accurate = np.array(localised, bool) & track.accurate(largest_sigma)
     nis = (track.innovations.value / track.innovations.sigma) ** 2
     accepted = nis[track.innovations.accepted]
     updates = track.update_seconds
@@ -179,6 +193,8 @@ def score(track: Track, truth: Truth | None) -> Metrics:
         duration_s=duration,
         pose_share=float(seconds[posed].sum() / duration) if duration > 0 else None,
         status_shares=_status_shares(track.status, seconds),
+        largest_sigma=largest_sigma,
+        accurate_share=float(seconds[accurate].sum() / duration) if duration > 0 else 0.0,
         first_pose_after_s=float(track.t[posed[0]] - track.t[0]) if posed.size else None,
         innovation_nis_mean=float(accepted.mean()) if accepted.size else None,
         innovation_inside_95_share=float(np.mean(nis <= CHI_SQUARE_1_95)) if nis.size else None,
@@ -210,6 +226,7 @@ def errors(track: Track, truth: Truth) -> Errors:
         heading=e[:, 2],
         nees=normalised_squared(e, track.covariance[rows]),
         nees_position=normalised_squared(e[:, :2], track.covariance[rows, :2, :2]),
+        protection_level=PoseAccuracy.of(track.covariance[rows]).protection_level,
         true_x=np.asarray(true.x),
         true_y=np.asarray(true.y),
         true_heading=np.asarray(true.heading),
@@ -238,6 +255,7 @@ def accuracy(errors: Errors) -> Accuracy | None:
         nees_mean=float(np.average(errors.nees[counted], weights=errors.weight[counted])),
         nees_inside_95_share=share(errors.nees <= CHI_SQUARE_3_95),
         position_inside_sigma_shares=(share(d <= 1.0), share(d <= 4.0), share(d <= 9.0)),
+        inside_protection_level_share=share(errors.position <= errors.protection_level),
         aligned=statistics(residual, errors.weight),
         rpe_1s=statistics(rpe, np.ones_like(rpe)) if rpe.size else None,
         offset=offset,
@@ -355,4 +373,5 @@ def _accuracy_dict(accuracy: Accuracy) -> dict[str, float]:
     numbers["nees_inside_95_share"] = accuracy.nees_inside_95_share
     for k, share in enumerate(accuracy.position_inside_sigma_shares, start=1):
         numbers[f"position_inside_{k}_sigma_share"] = share
+    numbers["position_inside_protection_level_share"] = accuracy.inside_protection_level_share
     return numbers

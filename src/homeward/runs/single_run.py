@@ -242,7 +242,9 @@ class Outcome:
     @property
     def metrics(self) -> Metrics | None:
         """Metrics of the track."""
-        return None if self.track is None else score(self.track, self.drive.truth)
+        if self.track is None:
+            return None
+        return score(self.track, self.drive.truth, self.drive.settings.largest_sigma)
 
 
 def run_several(

@@ -235,7 +235,11 @@ def _run(
         facts: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
         facts["report"] = str(folder / PAGE) if missing is None else None
         shared.answer(
-            {**facts, "remarks": drive.remark_lines, **_facts(track, score(track, drive.truth))}
+            {
+                **facts,
+                "remarks": drive.remark_lines,
+                **_facts(track, score(track, drive.truth, drive.settings.largest_sigma)),
+            }
         )
     else:
         for paragraph in words:

@@ -63,7 +63,7 @@ def write_run(
     data, and the versions of the packages; run.mcap contains the `images`. `InputError` where the
     folder is not that of a run, or cannot be written.
     """
-    metrics = score(track, drive.truth)
+    metrics = score(track, drive.truth, drive.settings.largest_sigma)
     summary = summarise(drive, track, metrics)
     pages = missing_extra() is None
     with whole_folder(directory, SETTINGS_FILE) as scratch:

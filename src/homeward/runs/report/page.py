@@ -106,6 +106,8 @@ def _consistency(metrics: Metrics) -> list[tuple[str, str, str]]:
         for k, (found, expected) in enumerate(shares, start=1):
             name = f"time inside the {k}-sigma ellipse"
             rows.append((name, words.percent(found), f"{100 * expected:.0f} %"))
+        name = "time inside the protection level"
+        rows.append((name, words.percent(a.inside_protection_level_share), "99.9 %"))
     if metrics.innovation_inside_95_share is not None:
         share = words.percent(metrics.innovation_inside_95_share)
         rows.append(("sightings inside their 95 % interval", share, "95 %"))

@@ -34,7 +34,7 @@ def sentence(track: Track, metrics: Metrics) -> str:
         return f"No pose found in {duration}: {track.reason[-1].rstrip('.')}."
     share = _localised_share(metrics)
     text = f"Localised for {percent(share)} of" if share else "Never localised in"
-    text += f" {duration}"
+    text += f" {duration}{_accurate(metrics)}"
     if metrics.accuracy is not None:
         text += f"; position error {quantity(metrics.accuracy.position.rmse, 'm')} RMSE"
     tested = [m for m in track.landmarks if m.moved is not None]
@@ -75,6 +75,7 @@ def _localised(track: Track, metrics: Metrics) -> str:
         seconds = quantity(share * metrics.duration_s, "s").removesuffix(" s")
         odometry = f", including {percent(coasting)} on odometry alone" if coasting > 0.005 else ""
         text = f"Localised for {seconds} of {duration} ({percent(share)}{odometry})"
+        text += _accurate(metrics)
     if Status.LOCALISED in track.status:
         since = float(track.t[track.status.index(Status.LOCALISED)] - track.t[0])
         text += f", first after {quantity(since, 's')}" if since > 0.5 else ""
@@ -84,6 +85,16 @@ def _localised(track: Track, metrics: Metrics) -> str:
     if missing > 0.005:
         rest += f" (longest: {_main_reason(track)})"
     return f"{text}; {rest}." if rest else f"{text}."
+
+
+def _accurate(metrics: Metrics) -> str:
+    """Return the share of the time with a pose that is accurate enough, after that localised."""
+    share, limit = _localised_share(metrics), metrics.largest_sigma
+    if share == 0.0 or math.isinf(limit):
+        return ""
+    text = f", with a standard deviation below {quantity(limit, 'm')}"
+    same = percent(metrics.accurate_share) == percent(share)
+    return text if same else f"{text} for {percent(metrics.accurate_share)}"
 
 
 def _main_reason(track: Track) -> str:
