@@ -232,9 +232,9 @@ def test_a_place_has_the_home_bearings_of_all_cameras(tmp_path):
     stored = {name: seen.camera for name, seen in place.homes["home"].seen.items()}
     assert stored == {name: seen.camera for name, seen in drive.home.items()}
 
-    snapshot = localizer.map_snapshot()
+    snapshot = localizer.snapshot()
     front = {n: seen for n, seen in snapshot.home_bearings.items() if seen.camera == "front"}
-    with patch.object(Localizer, "map_snapshot", lambda _: replace(snapshot, home_bearings=front)):
+    with patch.object(Localizer, "snapshot", lambda _: replace(snapshot, home_bearings=front)):
         half = first_place("hall", localizer, visit)
     assert place.home_sigma("home", 1.0) < 0.8 * half.home_sigma("home", 1.0)
 
@@ -258,6 +258,6 @@ def test_a_map_of_too_few_landmarks_is_no_place(number):
     rng, places = np.random.default_rng(0), dict(list(room().items())[:number])
     visit = visit_data(places, rng)
     own = MapSnapshot(tuple(places), visit.map.positions, visit.map.covariance, np.zeros(3), {}, {})
-    localizer = SimpleNamespace(map_snapshot=lambda: own, landmarks=list)
+    localizer = SimpleNamespace(snapshot=lambda: own, landmarks=list)
     with pytest.raises(HomewardError, match=f"{number} landmarks are mapped accurately"):
         first_place("hall", localizer, visit)

@@ -80,7 +80,7 @@ def test_two_runs_are_scored_where_both_have_a_pose():
         t = np.arange(late, 10.0)
         off = np.where(t < 5, 4.0, 1.0)  # the first poses are the worst
         nees, zero = 3.0 * off, np.zeros(t.size)
-        same = Errors(t, np.ones(t.size), *6 * (off,), nees, off, zero, zero, zero)
+        same = Errors(t, np.ones(t.size), *6 * (off,), nees, off, off, zero, zero, zero)
         one = np.ones(t.size)
         return EvaluatedRun(
             0.1 * t.size, same, Innovations(t, np.full(t.size, "a"), off, one, one > 0)

@@ -24,10 +24,16 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.odometry import OdometryIntegrator
+from homeward.localizer.motion.odometry import OdometryIntegrator, calibration_sigmas
 from homeward.localizer.motion.process_noise import ProcessNoise
 from homeward.localizer.motions import HEAD, Motion
 from homeward.localizer.output.contradiction import Contradiction
+from homeward.localizer.output.faces import (
+    EstimatedCalibration,
+    PredictedBearings,
+    estimated_calibration,
+    predicted_bearings,
+)
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
@@ -256,6 +262,19 @@ class Chart:
         calibration = self.map.smoother.state.covariance[3:HEAD, 3:HEAD]
         drift = motion.covariance + motion.jacobian @ calibration @ motion.jacobian.T
         return np.asarray(drift + self._slip_covariance(t) if self._may_slip(t) else drift)
+
+    def predict(self, t: float, offset: np.ndarray | None) -> PredictedBearings:
+        """Predict the bearings of mapped landmarks at `t` [s]; see `predicted_bearings`."""
+        motion = self.odometry.motion(t, self.map.smoother.state.calibration)
+        slip = self._slip_covariance(t) if self._may_slip(t) else np.zeros((3, 3))
+        return predicted_bearings(self.map, motion, slip, offset)
+
+    @property
+    def calibration(self) -> EstimatedCalibration:
+        """Calibration and noise as estimated."""
+        priors = calibration_sigmas(self.drive, self._settings, self.scale.state)
+        noise, rest = (self.noise, self.process_noise), self.scale.rest or 0.0
+        return estimated_calibration(self.map.smoother, priors, self.extrinsics, *noise, rest)
 
     def landmarks(self, with_home: bool) -> list[LandmarkEstimate]:
         """Return the estimate of each landmark, by name; relative to home only if `with_home`."""

@@ -39,6 +39,7 @@ from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignChecks
 from homeward.localizer.motion.odometry import lag_notes
+from homeward.localizer.output.faces import EstimatedCalibration, PredictedBearings
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
@@ -336,7 +337,21 @@ class Localizer:
         """Intervals without an accepted bearing, after each of which a new map replaced one [s]."""
         return self._blind
 
-    def map_snapshot(self) -> MapSnapshot:
+    @guarded
+    @single_threaded_blas()
+    def predict(self, t: float, camera: str = "") -> PredictedBearings:
+        """Predict the bearings of all mapped landmarks at `t` [s], not before the last sample.
+
+        From one of the `cameras`, by its name; nothing changes.
+        """
+        offset, at = self._cameras.in_first(camera), self._clock.peek(t)
+        return self.chart.predict(max(at, self._t) if math.isfinite(at) else self._t, offset)
+
+    def calibration(self) -> EstimatedCalibration:
+        """Return calibration and noise as estimated."""
+        return self.chart.calibration
+
+    def snapshot(self) -> MapSnapshot:
         """Return the present map by the measurements of this drive alone, and home in it.
 
         Raises

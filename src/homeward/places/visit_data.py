@@ -189,7 +189,7 @@ def collect_visit_along(
 def own_map(localizer: Localizer) -> JointMap:
     """Return the map of this drive alone; `HomewardError` if it is too uncertain."""
     try:
-        own = localizer.map_snapshot()
+        own = localizer.snapshot()
     except np.linalg.LinAlgError:
         raise HomewardError("the map of this drive is too uncertain to be stored") from None
     return JointMap(own.names, (), own.positions.ravel(), own.covariance)

@@ -39,7 +39,7 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
     `HomewardError` if home was not found in the map, or too few landmarks are accurate enough for
     a later drive to be localised in this place.
     """
-    own = localizer.map_snapshot()
+    own = localizer.snapshot()
     found, observed = own.home, own.home_bearings
     if found is None:
         raise HomewardError("no place to store: home was not found on this drive")

@@ -19,13 +19,11 @@ from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.frames import Pose, between
 from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.odometry import calibration_sigmas
 from homeward.localizer.motions import (
     CAMERA_X,
     CAMERA_Y,
     CAMERA_YAW,
     DELAY,
-    HEAD,
     NC,
     SPEED_SCALE,
     TIME_CONSTANT,
@@ -34,11 +32,7 @@ from homeward.localizer.motions import (
     TURN_SLIP,
 )
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import (
-    FIXED_TIME_CONSTANT_S,
-    MIN_CALIBRATION_SIGMA,
-    NEGLIGIBLE_CALIBRATION,
-)
+from homeward.localizer.tunables import MIN_CALIBRATION_SIGMA
 from homeward.odometry.dead_reckoning import dead_reckoning
 
 WINDOW_S = 4.0
@@ -100,45 +94,29 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
     survey, measured distances, or ranges of a known scale; camera extrinsics are estimated where
     they are not given and the bearings contradict zero.
     """
-    found = _from_map(drive, localizer)
+    found = _from_map(localizer)
     by_truth = {} if drive.truth is None else _from_truth(drive.odometry, drive.truth)
     if by_truth:  # its scale is that next to its own slip
         found.pop("odometry.turn_slip", None)
     return found | by_truth
 
 
-def _from_map(drive: Drive, localizer: Localizer) -> Estimates:
+def _from_map(localizer: Localizer) -> Estimates:
     """Return the estimates of a map; the information of the prior is removed from them.
 
     The delay is that of odometry with its time constant: of all twists in the mean, which is known
     better than either.
     """
-    chart, smoother = localizer.chart, localizer.chart.map.smoother
-    state, camera = smoother.state, chart.extrinsics
-    open_keys = {f"sensor.{name}" for name in camera.learnt(state.calibration)}
-    open_keys |= {key for key in ASSUMED if not key.startswith("sensor.")}
-    if state.calibration[TURN_SLIP] <= NEGLIGIBLE_CALIBRATION:  # fixed at its bound
-        open_keys.remove("odometry.turn_slip")
-    lag_sigma = smoother.time_constant_prior[1]
-    if lag_sigma <= FIXED_TIME_CONSTANT_S:  # the map does not contradict zero
-        open_keys.remove(LAG)
-    of_odometry = calibration_sigmas(drive.settings, localizer.settings, chart.scale.state)
-    priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
-    priors[TIME_CONSTANT] = lag_sigma**2
-    priors[DELAY] += priors[TIME_CONSTANT]
-    priors[TURN_SLIP] = smoother.slip_sigma**2
-    both = np.eye(NC)
+    known, both = localizer.calibration(), np.eye(NC)
     both[DELAY, TIME_CONSTANT] = 1.0
-    means = both @ state.calibration
-    variances = (both @ state.covariance[3:HEAD, 3:HEAD] @ both.T).diagonal().copy()
-    for table in (priors, variances):  # what ranges leave unknown of the scale is in no state
-        table[SPEED_SCALE] += (chart.scale.rest or 0.0) ** 2
-    priors = np.maximum(priors, MIN_CALIBRATION_SIGMA**2)  # as in the map
+    means = both @ known.mean
+    variances = (both @ known.covariance @ both.T).diagonal()
+    priors = np.maximum(both @ known.priors, MIN_CALIBRATION_SIGMA**2)  # as in the map
     found = {}
     for key, at in zip(ASSUMED, STATES, strict=True):
         precision = 1.0 / float(variances[at])
         own = precision - 1.0 / float(priors[at])
-        if own > ROUNDING * precision and key in open_keys:
+        if own > ROUNDING * precision and known.is_open[at]:
             mean = float(means[at] / variances[at]) / own
             found[key] = Value(float(key.endswith("_scale")) + mean, own**-0.5)
     return _informative(found)

@@ -244,16 +244,16 @@ def _identified(drive: Drive) -> tuple[Noise, Estimates]:
             f"{drive.name}: its first half has {track.innovations.t.size} sightings of mapped "
             f"landmarks; at least {MIN_SIGHTINGS} are needed"
         )
-    chart, odometry = localizer.chart, drive.odometry.bridged
+    known, odometry = localizer.calibration(), drive.odometry.bridged
     moves = max(np.count_nonzero((odometry.v != 0) | (odometry.omega != 0)), 1)
     speed, turning = np.abs(odometry.v).sum() / moves, np.abs(odometry.omega).sum() / moves
-    along, _, heading = chart.process_noise.rates @ [1.0, speed, turning]
+    along, _, heading = known.process_rates @ [1.0, speed, turning]
     if min(along, heading) <= 0.0:
         raise HomewardError(
             f"{drive.name}: in its first half the robot moves too little to estimate the odometry"
             " noise; use a log with more motion"
         )
-    return Noise(chart.noise.sigma, math.sqrt(along), math.sqrt(heading)), found
+    return Noise(known.bearing_sigma, math.sqrt(along), math.sqrt(heading)), found
 
 
 def _search(
@@ -297,8 +297,7 @@ def _likelihoods(drives: Sequence[Drive], noise: Noise) -> tuple[Likelihoods, bo
         tuned = _unspecified(drive, **noise._asdict())
         localizer = _localizer(tuned)
         i = run(tuned, localizer).innovations
-        chart = localizer.chart
-        is_raised |= chart.noise.scale > 1.0 or bool((chart.process_noise.scales > 1.0).any())
+        is_raised |= localizer.calibration().is_noise_raised
         values = log_likelihoods(i)[1].tolist()
         found |= {(number, *s): value for s, value in zip(stamps(i), values, strict=True)}
     return found, is_raised

@@ -1,0 +1,108 @@
+"""Estimates beyond the pose: the calibration, and the bearings of mapped landmarks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.geometry.angles import wrap
+from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.map import Map
+from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.motion.extrinsics import Extrinsics
+from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motions import (
+    CAMERA_X,
+    CAMERA_Y,
+    CAMERA_YAW,
+    HEAD,
+    NC,
+    SPEED_SCALE,
+    TIME_CONSTANT,
+    TURN_SLIP,
+    Motion,
+)
+from homeward.localizer.reference.factors import cameras
+from homeward.localizer.reference.frame import predict_bearings
+from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
+
+
+@dataclass(frozen=True)
+class EstimatedCalibration:
+    """Calibration of odometry and camera, and noise, as estimated; in the order of `motions`."""
+
+    mean: np.ndarray
+    """(9,): corrections of the given calibration."""
+    covariance: np.ndarray
+    """(9, 9): their covariance, ..."""
+    priors: np.ndarray
+    """(9,): ... and the variances of their priors."""
+    is_open: np.ndarray
+    """(9,), bool: which of them are estimated; others are fixed, or as given."""
+    bearing_sigma: float
+    """Standard deviation of a bearing [rad]."""
+    process_rates: np.ndarray
+    """(3, 3): variances by unit of time of the motion along, across and of the heading, for a unit
+    of time, of speed and of turn rate."""
+    is_noise_raised: bool
+    """Whether the noise of bearings or odometry is larger than given."""
+
+
+@dataclass(frozen=True)
+class PredictedBearings:
+    """Bearings of all mapped landmarks from a camera, in view or not."""
+
+    landmarks: tuple[str, ...]
+    """Their names."""
+    bearings: np.ndarray
+    """(n,): from the camera's axis [rad], in (-pi, pi]."""
+    covariance: np.ndarray
+    """(n, n): of these bearings, by the uncertainty of pose, calibration and map [rad^2]; the noise
+    of a measurement comes in addition."""
+
+
+def estimated_calibration(
+    smoother: Smoother,
+    of_odometry: np.ndarray,
+    camera: Extrinsics,
+    noise: BearingNoise,
+    process_noise: ProcessNoise,
+    scale_rest: float,
+) -> EstimatedCalibration:
+    """Return the calibration of a solution.
+
+    `of_odometry` (6,) has the prior standard deviations of the odometry's part, and `scale_rest`
+    is that of the scale which is in no state, since ranges leave it unknown.
+    """
+    state, lag_sigma = smoother.state, smoother.time_constant_prior[1]
+    priors = np.concatenate([of_odometry, camera.sigmas]) ** 2
+    priors[TIME_CONSTANT], priors[TURN_SLIP] = lag_sigma**2, smoother.slip_sigma**2
+    covariance, is_open = state.covariance[3:HEAD, 3:HEAD].copy(), np.ones(NC, bool)
+    covariance[SPEED_SCALE, SPEED_SCALE] += scale_rest**2
+    priors[SPEED_SCALE] += scale_rest**2
+    learnt = camera.learnt(state.calibration)
+    is_open[[CAMERA_X, CAMERA_Y, CAMERA_YAW]] = [name in learnt for name in ("x", "y", "yaw")]
+    is_open[TURN_SLIP] = state.calibration[TURN_SLIP] > NEGLIGIBLE_CALIBRATION  # not at its bound
+    is_open[TIME_CONSTANT] = lag_sigma > FIXED_TIME_CONSTANT_S  # the map contradicts zero
+    is_raised = noise.scale > 1.0 or bool((process_noise.scales > 1.0).any())
+    found = state.calibration, covariance, priors, is_open
+    return EstimatedCalibration(*found, noise.sigma, process_noise.rates, is_raised)
+
+
+def predicted_bearings(
+    known: Map, motion: Motion, slip: np.ndarray, offset: np.ndarray | None
+) -> PredictedBearings:
+    """Predict the bearings from a camera after a motion from the newest keyframe.
+
+    `slip` (3, 3) is the covariance of what wheels may slip in it, and `offset` (3,) the pose of the
+    camera in the frame of the first one; None for the first.
+    """
+    names = tuple(known.landmarks.mapped)
+    index = known.landmarks.index(known.landmarks.mapped.values())
+    wider = replace(motion, covariance=motion.covariance + slip)
+    state, eye = known.smoother.state.propagate(wider), known.camera(Motion.identity(), offset)
+    camera = cameras(eye.uncalibrated, eye.jacobian, state.mean[:3], state.calibration)
+    zero = np.zeros(index.size)
+    seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, index)
+    return PredictedBearings(names, np.asarray(wrap(-seen.residual)), seen.covariance)
