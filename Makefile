@@ -16,7 +16,7 @@ unexport PYTHONDONTWRITEBYTECODE
 
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
 EXTRAS := filters,live,report,scale,vision
-DEV_EXTRAS := $(EXTRAS),dev,gpu
+DEV_EXTRAS := $(EXTRAS),dev
 # More packages for this environment; the compiled core is in src already.
 ADD = HOMEWARD_PURE=1 $(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt
 

@@ -279,7 +279,7 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
         reported = missing_extra_error(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(reported)))
     assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
-    reported = {"bags", "filters", "gpu", "live", "report", "scale", "vision"}
+    reported = {"bags", "filters", "live", "report", "scale", "vision"}
     assert named == reported == set(extras) - {"bench", "demo-physics", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line

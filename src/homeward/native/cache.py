@@ -15,13 +15,10 @@ from pathlib import Path
 
 
 class Cache:
-    """Folder of compiled code of one kind, whose files' names end in `suffix`.
+    """Folder of compiled code, which is created when needed."""
 
-    It is created when needed.
-    """
-
-    def __init__(self, folder: Path, suffix: str = ".so") -> None:
-        self.folder, self._suffix = folder, suffix
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
 
     def problem(self) -> str | None:
         """Create the folder if needed; return the reason why it cannot be used, or None."""
@@ -44,7 +41,7 @@ class Cache:
 
     def find(self, key: str) -> Path | None:
         """Return the file of a key, or None; delete its files with a wrong checksum."""
-        for file in sorted(self.folder.glob(f"{key}-*{self._suffix}")):
+        for file in sorted(self.folder.glob(f"{key}-*.so")):
             if file.stem == f"{key}-{_checksum(file)}":
                 return file
             with suppress(OSError):
@@ -53,7 +50,7 @@ class Cache:
 
     def keep(self, key: str, file: Path) -> Path:
         """Move a file of the same file system into the folder atomically; return its new path."""
-        kept = self.folder / f"{key}-{_checksum(file)}{self._suffix}"
+        kept = self.folder / f"{key}-{_checksum(file)}.so"
         os.replace(file, kept)
         return kept
 

@@ -1,4 +1,4 @@
-"""Execution of batches by compiled code, the interpreter or a GPU; filters over recorded runs.
+"""Execution of batches by compiled code or the interpreter; filters over recorded runs.
 
 Compiled code uses lanes times threads. The interpreter takes run after run: slow, and the reference
 for compiled code. Its noise equals that of `native/noise.h`: Philox4x32-10 with the seed as its
@@ -16,7 +16,6 @@ import ctypes
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,7 +29,6 @@ from homeward.lab.engine.batch.job import (
     given_values,
     shaped,
 )
-from homeward.lab.engine.cuda import execution as cuda
 from homeward.lab.engine.native.source import Source, choose, source_of
 from homeward.lab.engine.program.stages import OBSERVE, Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
@@ -223,30 +221,16 @@ def _interpreted(job: Job, result: Result) -> None:
             batch.run(run, result)
 
 
-BatchEngine = Engine | Literal["cuda"]
-"""Executor of a batch. cuda: an NVIDIA GPU, without fallback."""
-Precision = Literal["double", "single"]
-"""Precision on a GPU. single is about ten times as fast: a run that rounding may have spoilt is
-computed again in doubles; the others differ from doubles in about the fifth digit."""
-
 SAVED_S = 1e-4
 """Time that compiled code saves in each step of each run [s]."""
 SLOWER = "which takes 50 to 500 times as long"
 
 
-def execute(
-    job: Job,
-    engine: BatchEngine = "auto",
-    threads: int | None = None,
-    precision: Precision = "double",
-) -> Result:
+def execute(job: Job, engine: Engine = "auto", threads: int | None = None) -> Result:
     """Run a job; the result depends neither on threads nor on the size of the batch.
 
-    By default it uses all available threads. Engines other than cuda compute in doubles. Raises
-    `CudaError` when cuda is requested without a GPU, or the GPU cannot run the job.
+    By default it uses all available threads.
     """
-    if engine == "cuda":
-        return shaped(job, cuda.execute(job, single=precision == "single"))
 
     def native() -> Result:
         result, count = empty_result(job), threads or available_threads()
@@ -281,9 +265,8 @@ def run_recorded(
     steps: int,
     final: Sequence[str] = ("state", "covariance"),
     history: Sequence[str] = ("state",),
-    engine: BatchEngine = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
-    precision: Precision = "double",
 ) -> Result:
     """Run a filter over recorded inputs: at each step, predict and then update.
 
@@ -303,7 +286,7 @@ def run_recorded(
         Number of runs, and of steps in each.
     final, history : sequence of str
         Variables to return at the end, and at every sample; the first sample is the start.
-    engine, threads, precision
+    engine, threads
         See `homeward.lab.engine.batch.execution.execute`.
 
     Raises
@@ -319,7 +302,7 @@ def run_recorded(
     start = tuple(given_values(k, v, known[k], runs) for k, v in given.items())
     each = tuple(given_values(k, v, known[k], runs, steps) for k, v in series.items())
     job = Job(program, runs, steps, start, each, tuple(final), tuple(history))
-    return execute(job, engine, threads, precision)
+    return execute(job, engine, threads)
 
 
 def _with_mask(series: Mapping[str, ArrayLike]) -> dict[str, ArrayLike]:

@@ -12,10 +12,11 @@ from numpy.typing import ArrayLike
 from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Twist
-from homeward.lab.engine.batch.execution import BatchEngine, Precision, execute
+from homeward.lab.engine.batch.execution import execute
 from homeward.lab.engine.batch.job import Draw, Given, Job, Result, given_values
-from homeward.lab.engine.program.stages import OBSERVE, Program, Separable, Symbolic, filter_parts
+from homeward.lab.engine.program.stages import OBSERVE, Program, Symbolic, filter_parts
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
+from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, discretise, true_bearings, unicycle_rates
 
 Law = Callable[[Polar, ca.SX], Twist]
@@ -92,8 +93,7 @@ def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
     n, q = kind.model.n, kind.model.q
     world = {"world": (Symbolic(world_function(n, q, law)),)}
     parts = world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)}
-    one = Separable(kind, world_function(POLAR, 1, law), score_function(POLAR))
-    return Program(parts, one)
+    return Program(parts)
 
 
 class HomingResult(Result):
@@ -149,9 +149,8 @@ def run_homing(
     law: Law = homing,
     series: Mapping[str, ArrayLike] | None = None,
     history: Sequence[str] = (),
-    engine: BatchEngine = "auto",
+    engine: Engine = "auto",
     threads: int | None = None,
-    precision: Precision = "double",
 ) -> HomingResult:
     """Run a filter in closed loop, many times.
 
@@ -186,7 +185,7 @@ def run_homing(
         (runs, steps, ...).
     history : sequence of str
         Variables to return at every sample: pose, state, covariance, error, nees, control, ...
-    engine, threads, precision
+    engine, threads
         See `homeward.lab.engine.batch.execution.execute`.
 
     Raises
@@ -218,7 +217,7 @@ def run_homing(
         history=tuple(history),
         stop="arrived",
     )
-    return HomingResult(**vars(execute(job, engine, threads, precision)))
+    return HomingResult(**vars(execute(job, engine, threads)))
 
 
 def _required_draws(start: Sequence[Given], series: Mapping[str, ArrayLike]) -> tuple[Draw, ...]:

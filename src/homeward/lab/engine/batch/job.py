@@ -88,13 +88,9 @@ class Result:
     history: dict[str, np.ndarray]
     """(runs, steps + 1, *shape), NaN after a run's last sample."""
     engine: str = ""
-    """Executor: native, interpreter or cuda."""
+    """Executor: native or interpreter."""
     notes: tuple[str, ...] = ()
     """Sentences about the executor for the user."""
-    seconds: float = 0.0
-    """Time on a GPU [s]."""
-    again: int = 0
-    """Number of runs that a GPU computed again in doubles."""
 
 
 def empty_result(job: Job) -> Result:

@@ -197,7 +197,7 @@ def emit_split(
     own: Collection[str],
     wanted: Callable[[str, int], str],
 ) -> Split:
-    """Return a function of one landmark as C that is also valid CUDA C++.
+    """Return a function of one landmark as C.
 
     The function is as for `emit`; `prefix` is a letter for its names. `place` maps an entry of an
     input to C, `wanted` an entry of an output (empty: not stored); `own` are the places that belong
@@ -215,21 +215,19 @@ def emit_split(
 def split_step(kind: ExtendedKalmanFilter, place: Place) -> Split:
     """Return the propagation of the state and its Jacobians for landmark ``i``.
 
-    It reads ``x[3]``, ``control[2]``, ``BETA(i)``, ``STORED(i)`` (where home bearings are states,
-    `STORED_STATE`), ``ACTIVE(i)`` and other inputs at their `place`, and writes ``ahead[3]``,
-    ``BETA(i)``, ``by_state[9]`` and ``by_input[6]``, column-major; of the landmark's row
-    ``G(i, 0)`` to ``G(i, 2)`` by the pose, ``OWN(i)`` by its bearing, ``BY_STORED(i)`` by its home
-    bearing, ``U(i, 0)`` and ``U(i, 1)`` by the input.
+    No home bearing may be a state. It reads ``x[3]``, ``control[2]``, ``BETA(i)``, ``STORED(i)``,
+    ``ACTIVE(i)`` and other inputs at their `place`, and writes ``ahead[3]``, ``BETA(i)``,
+    ``by_state[9]`` and ``by_input[6]``, column-major; of the landmark's row ``G(i, 0)`` to
+    ``G(i, 2)`` by the pose, ``OWN(i)`` by its bearing, ``U(i, 0)`` and ``U(i, 1)`` by the input.
     """
-    model = kind.model
-    one = PolarModel(1, (0,) if model.estimated else (), model.guard)
+    one = PolarModel(1, guard=kind.model.guard)
     function, n = propagate_function(ExtendedKalmanFilter(one, kind.integration)), one.n
-    own = ["BETA(i)", "STORED(i)", "ACTIVE(i)"] + ([STORED_STATE] if model.estimated else [])
+    own = {"state": "BETA(i)", "stored": "STORED(i)", "active": "ACTIVE(i)"}
 
     def read(name: str, entry: int) -> str:
-        if name == "state":
-            return f"x[{entry}]" if entry < POLAR else own[3 * (entry - POLAR)]
-        return {"stored": own[1], "active": own[2]}.get(name) or place(name, entry)
+        if name == "state" and entry < POLAR:
+            return f"x[{entry}]"
+        return own.get(name) or place(name, entry)
 
     def wanted(name: str, entry: int) -> str:
         row, column = entry % n, entry // n
@@ -237,17 +235,14 @@ def split_step(kind: ExtendedKalmanFilter, place: Place) -> Split:
             if name == "state":
                 return f"ahead[{row}]"
             return f"{name}[{row + 3 * column}]" if column < POLAR else ""
-        if row > POLAR:
-            return ""
         if name == "state":
             return "BETA(i)"
         return f"U(i, {column})" if name == "by_input" else _OF_LANDMARK[column]
 
-    return emit_split(function, "p", read, own, wanted)
+    return emit_split(function, "p", read, own.values(), wanted)
 
 
-STORED_STATE = "(parameter_of[i] < 0 ? STORED(i) : X(3 + parameter_of[i]))"
-_OF_LANDMARK = ("G(i, 0)", "G(i, 1)", "G(i, 2)", "OWN(i)", "BY_STORED(i)")
+_OF_LANDMARK = ("G(i, 0)", "G(i, 1)", "G(i, 2)", "OWN(i)")
 
 
 class _Writer:

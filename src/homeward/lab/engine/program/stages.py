@@ -228,24 +228,11 @@ def _update(kind: ExtendedKalmanFilter, variables: Variables) -> None:
         variables[name][:] = values
 
 
-@dataclass(frozen=True)
-class Separable:
-    """The same program as a filter and functions of one landmark, for loops over landmarks."""
-
-    kind: ExtendedKalmanFilter
-    world: ca.Function | None = None
-    """Moves the robot and measures one bearing; None where everything is recorded."""
-    score: ca.Function | None = None
-    """Error of the pose; None where nothing is scored."""
-
-
 @dataclass(frozen=True, eq=False)
 class Program:
     """Stages by the name of their part; all parts but `OBSERVE`, in order, make one advance."""
 
     parts: Mapping[str, tuple[Stage, ...]]
-    separable: Separable | None = None
-    """None where a landmark's row of the step depends on more than the robot and itself."""
 
     @cached_property
     def shapes(self) -> Shapes:
@@ -306,4 +293,4 @@ def filter_parts(
 @lru_cache(maxsize=64)
 def filter_program(kind: ExtendedKalmanFilter) -> Program:
     """Return a filter alone: predict, then update."""
-    return Program(filter_parts(kind), Separable(kind) if kind.separable else None)
+    return Program(filter_parts(kind))
