@@ -8,10 +8,11 @@ import os
 import time
 
 import numpy as np
+import shapely
 
 from benchmarks import monte_carlo
 from homeward.lab.planning.analysis import analyse
-from homeward.lab.planning.floor import candidate_places, make_floor
+from homeward.lab.planning.floor import make_floor
 from homeward.lab.planning.settings import HomePlace, Plan
 
 LANDMARKS = 30
@@ -24,7 +25,11 @@ def big_plan() -> Plan:
         shelves=tuple(((x, y), (x + 1.5, y), (x + 1.5, y + 0.5), (x, y + 0.5)) for x, y in corners),
         home=HomePlace(x=0.8, y=0.8),
     )
-    places = candidate_places(empty, make_floor(empty))
+    floor = make_floor(empty)
+    rings = [solid.exterior for solid in (floor.outline, *floor.shelves)]
+    spacing = sum(ring.length for ring in rings) / 120
+    along = [ring.interpolate(np.arange(0.5 * spacing, ring.length, spacing)) for ring in rings]
+    places = shapely.get_coordinates(np.concatenate(along))
     drawn = np.random.default_rng(0).choice(len(places), LANDMARKS, replace=False)
     marks = {f"L{k}": (float(x), float(y)) for k, (x, y) in enumerate(places[drawn])}
     return empty.model_copy(update={"landmarks": marks})
@@ -39,8 +44,7 @@ def main() -> None:
         walls.append(time.perf_counter() - wall)
         processors.append(time.process_time() - processor)
     print(
-        f"{view.position.size} places, {len(view.names)} landmarks, {len(plan.shelves)} shelves,"
-        f" {len(view.advice.candidates)} candidate places for {plan.further} more:"
+        f"{view.position.size} places, {len(view.names)} landmarks, {len(plan.shelves)} shelves:"
         f" {min(walls):.1f} s (goal 10), {min(processors):.1f} s of processor time on"
         f" {os.cpu_count()} cores"
     )

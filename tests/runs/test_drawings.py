@@ -147,7 +147,6 @@ def plan_view():
         "landmarks": marks,
         "home": {"x": 1.0, "y": 1.2, "heading": 0.4},
         "grid": 1.0,
-        "further": 1,
     }
     return analyse(Plan.model_validate(values))
 
@@ -173,7 +172,6 @@ def test_a_map_whose_width_is_rounded_down_has_a_scale():
         "landmarks": {"a": (120.0, 3.0), "b": (130.0, 30.0), "c": (150.0, 20.0)},
         "home": {"x": 140.0, "y": 10.0},
         "grid": 20.0,
-        "further": 0,
     }
     (bar,) = draw_begin(analyse(Plan.model_validate(values))).axes[0].artists
     assert bar.txt_label.get_text() == "50 m"
@@ -185,7 +183,6 @@ def test_a_floor_of_one_row_of_points_is_drawn():
         "landmarks": {"a": (10, 1), "b": (20, 0), "c": (0, 0.2), "d": (5, 0), "e": (3, 1)},
         "home": {"x": 0.5, "y": 0.5},
         "grid": 1.0,
-        "further": 0,
     }
     view = analyse(Plan.model_validate(values))
     limit, known = view.plan.limits.position, view.position[np.isfinite(view.position)]

@@ -13,8 +13,8 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.lab.bounds import posterior_bound
 from homeward.lab.planning.accuracy import Arcs, home_sees
-from homeward.lab.planning.analysis import analyse, best_places
-from homeward.lab.planning.floor import candidate_places, make_floor
+from homeward.lab.planning.analysis import analyse
+from homeward.lab.planning.floor import make_floor
 from homeward.lab.planning.settings import Plan, load_plan
 
 SQUARE = [(0, 0), (6, 0), (6, 6), (0, 6)]
@@ -29,7 +29,6 @@ def plan(**changes):
         "landmarks": marks,
         "home": {"x": 1.0, "y": 1.2, "heading": 0.4},
         "grid": 1.0,
-        "further": 0,
         "limits": {"position": 0.5, "heading": 0.2, "landmarks": 4},
     }
     return Plan.model_validate({**values, **changes})
@@ -99,7 +98,7 @@ def test_a_further_landmark_never_makes_it_worse(seed, narrow):
     sensor = {"field_of_view": 2.0} if narrow else {}
     p = plan(sensor=sensor, shelves=[SHELF])
     floor = make_floor(p)
-    marks = candidate_places(p, floor)[rng.choice(40, 7, replace=False)]
+    marks = rng.choice(floor.points, 7, replace=False) + rng.uniform(-0.2, 0.2, (7, 2))
     places = floor.points[::5]
     visible, stored = floor.sees(places, marks), home_sees(p, floor, marks)
     arcs = Arcs(p)
@@ -158,26 +157,6 @@ def test_shelves_and_walls_hide():
     assert {tuple(map(int, cell)) for cell in np.argwhere(~free)} == taken
 
 
-def test_the_first_place_is_the_best_one():
-    p = plan(further=1, candidates=[(0, 1), (0, 5), (3, 6), (6, 3), (5, 0)])
-    chosen, candidates = best_places(p, make_floor(p), Arcs(p), lambda done: None)
-    worst = {}
-    for c in map(tuple, candidates):
-        more = p.model_copy(update={"landmarks": {**p.landmarks, "new": c}})
-        view = analyse(more.model_copy(update={"further": 0}))
-        scores = np.column_stack([view.score, view.hidden]).max(axis=1)
-        worst[c] = np.minimum(scores, 3.0).mean()
-    assert tuple(chosen[0]) == min(worst, key=worst.get)
-
-
-def test_advice_never_makes_it_worse_and_never_beats_all_places():
-    view = analyse(plan(further=3, shelves=[SHELF], grid=0.5))
-    assert len(view.advice.places) == 3
-    assert np.all(np.diff(view.advice.share) >= 0)
-    assert np.all(np.diff(view.advice.safe) >= 0)
-    assert view.advice.safe[-1] <= view.advice.best_safe
-
-
 def test_threads_do_not_matter():
     first, again = (analyse(plan(grid=0.2, shelves=[SHELF])) for _ in range(2))
     np.testing.assert_array_equal(first.hidden, again.hidden)
@@ -185,7 +164,7 @@ def test_threads_do_not_matter():
 
 
 def test_a_plan_without_landmarks_tells_nothing():
-    view = analyse(plan(landmarks={}, further=2))
+    view = analyse(plan(landmarks={}))
     assert not view.begins.any()
     assert np.isinf(view.position).all()
     assert not view.safe.any()
@@ -205,7 +184,6 @@ def test_a_plan_without_landmarks_tells_nothing():
         ({"grid": 1e-300}, "grid"),
         ({"clearance": 3.5}, "free"),
         ({"shelves": [[(-1, -1), (7, -1), (7, 7), (-1, 7)]]}, "inside shelves.0"),
-        ({"candidates": [(9, 9)]}, "candidates.0"),
     ],
 )
 def test_degenerate_plans_are_refused(changes, word):

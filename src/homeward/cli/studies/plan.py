@@ -76,7 +76,7 @@ def plan(
     ] = None,
     json: AsJson = False,
 ) -> None:
-    """Map where homing can begin on a floor plan, its accuracy, and where to add landmarks.
+    """Map where homing can begin on a floor plan, and its accuracy.
 
     The folder gets plan.html, its maps as PNG and SVG, floor.csv with every point, and plan.yaml,
     the plan with all defaults. With --landmarks or --drive it gets observe.html, which lists the
@@ -166,18 +166,10 @@ def _facts(view: PlanView) -> dict[str, Any]:
             view.names, view.stored, (view.hidden <= 1).mean(axis=0), strict=True
         )
     ]
-    advice = view.advice
-    further = [
-        {"x": float(x), "y": float(y), "share": float(share), "safe_share": float(safe)}
-        for (x, y), share, safe in zip(
-            advice.places, advice.share[1:], advice.safe[1:], strict=True
-        )
-    ]
     return {
         "share": float(view.begins.mean()),
         "safe_share": float(view.safe.mean()),
         "landmarks": landmarks,
-        "further": further,
     }
 
 

@@ -1,1 +1,1 @@
-"""Planning of landmarks: where homing can begin, and which landmarks to add."""
+"""Planning of landmarks: where homing can begin."""

@@ -43,7 +43,7 @@ class Fix:
 
 @dataclass(frozen=True)
 class Information:
-    """Information from q landmarks at n places, in one direction, or in several: (H, n, ...)."""
+    """Information from q landmarks at n places, in one direction."""
 
     each: np.ndarray
     """(n, q, d (d + 1) / 2), upper triangles of information matrices of the unknowns."""
@@ -55,12 +55,12 @@ class Information:
     @cached_property
     def every(self) -> np.ndarray:
         """(n, d (d + 1) / 2), sum over all landmarks."""
-        return np.asarray(self.each.sum(axis=-2))
+        return np.asarray(self.each.sum(axis=1))
 
     @cached_property
     def count(self) -> np.ndarray:
         """(n,), number of landmarks in common with home."""
-        return np.asarray(self.common.sum(axis=-1))
+        return np.asarray(self.common.sum(axis=1))
 
 
 class Arcs:

@@ -1,18 +1,17 @@
-"""Analysis of a plan: accuracy map, value of each landmark, best places for more."""
+"""Analysis of a plan: accuracy map, and what hiding landmarks costs."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import cached_property
-from itertools import repeat
 
 import numpy as np
 
 from homeward.lab.planning.accuracy import Arcs, Information, home_sees
-from homeward.lab.planning.floor import Floor, candidate_places, check_place, make_floor
+from homeward.lab.planning.floor import Floor, check_place, make_floor
 from homeward.lab.planning.settings import Plan
 
 SLICE = 4000
@@ -132,78 +131,6 @@ def in_groups(
     return [np.concatenate(part) for part in zip(*found, strict=True)]
 
 
-CAP = 3.0
-DECIMALS = 9
-"""Precision of costs."""
-PLACES = 120
-"""Number of evenly chosen places of the floor for mean costs."""
-
-
-def best_places(
-    plan: Plan, floor: Floor, arcs: Arcs, on_progress: Progress
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the places (k, 2) for further landmarks by greedy search, and all candidates (c, 2).
-
-    The places [m] are in order of use; fewer than requested where no further one helps.
-    """
-    points = floor.points
-    places = points[np.unique(np.linspace(0, len(points) - 1, PLACES).astype(int))]
-    candidates = candidate_places(plan, floor) if plan.further else np.zeros((0, 2))
-    now, more = (_all_round(floor, arcs, marks, places) for marks in (plan.marks, candidates))
-    cost = _cost(arcs, now)
-    free, chosen = list(range(len(candidates))), list[int]()
-    with ThreadPoolExecutor(os.cpu_count()) as pool:
-        while free and len(chosen) < plan.further:
-            on_progress(len(chosen) / plan.further)
-            costs = list(pool.map(_cost_with, repeat(arcs), repeat(now), repeat(more), free))
-            k = min(range(len(free)), key=costs.__getitem__)
-            if not costs[k] < cost:
-                break
-            cost = costs[k]
-            chosen.append(free.pop(k))
-            now = _with(now, more, chosen[-1])
-    return candidates[chosen], candidates
-
-
-def _all_round(floor: Floor, arcs: Arcs, marks: np.ndarray, places: np.ndarray) -> Information:
-    """Return the information from landmarks at m places, in all H directions."""
-    visible, stored = floor.sees(places, marks), home_sees(arcs.plan, floor, marks)
-    parts = [arcs.information(places, marks, visible, stored, h) for h in range(len(arcs.headings))]
-    return Information(
-        *(np.array([getattr(t, f.name) for t in parts]) for f in fields(Information))
-    )
-
-
-def _with(now: Information, more: Information, c: int) -> Information:
-    """Return the information `now` with that of landmark `c` of `more` added."""
-    pairs = ((getattr(now, f.name), getattr(more, f.name)) for f in fields(Information))
-    return Information(*(np.concatenate([a, b[:, :, c : c + 1]], axis=2) for a, b in pairs))
-
-
-def _cost_with(arcs: Arcs, now: Information, more: Information, c: int) -> tuple[float, float]:
-    return _cost(arcs, _with(now, more, c))
-
-
-def _cost(arcs: Arcs, state: Information) -> tuple[float, float]:
-    """Return the mean score over places with the worst landmark hidden, and with none."""
-    every, count = state.every, state.count
-    H, m, q = state.seen.shape
-    none = _score(arcs, every.reshape(H * m, -1), count.reshape(-1)).reshape(H, m)
-    hidden = np.repeat(none[:, :, None], q + 1, axis=2)
-    h, place, mark = np.nonzero(state.seen)
-    left = every[h, place] - state.each[h, place, mark]
-    hidden[h, place, mark] = _score(arcs, left, count[h, place] - state.common[h, place, mark])
-    # The best direction counts, and the worst landmark is hidden.
-    costs = hidden.min(axis=0).max(axis=1).mean(), none.min(axis=0).mean()
-    return round(float(costs[0]), DECIMALS), round(float(costs[1]), DECIMALS)
-
-
-def _score(arcs: Arcs, information: np.ndarray, count: np.ndarray) -> np.ndarray:
-    """Return scores, at most `CAP`, plus the number of missing landmarks."""
-    score = np.minimum(arcs.score(arcs.fix(information), count), CAP)
-    return np.asarray(score + np.maximum(arcs.plan.limits.landmarks - count, 0))
-
-
 CHUNK = 500
 """Number of places in a group."""
 SAMPLE = 1500
@@ -211,22 +138,6 @@ SAMPLE = 1500
 PAIR_WORK = 2_000_000
 """Maximum number of hidden pairs at all places; `MIN_SAMPLE` places are used in any case."""
 MIN_SAMPLE = 100
-
-
-@dataclass(frozen=True)
-class Advice:
-    """Places for k further landmarks, in order of use; shares are of the sample."""
-
-    places: np.ndarray
-    """(k, 2) [m]"""
-    candidates: np.ndarray
-    """(c, 2), candidates [m]."""
-    share: np.ndarray
-    """(k + 1,), share of the floor where homing can begin, after 0, 1, 2 ... of them."""
-    safe: np.ndarray
-    """(k + 1,), the same share with any one landmark hidden."""
-    best_safe: float
-    """`safe` with all candidates at once: an upper limit for any choice among them."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +173,6 @@ class PlanView:
     """(q, q), share of the sample where homing can begin with both hidden (diagonal: one)."""
     pair_safe: np.ndarray
     """(m,), bool: homing can begin there with any two landmarks hidden."""
-    advice: Advice
 
     @property
     def begins(self) -> np.ndarray:
@@ -282,7 +192,7 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
     floor, arcs = make_floor(plan), Arcs(plan)
     places, marks = floor.points, plan.marks
     position, heading, common, score, hidden = in_groups(
-        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: on_progress(0.1 + 0.4 * f)
+        Places.singles, CHUNK, arcs, floor, places, marks, lambda f: on_progress(0.1 + 0.6 * f)
     )
     rows = _sample(arcs, common)
     moved, begins, safe = in_groups(
@@ -292,12 +202,11 @@ def analyse(plan: Plan, progress: Progress | None = None) -> PlanView:
         floor,
         places[rows],
         marks,
-        lambda f: on_progress(0.5 + 0.2 * f),
+        lambda f: on_progress(0.7 + 0.3 * f),
     )
-    advice = _advise(plan, floor, arcs, rows, lambda f: on_progress(0.7 + 0.3 * f))
     known = plan, floor, tuple(plan.landmarks), marks, home_sees(plan, floor, marks)
     best = position, heading, common, score, hidden
-    return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe, advice)
+    return PlanView(*known, *best, rows, moved, begins.mean(axis=0), safe)
 
 
 @dataclass(frozen=True)
@@ -337,27 +246,6 @@ def analyse_start(plan: Plan, place: tuple[float, float]) -> StartView:
     position, heading, common, score, hidden = (values[0] for values in places.singles())
     figures = float(position), float(heading), int(common), float(score)
     return StartView(plan, place, *figures, hidden)
-
-
-def _advise(
-    plan: Plan, floor: Floor, arcs: Arcs, rows: np.ndarray, on_progress: Progress
-) -> Advice:
-    """Choose places for further landmarks, and return their effect at sampled places."""
-    chosen, candidates = best_places(plan, floor, arcs, on_progress)
-    sets = [np.vstack([plan.marks, chosen[:k]]) for k in range(len(chosen) + 1)]
-    if len(chosen):
-        sets.append(np.vstack([plan.marks, candidates]))
-    figures = []
-    for together in sets:
-        sampled, quiet = floor.points[rows], lambda f: None
-        *_, score, hidden = in_groups(
-            Places.singles, CHUNK // 5, arcs, floor, sampled, together, quiet
-        )
-        worst = np.column_stack([score, hidden]).max(axis=1)
-        figures.append(((score <= 1).mean(), (worst <= 1).mean()))
-    share, safe = np.array(figures).T
-    n = len(chosen) + 1
-    return Advice(chosen, candidates, share[:n], safe[:n], float(safe[-1]))
 
 
 def _sample(arcs: Arcs, common: np.ndarray) -> np.ndarray:

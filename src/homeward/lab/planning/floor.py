@@ -16,9 +16,6 @@ EDGE = 1e-3
 """Shelves count as smaller by this for lines of sight [m], and the outline as larger, so that none
 hides landmarks on its own face."""
 MAX_CELLS = 200_000
-MAX_CANDIDATES = 120
-SPACING = 0.5
-"""Minimum distance between candidate places for landmarks along walls and shelves [m]."""
 
 
 @dataclass(frozen=True)
@@ -71,8 +68,6 @@ def make_floor(plan: Plan) -> Floor:
     shapely.prepare(sight)
     for name, place in plan.landmarks.items():
         _on_floor(f"landmarks.{name}", place, outline, shelves, sight)
-    for i, place in enumerate(plan.candidates):
-        _on_floor(f"candidates.{i}", place, outline, shelves, sight)
     _on_floor("home", (plan.home.x, plan.home.y), outline, shelves, sight, inside=False)
     free = shapely.difference(outline, shapely.union_all(list(shelves)))
     free = free.buffer(-plan.clearance) if plan.clearance else free
@@ -85,23 +80,6 @@ def make_floor(plan: Plan) -> Floor:
     if not inside.any():
         raise InputError("no point of the grid is free; check grid, clearance, outline and shelves")
     return Floor(outline, shelves, sight, x, y, np.asarray(inside))
-
-
-def candidate_places(plan: Plan, floor: Floor) -> np.ndarray:
-    """Return candidate places (k, 2) for further landmarks [m]: the plan's, or along all walls.
-
-    The latter are evenly spaced along walls and shelves, visible, and at most `MAX_CANDIDATES`.
-    """
-    if plan.candidates:
-        return np.array(plan.candidates, float)
-    rings = [floor.outline.exterior, *(s.exterior for s in floor.shelves)]
-    spacing = max(SPACING, sum(r.length for r in rings) / MAX_CANDIDATES)
-    places = [
-        shapely.get_coordinates(r.interpolate(np.arange(0.5 * spacing, r.length, spacing)))
-        for r in rings
-    ]
-    every = np.vstack(places)
-    return np.asarray(every[shapely.covers(floor.sight, shapely.points(every))][:MAX_CANDIDATES])
 
 
 def check_place(key: str, place: tuple[float, float], floor: Floor) -> None:

@@ -97,10 +97,6 @@ class Plan(Strict):
     """Minimum distance of the robot's centre from walls and shelves [m]."""
     grid: Positive = 0.1
     """Spacing of the points of the map [m]."""
-    further: Annotated[int, Field(ge=0, le=10)] = 2
-    """Number of further landmarks to place ..."""
-    candidates: tuple[Point, ...] = ()
-    """... at some of these positions [m]; empty: along all walls and shelves."""
 
     @property
     def marks(self) -> np.ndarray:

@@ -31,7 +31,7 @@ from homeward.runs.report.canvas import (
     uncrowd,
 )
 from homeward.runs.report.files import number
-from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, SKY, VERMILLION
+from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, SKY, VERMILLION
 from homeward.runs.report.template import render
 
 NOWHERE = "#d5d9dd"
@@ -49,7 +49,7 @@ MULTIPLES = 6
 
 
 def draw_begin(view: PlanView) -> Figure:
-    """Draw where homing can begin, and the best places for further landmarks."""
+    """Draw where homing can begin."""
     classes = np.isfinite(view.score).astype(int) + view.begins + view.safe
     with style():
         figure = new_figure(_height(view) + 0.9)
@@ -57,7 +57,6 @@ def draw_begin(view: PlanView) -> Figure:
         colours = ListedColormap([colour for colour, _ in CLASSES])
         _image(axes, view, classes, cmap=colours, vmin=-0.5, vmax=3.5)
         _draw_place(axes, view)
-        _draw_advice(axes, view)
         _draw_scale(axes, view)
         entries: list[Any] = [Patch(color=colour, label=label) for colour, label in CLASSES]
         legend_below(figure, [*entries, *_marks(view)], 3)
@@ -192,13 +191,6 @@ def _label(axes: Axes, view: PlanView, text: str, place: np.ndarray) -> None:
     name_mark(axes, text, place, offset, ha="right" if left else "left", zorder=7)
 
 
-def _draw_advice(axes: Axes, view: PlanView) -> None:
-    white: dict[str, Any] = {"color": "white", "fontsize": 8, "fontweight": "bold", "zorder": 10}
-    for k, (x, y) in enumerate(view.advice.places, start=1):
-        axes.plot(x, y, "o", ms=13, color=GREEN, mec="white", zorder=9, clip_on=False)
-        axes.annotate(str(k), (x, y), ha="center", va="center", **white)
-
-
 def _marks(view: PlanView) -> list[Line2D]:
     """Return the legend entries of marks."""
     plain: dict[str, Any] = {"ls": "none", "color": INK}
@@ -208,9 +200,6 @@ def _marks(view: PlanView) -> list[Line2D]:
     if not view.stored.all():
         label = "landmark not visible from home"
         marks.append(Line2D([], [], marker="*", ms=10, mfc="white", label=label, **plain))
-    if len(view.advice.places):
-        label = "best places for more, in order"
-        marks.append(Line2D([], [], marker="o", ms=10, color=GREEN, ls="none", label=label))
     return marks
 
 
@@ -219,17 +208,17 @@ RIGID = 3
 
 
 def plan_summary(view: PlanView) -> str:
-    """Return in sentences where homing can begin, the worst case, and what to add."""
+    """Return in sentences where homing can begin, and the worst case."""
     trouble = _trouble(view)
     if trouble:
-        return " ".join([trouble, *_advice(view)])
+        return trouble
     limits = view.plan.limits
     begin = (
         f"Homing can begin on {words.percent(float(view.begins.mean()))} of the floor: with at"
         f" least {words.count(limits.landmarks, 'landmark')} in common with home, and errors below"
         f" {words.quantity(limits.position, 'm')} and {words.degrees(limits.heading)}."
     )
-    return " ".join([begin, *_worst(view), *_advice(view)])
+    return " ".join([begin, *_worst(view)])
 
 
 def start_summary(view: StartView) -> str:
@@ -313,23 +302,6 @@ def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
     pairs = [(i, j, float(view.pair_share[i, j])) for i in range(q) for j in range(i)]
     whole = float(view.begins[view.sample].mean())
     return sorted((p for p in pairs if p[2] < whole), key=lambda p: p[2])[:most]
-
-
-def _advice(view: PlanView) -> list[str]:
-    """Return the best places for further landmarks."""
-    advice = view.advice
-    if not len(advice.places):
-        searched = view.plan.further and len(advice.candidates)
-        return ["No further landmark at a candidate place would help."] if searched else []
-    places = [f"({x:.1f}, {y:.1f})" for x, y in advice.places]
-    what = "a further landmark" if len(places) == 1 else f"{len(places)} further landmarks"
-    where = words.listing(places)
-    return [
-        f"Best {'place' if len(places) == 1 else 'places'} for {what}: {where}. Homing could then"
-        f" begin on {words.percent(float(advice.share[-1]))} of the floor, and on"
-        f" {words.percent(float(advice.safe[-1]))} with any one hidden (now"
-        f" {words.percent(float(advice.share[0]))} and {words.percent(float(advice.safe[0]))})."
-    ]
 
 
 SETTINGS_FILE = "plan.yaml"
