@@ -131,7 +131,7 @@ def studio(scratch, *words, **options):
             address = process.stdout.readline().split()[-1]
             page = Page(scratch, address, **options)
             try:
-                page.until("window.studio && (studio.frame || studio.scene?.visits)")
+                page.until("window.studio && studio.frame")
                 yield page
                 assert page.errors == []
                 wide = page.find("[document.documentElement.scrollWidth, innerWidth]")

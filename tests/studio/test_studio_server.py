@@ -135,7 +135,7 @@ def test_the_page_s_files_are_there_and_no_others():
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["nowhere"], "nowhere"),
+        (["sample"], "not a scene; use warehouse, paper-homing, circle or a scenario.yaml"),
         (["nowhere.yaml"], "neither a file nor one of the presets"),
         (["--estimator", "nobody"], "no estimator 'nobody'"),
         (["--port", "1"], "cannot listen at port 1"),

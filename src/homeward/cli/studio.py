@@ -7,16 +7,16 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Topics, read_drive, say
+from homeward.cli.options import say
+from homeward.errors import InputError
 
 
 def studio(
     source: Annotated[
         str,
         typer.Argument(
-            metavar="[SCENE|DRIVE|PLACE]",
-            help="A simulated scene (warehouse, paper-homing, circle, a scenario.yaml); a drive "
-            "(sample, a drive folder, a ROS bag or MCAP file); or a place.",
+            metavar="[SCENE]",
+            help="A simulated scene: warehouse, paper-homing, circle, or a scenario.yaml.",
         ),
     ] = "warehouse",
     estimator: Annotated[
@@ -29,48 +29,34 @@ def studio(
     browser: Annotated[
         bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")
     ] = True,
-    topics: Topics = None,
 ) -> None:
     """Open an interactive page: move landmarks, home and the robot, and compare estimators live.
 
-    For a drive: scrub through it, and run it with other camera extrinsics, lag or noise. For a
-    place: scrub through its visits. Only this machine can connect, with the token in the printed
-    address. Stop with Ctrl-C. Needs the extra live. See docs/do/studio.md.
+    Only this machine can connect, with the token in the printed address. Stop with Ctrl-C. Needs
+    the extra live. See docs/do/studio.md.
     """
     import webbrowser
     from pathlib import Path
 
-    from homeward.drives.folder import SETTINGS, is_drive_folder, read_drive_settings
-    from homeward.drives.opening import SAMPLE, located
-    from homeward.drives.ros.info import log_info
-    from homeward.drives.ros.log import is_log
     from homeward.lab.simulation.simulate import PRESETS
-    from homeward.places.files import is_place, load_place
     from homeward.registry import settings_model
-    from homeward.studio.replay import Replay
     from homeward.studio.scenes import open_scene
-    from homeward.studio.server import Played, Studio
+    from homeward.studio.server import Studio
     from homeward.studio.session import Session
-    from homeward.studio.visited import Visited
 
     names = tuple(word.strip() for word in estimator.split(",") if word.strip())
     for name in names:
         settings_model(name)  # an unknown name is an error before anything is opened
-    shown: Played
-    if source in PRESETS or (source != SAMPLE and Path(source).suffix in (".yaml", ".yml")):
-        shown = Session(open_scene(source), names)
-    elif is_place(Path(source)):
-        shown = Visited(load_place(source))
-    else:
-        drive = read_drive(source, topics)
-        path = located(source)
-        plan = log_info(path, topics).plan if is_log(path) else None
-        given = read_drive_settings(path / SETTINGS) if is_drive_folder(path) else None
-        shown = Replay(drive, names, plan, given if plan is None else plan.drive)
+    if source not in PRESETS and Path(source).suffix not in (".yaml", ".yml"):
+        raise InputError(
+            f"{source}: not a scene; use {', '.join(PRESETS)} or a scenario.yaml (for a drive"
+            " `homeward run`, for a place `homeward place view`)"
+        )
+    session = Session(open_scene(source), names)
 
     def opened(address: str) -> None:
         say(f"The studio is at {address}")
         if browser:
             webbrowser.open(address)
 
-    asyncio.run(Studio(shown).serve(port, opened))
+    asyncio.run(Studio(session).serve(port, opened))

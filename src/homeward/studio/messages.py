@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from homeward.drives.settings import Delay
 from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.io.validation_messages import parsed
@@ -115,27 +114,12 @@ class Open(Strict):
 
 
 class Plain(Strict):
-    """Restart, undo, show worlds with equal bearings, or save."""
+    """Restart, undo, or save."""
 
-    do: Literal["again", "undo", "worlds", "save"]
-
-
-class Adjust(Strict):
-    """Run an opened drive with other settings."""
-
-    do: Literal["adjust"]
-    x: Bounded = 0.0
-    y: Bounded = 0.0
-    yaw: Bounded = 0.0
-    bearings_late: Delay = 0.0
-    bearing_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
-    moved: tuple[str, ...] = ()
-    stroke: int = 0
+    do: Literal["again", "undo", "save"]
 
 
-Request = (
-    Hello | Move | Add | Remove | Set | Steer | Keys | Estimators | Pace | Open | Plain | Adjust
-)
+Request = Hello | Move | Add | Remove | Set | Steer | Keys | Estimators | Pace | Open | Plain
 _REQUEST = Annotated[Request, Field(discriminator="do")]
 
 

@@ -33,8 +33,9 @@ class Rival:
         self.name = name
         self.estimate = Estimate(0.0, Status.WAITING, "no sightings yet")
         self.failure: str | None = None
-        self.update_s = 0.0
-        """Wall time of the last update [s]."""
+        self.update_s = math.nan
+        """Wall time of the last update [s]; NaN until the second: the first one prepares."""
+        self._updates = 0
         self._landmarks_t = -math.inf
         self._marks: dict[str, tuple[float, float]] = {}
         self._moved: dict[str, float] = {}
@@ -57,7 +58,9 @@ class Rival:
                 return
             began = time.perf_counter()
             self.estimate = self._estimator.bearings(t, seen)
-            self.update_s = time.perf_counter() - began
+            if self._updates:
+                self.update_s = time.perf_counter() - began
+            self._updates += 1
             if t - self._landmarks_t >= LANDMARKS_S:
                 self._landmarks_t = t
                 self._update_landmarks()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -12,11 +12,8 @@ from homeward.control.laws import LAWS
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
-from homeward.lab.observability.scene import Scene
-from homeward.lab.observability.study import observe_scene, trace_family
-from homeward.lab.simulation.live_robot import LiveRobot
 from homeward.lab.simulation.scenario import Homing, Listed, Moved, Repeat, RoomPose, Scenario
-from homeward.lab.simulation.simulate import read_scenario
+from homeward.lab.simulation.simulate import PRESETS, read_scenario
 from homeward.lab.simulation.world import World, build_world
 from homeward.studio.messages import MAX_NUMBER
 
@@ -27,8 +24,14 @@ MIN_NUMBER = 1e-9
 
 
 def open_scene(source: str) -> Scenario:
-    """Return a scene by the name of a preset or from a YAML file; errors as `as_scene`."""
-    return as_scene(read_scenario(source))
+    """Return a scene by the name of a preset, with nothing moved, or from a YAML file.
+
+    Errors as `as_scene`.
+    """
+    scenario = read_scenario(source)
+    if source in PRESETS:
+        scenario = scenario.model_copy(update={"moved": Moved()})
+    return as_scene(scenario)
 
 
 def as_scene(scenario: Scenario) -> Scenario:
@@ -113,62 +116,3 @@ def extent(scenario: Scenario) -> tuple[float, float, float, float]:
     half = max(half, 1.0)
     x, y = (math.floor(10 * float(v)) / 10 for v in middle)
     return x - half, y - half, x + half, y + half
-
-
-MAX_POSES = 40
-"""Number of views for the null space; more do not change it."""
-MAX_KEPT = 10 * MAX_POSES
-
-
-class Views:
-    """A few hundred evenly spaced views of a drive of any length."""
-
-    def __init__(self) -> None:
-        self.kept: list[tuple[Pose, frozenset[str]]] = []
-        """True poses of the robot in the home frame, and the ids seen from each."""
-        self._count, self._every = 0, 1
-
-    def add(self, pose: Pose, seen: frozenset[str]) -> None:
-        """Add the next view."""
-        if self._count % self._every == 0:
-            self.kept.append((pose, seen))
-        self._count += 1
-        if len(self.kept) > MAX_KEPT:
-            self.kept, self._every = self.kept[::2], 2 * self._every
-
-
-def worlds_alike(robot: LiveRobot, views: Sequence[tuple[Pose, frozenset[str]]]) -> dict[str, Any]:
-    """Return homes and landmarks of other worlds with equal bearings, and descriptions.
-
-    `views` are true poses of the robot in the home frame, and the ids seen from each. `InputError`
-    where there are no sightings yet.
-    """
-    world, few = robot.world, views[:: max(1, len(views) // MAX_POSES)]
-    seen = [i for i in world.ids if any(i in ids for _, ids in few)]
-    if not seen:
-        raise InputError("no sightings yet; drive first")
-    settings = robot.drive.settings
-    poses = [compose(pose, settings.sensor.pose) for pose, _ in few]
-    scene = Scene(
-        names=tuple(seen),
-        home=np.array(settings.home_mount.pose, float),
-        landmarks=world.in_home_frame[[world.ids.index(i) for i in seen]],
-        poses=np.array(poses, float),
-        visible=np.array([[i in ids for i in seen] for _, ids in few]),
-        stored=np.array([i in robot.drive.home and i not in world.moved for i in seen]),
-    )
-    view = observe_scene("", scene)
-    curves = trace_family(scene)
-
-    def placed(points: np.ndarray) -> list[list[float]]:
-        x, y, _ = compose(world.home, Pose(points[:, 0], points[:, 1], 0.0))
-        return [[float(a), float(b)] for a, b in zip(x, y, strict=True)]
-
-    words = [freedom.words for freedom in view.freedoms]
-    return {
-        "words": words or ["Nothing: home and all landmarks in view are observable."],
-        "homes": [placed(curve.homes) for curve in curves],
-        "landmarks": [
-            [placed(m) for m in curve.landmarks(len(seen)).transpose(1, 0, 2)] for curve in curves
-        ],
-    }

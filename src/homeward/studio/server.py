@@ -18,11 +18,12 @@ from collections import deque
 from collections.abc import Callable
 from http import HTTPStatus
 from importlib import resources
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from homeward.errors import InputError
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.studio.messages import MAX_MESSAGE, Hello, Pace, Request, parse
+from homeward.studio.session import Session
 
 TICK_S = 1 / 40
 """Minimum interval of pictures [s]; the page interpolates."""
@@ -37,30 +38,6 @@ KINDS = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
 POLICY = "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; " + (
     "connect-src 'self' ws:; img-src 'self' blob: data:; base-uri 'none'; form-action 'none'"
 )
-
-
-class Played(Protocol):
-    """A scene, a recorded drive or a place in the studio."""
-
-    @property
-    def version(self) -> int:
-        """Number of changes of `scene`."""
-
-    @property
-    def now_s(self) -> float:
-        """Its own time [s]; infinite where nothing can be played."""
-
-    def step(self) -> None:
-        """Advance by one step."""
-
-    def do(self, request: Request) -> dict[str, Any] | None:
-        """Execute a request of the page; return an answer, if there is one."""
-
-    def scene(self) -> dict[str, Any]:
-        """Return the static part of the drawing."""
-
-    def picture(self) -> dict[str, Any] | None:
-        """Return the part that changes with every step; None without changes."""
 
 
 class Line(NamedTuple):
@@ -99,7 +76,7 @@ class Page:
 class Studio:
     """Serves one session to pages of this machine with the token."""
 
-    def __init__(self, session: Played) -> None:
+    def __init__(self, session: Session) -> None:
         self._session, self.token = session, secrets.token_urlsafe(16)
         self._pages: set[Page] = set()
         self._requests: deque[tuple[Request, Page]] = deque(maxlen=MAX_WAITING)
@@ -149,9 +126,7 @@ class Studio:
             if not hmac.compare_digest(token, self.token.encode()):
                 raise InputError("wrong token: open the address that homeward studio printed")
             page.queue(_line(self._session.scene()))
-            picture = self._session.picture()
-            if picture is not None:
-                page.queue(_line(picture))
+            page.queue(_line(self._session.picture()))
             self._pages.add(page)
             async for line in socket:
                 try:
@@ -207,10 +182,9 @@ class Studio:
         if session.version != version:
             messages.insert(0, (_line(session.scene()), None))
             stepped = True
-        if stepped and (picture := session.picture()) is not None:
-            messages.append((_line(picture), None))
-        left = behind - (session.now_s - began) if math.isfinite(began) else 0.0
-        return messages, max(left, -TICK_S * 8)
+        if stepped:
+            messages.append((_line(session.picture()), None))
+        return messages, max(behind - (session.now_s - began), -TICK_S * 8)
 
 
 def _line(message: dict[str, Any]) -> Line:

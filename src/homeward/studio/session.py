@@ -131,7 +131,6 @@ class Session:
         self._rivals = [Rival(name, robot.drive) for name in self._names]
         self._best, self._noises = Best(robot, scenario), 0
         self._now, self._seen = (0.0, robot.pose), dict[str, float]()
-        self._views = scenes.Views()
         self._text = ""
         self._begun, self.version = self._begun + 1, self.version + 1
 
@@ -152,7 +151,6 @@ class Session:
                 rival.score(pose)
         if sensed.seen is not None:
             self._seen = dict(sensed.seen)
-            self._views.add(pose, frozenset(sensed.seen))
             self._best.see(sensed.t, pose, set(sensed.seen))
 
     def do(self, request: msg.Request) -> dict[str, Any] | None:
@@ -185,12 +183,8 @@ class Session:
             case msg.Plain(do="undo"):
                 self._undo.back()
                 self._text, self.version = "Undone.", self.version + 1
-            case msg.Plain(do="worlds"):
-                return {"type": "worlds", **scenes.worlds_alike(self._robot, self._views.kept)}
             case msg.Plain(do="save"):
                 return {"type": "file", "name": "scenario.yaml", "text": scenario_yaml(self.now())}
-            case _:
-                raise InputError("not possible for a scene; open a recorded drive")
         return None
 
     def now(self) -> Scenario:
@@ -222,7 +216,6 @@ class Session:
         was = world.places[world.ids.index(name)]
         self._robot.move_landmark(name, x - was[0], y - was[1])
         self._best.move(name)
-        self._views = scenes.Views()  # earlier views are of another world
         self.version += 1
 
     def _move_robot(self, request: msg.Move) -> None:
@@ -243,7 +236,6 @@ class Session:
             raise
         self._now = self._robot.t, pose
         self._best.carry()
-        self._views = scenes.Views()
 
     def _move_home(self, request: msg.Move) -> None:
         heading = self._scenario.home.heading if request.heading is None else request.heading
@@ -309,7 +301,6 @@ class Session:
         world, scenario = self._robot.world, self._scenario
         return {
             "type": "scene",
-            "mode": "scene",
             "begun": self._begun,
             "extent": self._extent,
             "room": None if scenario.room is None else scenario.room.model_dump(),

@@ -10,7 +10,7 @@ let strokes = Date.now() % 1e6; // moves of one stroke are undone together
  * Unless it `turns` it is drawn upright; `held` is true while it is dragged.
  */
 export function handle(view, label, moved, shape, turns = true) {
-  const g = make("g", {class: "handle"}, view.layers.handles);
+  const g = make("g", {class: "handle", role: "button", tabindex: 0, "aria-label": `${label}, to drag or to move with arrow keys`}, view.layers.handles);
   shape(g);
   make("circle", {r: 16, class: "touch"}, g);
   const thing = {g, x: 0, y: 0, heading: 0, held: false, label};
@@ -18,14 +18,6 @@ export function handle(view, label, moved, shape, turns = true) {
     if (x === thing.x && y === thing.y && heading === thing.heading && thing.scale === view.scale) return;
     Object.assign(thing, {x, y, heading, scale: view.scale});
     view.place(g, x, y, turns ? heading : 0);
-  };
-  /** Disable or enable moving. */
-  thing.fix = (fixed) => {
-    thing.fixed = fixed;
-    g.setAttribute("role", fixed ? "img" : "button");
-    g.setAttribute("aria-label", fixed ? label : `${label}, to drag or to move with arrow keys`);
-    if (fixed) g.removeAttribute("tabindex");
-    else g.setAttribute("tabindex", 0);
   };
   thing.replace = () => { thing.scale = 0; thing.place(thing.x, thing.y, thing.heading); };
   const go = (x, y, done) => {
@@ -54,13 +46,12 @@ export function handle(view, label, moved, shape, turns = true) {
   g.addEventListener("pointercancel", end);
   g.addEventListener("keydown", (e) => {
     const step = ARROWS[e.key];
-    if (!step || thing.fixed) return;
+    if (!step) return;
     e.preventDefault();
     e.stopPropagation();
     if (!e.repeat) strokes += 1;
     const by = e.shiftKey ? FAR_M : STEP_M;
     go(thing.x + by * step[0], thing.y + by * step[1], true);
   });
-  thing.fix(false);
   return thing;
 }

@@ -1,20 +1,16 @@
 // The page: a socket to the session, a picture that is drawn with every frame of the screen, and the panel.
 import * as keys from "./keys.js";
 import {Panel} from "./panel.js";
-import {Replay} from "./replay.js";
 import {download, film, fromFragment, png, svgText, toFragment} from "./sharing.js";
 import {View} from "./view.js";
-import {Visits} from "./visits.js";
 import {Watchers} from "./watchers.js";
 import {World} from "./world.js";
 
-const LEAP = 10; // rows of a drive for one press of an arrow key
 const $ = (id) => document.getElementById(id);
 const svg = $("picture"), text = $("text");
 const socket = new WebSocket(`ws://${location.host}/`);
 const send = (message) => { if (socket.readyState === WebSocket.OPEN) socket.send(JSON.stringify(message)); };
 const view = new View(svg), world = new World(view, send), watchers = new Watchers(view), panel = new Panel(send);
-const replay = new Replay(view, send), visits = new Visits(world);
 let scene = null, before = null, after = null, arrived = 0, interval = 50, playing = true, wrong = 0, drawn = 0;
 
 function display(words, error = false) {
@@ -26,23 +22,11 @@ function display(words, error = false) {
 
 const handlers = {
   scene(state) {
-    if (scene && state.begun !== scene.begun) { watchers.clear(); view.layers.alike.replaceChildren(); before = after = null; }
+    if (scene && state.begun !== scene.begun) { watchers.clear(); before = after = null; }
     scene = state;
-    document.body.dataset.mode = state.mode;
-    if (state.mode === "place") {
-      toggle();
-      visits.take(state);
-      display(visits.draw());
-      return;
-    }
     world.show(state);
     watchers.show(state);
-    if (state.mode === "scene") panel.show(state);
-    else {
-      if (!replay.sliders) toggle();
-      panel.choices(state);
-      replay.show(state);
-    }
+    panel.show(state);
   },
   frame(state) {
     const now = performance.now();
@@ -54,30 +38,9 @@ const handlers = {
     panel.update(state);
     display(state.text || "Drag a landmark during the drive: robust reports it as moved after some sightings.");
   },
-  run(state) {
-    replay.take(state);
-    moment();
-  },
-  worlds(state) {
-    watchers.alike(state);
-    $("free").replaceChildren(...state.words.map((words) => Object.assign(document.createElement("li"), {textContent: words})));
-  },
   file(state) { download(state.name, new Blob([state.text], {type: "text/plain"})); },
   error(state) { display(state.text, true); },
 };
-
-/** Show the selected time of a recorded drive, or visit of a place. */
-function moment() {
-  if (scene?.mode === "place") { display(visits.draw()); return; }
-  const frame = replay.frame();
-  if (!frame) return;
-  before = after = frame;
-  watchers.take(frame);
-  panel.update(frame);
-  $("moment").setAttribute("aria-valuetext", `${frame.t.toFixed(0)} s`);
-  world.name(new Set(Object.values(frame.rivals).flatMap((state) => Object.keys(state.moved ?? {}))));
-  display(frame.text);
-}
 
 socket.addEventListener("open", () => {
   send({do: "hello", token: new URLSearchParams(location.search).get("token") ?? ""});
@@ -102,14 +65,12 @@ const pace = () => send({do: "pace", pace: playing ? Number($("pace").value) : 0
 function toggle() {
   playing = !playing;
   $("play").textContent = playing ? "Pause" : "Play";
-  (scene?.mode === "place" ? visits : replay).play(playing);
   pace();
 }
 $("play").addEventListener("click", toggle);
 $("pace").addEventListener("change", (e) => { pace(); e.target.blur(); });
 $("again").addEventListener("click", () => send({do: "again"}));
 $("undo").addEventListener("click", () => send({do: "undo"}));
-$("worlds").addEventListener("click", () => send({do: "worlds"}));
 $("save").addEventListener("click", () => send({do: "save"}));
 $("svg").addEventListener("click", () => download("studio.svg", new Blob([svgText(svg)], {type: "image/svg+xml"})));
 $("png").addEventListener("click", async () => download("studio.png", await png(svg)));
@@ -120,21 +81,13 @@ $("link").addEventListener("click", async () => {
   await navigator.clipboard?.writeText(there).catch(() => {});
   display("The link is in the address of this page and, without your token, in the clipboard.");
 });
-replay.chosen = moment;
-replay.busy = display;
-visits.chosen = moment;
 svg.addEventListener("dblclick", (e) => {
-  if (e.target.closest(".handle") || scene?.mode !== "scene") return;
+  if (e.target.closest(".handle") || !scene) return;
   const [x, y] = view.metres(e);
   send({do: "add", x, y});
 });
 keys.listen((v, omega) => {
-  if (scene?.mode !== "scene") {
-    $("moment").value = Number($("moment").value) + (scene.mode === "place" ? 1 : LEAP) * Math.sign(v - omega);
-    moment();
-    return;
-  }
-  if (scene.steer.by !== "keys") {
+  if (scene && scene.steer.by !== "keys") {
     $("by").value = "keys";
     $("by").dispatchEvent(new Event("change"));
   }

@@ -20,10 +20,10 @@ function element(name, more, ...children) {
   return made;
 }
 
-/** Sliders for `list`; `set(key, value, stroke)` is called with every change. Returns objects that show values. */
-export function sliders(host, list, set) {
+/** The sliders; `set(key, value, stroke)` is called with every change. Returns objects that show values. */
+function sliders(host, set) {
   let stroke = 0;
-  const shown = list.map(([key, label, min, max, step, unit, factor]) => {
+  return SLIDERS.map(([key, label, min, max, step, unit, factor]) => {
     const input = element("input", {type: "range", min, max, step, id: `set-${key}`});
     const output = element("output", {}), state = () => { output.textContent = Number(input.value).toFixed(step < 1 ? (step < 0.1 ? 2 : 1) : 0) + unit; };
     input.setAttribute("aria-label", label);
@@ -32,14 +32,13 @@ export function sliders(host, list, set) {
     host.append(element("div", {className: "slider"}, element("label", {htmlFor: input.id, textContent: label}), input, output));
     return {key, show(value) { if (document.activeElement !== input) input.value = value / factor; state(); }};
   });
-  return shown;
 }
 
 export class Panel {
   constructor(send) {
     this.send = send;
     this.cards = new Map();
-    this.sliders = sliders($("sliders"), SLIDERS, (key, value, stroke) => {
+    this.sliders = sliders($("sliders"), (key, value, stroke) => {
       const least = this.scene?.settings.visibility.range[0] ?? 0;
       send({do: "set", key, value: key === "visibility.range" ? [Math.min(least, value), value] : value, stroke});
     });
@@ -104,7 +103,7 @@ export class Panel {
       put(card.status, wrong ? `${state.status}, but overconfident` : state.status);
       put(card.reason, wrong ? "Ground truth is outside the 95 % region of this estimate." : state.reason);
       put(card.moved, moved.length ? `Moved since home: ${moved.join(", ")}` : "");
-      put(card.figures, figures + (state.update_ms === undefined ? "" : `; ${state.update_ms.toFixed(1)} ms per update`));
+      put(card.figures, figures + ((state.update_ms ?? null) === null ? "" : `; ${state.update_ms.toFixed(1)} ms per update`));
     }
   }
 }

@@ -17,7 +17,7 @@ export class View {
     this.extent = [-3, -3, 3, 3];
     this.scale = 100;
     this.layers = Object.fromEntries(
-      ["ground", "alike", "trails", "rays", "marks", "estimates", "handles"]
+      ["ground", "trails", "rays", "marks", "estimates", "handles"]
         .map((name) => [name, make("g", {"data-layer": name}, svg)]),
     );
     new ResizeObserver(() => this.fit(this.extent)).observe(svg);

@@ -45,12 +45,12 @@ export class Watchers {
   /** Draw the parts of a new frame that are not interpolated. */
   take(frame) {
     const {view} = this;
-    this.points = frame.trails?.truth ?? [...this.points.slice(-TRAIL), frame.robot];
+    this.points = [...this.points.slice(-TRAIL), frame.robot];
     this.path.setAttribute("d", view.line(this.points, JUMP_M));
     for (const [name, r] of this.rivals) {
       const state = frame.rivals[name];
       r.g.setAttribute("display", state?.pose ? "inline" : "none");
-      r.points = frame.trails?.[name] ?? (state?.pose ? [...r.points.slice(-TRAIL), state.pose] : []);
+      r.points = state?.pose ? [...r.points.slice(-TRAIL), state.pose] : [];
       r.trail.setAttribute("d", view.line(r.points, JUMP_M));
       const e = state?.ellipse;
       if (e) {
@@ -101,15 +101,5 @@ export class Watchers {
       r.ellipse.setAttribute("transform", `rotate(${(((pose[2] - (r.turn ?? 0)) * 180) / Math.PI).toFixed(2)})`);
     }
     return robot;
-  }
-
-  /** Draw homes and landmarks of other worlds with equal bearings. */
-  alike(state) {
-    const layer = this.view.layers.alike;
-    layer.replaceChildren();
-    for (const homes of state.homes) make("path", {d: this.view.line(homes), class: "alike", "data-alike": "home"}, layer);
-    for (const curves of state.landmarks) {
-      for (const curve of curves) make("path", {d: this.view.line(curve), class: "alike marks", "data-alike": "landmark"}, layer);
-    }
   }
 }

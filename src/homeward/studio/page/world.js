@@ -2,7 +2,7 @@
 import {handle} from "./handles.js";
 import {make} from "./view.js";
 
-const HOUSE = "M-9 9H9V-2L0-11L-9-2Z", DIAMOND = "M0-5L5 0L0 5L-5 0Z", KITE = "M13 0L-9 8L-4 0L-9-8Z";
+const HOUSE = "M-9 9H9V-2L0-11L-9-2Z", KITE = "M13 0L-9 8L-4 0L-9-8Z";
 const APART = 0.02; // landmarks farther from their previous position are shown as moved [m]
 const NOSE_M = 0.55;
 
@@ -51,7 +51,6 @@ export class World {
     for (let y = Math.ceil(y0); y <= y1; y++) line([x0, y], [x1, y]);
     for (const shelf of scene.room?.shelves ?? []) box(shelf, "shelf");
     if (scene.path.length) make("path", {d: view.line(scene.path), class: "way"}, ground);
-    this.homesAndRoutes();
     for (const [id, at] of Object.entries(scene.previous)) {
       const now = scene.landmarks[id];
       if (Math.hypot(at[0] - now[0], at[1] - now[1]) < APART) continue;
@@ -60,27 +59,9 @@ export class World {
       make("circle", {cx: x, cy: y, r: 6, class: "previous", "data-previous": id}, ground);
     }
     this.landmarks();
-    for (const thing of [this.home, this.robot, this.nose, this.door]) { thing.fix(scene.mode !== "scene"); thing.replace(); }
+    for (const thing of [this.home, this.robot, this.nose, this.door]) thing.replace();
     if (!this.home.held) this.home.place(...scene.home);
     this.ahead(this.door, this.home);
-  }
-
-  /** Draw the homes of a place, and its routes with their way points. */
-  homesAndRoutes() {
-    const {homes = {}, routes = {}} = this.scene, {view} = this, ground = view.layers.ground;
-    const named = (name, at, d, kind, below = 14) => {
-      const g = make("g", {}, ground);
-      make("path", {d, class: kind}, g);
-      make("text", {x: 11, y: below}, g).textContent = name;
-      view.place(g, at[0], at[1]);
-    };
-    for (const [name, {way, points}] of Object.entries(routes)) {
-      make("path", {d: view.line(way), class: "route", "data-route": name}, ground);
-      const [x, y] = view.px(...way[way.length >> 1]);
-      make("text", {x: x + 6, y: y + 14, class: "quiet"}, ground).textContent = name;
-      for (const [point, at] of Object.entries(points)) named(point, at, DIAMOND, "waypoint");
-    }
-    Object.entries(homes).forEach(([name, at], k) => named(name, at, HOUSE, "home", 14 + 11 * k)); // they may be close together
   }
 
   landmarks() {
@@ -107,18 +88,12 @@ export class World {
         });
         this.marks.set(id, mark);
       }
-      mark.fix(scene.mode !== "scene");
       mark.replace();
       if (!mark.held) mark.place(x, y);
       const [a, b] = scene.previous[id];
       mark.dot.classList.toggle("odd", Math.hypot(a - x, b - y) >= APART);
       mark.dot.classList.toggle("unseen", !scene.stored.includes(id));
     }
-  }
-
-  /** Colour the landmarks that an estimator reports as moved. */
-  name(moved) {
-    for (const [id, mark] of this.marks) mark.dot.classList.toggle("odd", moved.has(id));
   }
 
   /** Place a heading knob ahead of its owner. */
