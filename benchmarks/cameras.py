@@ -33,6 +33,7 @@ from benchmarks.render import (
     room_number,
     timed,
 )
+from benchmarks.rooms import PLANS
 from homeward.drives.drive import HomeBearing, Odometry, Sightings
 from homeward.drives.home.spin import spin
 from homeward.errors import InputError
@@ -42,7 +43,6 @@ from homeward.io.settings import validated
 from homeward.lab.simulation.course import Wheels, before
 from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import Viewpoint
-from homeward.lab.simulation.render.room.presets import PLANS
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.lab.simulation.render.scene import tag_places
 from homeward.registry import make_estimator

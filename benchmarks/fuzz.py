@@ -43,7 +43,7 @@ from homeward.geometry.frames import Pose
 from homeward.io.reading import shipped_yaml
 from homeward.io.settings import read_settings, settings_yaml
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.simulation.render.room.presets import load_room, room
+from homeward.lab.simulation.render.room.settings import load_room
 from homeward.lab.simulation.simulate import PRESETS, load_scenario, scenario_yaml
 from homeward.lab.studies.blocks.store import BlockStore
 from homeward.lab.studies.study.plan import load_study, make_plan
@@ -178,7 +178,7 @@ def _all_settings() -> list[bytes]:
     study = "runs: 2\nscenario: paper-homing\ngrid: {noise.bearing_sigma: [0.01, 0.02]}\n"
     study += "estimators: [robust, {estimator: ekf, label: x, grid: {guard: [0.01]}}]\n"
     images = "camera: {model: cylindrical}\nhome: home.png\nlandmarks: 20\n"
-    scenes = scenario_yaml(PRESETS["warehouse"]), scenario_yaml(room("attic", 0))
+    scenes = scenario_yaml(PRESETS["warehouse"]), scenario_yaml(load_room("living-room"))
     texts = [drive, topics, run, study, images, *scenes]
     shipped_files = [*shipped_yaml("plans").values(), *shipped_yaml("studies").values()]
     return [text.encode() for text in texts] + [file.read_bytes() for file in shipped_files]

@@ -1,6 +1,6 @@
 """Rendered sparse rooms: bearings, heading and direction from pairs; homing by images; runtime.
 
-All rooms that are shipped with homeward in turn, furnished according to the seed. Pairs: home
+The rooms of `benchmarks.rooms` in turn, furnished according to the seed. Pairs: home
 against a position up to 3 m away, nothing moved. Homings: from up to 4 m with unknown heading,
 three boxes moved since home, a person walking through; in four of five the camera has another tilt
 in each picture.
@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from benchmarks import monte_carlo
+from benchmarks.rooms import PLANS, room
 from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.estimator import Status
@@ -31,7 +32,6 @@ from homeward.io.settings import validated
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
-from homeward.lab.simulation.render.room.presets import PLANS, room
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.registry import make_estimator
 from homeward.runs.scoring import errors

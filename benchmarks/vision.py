@@ -1,7 +1,7 @@
 """The camera front-end on images: direction home, NEES, false accepts, runtime.
 
 `python -m benchmarks.vision [--part NAME ...] [--seeds 6]` prints the figures of these parts:
-antworld, route, speed, rooms, strangers, light, tilt, light-strangers. The data sets
+antworld, route, speed, rooms, strangers, exposure, tilt. The data sets
 antworld_rendered and alife_outdoor_panoramas are read from HOMEWARD_DATA, else from
 ../shared/data; rooms are rendered.
 """
@@ -10,13 +10,13 @@ import math
 from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import product
-from typing import Any
 
 import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.antworld import antworld
 from benchmarks.mrclam import data
+from benchmarks.rooms import PLANS, room
 from benchmarks.timing import clock, in_turns
 from homeward.geometry.angles import wrap
 from homeward.runs.scoring import normalised_squared
@@ -25,9 +25,8 @@ from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.opencv import opencv
 
 CHI_SQUARE_2_95 = 5.991
-SAME = "same light"
-LIGHTS = SAME, "exposure", "lamp", "sun"
-"""Light of the second picture; home's has a lamp in the middle."""
+SAME, EXPOSURE = "same exposure", "other exposure"
+"""Exposure of the two pictures: equal to 5 %, or both with a standard deviation of 50 %."""
 TILTS = {"tilt of 2 deg": 0.035, "tilt of 5 deg": 0.087}
 """Standard deviation of roll and pitch of both pictures [rad]."""
 MIN_TILT = 0.005
@@ -79,24 +78,22 @@ def speed(rounds: int = 15) -> None:
         )
 
 
-def rooms(seeds: int, lights: Sequence[str], widths: Sequence[int] = (1024, 512)) -> None:
+def rooms(seeds: int, kinds: Sequence[str], widths: Sequence[int] = (1024, 512)) -> None:
     """Print the errors in rendered sparse rooms with three boxes moved since home."""
-    from homeward.lab.simulation.render.room.presets import PLANS
-
-    for light, width in product(lights, widths):
+    for kind, width in product(kinds, widths):
         errors, sigmas, refused, total = [], [], 0, 0
         for name in PLANS:
             for seed in range(seeds):
-                home, now, truth = rendered(name, seed, width, light)
+                home, now, truth = rendered(name, seed, width, kind)
                 total += 1
-                seen = _compared(home, now, TILTS.get(light, MIN_TILT))
+                seen = _compared(home, now, TILTS.get(kind, MIN_TILT))
                 if not seen.has_direction:
                     refused += 1
                     continue
                 errors.append(wrap(np.array([seen.direction, seen.heading]) - truth))
                 sigmas.append(seen.covariance)
         _print_rooms(
-            f"rooms, {light}, {width}x{width // 4}", np.array(errors), np.array(sigmas), refused
+            f"rooms, {kind}, {width}x{width // 4}", np.array(errors), np.array(sigmas), refused
         )
 
 
@@ -115,12 +112,10 @@ def _print_rooms(words: str, errors: np.ndarray, covariance: np.ndarray, refused
     )
 
 
-def strangers(seeds: int, light: str) -> None:
+def strangers(seeds: int, kind: str) -> None:
     """Print the false accepts between rooms that only share kinds of texture."""
-    from homeward.lab.simulation.render.room.presets import PLANS
-
     views = [
-        (name, seed, *(extract(p, Equirectangular()) for p in rendered(name, seed, 512, light)[:2]))
+        (name, seed, *(extract(p, Equirectangular()) for p in rendered(name, seed, 512, kind)[:2]))
         for name in PLANS
         for seed in range(seeds)
     ]
@@ -130,13 +125,18 @@ def strangers(seeds: int, light: str) -> None:
             if (name, seed) == (other, other_seed):
                 continue
             total += 1
-            if compare(b, a if light == SAME else changed, Equirectangular()).accepted:
+            if compare(b, a if kind == SAME else changed, Equirectangular()).accepted:
                 false += 1
                 print(f"  false accept: {name} {seed}, {other} {other_seed}")
     print(
-        f"unrelated rooms, {light}: {false} false accepts of {total} ({false / total:.2%}, "
+        f"unrelated rooms, {kind}: {false} false accepts of {total} ({false / total:.2%}, "
         "goal 0.5 %)"
     )
+
+
+def exposure(seeds: int) -> None:
+    rooms(seeds, [EXPOSURE], [1024])
+    strangers(seeds, EXPOSURE)
 
 
 def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Comparison:
@@ -144,39 +144,19 @@ def _compared(home: np.ndarray, now: np.ndarray, tilt_sigma: float) -> Compariso
     return compare(extract(home, camera), extract(now, camera), camera)
 
 
-def relit(scenario: Any, light: str) -> Any:
-    """Return a scenario with another light than that of home's picture."""
-    from homeward.lab.simulation.render.room.settings import Light, Lighting, Sun
-
-    changes: dict[str, Any] = {"home_light": Lighting()}
-    outline, home = np.array(scenario.room.outline), scenario.home
-    if light == "exposure":
-        changes["camera"] = scenario.camera.model_copy(update={"exposure_sigma": 0.5})
-    if light == "lamp":  # in a corner
-        x, y = (outline[0] + 0.2 * (np.array([home.x, home.y]) - outline[0])).tolist()
-        changes["lights"] = (Light(at=(x, y, 0.8 * scenario.room.height), power=1.5),)
-    if light == "sun":  # through the longest wall
-        along = np.roll(outline, -1, axis=0) - outline
-        wall = int(np.hypot(*along.T).argmax())
-        outwards = math.atan2(-along[wall, 0], along[wall, 1])
-        middle = math.hypot(*along[wall]) / 2
-        changes["sun"] = Sun(wall=wall, along=middle, azimuth=outwards + 0.4, elevation=0.5)
-    return scenario.model_copy(update=changes)
-
-
 @cache
 def rendered(
-    name: str, seed: int, width: int, light: str = SAME
+    name: str, seed: int, width: int, kind: str = SAME
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return a home image, another from up to 3 m away, and true direction and heading."""
     from homeward.geometry.frames import Polar, from_polar
     from homeward.lab.simulation.render.drive import Eye
-    from homeward.lab.simulation.render.room.presets import room
 
-    scenario = relit(room(name, seed, distance=(0.3, 3.0)), light)
-    camera = scenario.camera.model_copy(
-        update={"width": width, "height": width // 4, "tilt_sigma": TILTS.get(light, MIN_TILT)}
-    )
+    scenario = room(name, seed, distance=(0.3, 3.0))
+    changes = {"width": width, "height": width // 4, "tilt_sigma": TILTS.get(kind, MIN_TILT)}
+    if kind == EXPOSURE:
+        changes["exposure_sigma"] = 0.5
+    camera = scenario.camera.model_copy(update=changes)
     eye = Eye(scenario.model_copy(update={"camera": camera}))
     start = eye.scenario.start
     pose = from_polar(Polar(start.R, start.theta, start.alpha))
@@ -199,9 +179,8 @@ def main() -> None:
         "speed": lambda _: speed(),
         "rooms": lambda seeds: rooms(seeds, [SAME]),
         "strangers": lambda seeds: strangers(seeds, SAME),
-        "light": lambda seeds: rooms(seeds, LIGHTS, [1024]),
+        "exposure": exposure,
         "tilt": lambda seeds: rooms(seeds, list(TILTS), [1024]),
-        "light-strangers": lambda seeds: strangers(seeds, "sun"),
     }
     options = monte_carlo.parsed(__doc__, seeds=6, part=parts)
     for part in options.part:

@@ -20,7 +20,7 @@ from homeward.lab.planning.settings import load_plan
 from homeward.lab.report.observe import draw_family
 from homeward.lab.report.plan import draw_begin
 from homeward.lab.simulation.render.drive import Eye
-from homeward.lab.simulation.render.room.presets import load_room
+from homeward.lab.simulation.render.room.settings import load_room
 from homeward.runs.report.canvas import png
 from homeward.runs.report.folder import write_run
 from homeward.runs.single_run import SAMPLE, RunSettings, finish, prepare

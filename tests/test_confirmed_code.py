@@ -11,7 +11,7 @@ from lab.studies.chores import draw_no_figures, in_this_process
 
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
-from homeward.lab.simulation.render.room.presets import load_room, room
+from homeward.lab.simulation.render.room.settings import load_room
 from homeward.lab.simulation.simulate import PAPER_HOMING, load_scenario, scenario_yaml
 from homeward.lab.studies.study.plan import load_study
 from homeward.live.recording import SESSION, Recorder, replay
@@ -162,7 +162,7 @@ def test_simulate_executes_only_code_that_the_options_name():
     "change", [{"estimator": "foreign:make"}, {"trajectory": {"law": "foreign:law"}}]
 )
 def test_a_rendered_room_names_no_code(change):
-    tree = yaml.safe_load(scenario_yaml(room("study")))
+    tree = yaml.safe_load(scenario_yaml(load_room("living-room")))
     for key, value in change.items():
         tree[key] = {**tree[key], **value} if isinstance(value, dict) else value
     with pytest.raises(InputError, match="Python code outside homeward"):

@@ -60,7 +60,7 @@ print(json.dumps(results))
 NEEDS = {
     ("run", "sample", "--estimator", "robust,ekf"): "report",
     ("convert", "sample", "sample.mcap"): "bags",
-    ("simulate", "office", "--images", "--out", "out"): "vision",
+    ("simulate", "living-room", "--images", "--out", "out"): "vision",
     ("settings", "rooms"): "vision",
     ("plan", "--landmarks", "3"): "filters",
     ("export", "ekf", "--landmarks", "3", "--out", "out"): "filters",

@@ -52,11 +52,11 @@ import numpy as np
 
 from homeward import core
 from homeward.lab.simulation.render.drive import Eye
-from homeward.lab.simulation.render.room.presets import room
+from homeward.lab.simulation.render.room.settings import load_room
 from homeward.geometry.frames import Polar, from_polar
 from homeward.vision import Equirectangular, compare, extract
 
-eye = Eye(room("office", 1))
+eye = Eye(load_room("living-room"))
 start = eye.scenario.start
 pose = from_polar(Polar(start.R, start.theta, start.alpha))
 pictures = [np.asarray(p) for p in (eye.home_picture(), eye.look(0.0, pose, 1))]

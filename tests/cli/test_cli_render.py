@@ -8,7 +8,7 @@ import yaml
 from commands import call, done
 
 from homeward.drives.folder import read_folder
-from homeward.lab.simulation.render.room.presets import room
+from homeward.lab.simulation.render.room.settings import load_room
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 SMALL = ("camera.width=128", "camera.height=32", "trajectory.duration=2", "rates.bearings=2")
@@ -25,7 +25,7 @@ def rows(path):
 
 
 def test_a_data_set_is_written_whole_and_repeats(tmp_path):
-    answer = done(render("kitchen", "--out", tmp_path / "a", "--seed", "3"))
+    answer = done(render("living-room", "--out", tmp_path / "a", "--seed", "3"))
     assert "4 images of 128x32, 3 boxes moved" in answer.output
     moved = {r["thing"] for r in rows(tmp_path / "a" / "things.csv") if r["moved"] == "1"}
     boxes = " ".join(answer.output.split()).split("Moved since the home image: ")[1]
@@ -45,22 +45,22 @@ def test_a_data_set_is_written_whole_and_repeats(tmp_path):
 
 
 def test_ground_truth_starts_at_the_start_of_the_scenario(tmp_path):
-    render("office", "--out", tmp_path / "a")
-    first, start = rows(tmp_path / "a" / "truth.csv")[0], room("office").start
+    render("living-room", "--out", tmp_path / "a")
+    first, start = rows(tmp_path / "a" / "truth.csv")[0], load_room("living-room").start
     assert math.hypot(float(first["x"]), float(first["y"])) == pytest.approx(start.R, abs=1e-3)
     assert float(first["heading"]) == pytest.approx(start.alpha, abs=1e-3)
 
 
 def test_a_shorter_drive_replaces_a_longer_one_with_all_its_images(tmp_path):
     out = tmp_path / "a"
-    render("kitchen", "--out", out)
-    render("kitchen", "--out", out, changes=(*SMALL, "trajectory.duration=1"))
+    render("living-room", "--out", out)
+    render("living-room", "--out", out, changes=(*SMALL, "trajectory.duration=1"))
     assert sorted(p.name for p in (out / "images").iterdir()) == [f"{i:06d}.png" for i in (1, 2)]
 
 
 def test_the_camera_is_given_in_images_yaml(tmp_path):
     changes = (*SMALL, "camera.projection=cylindrical", "camera.roll=0.1")
-    assert render("study", "--out", tmp_path / "a", changes=changes).exit_code == 0
+    assert render("living-room", "--out", tmp_path / "a", changes=changes).exit_code == 0
     result = yaml.safe_load((tmp_path / "a" / "images.yaml").read_text())
     assert result["camera"]["model"] == "cylindrical"
     assert result["camera"]["roll"] == 0.1
@@ -70,7 +70,7 @@ def test_the_loop_is_closed_by_images(tmp_path):
     """The sightings are an ordinary drive, next to their images."""
     out = tmp_path / "a"
     changes = ("camera.width=256", "camera.height=64", "trajectory.duration=2")
-    done(render("bedroom", "--out", out, "--estimator", "robust", changes=changes))
+    done(render("living-room", "--out", out, "--estimator", "robust", changes=changes))
     drive = read_folder(out / "drive")
     assert drive.home
     assert set(drive.sightings.t) <= {float(row["t"]) for row in rows(out / "images.csv")}

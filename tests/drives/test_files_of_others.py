@@ -18,7 +18,7 @@ from homeward.geometry.frames import Pose
 from homeward.io import settings as yaml_text
 from homeward.io.settings import MAX_DEPTH, MAX_SETTINGS_BYTES, nested, read_settings, read_tree
 from homeward.lab.planning.settings import load_plan
-from homeward.lab.simulation.render.room.presets import load_room
+from homeward.lab.simulation.render.room.settings import load_room
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.lab.studies.study.plan import load_study
 from homeward.runs.single_run import load_run

@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.rooms import changed_room
 from homeward.drives.cameras.lens import Lens
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.render.drive import Eye, panorama_of, write_rendered
-from homeward.lab.simulation.render.room.presets import load_room
 from homeward.vision.cameras.panoramic import PartialPanorama
 from homeward.vision.comparison import compare
 from homeward.vision.features.detection import extract
@@ -23,7 +23,7 @@ LENSES = {
 
 def room(lens, **changes):
     camera = {"camera.projection": lens, **LENSES[lens], "furnish.moved": "0"}
-    return load_room("bedroom", 0, camera | {k.replace("_", "."): v for k, v in changes.items()})
+    return changed_room("bedroom", camera | {k.replace("_", "."): v for k, v in changes.items()})
 
 
 @pytest.mark.parametrize("model", ["plumb_bob", "equidistant"])

@@ -12,6 +12,7 @@ from cli.commands import call, done, refused
 
 cv2 = pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
+from benchmarks.rooms import room
 from homeward.drives.drive import Drive, Odometry, Sightings
 from homeward.drives.images import read_images
 from homeward.drives.opening import open_drive
@@ -19,7 +20,6 @@ from homeward.drives.settings import Start
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.lab.simulation.render.drive import Eye, write_rendered
-from homeward.lab.simulation.render.room.presets import room
 from homeward.lab.simulation.simulate import changed_scenario
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth

@@ -12,9 +12,9 @@ from test_geometry import SIGMA, made_up
 from vision_scene import look as draw
 from vision_scene import make_room
 
+from benchmarks.rooms import room
 from homeward.geometry.angles import wrap
 from homeward.lab.simulation.render.drive import Eye
-from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.features.matching import self_similar, thinned
 from homeward.vision.geometry.a_contrario import assess, assess_unrepeated

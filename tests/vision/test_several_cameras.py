@@ -9,12 +9,12 @@ from cli.commands import call, done, refused
 from test_tags import PINHOLE, SHAPE, drawn
 from vision_scene import write_pictures
 
+from benchmarks.rooms import changed_room
 from homeward.drives.folder import read_folder
 from homeward.drives.opening import open_drive
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.render.drive import Eye, write_rendered
-from homeward.lab.simulation.render.room.presets import load_room
 from homeward.lab.simulation.render.scene import tag_places
 from homeward.vision.recorded.recording import see_recording
 
@@ -69,7 +69,7 @@ def test_rendered_tags_have_the_bearings_from_their_camera(tmp_path):
     for name, mount in mounts.items():
         (tmp_path / name).mkdir()
         given = {f"sensor.{key}": str(v) for key, v in zip(("x", "y", "yaw"), mount, strict=True)}
-        room = load_room("bedroom", 0, {**changes, **given, "trajectory.duration": "3"})
+        room = changed_room("bedroom", {**changes, **given, "trajectory.duration": "3"})
         eye = Eye(room)
         write_rendered(eye, tmp_path / name)
     for file in ("odometry.csv", "truth.csv"):

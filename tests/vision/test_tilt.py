@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 
+from benchmarks.rooms import room
 from homeward.drives.cameras.camera import tilt_matrix, unit_vectors
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.render.drive import Eye, panorama_of
-from homeward.lab.simulation.render.room.presets import room
 from homeward.vision import Equirectangular, compare, extract
 from homeward.vision.front_end import MIN_SIGHTINGS, FrontEnd
 from homeward.vision.geometry.epipolar import AS_HOME, Motion, Tilt

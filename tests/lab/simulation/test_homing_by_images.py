@@ -4,10 +4,10 @@ import pytest
 
 pytest.importorskip("cv2", reason="pictures need the extra `vision`")
 
+from benchmarks.rooms import room
 from homeward.estimator import Status
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of
-from homeward.lab.simulation.render.room.presets import room
 from homeward.lab.simulation.simulate import changed_scenario
 from homeward.registry import make_estimator
 from homeward.vision.features.detection import extract

@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import yaml
 
+from benchmarks.rooms import changed_room
 from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.render.drive import Eye, write_rendered
 from homeward.lab.simulation.render.rays.raycast import cast, trace
-from homeward.lab.simulation.render.room.presets import load_room
 from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import tag_places
 from homeward.lab.simulation.render.shading.picture import NOTHING, rays_of
@@ -29,7 +29,7 @@ AHEAD = {
 
 @pytest.fixture(scope="module")
 def eye():
-    return Eye(load_room("bedroom", 0, AHEAD))
+    return Eye(changed_room("bedroom", AHEAD))
 
 
 FISHEYE = {"projection": "fisheye", "field_of_view": 3.3, "distortion": (-0.02, 0.01, 0.0, 0.0)}
@@ -106,7 +106,7 @@ def test_tags_go_with_their_boxes(eye):
 
 def test_a_rendered_record_is_seen(tmp_path):
     changes = {**AHEAD, "rates.bearings": "0.5", "trajectory.duration": "8"}
-    made = write_rendered(Eye(load_room("bedroom", 0, changes)), tmp_path)
+    made = write_rendered(Eye(changed_room("bedroom", changes)), tmp_path)
     told = yaml.safe_load((tmp_path / "images.yaml").read_text())
     assert (told["tags"], told["camera"]["model"]) == ("36h11", "plumb_bob")
     drive = see_recording(tmp_path)
@@ -117,4 +117,4 @@ def test_a_rendered_record_is_seen(tmp_path):
 
 def test_more_tags_than_a_family_has():
     with pytest.raises(InputError, match="16h5 has only 30 tags"):
-        Eye(load_room("bedroom", 0, {**AHEAD, "tags.family": "16h5"}))
+        Eye(changed_room("bedroom", {**AHEAD, "tags.family": "16h5"}))

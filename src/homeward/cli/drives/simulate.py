@@ -26,9 +26,8 @@ def simulate(
     scenario: Annotated[
         str,
         typer.Argument(
-            help="A preset (warehouse, paper-homing, circle), a room with --images (study, "
-            "bedroom, living-room, kitchen, office, corridor, classroom, attic, gallery, hall), "
-            "or a YAML file."
+            help="A preset (warehouse, paper-homing, circle; with --images: living-room), or a "
+            "YAML file."
         ),
     ],
     out: Annotated[Path | None, typer.Option(help="The drive folder to write.")] = None,
@@ -187,7 +186,7 @@ def render(room: str, out: Path, seed: int | None, given: dict[str, Any]) -> Non
     """Render the camera images of a drive through a room, and write an image data set."""
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.simulation.render.drive import Eye, moved_boxes, write_rendered
-    from homeward.lab.simulation.render.room.presets import load_room
+    from homeward.lab.simulation.render.room.settings import load_room
     from homeward.lab.simulation.simulate import SCENARIO
     from homeward.runs.report.words import describe_moved
 

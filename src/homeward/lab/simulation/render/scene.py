@@ -1,20 +1,17 @@
 """Lit surfaces of a room, when home was stored or during the drive.
 
-Light is an ambient share and lamps with Lambert's law and shadows. The sun is a distant lamp that
-shines only through a window: walls are invisible from outside.
+Light is an ambient share and one lamp under the ceiling, with Lambert's law and shadows.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from shapely import Polygon, contains_xy
 
-from homeward.drives.cameras.camera import unit_vectors
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace
 from homeward.lab.simulation.render.rays.surfaces import (
     Skin,
@@ -24,58 +21,36 @@ from homeward.lab.simulation.render.rays.surfaces import (
     rectangle,
     upright,
 )
-from homeward.lab.simulation.render.room.settings import Light, Lighting, Mover, RenderScenario
+from homeward.lab.simulation.render.room.settings import Mover, RenderScenario
 from homeward.lab.simulation.render.shading.textures import Atlas, Texture, build_atlas, tag_texture
 
-GRID, SUN_GRID = 16, 64
-"""Number of grid points along each side of a surface at which light is computed, without and with
-the sun; between them it is interpolated."""
+GRID = 16
+"""Number of grid points along each side of a surface at which light is computed; between them it is
+interpolated."""
+AMBIENT = 0.45
+"""Ambient light; the lamp adds up to about 1."""
 REACH = 2.5
-"""Distance at which a lamp's light has fallen to half [m]."""
-FAR = 100.0
-"""Distance of the sun [m]."""
+"""Distance at which the lamp's light has fallen to half [m]."""
 FLAT = 0.005
 """Objects this close to a surface (posters, tags) cast no shadow on it [m]: the coarse light grid
 would extend that shadow beyond their edges."""
 
 
-@dataclass(frozen=True)
-class Lamp:
-    """A point light."""
-
-    at: np.ndarray
-    """(3,) [m]"""
-    power: float
-    window: Surfaces | None = None
-    """The sun's window: one rectangle, seen from outside; its light does not fall with distance."""
-
-
-def light_on(
-    surfaces: Surfaces, lamps: Sequence[Lamp], ambient: float, casting: Surfaces | None = None
-) -> np.ndarray:
-    """Return the light on surfaces with the shadows of `casting`.
+def light_on(surfaces: Surfaces, lamp: np.ndarray, casting: Surfaces | None = None) -> np.ndarray:
+    """Return the light on surfaces from a lamp at (3,) [m], with the shadows of `casting`.
 
     It is float32 of shape (n, g, g), rows along `up`, columns along `right`.
     """
-    grid = SUN_GRID if any(lamp.window is not None for lamp in lamps) else GRID
-    b, a = np.mgrid[0 : 1 : grid * 1j, 0 : 1 : grid * 1j].reshape(2, -1)
-    places, normal = surfaces.at(a, b), surfaces.normal
-    total = np.full(places.shape[:2], ambient)
-    for lamp in lamps:
-        towards, seen = lamp.at - places, Viewpoint(lamp.at, np.eye(3))
-        distance = np.maximum(np.linalg.norm(towards, axis=-1), 1e-6)
-        above = np.maximum(np.einsum("nmi,ni->nm", towards, normal), 0.0)
-        lit = lamp.power * above / distance
-        if lamp.window is None:
-            lit /= 1.0 + (distance / REACH) ** 2
-        else:
-            lit *= trace(lamp.window, seen, -towards).surface >= 0
-        if casting is not None and lit.any():
-            bright = lit > 0
-            met = trace(casting, seen, -towards[bright]).distance
-            lit[bright] *= (1.0 - met) * above[bright] < FLAT
-        total += lit
-    return total.reshape(-1, grid, grid).astype(np.float32)
+    b, a = np.mgrid[0 : 1 : GRID * 1j, 0 : 1 : GRID * 1j].reshape(2, -1)
+    towards = lamp - surfaces.at(a, b)
+    distance = np.maximum(np.linalg.norm(towards, axis=-1), 1e-6)
+    above = np.maximum(np.einsum("nmi,ni->nm", towards, surfaces.normal), 0.0)
+    lit = above / distance / (1.0 + (distance / REACH) ** 2)
+    if casting is not None:
+        bright = lit > 0
+        met = trace(casting, Viewpoint(lamp, np.eye(3)), -towards[bright]).distance
+        lit[bright] *= (1.0 - met) * above[bright] < FLAT
+    return np.asarray((AMBIENT + lit).reshape(-1, GRID, GRID), np.float32)
 
 
 POSTER_GAP = 0.002
@@ -101,8 +76,8 @@ class RoomScene:
     """(surfaces, g, g), brightness on a grid, rows along `up`."""
     textures: tuple[Texture, ...]
     atlas: Atlas
-    lamps: tuple[Lamp, ...]
-    ambient: float
+    lamp: np.ndarray
+    """(3,) [m]"""
 
     def at(self, t: float, view: Viewpoint) -> tuple[Surfaces, np.ndarray]:
         """Return all surfaces and their light, with movers at their positions at `t` [s].
@@ -112,7 +87,7 @@ class RoomScene:
         people = self._people(t, view)
         if people is None:
             return self.still, self.light
-        shone = light_on(people, self.lamps, self.ambient)
+        shone = light_on(people, self.lamp)
         return Surfaces.joined([self.still, people]), np.concatenate([self.light, shone])
 
     def blocked(self, x: float, y: float, margin: float = 0.0) -> str | None:
@@ -156,18 +131,16 @@ def build_scene(scenario: RenderScenario, at_home: bool = False) -> RoomScene:
         skin = Skin(textures.index(Texture(box.texture, seed)), TILES.get(box.texture, 1.0))
         parts += block(pose.at, pose.yaw, box.size, box.base, skin, names.index(name), seed)
     still = Surfaces.joined(parts)
-    light = scenario.light(at_home)
-    lamps = _lamps(scenario, light)
+    lamp = _lamp(scenario)
     return RoomScene(
         scenario,
         at_home,
         tuple(names),
         still,
-        light_on(still, lamps, light.ambient, casting=still),
+        light_on(still, lamp, casting=still),
         tuple(textures),
         build_atlas(tuple(textures)),
-        lamps,
-        light.ambient,
+        lamp,
     )
 
 
@@ -318,26 +291,10 @@ def _tags(
     return parts
 
 
-def _lamps(scenario: RenderScenario, light: Lighting) -> tuple[Lamp, ...]:
-    """Return all lamps and the sun."""
-    lamps = [Lamp(np.array(lamp.at), lamp.power) for lamp in light.lights or (_lamp(scenario),)]
-    if (sun := light.sun) is not None:
-        outline = np.array(scenario.room.outline)
-        a, b = outline[sun.wall], outline[(sun.wall + 1) % len(outline)]
-        along, half = (b - a) / math.dist(a, b), np.array(sun.size) / 2
-        left, right = (a + (sun.along + side * half[0]) * along for side in (-1, 1))
-        edges = left, right, sun.height - half[1], sun.height + half[1]
-        window = upright(*edges, Skin(0, None), 0)
-        towards = unit_vectors(np.array(sun.azimuth), np.array(sun.elevation))
-        middle = window.at(np.array([0.5]), np.array([0.5]))[0, 0]
-        lamps.append(Lamp(middle + FAR * towards, sun.power, window))
-    return tuple(lamps)
-
-
-def _lamp(scenario: RenderScenario) -> Light:
-    """Return a lamp under the ceiling: in the middle, or above home if the middle is outside."""
+def _lamp(scenario: RenderScenario) -> np.ndarray:
+    """Return a place under the ceiling: in the middle, or above home if the middle is outside."""
     corners = np.array(scenario.room.outline, float)
     x, y = corners.mean(axis=0).tolist()
     if not contains_xy(scenario.room.polygon, x, y):
         x, y = scenario.home.x, scenario.home.y
-    return Light(at=(x, y, 0.92 * scenario.room.height))
+    return np.array([x, y, 0.92 * scenario.room.height])

@@ -1,9 +1,10 @@
-"""A rendered room, its light, its camera and the drive through it, as one validated model."""
+"""A rendered room, its camera and the drive through it, as one validated model."""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, Self
+from collections.abc import Mapping
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from shapely import LinearRing, Polygon, contains_xy
@@ -13,7 +14,10 @@ from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
 from homeward.io.models import model_validator
+from homeward.io.reading import shipped_or_file
+from homeward.io.settings import read_settings
 from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, Rates
+from homeward.lab.simulation.simulate import changed_scenario, require_own_code
 from homeward.vision.cameras.panoramic import Cylindrical, Equirectangular, Panorama
 from homeward.vision.cameras.ring import Ring
 
@@ -123,48 +127,6 @@ Length = Annotated[float, Field(ge=0.01, le=1000.0)]
 Where = Annotated[float, Field(ge=-1e4, le=1e4)]
 
 
-class Light(Strict):
-    """A point lamp."""
-
-    at: tuple[Where, Where, Where]
-    """x, y, height [m]."""
-    power: Positive = 1.0
-
-
-class OnWall(Strict):
-    """A flat object on a wall."""
-
-    wall: Annotated[int, Field(ge=0)]
-    """From corner number `wall` of the anti-clockwise outline to the next."""
-    along: NonNegative
-    """From that corner to its middle [m]."""
-    height: Positive = 1.4
-    """Of its middle [m]."""
-    size: tuple[Length, Length]
-    """Width, height [m]."""
-
-
-class Sun(OnWall):
-    """Sunlight through a window in a wall; the window itself is not drawn."""
-
-    size: tuple[Length, Length] = (1.2, 1.2)
-    azimuth: Finite
-    """Azimuth of the sun [rad]."""
-    elevation: Annotated[float, Field(gt=0, lt=math.pi / 2)] = 0.6
-    """Elevation of the sun [rad]."""
-    power: Positive = 2.0
-
-
-class Lighting(Strict):
-    """All light at one time."""
-
-    lights: tuple[Light, ...] = ()
-    """Default: one below the middle of the ceiling."""
-    ambient: NonNegative = 0.45
-    """Ambient light; one lamp adds up to about 1."""
-    sun: Sun | None = None
-
-
 TextureName = Literal[
     "plaster", "carpet", "wood", "tiles", "cardboard", "painted", "print", "cloth"
 ]
@@ -228,10 +190,17 @@ class Box(Stand):
         return self.stood if at_home and self.stood is not None else self
 
 
-class Poster(OnWall):
+class Poster(Strict):
     """A picture on a wall."""
 
+    wall: Annotated[int, Field(ge=0)]
+    """From corner number `wall` of the anti-clockwise outline to the next."""
+    along: NonNegative
+    """From that corner to its middle [m]."""
+    height: Positive = 1.4
+    """Of its middle [m]."""
     size: tuple[Length, Length] = (0.6, 0.8)
+    """Width, height [m]."""
     texture: TextureName = "print"
 
 
@@ -274,7 +243,7 @@ class Tags(Strict):
     """Height of the centre of tags on walls [m]."""
 
 
-class RenderScenario(Course, Lighting):
+class RenderScenario(Course):
     """Settings of an image drive; the same scenario always gives the same images."""
 
     room: Walls
@@ -283,17 +252,11 @@ class RenderScenario(Course, Lighting):
     posters: dict[str, Poster] = Field(default_factory=dict)
     movers: dict[str, Mover] = Field(default_factory=dict)
     tags: Tags | None = None
-    home_light: Lighting | None = None
-    """Light when home was stored; None: as during the drive."""
     camera: RoomCamera = RoomCamera()
     home_time: Finite = -100.0
     """Time of the home image [s], which determines where movers were."""
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
     """`bearings` is the rate of images."""
-
-    def light(self, at_home: bool) -> Lighting:
-        """Return the light during the drive, or when home was stored."""
-        return self.home_light if at_home and self.home_light is not None else self
 
     @property
     def view(self) -> float:
@@ -321,20 +284,28 @@ class RenderScenario(Course, Lighting):
         for name, mover in self.movers.items():
             if not contains_xy(floor, mover.path).all():
                 raise ValueError(f"movers.{name}: outside the room")
-        hung: dict[str, OnWall] = {f"posters.{name}": p for name, p in self.posters.items()}
-        times: dict[str, Lighting] = {"": self, "home_light.": self.light(at_home=True)}
-        for key, light in times.items():
-            for i, lamp in enumerate(light.lights):
-                if not contains_xy(floor, *lamp.at[:2]) or not 0 < lamp.at[2] < self.room.height:
-                    raise ValueError(f"{key}lights.{i}: outside the room")
-            if light.sun is not None:
-                hung[f"{key}sun"] = light.sun
-        for key, on in hung.items():
+        for name, on in self.posters.items():
             half_width, half_height = on.size[0] / 2, on.size[1] / 2
             if on.wall >= len(outline):
-                raise ValueError(f"{key}.wall: the room has {len(outline)} walls")
+                raise ValueError(f"posters.{name}.wall: the room has {len(outline)} walls")
             if not half_width <= on.along <= sides[on.wall] - half_width:
-                raise ValueError(f"{key}: extends beyond the wall")
+                raise ValueError(f"posters.{name}: extends beyond the wall")
             if not half_height <= on.height <= self.room.height - half_height:
-                raise ValueError(f"{key}: extends above the wall or below the floor")
+                raise ValueError(f"posters.{name}: extends above the wall or below the floor")
         return self
+
+
+def load_room(
+    source: str, seed: int | None = None, changes: Mapping[str, Any] | None = None
+) -> RenderScenario:
+    """Return the room that ships, by name, or a room from a YAML file, with optional changes.
+
+    `seed` replaces the file's; changes are dotted keys ("camera.width") to values. Raises
+    `InputError` for a file that cannot be read, an unknown key, a value out of range, or a file
+    that names Python code, as `load_scenario` does.
+    """
+    given = dict(changes or {}) | ({} if seed is None else {"seed": seed})
+    file = shipped_or_file(source, "rooms")
+    scenario = changed_scenario(read_settings(file, RenderScenario), given)
+    require_own_code(scenario, given, source)
+    return scenario

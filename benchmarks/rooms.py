@@ -1,6 +1,4 @@
-"""Rooms that ship with homeward: ten shapes and sizes, sparsely furnished."""
-
-from __future__ import annotations
+"""Rendered rooms of benchmarks and tests: ten shapes and sizes, sparsely furnished."""
 
 import math
 from collections.abc import Mapping
@@ -13,11 +11,9 @@ from shapely import distance as distance_between
 
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
-from homeward.io.reading import shipped_or_file
-from homeward.io.settings import read_settings
 from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, Walls
 from homeward.lab.simulation.scenario import Homing, OdometryErrors, RoomPose, StartPose
-from homeward.lab.simulation.simulate import changed_scenario, require_own_code
+from homeward.lab.simulation.simulate import changed_scenario
 
 TRIES = 2000
 """Number of draws of home and start before a room counts as too small."""
@@ -101,24 +97,9 @@ def room(
     )
 
 
-def load_room(
-    source: str, seed: int | None = None, changes: Mapping[str, Any] | None = None
-) -> RenderScenario:
-    """Return a room of `PLANS` by name, or a room from a YAML file, with optional changes.
-
-    `seed` replaces the file's; changes are dotted keys ("camera.width") to values. Raises
-    `InputError` for a file that cannot be read, an unknown key, a value out of range, or a file
-    that names Python code, as `load_scenario` does.
-    """
-    given = dict(changes or {})
-    if source in PLANS:
-        return changed_scenario(room(source, seed or 0), given)
-    if seed is not None:
-        given["seed"] = seed
-    file = shipped_or_file(source, "rooms", PLANS)
-    scenario = changed_scenario(read_settings(file, RenderScenario), given)
-    require_own_code(scenario, given, source)
-    return scenario
+def changed_room(name: str, changes: Mapping[str, Any]) -> RenderScenario:
+    """Return a room with seed 0 and changes: dotted keys ("camera.width") to values."""
+    return changed_scenario(room(name), changes)
 
 
 def _poses(
