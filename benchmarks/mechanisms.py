@@ -132,6 +132,7 @@ MECHANISMS = {
         "motion.extrinsics:Extrinsics.assumed_covariance",
         np.zeros((2, 2)),
     ),
+    "odometry-change": off("wheels that spin", "map.learning.odometry_change:find_change"),
     "camera-jump": off("knocked camera", "map.learning.camera_jump:JumpTest.add_solution"),
     # Noise
     "variance-components": off(

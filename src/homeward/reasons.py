@@ -29,6 +29,9 @@ class Reason(_Words):
     CAMERA_TURNED = (
         "bearings indicate that the camera was turned on the robot; drive on to determine its yaw"
     )
+    ODOMETRY_CHANGED = (
+        "odometry moves by another scale than before: wheels spin, or one of them is blocked"
+    )
     NO_BEARINGS = "no bearings now"
     FROZEN = "the camera is frozen: bearings repeat exactly while odometry moves"
     CONTRADICTED = "odometry moves, but bearings do not: the camera is frozen, or the wheels spin"

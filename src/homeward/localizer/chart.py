@@ -186,6 +186,9 @@ class Chart:
             jump = self.map.camera_jump.proved
             if jump is not None and jump.keyframe > self.map.smoother.first:
                 self._turn_camera(jump)
+            change = self.map.odometry_change.proved
+            if change is not None and change.keyframe > self.map.smoother.first:
+                self.map.change_odometry(change)
         except np.linalg.LinAlgError:
             self.counts.reject(Rejection.MAP_RESET)
             self._reset_map(t)
@@ -251,6 +254,8 @@ class Chart:
             is_open = self.extrinsics.is_turn_open(state.calibration_variances)
             if self.map.camera_jump.is_suspected or is_open:
                 doubt = Reason.CAMERA_TURNED.words
+            if self.map.odometry_change.is_suspected:
+                doubt = Reason.ODOMETRY_CHANGED.words
             if doubt is not None:
                 found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:

@@ -199,8 +199,10 @@ def extend(given: Linearised, unknown: Unknown, with_absorbed: bool = False) -> 
         return extension.extend(given, unknown, with_absorbed)
     arrays = *_arrays(given.equations), *given.seen, *given.motions, *unknown[:3]
     contiguous = map(np.ascontiguousarray, arrays)
+    by_motion = unknown.by_motion
+    by_motion = None if by_motion is None else np.ascontiguousarray(by_motion)
     with _singular():
-        return Extra(*compiled.extend(*contiguous, unknown.by_motion, with_absorbed))
+        return Extra(*compiled.extend(*contiguous, by_motion, with_absorbed))
 
 
 def solve_equations(e: NormalEquations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -367,6 +367,11 @@ that odometry denies is the camera's [1]."""
 NUM_JUMPS = 10
 """Motions whose turns odometry denies most, at each of which the camera may have been knocked: a
 bump also moves the robot, and a wheel may slip now and then."""
+NUM_CHANGES = 24
+"""Motions at which odometry may have changed: it is tested every few keyframes."""
+MIN_CHANGE = 0.15
+"""Smallest change of the odometry's scale that is not drift: three standard deviations of the
+calibration of a robot [1]."""
 VAGUE_DATUM = 10.0
 """Prior standard deviation of the datum [size of the survey; rad]."""
 ONE_PLACE = 1e-6

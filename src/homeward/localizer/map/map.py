@@ -18,6 +18,7 @@ from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.camera_jump import CameraJump, JumpTest
 from homeward.localizer.map.learning.learner import Learner
+from homeward.localizer.map.learning.odometry_change import ChangeTest, OdometryChange
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
@@ -94,6 +95,7 @@ class Map:
         survey = Survey(known, settings, drive.together)
         self.registration = Registration(survey, self.landmarks)
         self.camera_jump = JumpTest()
+        self.odometry_change = ChangeTest()
         """Test for a knocked camera."""
         self.denied_at = -settings.window
         """Newest keyframe at which bearings denied a motion: then the window is solved often."""
@@ -185,7 +187,9 @@ class Map:
         if self.smoother.converged and self._learner.is_noise_confirmed:
             widest = self._extrinsics.widest(self.smoother.state.scale)
             self.camera_jump.add_solution(self.smoother, widest)
-            if self.camera_jump.possible is not None:
+            if self.odometry_change.add_solution(self.smoother, self.camera_jump.square):
+                self.camera_jump = JumpTest()
+            if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
                 self.denied_at = self.smoother.newest
         if self._learner.free_contradicted(self.smoother):
             self._solve()
@@ -203,6 +207,13 @@ class Map:
         self.smoother.turn_camera(jump.keyframe, jump.size)
         self.landmarks.drop_candidates_before(self.smoother.first)
         self.camera_jump = JumpTest()
+        self._solve()
+
+    def change_odometry(self, change: OdometryChange) -> None:
+        """Free the scales of odometry; see `Smoother.change_odometry`."""
+        self.smoother.change_odometry(change.keyframe)
+        self.landmarks.drop_candidates_before(self.smoother.first)
+        self.odometry_change = ChangeTest()
         self._solve()
 
     def _count_ranges(self) -> None:

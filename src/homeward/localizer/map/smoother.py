@@ -13,7 +13,7 @@ undone is marginalised.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -48,6 +48,7 @@ from homeward.localizer.motions import (
     ODOMETRY_CALIBRATION,
     SPEED_SCALE,
     TIME_CONSTANT,
+    TURN_SCALE,
     TURN_SLIP,
     Motion,
     camera_after,
@@ -391,13 +392,21 @@ class Smoother:
         self._poses = GrowingTable.of(poses)
         self.move_keyframe(self.newest, poses[-1])
         self.frames.free[self.frames.keyframes >= keyframe, 2] += size
-        self.marginalise(keyframe - self.first, yaw_variance=LINEAR**2)
+        self.marginalise(keyframe - self.first, {CAMERA_YAW: LINEAR**2})
         self.solve()
 
-    def marginalise(self, count: int, yaw_variance: float = 0.0) -> None:
-        """Marginalise the oldest `count` poses into the prior, in which the yaw may have changed.
+    def change_odometry(self, keyframe: int) -> None:
+        """Free the scales of odometry from a keyframe on, and solve the window.
 
-        That has a variance [rad^2].
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
+        """
+        self.marginalise(keyframe - self.first, {SPEED_SCALE: 1.0, TURN_SCALE: 1.0})
+        self.solve()
+
+    def marginalise(self, count: int, changes: Mapping[int, float] | None = None) -> None:
+        """Marginalise the oldest `count` poses into the prior.
+
+        The calibration may have changed by these variances, by state.
         """
         first = self.first + count
         old = self.sightings[:, KEYFRAME] < first
@@ -412,7 +421,8 @@ class Smoother:
         )
         eliminated = eliminate(kernels.linearised(oldest, self._add_ranges(rows)).equations)
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
-        drift[CAMERA_YAW] += yaw_variance
+        for state, variance in (changes or {}).items():
+            drift[state] += variance
         frames = self.frames.take_before(first)
         if self._closed is not None:
             chain = self.poses[:count].copy(), self.stamps[:count]

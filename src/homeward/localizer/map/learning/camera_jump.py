@@ -63,6 +63,12 @@ class JumpTest:
         """The same jump if that was suspected before, and now passes the gate of final decisions:
         so the status reports a jump before it is corrected."""
 
+    @property
+    def square(self) -> float:
+        """Squared Mahalanobis distance of the jump from a fixed camera, if one is possible."""
+        found = self.possible
+        return 0.0 if found is None else (found.size / found.sigma) ** 2
+
     def add_solution(self, smoother: Smoother, mount_sigmas: np.ndarray) -> None:
         """Test a solution; see `find_jump`.
 
