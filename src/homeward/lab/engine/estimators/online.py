@@ -78,14 +78,6 @@ class OnlineFilter:
         """Representation of the belief, and its steps."""
         return self._backend
 
-    def restore(self, belief: Any, t: float, sightings: np.ndarray) -> None:
-        """Set the belief at `t` [s] of the same filter, run elsewhere.
-
-        `sightings` (q,) is the number of sightings used of each landmark.
-        """
-        self._belief, self._t, self._sightings = belief, t, sightings
-        self.counts.used = int(sightings.sum())
-
     @guarded
     def odometry(self, t: float, v: float, omega: float) -> None:
         """Add a twist that is valid from `t` [s] on: `v` [m/s], `omega` [rad/s]; NaN: unknown."""

@@ -9,11 +9,10 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
 from homeward.geometry.angles import wrap
 from homeward.lab.simulation.scenario import Scenario
@@ -26,10 +25,6 @@ from homeward.runs.scoring import Accuracy, Errors, errors, score
 from homeward.runs.single_run import with_start
 from homeward.track import Track, track_of
 from homeward.track import run as follow
-
-if TYPE_CHECKING:
-    from homeward.lab.filters.ekf import ExtendedKalmanFilter
-    from homeward.lab.filters.settings import Engine
 
 
 class Quantity(NamedTuple):
@@ -80,8 +75,6 @@ FAILURE = "failure"
 """Reason of a failed run; empty otherwise."""
 
 
-TOGETHER = 100
-"""Number of runs whose drives are in memory at once."""
 MAX_REASON = 200
 """Maximum number of characters of a failure's reason."""
 
@@ -103,15 +96,14 @@ def run_block(block: StudyBlock) -> Arrays:
     kept |= {name: np.full((*shape, block.times.size), np.nan, np.float32) for name in SERIES}
     failures = [[""] * shape[1] for _ in range(shape[0])]
     each = _open_loop if block.study.loop == "open" else _closed_loop
-    for first in range(block.first, block.last, TOGETHER):
-        for j, run, found in each(block, range(first, min(first + TOGETHER, block.last))):
-            i = run - block.first
-            if isinstance(found, Exception):
-                reason = " ".join(f"{type(found).__name__}: {found}".split())
-                failures[j][i] = reason[:MAX_REASON]
-            else:
-                for name, value in found.items():
-                    kept[name][j, i] = value
+    for j, run, found in each(block, range(block.first, block.last)):
+        i = run - block.first
+        if isinstance(found, Exception):
+            reason = " ".join(f"{type(found).__name__}: {found}".split())
+            failures[j][i] = reason[:MAX_REASON]
+        else:
+            for name, value in found.items():
+                kept[name][j, i] = value
     return {**kept, FAILURE: np.array(failures, dtype=np.str_)}
 
 
@@ -148,23 +140,14 @@ def _steered(contender: Contender, block: StudyBlock, run: int) -> Found:
 
 
 def _open_loop(block: StudyBlock, runs: range) -> Iterator[tuple[int, int, Found | Exception]]:
-    """Yield the same for drives shared by all estimators; compiled filters run as a batch."""
-    together: dict[Any, list[tuple[int, int, Trial, Drive, Any]]] = {}
+    """Yield the same for drives shared by all estimators."""
     for run in runs:
         trial = _tried(partial(_recorded, block.case.scenario, run_seed(block.study.seed, run)))
         for j, contender in enumerate(block.contenders):
             if isinstance(trial, Exception):
                 yield j, run, trial
-                continue
-            made = _tried(partial(_made, contender, block.case.scenario, trial.drive))
-            if isinstance(made, Exception):
-                yield j, run, made
-            elif key := _alike(contender, made[1]):
-                together.setdefault(key, []).append((j, run, trial, *made))
             else:
-                yield j, run, _tried(partial(_followed, trial, *made, block))
-    for (_, engine), entries in together.items():
-        yield from _side_by_side(entries, engine, block, len(runs))
+                yield j, run, _tried(partial(_followed, contender, trial, block))
 
 
 def _recorded(case: Scenario | Recording, seed: int) -> Trial:
@@ -173,57 +156,17 @@ def _recorded(case: Scenario | Recording, seed: int) -> Trial:
     return simulated_trial(simulate(case.model_copy(update={"seed": seed, "estimator": "truth"})))
 
 
-def _made(
-    contender: Contender, case: Scenario | Recording, drive: Drive
-) -> tuple[Drive, Estimator]:
-    """Return the drive with the estimator's start prior, and the estimator."""
-    if isinstance(case, Recording):
+def _followed(contender: Contender, trial: Trial, block: StudyBlock) -> Found:
+    drive = trial.drive
+    if isinstance(block.case.scenario, Recording):
         _, drive = with_start(drive, contender.estimator)
-    return drive, make_estimator(contender.estimator, drive, contender.settings)
-
-
-def _followed(trial: Trial, drive: Drive, estimator: Estimator, block: StudyBlock) -> Found:
+    estimator = make_estimator(contender.estimator, drive, contender.settings)
     began = time.process_time()
     track = follow(drive, estimator)
     if track.failures:
         raise RuntimeError(str(track.failures[0]))
     seconds = time.process_time() - began
     return _measure(trial, estimator, track, block) | {"seconds": seconds}
-
-
-def _alike(
-    contender: Contender, estimator: Estimator
-) -> tuple[ExtendedKalmanFilter, Engine] | None:
-    """Return the key of filters that can run as a batch; None for other estimators."""
-    engine: Engine = getattr(contender.settings, "engine", "interpreter")
-    if engine == "interpreter":
-        return None
-    # Imported here, so that studies of the localiser need no CasADi.
-    from homeward.lab.engine.estimators.batched_online import batch_kind
-
-    kind = batch_kind(estimator)
-    return None if kind is None else (kind, engine)
-
-
-def _side_by_side(
-    entries: list[tuple[int, int, Trial, Drive, Any]],
-    engine: Engine,
-    block: StudyBlock,
-    runs: int,
-) -> Iterator[tuple[int, int, Found | Exception]]:
-    from homeward.lab.engine.estimators.batched_online import run_batched
-
-    began = time.process_time()
-    drives, filters = [e[3] for e in entries], [e[4] for e in entries]
-    tracks = _tried(lambda: run_batched(drives, filters, engine, block.case.runs / runs))
-    seconds: Found = {"seconds": (time.process_time() - began) / len(entries)}
-    alone = [None] * len(entries) if isinstance(tracks, Exception) else tracks
-    for (j, run, trial, drive, own), track in zip(entries, alone, strict=True):
-        if track is None:
-            yield j, run, _tried(partial(_followed, trial, drive, own, block))
-        else:
-            found = _tried(partial(_measure, trial, own, track, block))
-            yield j, run, found if isinstance(found, Exception) else found | seconds
 
 
 def _measure(trial: Trial, estimator: Estimator, track: Track, block: StudyBlock) -> Found:
