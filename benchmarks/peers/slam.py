@@ -10,7 +10,7 @@ from benchmarks.peers.surveyed import INLIER_SIGMAS, STEPS, residuals
 from homeward.drives.drive import Drive
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, between, compose, inverse
-from homeward.localizer.home.resection import poses_from_triples
+from homeward.localizer.resection import poses_from_triples
 
 PARALLAX = 0.15  # angle between two sightings from which a landmark enters the map [rad]
 MIN_AGREEING = 5  # home bearings that must agree with one pose of home, and half of those mapped

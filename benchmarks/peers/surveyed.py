@@ -12,7 +12,7 @@ from benchmarks.peers.online import GATE, Baseline, Belief, sight, start_belief
 from homeward.drives.drive import Drive
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose, inverse
-from homeward.localizer.home.resection import poses_from_triples
+from homeward.localizer.resection import poses_from_triples
 
 INLIER_SIGMAS = 4.0  # maximum residual of a bearing in a consensus
 JUMP_SIGMAS = 5.0  # maximum jump to a consensus of three, which any three bearings have

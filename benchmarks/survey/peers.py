@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.peers.online import Baseline
 from benchmarks.peers.surveyed import residuals
 from homeward.drives.drive import Drive
-from homeward.localizer.home.resection import poses_from_triples
+from homeward.localizer.resection import poses_from_triples
 
 STEPS = 8
 

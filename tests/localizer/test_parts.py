@@ -12,7 +12,6 @@ from homeward.geometry.frames import Pose, bearing, compose
 from homeward.localizer.home.gauss_newton import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.map.landmarks import Landmark, Landmarks
@@ -31,6 +30,7 @@ from homeward.localizer.motions import (
 from homeward.localizer.recovery.monitor import SlipDetector
 from homeward.localizer.reference import window as elimination
 from homeward.localizer.reference.factors import bearing_residuals
+from homeward.localizer.resection import poses_from_triples
 from homeward.localizer.tunables import MEAN_S
 from homeward.odometry.clock import Clock
 

@@ -13,8 +13,9 @@ from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC, Motion
-from homeward.localizer.recovery.relocalise import SightLines, relocalise
+from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.recovery.search import Search
+from homeward.localizer.resection import SightLines
 
 LOST = Pose(0.4, 0.8, 2.1)
 MARKS = np.array([[2.0, 1.0], [-1.0, 2.0], [0.5, -2.0], [-2.0, -1.0], [3.0, -0.5]])
@@ -45,8 +46,9 @@ def within(metres, radians):
     return np.diag([metres, metres, radians]) ** 2
 
 
-def test_a_lost_robot_is_found_in_its_map():
-    found = relocalise(lines_of(np.arange(12) % 4, way(12)))
+@pytest.mark.parametrize("step", [0.05, 0.25])  # a path of up to the distance of the landmarks
+def test_a_lost_robot_is_found_in_its_map(step):
+    found = relocalise(lines_of(np.arange(12) % 4, way(12, step)))
     assert found is not None
     off = between(LOST, Pose(*found[0]))
     assert math.hypot(off.x, off.y) < 0.05

@@ -14,10 +14,10 @@ from homeward.drives.settings import DriveSettings, HomeWhen
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.home.resection import poses_from_triples
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motions import NC, Motion, camera_after
 from homeward.localizer.reference.sets import expected, linearised
+from homeward.localizer.resection import poses_from_triples
 from homeward.track import run
 
 MOUNT, OFFSET = np.array([0.2, 0.05, 0.1]), np.array([-0.4, 0.03, 3.0])

@@ -447,10 +447,8 @@ FIX_PATIENCE = 4
 """Failed trials after which one more frame is skipped each time: a trial takes milliseconds."""
 KEPT_PER_LANDMARK = 2
 """Sightings kept per landmark: the newest, and one to check it."""
-NUM_HEADINGS, MAX_LINE_PAIRS = 120, 40
-"""Headings tried, every 3 degrees, and pairs of sight lines intersected for each of them."""
-MAX_CANDIDATES, RELOCALISATION_STEPS = 6, 8
-"""Poses that are refined, and Gauss-Newton steps for each: a start is off by some degrees."""
+MAX_CANDIDATES, RESECTION_STEPS = 6, 8
+"""Poses that are refined, and Gauss-Newton steps for each: a start has the noise of one triple."""
 MIN_LOG_ODDS = math.log(1.0 / FALSE_ALARM - 1.0)
 """Log odds of a pose against all alternatives from which it is accepted."""
 RESECTION_FRAMES = 30

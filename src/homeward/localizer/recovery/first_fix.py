@@ -9,11 +9,11 @@ from collections.abc import Callable
 import numpy as np
 from scipy.special import bdtr, bdtrc
 
-from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import between, compose, sight
+from homeward.geometry.se2 import between
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.recovery.relocalise import SightLines, relocalise
+from homeward.localizer.recovery.relocalise import relocalise
+from homeward.localizer.resection import SightLines
 from homeward.localizer.tunables import (
     CLOSE,
     FALSE_ALARM,
@@ -86,13 +86,9 @@ class FirstFix:
         probability that too many landmarks moved for the right pose to be a rival. A body that
         moved as one agrees with itself: then it counts as one landmark.
         """
-        seen = sight(compose(origin, lines.cameras), lines.positions)
-        variances = np.einsum("mi,mij,mj->m", seen.by_place, lines.covariances, seen.by_place)
-        off, sigmas = (
-            np.abs(wrap(lines.bearings - seen.bearing)),
-            np.sqrt(lines.sigmas**2 + variances),
-        )
-        fits = off < INLIER * sigmas
+        off, variances, *_ = (each[0] for each in lines.innovations(origin[None]))
+        sigmas = np.sqrt(lines.sigmas**2 + variances)
+        fits = np.abs(off) < INLIER * sigmas
         names = [n for i, n in enumerate(self._seen) if fits[lines.names == i].all()]
         if len(names) < VERIFIED:
             return names, 1.0

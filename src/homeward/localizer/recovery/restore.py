@@ -18,8 +18,9 @@ from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
-from homeward.localizer.recovery.relocalise import SightLines, relocalise
+from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.reference.frame import predict_bearings
+from homeward.localizer.resection import SightLines
 from homeward.localizer.tunables import GATE
 
 

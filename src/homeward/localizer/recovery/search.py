@@ -14,7 +14,8 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC, Motion
-from homeward.localizer.recovery.relocalise import SightLines, relocalise, relocalise_near
+from homeward.localizer.recovery.relocalise import relocalise, relocalise_near
+from homeward.localizer.resection import SightLines
 from homeward.localizer.tunables import CLOSE, LINEAR, NEGLIGIBLE, RECENT
 from homeward.odometry.history import Driven
 
