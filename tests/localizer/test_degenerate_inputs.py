@@ -27,7 +27,7 @@ from homeward.localizer.motions import HEAD, NC, TURN_SLIP, Motion
 from homeward.localizer.output.pose import OtherHypotheses, centre, combined_estimate
 from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.recovery.relocalise import relocalise
-from homeward.localizer.recovery.resection import Resection
+from homeward.localizer.recovery.survey_fix import Resection
 from homeward.localizer.reference import motion
 from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.resection import SightLines

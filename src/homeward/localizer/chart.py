@@ -37,10 +37,9 @@ from homeward.localizer.output.faces import (
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
 from homeward.localizer.recovery.common_motion import carried_since
-from homeward.localizer.recovery.first_fix import FirstFix
 from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
-from homeward.localizer.recovery.resection import Resected, Resection
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
+from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
     ADVANCE_S,

@@ -49,8 +49,8 @@ class LineInnovations(NamedTuple):
     """(k, m): of the predictions, by the map [rad^2]."""
     by_place: np.ndarray
     """(k, m, 2): Jacobian of the bearing by its landmark."""
-    shift: np.ndarray
-    """(k, m, 2): position of the eye, less that of the pose [m]."""
+    eyes: np.ndarray
+    """(k, m, 3): poses of the eyes."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,7 @@ class SightLines:
         gx, gy = by_place[..., 0], by_place[..., 1]
         (xx, xy), (_, yy) = self.covariances.transpose(1, 2, 0)
         variance = gx * (xx * gx + 2.0 * xy * gy) + yy * gy * gy
-        shift = (eyes - poses[:, None])[..., :2]
-        return LineInnovations(wrap(self.bearings - bearing), variance, by_place, shift)
+        return LineInnovations(wrap(self.bearings - bearing), variance, by_place, eyes)
 
     def distances(self, poses: np.ndarray) -> np.ndarray:
         """Return the median distance of the landmarks from each pose, shape (k,) [m].
@@ -159,8 +158,8 @@ def _step(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, np.ndarray]
     The lines may leave directions open, as those to one landmark do, which then have a weak prior:
     above the rounding of the information, in which a small one may be lost.
     """
-    off, variance, by_place, shift = lines.innovations(poses)
-    variance = variance + lines.sigmas**2
+    off, variance, by_place, eyes = lines.innovations(poses)
+    variance, shift = variance + lines.sigmas**2, eyes - poses[:, None]
     turn = by_place[..., 0] * shift[..., 1] - by_place[..., 1] * shift[..., 0] - 1.0
     jacobian = np.concatenate([-by_place, turn[..., None]], axis=-1)
     weight = 1.0 / (variance * np.maximum(off * off / (variance * INLIER**2), 1.0))
@@ -178,14 +177,14 @@ def _log_likelihoods(poses: np.ndarray, lines: SightLines) -> tuple[np.ndarray, 
     or is mistaken for another; then it is off by about its distance. Most of its lines must be
     inliers.
     """
-    off, variance, by_place, shift = lines.innovations(poses)
+    off, variance, by_place, eyes = lines.innovations(poses)
     inliers = np.abs(off) < INLIER * np.sqrt(lines.sigmas**2 + variance)
     names, first = np.unique(lines.names, return_index=True)
     of = (lines.names == names[:, None]).astype(float)  # (n, m)
     weighted = by_place * (inliers / lines.sigmas**2)[..., None]
     information = np.einsum("nm,kmi,kmj->knij", of, weighted, by_place)
     slope = of @ (weighted * off[..., None])
-    away = (lines.positions - poses[:, None, :2] - shift)[:, first]
+    away = (lines.positions - eyes[..., :2])[:, first]
     anywhere = lines.covariances[first] + (away**2).sum(axis=-1)[..., None, None] * np.eye(2)
     log_ratio = _log_marginal(lines.covariances[first], information, slope)
     log_ratio = log_ratio - _log_marginal(anywhere, information, slope)

@@ -9,7 +9,6 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.covariance import positive
-from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import Marginal
@@ -68,7 +67,7 @@ class Search:
         began, by_head = state.pose_after(self._to_newest.inverse())
         expected = began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T
         found = relocalise(lines, expected)
-        return None if found is None else _displaced(found, expected, _distance(lines, began))
+        return None if found is None else _displaced(found, expected, lines)
 
 
 def find_by_frame(
@@ -86,7 +85,7 @@ def find_by_frame(
     lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)
     if lines is None:
         return None
-    distance = _distance(lines, state.mean)
+    distance = float(lines.distances(state.mean[None, :3])[0])
     stationary = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
     moved = stationary + np.array([driven.path, driven.path, driven.turned])
     motions = [np.diag(sigmas**2) for sigmas in (stationary, moved)]
@@ -94,17 +93,19 @@ def find_by_frame(
 
 
 def _displaced(
-    found: tuple[np.ndarray, np.ndarray], expected: tuple[np.ndarray, np.ndarray], distance: float
+    found: tuple[np.ndarray, np.ndarray],
+    expected: tuple[np.ndarray, np.ndarray],
+    lines: SightLines,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the pose (3,) of a robot that slipped, and its covariance, (3, 3).
 
-    Both arguments are such: `found` by sight lines to landmarks at a median `distance` [m], and
-    `expected` without the slip, of unknown size: it may be a mere rotation, where the position by a
-    few lines would be far worse than the expected one. The sizes tried are equally probable before
-    the lines; the result has the mean and the covariance of their mixture.
+    The first two arguments are such: `found` by sight lines, and `expected` without the slip, of
+    unknown size: it may be a mere rotation, where the position by a few lines would be far worse
+    than the expected one. The sizes tried are equally probable before the lines; the result has the
+    mean and the covariance of their mixture.
     """
     off, (mean, known) = found[0] - expected[0], expected
-    off[2] = wrap(off[2])
+    off[2], distance = wrap(off[2]), float(lines.distances(mean[None])[0])
     log, steps, spreads = [], [], []
     for shift in distance * np.array([0.0, NEGLIGIBLE, CLOSE, LINEAR]):
         prior = known + np.diag([shift, shift, LINEAR]) ** 2
@@ -122,11 +123,6 @@ def _displaced(
     spread = np.einsum("i,ijk->jk", weights, spreads) + (between.T * weights) @ between
     largest = float(known.trace()) + 2.0 * distance**2 + 1.0  # posteriors are differences of priors
     return mean + step, positive(spread, "the covariance of a displaced pose", largest)
-
-
-def _distance(lines: SightLines, pose: np.ndarray) -> float:
-    """Return the median distance of landmarks from a pose [m], at least `MIN_DISTANCE`."""
-    return max(float(np.median(np.hypot(*(lines.positions - pose[:2]).T))), MIN_DISTANCE)
 
 
 def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:
