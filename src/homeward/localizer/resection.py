@@ -50,7 +50,7 @@ class LineInnovations(NamedTuple):
     by_place: np.ndarray
     """(k, m, 2): Jacobian of the bearing by its landmark."""
     eyes: np.ndarray
-    """(k, m, 3): poses of the eyes."""
+    """(k, m, 3), or (k, 1, 3) where they are the pose itself: poses of the eyes."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,9 @@ class SightLines:
 
     def innovations(self, poses: np.ndarray) -> LineInnovations:
         """Return the innovations at poses (k, 3)."""
-        eyes = compose(poses[:, None], self.cameras)
+        eyes = poses[:, None]
+        if self.cameras.any():
+            eyes = compose(eyes, self.cameras)
         bearing, by_place, _ = sight(eyes, self.positions)
         gx, gy = by_place[..., 0], by_place[..., 1]
         (xx, xy), (_, yy) = self.covariances.transpose(1, 2, 0)
@@ -132,7 +134,7 @@ class Located:
 def resect(lines: SightLines) -> list[Located]:
     """Return the distinct poses that agree with at least three landmarks."""
     poses = poses_from_triples(lines.positions, lines.bearings, lines.cameras)
-    scores = mixture_scores(lines.innovations(poses), lines.sigmas, UPHEAVAL)[0]
+    scores = mixture_scores(*lines.innovations(poses)[:2], lines.sigmas, UPHEAVAL)[0]
     starts = poses[np.argsort(-scores)[:200]]
     found = located(starts[_distinct(starts, lines)[:MAX_CANDIDATES]], lines, RESECTION_STEPS)
     best = [found[i] for i in _distinct(np.array([f.pose for f in found]).reshape(-1, 3), lines)]
@@ -250,7 +252,7 @@ def poses_from_triples(
             places, of = points[triples], offsets[triples]
             own = between(of[:, :1], of)
             eyes = _from_triples(points, *triples.T, *(bearings[triples] + own[..., 2]).T)
-            for _ in range(OFFSET_STEPS):
+            for _ in range(OFFSET_STEPS if own.any() else 0):
                 first, each = eyes[:, None], compose(eyes[:, None], own)
                 change = sight(first, places).bearing - sight(each, places).bearing
                 eyes = _from_triples(points, *triples.T, *(bearings[triples] + change).T)
@@ -288,14 +290,14 @@ def _from_triples(
 
 
 def mixture_scores(
-    found: LineInnovations, sigmas: np.ndarray, moved_prior: float
+    off: np.ndarray, variance: np.ndarray, sigmas: np.ndarray, moved_prior: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the log likelihood of each pose (k,), and its inlier bearings (k, q), bool.
 
-    From the innovations, and `sigmas` (q,) of the bearings [rad]; `moved_prior` is the prior
-    probability that a landmark moved.
+    `off` and `variance` are of `LineInnovations`, `sigmas` (q,) of the bearings [rad];
+    `moved_prior` is the prior probability that a landmark moved.
     """
-    off, variance, q = found.off, found.variance + sigmas**2, sigmas.size
+    variance, q = variance + sigmas**2, sigmas.size
     exponent = -0.5 * off**2 / variance
     # Underflow would make the exponential many times slower.
     inlier = np.exp(np.maximum(exponent, -700.0)) / np.sqrt(variance)

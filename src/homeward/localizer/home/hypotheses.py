@@ -21,12 +21,7 @@ from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.gauss_newton import fit, propagated, solved
 from homeward.localizer.home.problem import USUAL, Assumption, HomeProblem
 from homeward.localizer.reference.sets import POSE_AND_YAW
-from homeward.localizer.resection import (
-    LineInnovations,
-    SightLines,
-    mixture_scores,
-    poses_from_triples,
-)
+from homeward.localizer.resection import SightLines, mixture_scores, poses_from_triples
 from homeward.localizer.tunables import (
     IMPROBABLE,
     INLIER,
@@ -248,7 +243,7 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
     marginals = problem.covariance[each[:, :, None], each[:, None]]
     eyes = np.zeros((q, 3)) if problem.offsets is None else problem.offsets
     seen = problem.bearings, problem.sigmas, np.arange(q)
-    innovations = SightLines(eyes, *seen, points, marginals).innovations(cameras)
+    innovations = SightLines(eyes, *seen, points, marginals).innovations(cameras)[:2]
     for assumed in problem.assumptions:
         under = problem.under(assumed)
         if under.prior is not None:
@@ -260,10 +255,10 @@ def seeds(problem: HomeProblem, most: int = MAX_SEEDS) -> list[Seed]:
 
 
 def _best_of_triples(
-    cameras: np.ndarray, innovations: LineInnovations, problem: HomeProblem, most: int
+    cameras: np.ndarray, innovations: tuple[np.ndarray, np.ndarray], problem: HomeProblem, most: int
 ) -> list[Seed]:
     """Return the best `most` of home's cameras (k, 3), with the inliers of each."""
-    scores, inliers = mixture_scores(innovations, problem.sigmas, problem.moved_prior)
+    scores, inliers = mixture_scores(*innovations, problem.sigmas, problem.moved_prior)
     first: dict[bytes, int] = {}
     best = np.argsort(-scores)[: 6 * most]
     for i in best[np.count_nonzero(inliers[best], axis=1) >= MINIMAL].tolist():

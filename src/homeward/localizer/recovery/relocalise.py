@@ -25,10 +25,11 @@ def relocalise(
 
     By the sight lines since then. `expected` is the pose by odometry and its covariance, if the
     robot may still be there; `near` are means and covariances of the pose if the robot was only
-    displaced: each is as probable as that the robot is anywhere. None instead of both if the pose
-    is undetermined or ambiguous, or may be the expected one.
+    displaced, by a single frame: each is as probable as that the robot is anywhere. Any three
+    landmarks of a frame fit some pose, so that more are needed. None instead of both if the pose is
+    undetermined or ambiguous, or may be the expected one.
     """
-    if np.unique(lines.names).size < MINIMAL:
+    if np.unique(lines.names).size < MINIMAL + bool(near):
         return None
     found = [
         (each.log_evidence(each.log_in_sight, *(each.log_density(*n) for n in near)), each)
@@ -49,19 +50,6 @@ def relocalise(
             return None
     uncertain = np.diag(best.covariance)[:2].max() >= (CLOSE * best.distance) ** 2
     return None if uncertain else (best.pose, best.covariance)
-
-
-def relocalise_near(
-    lines: SightLines, last: np.ndarray, covariance: np.ndarray, motions: Sequence[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return the pose by a single frame, near the `last` one; None if it is undetermined.
-
-    `motions` are covariances (3, 3) of what may have moved the robot since; each is as probable as
-    that it is anywhere. Any three landmarks fit some pose, so that more are needed.
-    """
-    if lines.names.size <= MINIMAL:
-        return None
-    return relocalise(lines, near=[(last, covariance + motion) for motion in motions])
 
 
 def _carried_bodies(pose: np.ndarray, lines: SightLines) -> list[float]:

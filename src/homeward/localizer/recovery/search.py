@@ -13,7 +13,7 @@ from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC, Motion
-from homeward.localizer.recovery.relocalise import relocalise, relocalise_near
+from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.resection import SightLines
 from homeward.localizer.tunables import CLOSE, LINEAR, NEGLIGIBLE, RECENT
 from homeward.odometry.history import Driven
@@ -88,8 +88,9 @@ def find_by_frame(
     distance = float(lines.distances(state.mean[None, :3])[0])
     stationary = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
     moved = stationary + np.array([driven.path, driven.path, driven.turned])
-    motions = [np.diag(sigmas**2) for sigmas in (stationary, moved)]
-    return relocalise_near(lines, state.mean[:3], state.covariance[:3, :3], motions)
+    last, covariance = state.mean[:3], state.covariance[:3, :3]
+    near = [(last, covariance + np.diag(sigmas**2)) for sigmas in (stationary, moved)]
+    return relocalise(lines, near=near)
 
 
 def _displaced(

@@ -19,7 +19,7 @@ from homeward.geometry.se2 import between
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.map.survey.survey import Survey
-from homeward.localizer.recovery.relocalise import relocalise, relocalise_near
+from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.resection import SightLines
 from homeward.localizer.tunables import (
     CLOSE,
@@ -142,15 +142,14 @@ class Resection:
         self, lines: SightLines, names: list[str], survey: Survey, moved: np.ndarray
     ) -> np.ndarray | None:
         """Return the robot's pose in the survey, (3,): from this frame, or near the last one."""
-        found = _first_pose(survey, names, lines)
-        if found is not None:
-            # Other cameras have frames of the same stamp, since which no motion adds variance.
-            self._last = found[0], MIN_COVARIANCE
-        elif self._last is None or (near := relocalise_near(lines, *self._last, [moved])) is None:
-            return None
-        else:
-            self._last = near
-        return self._last[0]
+        first = _first_pose(survey, names, lines)
+        # Other cameras have frames of the same stamp, since which no motion adds variance.
+        found = None if first is None else (first[0], MIN_COVARIANCE)
+        if found is None and self._last is not None:
+            last, covariance = self._last
+            found = relocalise(lines, near=[(last, covariance + moved)])
+        self._last = found or self._last
+        return None if found is None else found[0]
 
 
 def _first_pose(
