@@ -176,7 +176,6 @@ MECHANISMS = {
     # Home
     "bodies": changed("landmarks on one body", "home.observation:find_bodies", _no_bodies),
     "exchanged-pairs": off("exchanged home bearings", "home.hypotheses:_exchange"),
-    "flip-pairs": off("flips of two home bearings", "home.hypotheses:_flip_pairs"),
     "neighbours": off("sets of inliers one flip away", "home.hypotheses:_neighbours", ()),
     "noise-scales": changed(
         "noisier home bearings",

@@ -169,8 +169,6 @@ MAX_SEEDS = 8
 """Different sets from which a local search starts."""
 MAX_FLIPS = 12
 """Largest number of flips from one seed."""
-MAX_FOR_PAIRS = 10
-"""Pairs are flipped if home saw no more landmarks than this."""
 UNDECIDED = -math.log(IMPROBABLE)
 """Hypotheses whose log evidence falls short of the best by more are dropped, and flips that cost
 more are not tried."""

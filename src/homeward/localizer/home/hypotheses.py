@@ -2,7 +2,7 @@
 
 Seeds come from poses by triples of landmarks, later from the current hypotheses. A set is improved
 by single flips, chosen by the odds of one bearing given the others, which are exact for the
-linearised problem; pairs of flips are tried too while q is small.
+linearised problem.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ import math
 from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import combinations
 
 import numpy as np
 
@@ -26,7 +25,6 @@ from homeward.localizer.tunables import (
     IMPROBABLE,
     INLIER,
     MAX_FLIPS,
-    MAX_FOR_PAIRS,
     MAX_SEEDS,
     MINIMAL,
     NUM_EXCHANGES,
@@ -116,8 +114,6 @@ def search(problem: HomeProblem, also: Sequence[Seed] = ()) -> Hypotheses | None
         _local_search(problem.under(assumed), home, inliers, found)
     if not found:
         return None
-    if problem.bearings.size <= MAX_FOR_PAIRS:
-        _flip_pairs(max(found.values(), key=lambda f: f.log_evidence), found)
     _exchange(found)
     return _weigh(found)
 
@@ -142,19 +138,6 @@ def _exchange(found: dict[Key, HomeFit]) -> None:
         chosen = inliers.copy()
         chosen[[i, j]] = True
         _local_search(problem.under(assumed), best.home, chosen, found)
-
-
-def _flip_pairs(best: HomeFit, found: dict[Key, HomeFit]) -> None:
-    """Search from the best set with two bearings flipped, where that looks promising."""
-    problem = best.problem
-    for pair in combinations(range(problem.bearings.size), 2):
-        inliers = best.inliers.copy()
-        inliers[list(pair)] ^= True
-        if inliers.sum() < problem.min_inliers or (problem.assumed, inliers.tobytes()) in found:
-            continue
-        tried = solved(best, inliers)
-        if tried is not None and tried.log_evidence > best.log_evidence - UNDECIDED:
-            _local_search(problem, tried.home, inliers, found)
 
 
 def update(problem: HomeProblem, hypotheses: Hypotheses) -> Hypotheses | None:
