@@ -2,8 +2,7 @@
 
 A robot may be lifted, pushed or slip, and its odometry may drop out. Then the map is still right,
 but the robot is not where the map has it. The detectors run in the order in which their evidence
-becomes available: odometry, before it predicts anything; the innovations; landmarks that seem to
-have moved.
+becomes available: odometry, before it predicts anything; then the innovations.
 """
 
 from __future__ import annotations
@@ -175,11 +174,9 @@ class Health(Enum):
     ODOMETRY_LOST = auto()
     """Lost from now on: odometry dropped out for too long ..."""
     KIDNAPPED = auto()
-    """... or hardly any bearing fits the map ..."""
+    """... hardly any bearing fits the map ..."""
     SCENE_CHANGED = auto()
-    """... or all that is in sight was replaced at once ..."""
-    CARRIED = auto()
-    """... or landmarks moved together, which means that the robot was carried."""
+    """... or all that is in sight was replaced at once."""
     LOST = auto()
     """Lost before, and not relocalised yet."""
 
