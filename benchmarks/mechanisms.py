@@ -104,7 +104,7 @@ MECHANISMS = {
     "plausibility": changed(
         "implausible twists",
         "inputs.plausibility:Plausibility.accepts",
-        lambda _: lambda self, t, v, omega: bool(np.isfinite([v, omega]).all()),
+        lambda _: lambda self, t, v, omega, vy: bool(np.isfinite([v, omega, vy]).all()),
     ),
     "contradiction": off(
         "bearings that contradict odometry for long",

@@ -28,8 +28,8 @@ from homeward.live.session import Session
 
 drive = open_drive("sample")
 session = Session(homes={"home": drive.home}, robot=drive.settings)
-for t, v, omega in zip(*(x[:400].tolist() for x in vars(drive.odometry).values()), strict=True):
-    session.receive(OdometryIn(t=t, v=v, omega=omega), t)
+for t, *twist in zip(*(x[:400].tolist() for x in vars(drive.odometry).values()), strict=True):
+    session.receive(OdometryIn(t=t, v=twist[0], omega=twist[1], vy=twist[2]), t)
     list(session.process())
 for t, seen, _ in list(drive.sightings.stamps())[:80]:
     session.receive(BearingsIn(t=t, bearings=seen), t)

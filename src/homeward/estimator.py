@@ -320,6 +320,19 @@ def add_frame(
     return estimator.bearings(t, sightings, sigmas)
 
 
+def takes_sideways(estimator: Estimator) -> bool:
+    """Return whether the method `odometry` of an estimator takes a sideways speed `vy`, too."""
+    return bool(getattr(estimator, "uses_sideways", False))
+
+
+def add_twist(estimator: Estimator, t: float, v: float, omega: float, vy: float = 0.0) -> None:
+    """Add a twist to any estimator; one that takes no sideways speed gets none."""
+    if takes_sideways(estimator):
+        estimator.odometry(t, v, omega, vy)  # type: ignore[call-arg]
+    else:
+        estimator.odometry(t, v, omega)
+
+
 @runtime_checkable
 class EstimatesExtrinsics(Protocol):
     """An estimator that may estimate the camera extrinsics."""

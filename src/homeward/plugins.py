@@ -16,7 +16,16 @@ from typing import Any
 import numpy as np
 
 from homeward.errors import HomewardError, InputError
-from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
+from homeward.estimator import (
+    Counts,
+    Estimate,
+    Estimator,
+    Innovation,
+    LandmarkEstimate,
+    Status,
+    add_twist,
+    takes_sideways,
+)
 from homeward.reasons import Rejection
 
 ESTIMATORS, LAWS = "homeward.estimators", "homeward.laws"
@@ -142,6 +151,7 @@ class PluginEstimator:
         if missing := [name for name in MEMBERS if not hasattr(self._inner, name)]:
             raise InputError(f"{label} returned a {kind} without {', '.join(missing)}")
         self.name = str(self._inner.name)
+        self.uses_sideways = takes_sideways(self._inner)
 
     @property
     def counts(self) -> Counts:
@@ -158,9 +168,9 @@ class PluginEstimator:
         """See `Estimator`."""
         return tuple(map(str, self._call("notes", lambda: self._inner.notes)))
 
-    def odometry(self, t: float, v: float, omega: float) -> None:
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
         """See `Estimator`."""
-        self._call(f"odometry at {t:.10g} s", self._inner.odometry, t, v, omega)
+        self._call(f"odometry at {t:.10g} s", add_twist, self._inner, t, v, omega, vy)
 
     def bearings(
         self, t: float, sightings: Mapping[str, float], sigmas: Mapping[str, float] | None = None

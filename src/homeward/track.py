@@ -22,6 +22,7 @@ from homeward.estimator import (
     Status,
     UsesCameras,
     add_frame,
+    add_twist,
 )
 from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
 from homeward.internal_errors import Attempts, InternalFailure, failure_notes
@@ -189,6 +190,7 @@ def run(
         drive.odometry.t.tolist(),
         drive.odometry.v.tolist(),
         drive.odometry.omega.tolist(),
+        drive.odometry.vy.tolist(),
         strict=True,
     )
     sightings, has_ranges = drive.sightings.stamps(), np.isfinite(drive.sightings.range).any()
@@ -204,7 +206,7 @@ def run(
     for done, kind in enumerate(order):
         if kind == ODOMETRY:
             twist = next(odometry)
-            attempts.attempt(twist[0], None, estimator.odometry, *twist)
+            attempts.attempt(twist[0], None, add_twist, estimator, *twist)
         elif kind == BEARINGS:
             start = time.perf_counter()
             innovations: tuple[Innovation, ...] = ()

@@ -49,7 +49,7 @@ def table(*columns, unique=False, min_size=0):
 drives = st.builds(
     Drive,
     name=st.just("run"),
-    odometry=table(finite, slow, slow, unique=True, min_size=1).map(lambda c: Odometry(*c)),
+    odometry=table(finite, slow, slow, slow, unique=True, min_size=1).map(lambda c: Odometry(*c)),
     sightings=table(finite, ids, angles, sigmas).map(lambda c: Sightings(*c)),
     home=st.dictionaries(ids, st.builds(HomeBearing, angles, sigmas), max_size=5),
     settings=st.builds(

@@ -30,8 +30,8 @@ def samples_of(drive):
     """Messages of a drive in order of time; the front camera has no name."""
     frames = zip(drive.sightings.stamps(), drive.sightings.cameras(), strict=True)
     samples = [
-        msg.OdometryIn(t=t, v=v, omega=w)
-        for t, v, w in zip(*vars(drive.odometry).values(), strict=True)
+        msg.OdometryIn(t=t, v=v, omega=w, vy=vy)
+        for t, v, w, vy in zip(*vars(drive.odometry).values(), strict=True)
     ]
     for (t, seen, _), camera in frames:
         name = "rear" if camera == "rear" else ""

@@ -52,12 +52,12 @@ def test_what_is_forgotten_is_not_needed_for_later_headings():
 
 
 def test_the_history_is_where_dead_reckoning_of_a_recording_is():
-    t, omega = 0.1 * np.arange(60), np.linspace(-1.0, 2.0, 60)
+    t, omega, vy = 0.1 * np.arange(60), np.linspace(-1.0, 2.0, 60), np.linspace(0.3, -0.5, 60)
     twists = TwistHistory()
     for k in np.random.default_rng(0).permutation(60):
-        twists.add(float(t[k]), 0.3, float(omega[k]))
+        twists.add(float(t[k]), 0.3, float(omega[k]), vy=float(vy[k]))
     at = np.linspace(0.0, 8.0, 50)
-    expected = dead_reckoning_unwrapped(Odometry(t, np.full(60, 0.3), omega), at)
+    expected = dead_reckoning_unwrapped(Odometry(t, np.full(60, 0.3), omega, vy), at)
     poses = np.array([twists.pose(now) for now in at.tolist()])
     np.testing.assert_allclose(poses, np.stack(expected, axis=1), atol=1e-12)
 

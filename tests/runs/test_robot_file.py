@@ -186,9 +186,10 @@ def test_a_live_session_corrects_its_twists_and_an_estimator_refuses_corrections
 def test_slip_slows_a_robot_in_bends_down_to_standstill_and_never_turns_its_motion_round():
     given = OdometryNoise(turn_slip=0.1)
     speeds, rates = np.array([1.0, -1.0, 0.02, 0.0]), np.array([-0.5, 0.5, 0.5, 0.5])
-    corrected = given.corrected(speeds, rates)
+    corrected = given.corrected(speeds, rates, 2.0 * speeds)
     assert corrected[0] == pytest.approx([0.95, -0.95, 0.0, 0.0])
     assert np.array_equal(corrected[1], rates)
+    assert np.array_equal(corrected[2], 2.0 * speeds)
 
 
 @pytest.mark.parametrize("slip", [0.0, 0.1])

@@ -52,7 +52,8 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
     if given:
         words = ", ".join(f"{key} {value:g}" for key, value in given.items())
         remarks[CORRECTED.format(words)] = odometry.t.size
-        odometry = Odometry(odometry.t, *settings.odometry.corrected(odometry.v, odometry.omega))
+        twist = odometry.v, odometry.omega, odometry.vy
+        odometry = Odometry(odometry.t, *settings.odometry.corrected(*twist))
     if late is not None:
         remarks[DELAY_REMOVED.format(late)] = sightings.t.size
         sightings = dataclasses.replace(sightings, t=sightings.t - late)

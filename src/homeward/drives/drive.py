@@ -37,6 +37,7 @@ class Odometry(Columns):
     """Twists, each valid from its stamp to the next. All arrays have shape (n,).
 
     Where both v and omega are NaN, the motion is unknown from that stamp to the next.
+    Without `vy`, the robot never moves sideways.
     """
 
     t: np.ndarray
@@ -45,16 +46,27 @@ class Odometry(Columns):
     """Forward speed [m/s]."""
     omega: np.ndarray
     """Yaw rate [rad/s]."""
+    vy: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """Speed to the left [m/s]."""
+
+    def __post_init__(self) -> None:
+        if self.t.size != self.vy.size:
+            object.__setattr__(self, "vy", np.zeros(self.t.size))
+
+    @property
+    def moves_sideways(self) -> bool:
+        """Whether a sideways speed differs from 0."""
+        return bool(np.nan_to_num(self.vy).any())
 
     @property
     def bridged(self) -> Self:
         """The odometry with each unknown twist replaced by the last known one, or else by 0."""
-        known = np.isfinite(self.v) & np.isfinite(self.omega)
+        known = np.isfinite(self.v) & np.isfinite(self.omega) & np.isfinite(self.vy)
         if known.all():
             return self
         last = np.maximum.accumulate(np.where(known, np.arange(known.size), -1))
-        v, omega = (np.where(last < 0, 0.0, part[last]) for part in (self.v, self.omega))
-        return type(self)(self.t, v, omega)
+        twist = self.v, self.omega, self.vy
+        return type(self)(self.t, *(np.where(last < 0, 0.0, part[last]) for part in twist))
 
 
 @dataclass(frozen=True)
@@ -214,16 +226,16 @@ class Drive:
 
 
 class Samples:
-    """Compact storage of odometry (24 bytes per twist) and sightings (56 bytes each)."""
+    """Compact storage of odometry (32 bytes per twist) and sightings (56 bytes each)."""
 
     def __init__(self) -> None:
         self._twists, self._seen = array("d"), array("d")
         self._numbers: dict[str, int] = {}
         self._cameras: dict[str, int] = {}
 
-    def add_twist(self, t: float, v: float, omega: float) -> None:
+    def add_twist(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
         """Add a twist."""
-        self._twists.extend((t, v, omega))
+        self._twists.extend((t, v, omega, vy))
 
     def add_bearings(
         self,
@@ -245,7 +257,7 @@ class Samples:
 
     def odometry(self) -> Odometry:
         """Return the twists; the last of equal stamps counts."""
-        return Odometry(*last_of_equal(table(self._twists, 3)).T.copy())
+        return Odometry(*last_of_equal(table(self._twists, 4)).T.copy())
 
     def sightings(self) -> Sightings:
         """Return the sightings in order of time; those of one stamp stay in order of arrival."""

@@ -97,7 +97,7 @@ def missing_files(folder: Path, home_needed: bool = True) -> list[str]:
 def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Drive:
     """Read a drive folder; `InputError` names the file, the row and the problem.
 
-    The folder has odometry.csv (t, v, omega), bearings.csv (t, landmark, bearing[, sigma]
+    The folder has odometry.csv (t, v, omega[, vy]), bearings.csv (t, landmark, bearing[, sigma]
     [, range, range_sigma][, camera]), home.csv (landmark, bearing[, sigma][, camera]), drive.yaml,
     landmarks.yaml and truth.csv (t, x, y, heading in the home frame), in s, m and rad. The last
     three are optional. Other files and columns are ignored. A survey in the home frame replaces
@@ -227,26 +227,27 @@ def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
 
 
 def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
-    """Read odometry.csv (t, v, omega); `remarks` lists anomalies of stamps and motion.
+    """Read odometry.csv (t, v, omega[, vy]); `remarks` lists anomalies of stamps and motion.
 
     A row in which both v and omega are empty starts an interval of unknown motion.
     """
     columns = {"t": numbers, "v": numbers_or_nan, "omega": numbers_or_nan}
-    table = read_csv(path, columns, advice=IMPORT_ADVICE)
-    for name in ("v", "omega"):
+    table = read_csv(path, columns, {"vy": numbers_or_nan}, advice=IMPORT_ADVICE)
+    for name in sorted(table.columns.keys() - {"t"}):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
-            problem = f"{name} is empty; leave both v and omega empty where the motion is unknown"
+            problem = f"{name} is empty; leave all speeds empty where the motion is unknown"
             raise InputError(problem, path, int(table.row[np.argmax(empty)]))
     return odometry_of(table, remarks)
 
 
 def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
-    """Return the odometry of a table with t, v, omega; errors and remarks as `read_folder`."""
+    """Return the odometry of a table with t, v, omega[, vy]; as `read_folder`."""
     table = sorted_by_time(table, "odometry", remarks)
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     remark_other_units(table["t"], remarks)
-    return without_implausible(Odometry(table["t"], table["v"], table["omega"]), remarks)
+    speeds = (table[name] for name in ("v", "omega", "vy") if name in table.columns)
+    return without_implausible(Odometry(table["t"], *speeds), remarks)
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
@@ -339,7 +340,7 @@ def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> 
         raise InputError("no rows", folder / ODOMETRY)
     may_lack = set(OPTIONAL_COLUMNS)
     if (np.isnan(drive.odometry.v) == np.isnan(drive.odometry.omega)).all():
-        may_lack |= {"v", "omega"}  # unknown motion
+        may_lack |= {"v", "omega", "vy"}  # unknown motion
     for name, columns in _columns(drive).items():
         cells = [
             _cells(column, values, folder / name, column in may_lack)
@@ -367,6 +368,8 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
             CAMERA: np.array([seen.camera for seen in home.values()], object),
         },
     }
+    if not drive.odometry.moves_sideways:
+        del files[ODOMETRY]["vy"]
     for columns in (files[BEARINGS], files[HOME]):
         if not any(columns[CAMERA]):
             del columns[CAMERA]

@@ -47,31 +47,32 @@ UNKNOWN = (
 )
 
 
-def without_implausible(
-    odometry: Odometry, remarks: dict[str, int], sideways: np.ndarray | None = None
-) -> Odometry:
+def without_implausible(odometry: Odometry, remarks: dict[str, int]) -> Odometry:
     """Return odometry with implausible motion set to unknown, and count it in `remarks`.
 
-    Twists may be NaN already where the motion is unknown. `sideways` (n,) is the sideways speed of
-    differentiated poses [m/s], with the limits of the forward speed. Remarks also report rates that
-    are probably in another unit, and a speed that is always zero while the robot turns.
+    Twists may be NaN already where the motion is unknown. Remarks also report rates that are
+    probably in another unit, and a speed that is always zero while the robot turns.
     """
-    t, v, omega = odometry.t, odometry.v, odometry.omega
+    t, v, omega, vy = odometry.t, odometry.v, odometry.omega, odometry.vy
     bad = _jumps(t, v, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
     bad |= _jumps(t, omega, MAX_TURN_RATE, MAX_TURN_ACCELERATION, MIN_TURN_JUMP)
-    if sideways is not None:
-        bad |= _jumps(t, sideways, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
-    for rate, limit, unit in ((v, USUAL_SPEED, SPEED_UNIT), (omega, USUAL_TURN_RATE, TURN_UNIT)):
+    if odometry.moves_sideways:
+        bad |= _jumps(t, vy, MAX_SPEED, MAX_ACCELERATION, MIN_JUMP)
+    speed = np.hypot(v, vy)
+    for rate, limit, unit in (
+        (speed, USUAL_SPEED, SPEED_UNIT),
+        (omega, USUAL_TURN_RATE, TURN_UNIT),
+    ):
         if _usual_rate(t[~bad], rate[~bad]) > limit:
             remarks[unit] = int((np.abs(rate) > limit).sum())
-    if not np.any(np.abs(v) > 0) and np.any(np.abs(omega) > 0):
+    if not np.any(speed > 0) and np.any(np.abs(omega) > 0):
         remarks[NO_SPEED] = t.size
     if not bad.any():
         return odometry
     i = int(np.argmax(bad))
-    speed = v[i] if sideways is None else np.hypot(v[i], sideways[i])
-    remarks[UNKNOWN.format(t[i], speed, omega[i])] = int(bad.sum())
-    return Odometry(t, np.where(bad, np.nan, v), np.where(bad, np.nan, omega))
+    fast = speed[i] if vy[i] else v[i]
+    remarks[UNKNOWN.format(t[i], fast, omega[i])] = int(bad.sum())
+    return Odometry(t, *(np.where(bad, np.nan, rate) for rate in (v, omega, vy)))
 
 
 def _usual_rate(t: np.ndarray, rate: np.ndarray) -> float:
@@ -141,8 +142,9 @@ def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]
     forward, sideways, turn = steps_between(rows)
     # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
     arc = forward / np.sinc(turn / math.tau)
-    v, omega, sideways = (np.append(step / np.diff(t), 0.0) for step in (arc, turn, sideways))
-    return without_implausible(Odometry(t, v, omega), remarks, sideways)
+    rates = (np.append(step / np.diff(t), 0.0) for step in (arc, turn, sideways))
+    odometry = without_implausible(Odometry(t, *rates), remarks)
+    return Odometry(t, odometry.v, odometry.omega)
 
 
 def steps_between(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -115,12 +115,13 @@ class OdometryNoise(Strict):
             include={"speed_scale", "turn_scale", "turn_bias", "turn_slip"}, exclude_none=True
         )
 
-    def corrected(self, v: Number, omega: Number) -> tuple[Number, Number]:
-        """Return speeds [m/s] and yaw rates [rad/s], numbers or (n,), with the corrections."""
-        bias = (self.turn_bias or 0.0) * ((v != 0.0) | (omega != 0.0))
-        speed, rate = (self.speed_scale or 1.0) * v, (self.turn_scale or 1.0) * omega + bias
+    def corrected(self, v: Number, omega: Number, vy: Number) -> tuple[Number, Number, Number]:
+        """Return `v` [m/s], `omega` [rad/s], `vy` [m/s], numbers or (n,), with the corrections."""
+        bias = (self.turn_bias or 0.0) * ((v != 0.0) | (omega != 0.0) | (vy != 0.0))
+        scale = self.speed_scale or 1.0
+        speed, rate = scale * v, (self.turn_scale or 1.0) * omega + bias
         lost = np.minimum((self.turn_slip or 0.0) * np.abs(rate), np.abs(speed))
-        return speed - np.copysign(lost, speed), rate
+        return speed - np.copysign(lost, speed), rate, scale * vy
 
     @property
     def lag(self) -> tuple[float, float] | None:

@@ -50,7 +50,8 @@ def with_yaw_rate(
     if not used.all():
         remarks[KEPT.format(source)] = int((~used).sum())
     omega = np.where(used, factor * gyro, odometry.omega)
-    return Odometry(odometry.t, odometry.v, np.where(np.isnan(odometry.v), np.nan, omega))
+    omega = np.where(np.isnan(odometry.v), np.nan, omega)
+    return Odometry(odometry.t, odometry.v, omega, odometry.vy)
 
 
 def _mean_rates(edges: np.ndarray, t: np.ndarray, rate: np.ndarray) -> np.ndarray:

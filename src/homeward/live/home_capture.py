@@ -59,9 +59,9 @@ class HomeCapture:
         """Add a twist."""
         t = self._time(message.t)
         if self._scan is not None and not self._is_too_late(t):
-            self._scan.odometry(t, message.v, message.omega)
+            self._scan.odometry(t, message.v, message.omega, message.vy)
         if t >= self._twists.newest:
-            self._twists.add(t, message.v, message.omega)
+            self._twists.add(t, message.v, message.omega, vy=message.vy)
             self._twists.forget(t - 2.0 * CAPTURE_S)
 
     def bearings(self, message: BearingsIn) -> None:

@@ -18,7 +18,7 @@ from homeward.drives.cameras.names import with_camera
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.settings import DriveSettings, OtherCamera, Start
 from homeward.errors import HomewardError, InputError, InternalError
-from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, add_frame
+from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, add_frame, add_twist
 from homeward.geometry.frames import Pose, between, compose, inverse, to_polar
 from homeward.io.table import quoted
 from homeward.live import messages as msg
@@ -156,7 +156,7 @@ class Localisation:
                 self._clock.read(message.t)
                 self._capture.odometry(message)
                 if self.estimator is not None:
-                    self.estimator.odometry(message.t, message.v, message.omega)
+                    add_twist(self.estimator, message.t, message.v, message.omega, message.vy)
             case msg.BearingsIn():
                 return self._answer(message, odom)
             case msg.SetHome(name=name) if self.place is not None and self.place.has_homes:

@@ -74,6 +74,8 @@ class OdometryIn(Strict):
     """Forward [m/s]."""
     omega: Speed
     """Anti-clockwise [rad/s]."""
+    vy: Speed = 0.0
+    """To the left [m/s]."""
     pose: tuple[Surveyed, Surveyed, Bounded] | None = None
     """Pose in the robot's own odometry frame, if it has one: x [m], y [m], heading [rad]."""
 

@@ -161,7 +161,7 @@ def read_drive(file: Path) -> Drive | None:
         if localisation.drive is not before:
             samples = Samples()
         elif isinstance(message, msg.OdometryIn):
-            samples.add_twist(message.t, message.v, message.omega)
+            samples.add_twist(message.t, message.v, message.omega, message.vy)
         elif isinstance(message, msg.BearingsIn):
             with_ranges = message.sigmas, message.ranges, message.range_sigmas, message.camera
             samples.add_bearings(message.t, message.bearings, *with_ranges)

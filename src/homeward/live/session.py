@@ -122,8 +122,9 @@ class Session:
                     self.counts["stamps far ahead of all others"] += 1
                     return
                 if isinstance(message, msg.OdometryIn):
-                    v, omega = self._corrections.corrected(message.v, message.omega)
-                    message = message.model_copy(update={"v": v, "omega": omega})
+                    twist = self._corrections.corrected(message.v, message.omega, message.vy)
+                    corrected = dict(zip(("v", "omega", "vy"), twist, strict=True))
+                    message = message.model_copy(update=corrected)
                 elif self._late:
                     message = message.model_copy(update={"t": message.t - self._late})
                 t = self._watch(message, now)
@@ -364,7 +365,7 @@ class Session:
         t = self._odometry.record(sample.t, now)
         if t == self._odometry.newest:
             pose = None if sample.pose is None else Pose(*sample.pose)
-            self._twists.add(t, sample.v, sample.omega, pose)
+            self._twists.add(t, sample.v, sample.omega, pose, sample.vy)
             self._twists.forget(t - MEMORY_S)
         return t
 

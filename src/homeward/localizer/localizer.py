@@ -86,6 +86,8 @@ class Localizer:
     name = "robust"
     uses_cameras = True
     """Whether `bearings` takes ranges, and the name of a camera."""
+    uses_sideways = True
+    """Whether `odometry` takes a sideways speed."""
 
     def __init__(
         self,
@@ -165,11 +167,14 @@ class Localizer:
         return self._ranges.notes(counts.ranges, rejected, *smoother.range_over_odometry)
 
     @guarded
-    def odometry(self, t: float, v: float, omega: float) -> None:
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
         """Add a twist that holds from `t` [s] on: `v` [m/s] forward, `omega` [rad/s].
 
-        NaN for both: the motion is unknown until the next twist. A twist that is implausible, or
-        that repeats zero while the bearings change, counts as one of unknown motion.
+        `vy` [m/s] is the speed to the left of a robot that can move sideways.
+
+        NaN for both `v` and `omega`: the motion is unknown until the next twist. A twist that is
+        implausible, or that repeats zero while the bearings change, counts as one of unknown
+        motion.
         """
         t = self._clock.read(t)
         if not math.isfinite(t):
@@ -180,19 +185,19 @@ class Localizer:
         if late:
             self._reject(Rejection.LATE_ODOMETRY)
             return
-        if not self._plausibility.accepts(t, v, omega):
+        if not self._plausibility.accepts(t, v, omega, vy):
             if not (math.isnan(v) and math.isnan(omega)):
                 self._reject(Rejection.BAD_ODOMETRY)
             if not self.twists:
                 return
             v = omega = math.nan
-        self._dead.odometry(t, v, omega)
+        self._dead.odometry(t, v, omega, vy)
         if self._dead.is_dead:
             v = omega = math.nan
         self._advance(t)
         if not self.twists and self._robot.start is None and not self._chart.map.landmarks.mapped:
             self._chart.begin(t)  # earlier motion is of no interest
-        self.twists.add(t, v, omega)
+        self.twists.add(t, v, omega, vy=vy)
         for chart in self.charts:
             chart.follow(t)
         needed = min(chart.needed_since for chart in self.charts)

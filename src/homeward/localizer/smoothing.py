@@ -298,7 +298,10 @@ def _twists(drive: Drive, begin: float, end: float) -> TwistHistory:
     """Return a history with the twists of a drive in an interval [s]."""
     twists, odometry = TwistHistory(), drive.odometry
     for i in range(*np.searchsorted(odometry.t, [begin, end]).tolist()):
-        twists.add(float(odometry.t[i]), float(odometry.v[i]), float(odometry.omega[i]))
+        t, v, omega, vy = (
+            float(c[i]) for c in (odometry.t, odometry.v, odometry.omega, odometry.vy)
+        )
+        twists.add(t, v, omega, vy=vy)
     return twists
 
 

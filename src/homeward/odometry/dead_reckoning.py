@@ -27,6 +27,10 @@ class RecordedTwists(Protocol):
         """Yaw rates, (n,) [rad/s]."""
 
     @property
+    def vy(self) -> np.ndarray:
+        """Speeds to the left, (n,) [m/s]."""
+
+    @property
     def bridged(self) -> Self:
         """The same with each unknown twist replaced by the last known one."""
 
@@ -44,11 +48,12 @@ def dead_reckoning(odometry: RecordedTwists, t: np.ndarray) -> Pose:
 def dead_reckoning_unwrapped(odometry: RecordedTwists, t: np.ndarray) -> Pose:
     """Integrate as `dead_reckoning`, with unwrapped headings."""
     odometry, valid = odometry.bridged, validities(odometry.t)
-    twists, held = Twist(odometry.v, odometry.omega), valid[:-1]
+    twists, vy, held = Twist(odometry.v, odometry.omega), odometry.vy, valid[:-1]
     heading = np.append(0.0, np.cumsum(odometry.omega[:-1] * held))
-    steps = advance(Pose(0.0, 0.0, heading[:-1]), Twist(*(a[:-1] for a in twists)), held)
+    start = Pose(0.0, 0.0, heading[:-1])
+    steps = advance(start, Twist(*(a[:-1] for a in twists)), held, vy[:-1])
     x, y = (np.append(0.0, np.cumsum(step)) for step in (steps.x, steps.y))
     last = np.maximum(np.searchsorted(odometry.t, t, side="right") - 1, 0)
     since = np.clip(t - odometry.t[last], 0.0, valid[-1])
     start = Pose(x[last], y[last], heading[last])
-    return advance(start, Twist(*(a[last] for a in twists)), since)
+    return advance(start, Twist(*(a[last] for a in twists)), since, vy[last])

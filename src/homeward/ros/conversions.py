@@ -87,10 +87,10 @@ def odometry_in(message: Any, t: float) -> msg.OdometryIn:
 
     `InputError` where a number is not finite, as in the following functions.
     """
-    v, omega, _ = twist_of(message)
+    v, omega, vy = twist_of(message)
     pose = pose_of(message)
     known = pose if all(map(math.isfinite, pose)) else None
-    return validated(msg.OdometryIn, {"t": t, "v": v, "omega": omega, "pose": known})
+    return validated(msg.OdometryIn, {"t": t, "v": v, "omega": omega, "vy": vy, "pose": known})
 
 
 def bearings_in(

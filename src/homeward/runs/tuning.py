@@ -245,8 +245,9 @@ def _identified(drive: Drive) -> tuple[Noise, Estimates]:
             f"landmarks; at least {MIN_SIGHTINGS} are needed"
         )
     known, odometry = localizer.calibration(), drive.odometry.bridged
-    moves = max(np.count_nonzero((odometry.v != 0) | (odometry.omega != 0)), 1)
-    speed, turning = np.abs(odometry.v).sum() / moves, np.abs(odometry.omega).sum() / moves
+    speeds, rates = np.hypot(odometry.v, odometry.vy), np.abs(odometry.omega)
+    moves = max(np.count_nonzero((speeds != 0) | (rates != 0)), 1)
+    speed, turning = speeds.sum() / moves, rates.sum() / moves
     along, _, heading = known.process_rates @ [1.0, speed, turning]
     if min(along, heading) <= 0.0:
         raise HomewardError(

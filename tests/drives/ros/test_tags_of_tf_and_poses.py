@@ -32,7 +32,8 @@ def sample():
 
 def write_sample(path, sample, write_tags, setup=lambda log, t: None):
     """Write the odometry of the sample, and with `write_tags` its bearings {id: bearing}."""
-    rows = [(t, (v, w)) for t, v, w in zip(*vars(sample.odometry).values(), strict=True)]
+    twists = sample.odometry.t, sample.odometry.v, sample.odometry.omega
+    rows = [(t, (v, w)) for t, v, w in zip(*twists, strict=True)]
     seen = sample.sightings
     for t in np.unique(seen.t):
         now = seen.t == t

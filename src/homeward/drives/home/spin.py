@@ -149,10 +149,10 @@ class HomeScan:
         self._begin: float | None = None
         self._too_long = False
 
-    def odometry(self, t: float, v: float, omega: float) -> None:
-        """Add a twist that is valid from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
+        """Add a twist that is valid from `t` [s] on, as `Localizer.odometry`."""
         if self._accepts(t):
-            self._samples.add_twist(t, v, omega)
+            self._samples.add_twist(t, v, omega, vy)
 
     def bearings(
         self,

@@ -107,7 +107,8 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
     ends = np.minimum(odometry.t + validities(odometry.t), last)
     within = np.clip(ends - np.maximum(odometry.t, first), 0.0, None)
     odometry = odometry.bridged
-    path, turn = np.abs(odometry.v) @ within, np.abs(odometry.omega) @ within
+    path = np.hypot(odometry.v, odometry.vy) @ within
+    turn = np.abs(odometry.omega) @ within
     if path > MAX_STILL_M or turn > MAX_STILL_RAD:
         raise InputError(
             f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad; give an "

@@ -148,6 +148,8 @@ def write_log(drive: Drive, path: Path, on_progress: OnProgress | None = None) -
 def _require_writable(drive: Drive, path: Path) -> None:
     require_one_camera(drive, "logs hold the bearings of one camera; write a drive folder", path)
     odometry = drive.odometry
+    if odometry.moves_sideways:
+        raise InputError("logs hold no sideways speed; write a drive folder", path)
     unknown = np.isnan(odometry.v) & np.isnan(odometry.omega)
     arrays = [odometry.t, odometry.v[~unknown], odometry.omega[~unknown]]
     arrays += [drive.sightings.t, drive.sightings.bearing]
@@ -178,7 +180,8 @@ class _Rows:
             seen = ([v.bearing for v in values], [v.sigma for v in values])
             yield self._bearings(OUR_HOME, drive.span[0], list(drive.home), *seen)
         odometry, sightings, truth = drive.odometry, drive.sightings, drive.truth
-        for t, v, omega in zip(*map(np.ndarray.tolist, vars(odometry).values()), strict=True):
+        twists = odometry.t.tolist(), odometry.v.tolist(), odometry.omega.tolist()
+        for t, v, omega in zip(*twists, strict=True):
             yield self._message(OUR_ODOMETRY, ODOMETRY, t, BASE, v=v, omega=omega)
         edges = np.flatnonzero(np.diff(sightings.t, prepend=np.nan, append=np.nan) != 0)
         for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):

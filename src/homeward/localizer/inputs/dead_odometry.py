@@ -76,9 +76,9 @@ class DeadOdometry:
         )
         self._begin_window(math.nan)
 
-    def odometry(self, t: float, v: float, omega: float) -> None:
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
         """Add a twist of stamp `t` [s]; one that is not exactly zero ends the run."""
-        if v or omega:
+        if v or omega or vy:
             self._has_moved |= math.isfinite(v)
             self.is_dead, self._since = False, math.nan
             self._waiting.clear()

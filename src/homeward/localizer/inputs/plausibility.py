@@ -21,22 +21,24 @@ IMPLAUSIBLE = (
 )
 
 
+LIMITS = GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, GRIP_ACCELERATION
+"""Maximum accelerations [m/s^2, rad/s^2, m/s^2] by rate of a twist: v, omega, vy."""
+
+
 class Plausibility:
     """Plausibility check: whether a robot can have reached a twist since the last plausible one."""
 
     def __init__(self) -> None:
-        self._last: tuple[float, float, float] | None = None
-        """Last plausible twist: time [s], speed [m/s] and turn rate [rad/s]."""
-        self._received = 0.0, 0.0
-        """Last twist of all [m/s, rad/s] ..."""
-        self._changes: tuple[deque[float], deque[float]] = (
-            deque(maxlen=NUM_CHANGES),
-            deque(maxlen=NUM_CHANGES),
-        )
+        self._last: tuple[float, float, float, float] | None = None
+        """Last plausible twist: time [s], speed [m/s], turn rate [rad/s], speed to the left [m/s].
+        """
+        self._received = 0.0, 0.0, 0.0
+        """Last twist of all [m/s, rad/s, m/s] ..."""
+        self._changes = tuple(deque[float](maxlen=NUM_CHANGES) for _ in self._received)
         """... and the sizes of the latest changes."""
         self._number, self._first = 0, math.nan
 
-    def accepts(self, t: float, v: float, omega: float) -> bool:
+    def accepts(self, t: float, v: float, omega: float, vy: float = 0.0) -> bool:
         """Return whether a twist of stamp `t` [s] is plausible; count it if not.
 
         The speeds that a robot may have reached grow with the time since the last plausible twist,
@@ -44,17 +46,18 @@ class Plausibility:
         So a single wrong sample is refused, and a real change of speed is accepted soon.
         """
         if self._last is None and math.isfinite(t):
-            self._last = (t - START_S, 0.0, 0.0)
-        if self._last is not None and abs(v) < MAX_RATE and abs(omega) < MAX_RATE:
-            before, speed, turn_rate = self._last
+            self._last = (t - START_S, 0.0, 0.0, 0.0)
+        twist = v, omega, vy
+        if self._last is not None and all(abs(rate) < MAX_RATE for rate in twist):
+            before, *last = self._last
             time = max(abs(t - before), MIN_INTERVAL_S)
             noise = [GATE * MAD_TO_SIGMA * _median(changes) for changes in self._changes]
-            for changes, now, then in zip(self._changes, (v, omega), self._received, strict=True):
+            for changes, now, then in zip(self._changes, twist, self._received, strict=True):
                 changes.append(abs(now - then))
-            self._received = v, omega
-            slow = abs(v - speed) <= GRIP_ACCELERATION * time + noise[0]
-            if slow and abs(omega - turn_rate) <= GRIP_TURN_ACCELERATION * time + noise[1]:
-                self._last = (t, v, omega)
+            self._received = twist
+            change = zip(twist, last, LIMITS, noise, strict=True)
+            if all(abs(now - then) <= limit * time + by for now, then, limit, by in change):
+                self._last = (t, *twist)
                 return True
         if not (math.isnan(v) and math.isnan(omega)):
             self._number += 1

@@ -165,12 +165,15 @@ class _Recording:
         covariance = np.zeros((at.size, 6, 6))
         covariance[:, PLANAR[:, None], PLANAR] = track.covariance[at]
         last = np.searchsorted(odometry.t, track.t[at], side="right") - 1
-        v, omega = (np.where(last < 0, 0.0, twist[last]) for twist in (odometry.v, odometry.omega))
+        v, omega, vy = (
+            np.where(last < 0, 0.0, twist[last])
+            for twist in (odometry.v, odometry.omega, odometry.vy)
+        )
         return {
             "header": header(self._stamps[at]),
             "child_frame_id": BASE,
             "pose": {"pose": pose(self._poses[at]), "covariance": covariance.reshape(-1, 36)},
-            "twist": {"twist": {"linear": {"x": v}, "angular": {"z": omega}}},
+            "twist": {"twist": {"linear": {"x": v, "y": vy}, "angular": {"z": omega}}},
         }
 
     def _robot(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

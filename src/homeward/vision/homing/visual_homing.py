@@ -31,8 +31,10 @@ from homeward.estimator import (
     Estimator,
     LandmarkEstimate,
     Status,
+    add_twist,
     guarded,
     synchronised,
+    takes_sideways,
 )
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import (
@@ -159,7 +161,7 @@ class VisualHoming:
 
     def __init__(self, estimator: Estimator, **robot: Unpack[Robot]) -> None:
         self._inner, self._turn = estimator, threading.RLock()
-        self.name = estimator.name
+        self.name, self.uses_sideways = estimator.name, takes_sideways(estimator)
         self._robot = known_robot(robot)
         self._odometry = TwistHistory()
         self._noise_rates = noise_rates(self._robot.odometry, OdometryDefaults())
@@ -192,14 +194,14 @@ class VisualHoming:
         return self._inner.notes
 
     @guarded
-    def odometry(self, t: float, v: float, omega: float) -> None:
-        """Process a twist that is valid from `t` [s] on: `v` [m/s] forward, `omega` [rad/s]."""
-        self._inner.odometry(t, v, omega)
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
+        """Process a twist that is valid from `t` [s] on, as `Localizer.odometry`."""
+        add_twist(self._inner, t, v, omega, vy)
         t = self._clock.read(t)
-        if not (math.isfinite(t) and abs(v) < MAX_RATE and abs(omega) < MAX_RATE):
+        if not (math.isfinite(t) and all(abs(rate) < MAX_RATE for rate in (v, omega, vy))):
             return
         if t >= self._odometry.newest:
-            self._odometry.add(t, v, omega)
+            self._odometry.add(t, v, omega, vy=vy)
             self._forget_odometry()
 
     @guarded

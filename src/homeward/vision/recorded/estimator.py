@@ -104,10 +104,10 @@ class RecordedVisualHoming(VisualHoming):
         return (*super().notes, self._note)
 
     @guarded
-    def odometry(self, t: float, v: float, omega: float) -> None:
+    def odometry(self, t: float, v: float, omega: float, vy: float = 0.0) -> None:
         """Process a twist that is valid from `t` [s] on, after the pictures of earlier stamps."""
         self._process_pictures_before(t)
-        super().odometry(t, v, omega)
+        super().odometry(t, v, omega, vy)
 
     @guarded
     def bearings(

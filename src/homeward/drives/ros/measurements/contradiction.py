@@ -75,11 +75,8 @@ def _motions(
     forward, sideways, turned = steps_between(rows[:, 4:])
     odom = np.diff(rows[:, 4]) + 1j * np.diff(rows[:, 5])
     # Intervals with a jump of the poses do not count.
-    known = without_implausible(
-        Odometry(t, np.append(forward / dt, 0.0), np.append(turned / dt, 0.0)),
-        {},
-        np.append(sideways / dt, 0.0),
-    ).v[:-1]
+    rates = (np.append(step / dt, 0.0) for step in (forward, turned, sideways))
+    known = without_implausible(Odometry(t, *rates), {}).v[:-1]
     use = np.isfinite(known) & (dt <= 2 * TWIST_VALIDITY_S)
     number = ((t[:-1] - t[0]) / max(window, float(np.median(dt)))).astype(int)
 
