@@ -1,6 +1,7 @@
 """The run feeds a drive exactly as if it were online, and keeps what it is told."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -216,3 +217,54 @@ def test_innovations_are_found_by_landmark():
     assert {i: r.tolist() for i, r in rows.items()} == {"a": [1, 4], "b": [0, 2, 5], "c": [3]}
     none = Innovations(*(np.empty(0, kind) for kind in (float, str, float, float, bool)))
     assert none.by_landmark() == {}
+
+
+def moving(vy, v=0.5):
+    """Drive of half a minute at 20 Hz with sideways speeds, and a sighting."""
+    t = 0.05 * np.arange(600)
+    odometry = Odometry(t, np.full(600, v), 0.0 * t, vy(t) + 0.0 * t)
+    return replace(drive([], [(1.0, "a", 0.1)]), odometry=odometry)
+
+
+STRAFING = {
+    "all the time": lambda t: np.full(t.size, -0.011),
+    "for ten seconds": lambda t: 0.011 * ((t > 12.0) & (t < 23.0)),
+    "for a moment": lambda t: 0.3 * ((t > 12.0) & (t < 13.0)),
+    "to and fro": lambda t: 0.1 * np.sin(t),
+}
+JITTER = {
+    "legs": lambda t: 0.1 * np.sin(2.0 * math.pi * 2.0 * t),
+    "noise": lambda t: 0.03 * np.random.default_rng(0).normal(size=t.size),
+    "little": lambda t: np.full(t.size, 0.009),
+}
+
+
+@pytest.mark.parametrize("vy", STRAFING.values(), ids=STRAFING)
+def test_a_robot_that_strafes_is_refused_by_an_estimator_without_a_sideways_speed(vy):
+    with pytest.raises(InputError, match="moves sideways, but the estimator recorder takes no"):
+        run(moving(vy), Recorder())
+
+
+@pytest.mark.parametrize("vy", JITTER.values(), ids=JITTER)
+def test_sideways_jitter_is_ignored_with_a_note(vy):
+    recorder = Recorder()
+    track = run(moving(vy), recorder)
+    assert any("sideways speed was ignored" in note for note in track.notes)
+    assert {values for kind, _, values in recorder.calls if kind == "odometry"} == {(0.5, 0.0)}
+    assert not any("sideways" in note for note in run(moving(lambda t: 0.0), Recorder()).notes)
+
+
+def test_noise_at_standstill_is_no_strafing():
+    assert not moving(JITTER["noise"], v=0.0).odometry.strafes
+
+
+def test_an_estimator_that_takes_a_sideways_speed_gets_it():
+    class Sideways(Recorder):
+        uses_sideways = True
+
+        def odometry(self, t, v, omega, vy):
+            self.calls.append(("odometry", t, (v, omega, vy)))
+
+    recorder = Sideways()
+    run(moving(STRAFING["all the time"]), recorder)
+    assert recorder.calls[0][2] == (0.5, 0.0, -0.011)

@@ -23,6 +23,7 @@ from homeward.estimator import (
     UsesCameras,
     add_frame,
     add_twist,
+    takes_sideways,
 )
 from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
 from homeward.internal_errors import Attempts, InternalFailure, failure_notes
@@ -38,6 +39,11 @@ MAX_SPAN_S = 7 * 86400.0
 """A drive that is longer has a wrong stamp [s]."""
 PROGRESS_S = 0.05
 """Minimum interval between progress reports [s of wall time]."""
+STRAFES = "the robot moves sideways, but the estimator {} takes no sideways speed; robust takes it"
+SIDEWAYS_IGNORED = (
+    "The sideways speed was ignored: the estimator {} takes none. It is at most 2 % of the forward "
+    "speed, averaged over 10 s."
+)
 HISTORY_S, MAX_HISTORY = 1.0, 2000
 """Interval at which landmark estimates are kept [s], and their maximum number in a long drive."""
 
@@ -176,8 +182,10 @@ def run(
     Raises
     ------
     InputError
-        When the stamps of the drive span more than a week: one of them must be wrong.
+        When the stamps of the drive span more than a week: one of them must be wrong. When the
+        robot moves sideways, and the estimator takes no sideways speed.
     """
+    ignored = sideways_notes(drive, estimator)
     began = time.perf_counter()
     stamps = np.unique(drive.sightings.t)
     grid = grid_times(drive.span, stamps)
@@ -232,7 +240,20 @@ def run(
     if progress is not None:
         progress(1.0)
     seconds = np.array(update_seconds), time.perf_counter() - began
-    return rows.track(attempts, estimator, *seconds)
+    track = rows.track(attempts, estimator, *seconds)
+    return dataclasses.replace(track, notes=(*track.notes, *ignored)) if ignored else track
+
+
+def sideways_notes(drive: Drive, estimator: Estimator) -> tuple[str, ...]:
+    """Return a note for the user if an estimator ignores the sideways speed of a drive.
+
+    `InputError` if the robot strafes: then its poses would be wrong.
+    """
+    if takes_sideways(estimator) or not drive.odometry.moves_sideways:
+        return ()
+    if drive.odometry.strafes:
+        raise InputError(STRAFES.format(estimator.name))
+    return (SIDEWAYS_IGNORED.format(estimator.name),)
 
 
 def _failed(t: float) -> Estimate:

@@ -16,6 +16,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.estimator import ByValue
 from homeward.geometry.angles import interpolate, wrap
 from homeward.geometry.frames import Pose, between
+from homeward.odometry.validity import validities
 
 
 class Columns:
@@ -30,6 +31,15 @@ class Columns:
         """Return the concatenated rows of several tables."""
         names = [f.name for f in fields(cast(Any, cls))]
         return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+SIDEWAYS_SHARE, SIDEWAYS_WINDOW_S = 0.02, 10.0
+"""A robot strafes where its sideways path exceeds this share of its forward path in this time [s].
+"""
+MIN_SIDEWAYS_M = 0.1
+"""Minimum sideways path of a robot that strafes, in this time [m]: noise at standstill is less."""
+JITTER_S = 1.0
+"""Sideways motion to and fro within this time is jitter [s]."""
 
 
 @dataclass(frozen=True)
@@ -57,6 +67,25 @@ class Odometry(Columns):
     def moves_sideways(self) -> bool:
         """Whether a sideways speed differs from 0."""
         return bool(np.nan_to_num(self.vy).any())
+
+    @property
+    def strafes(self) -> bool:
+        """Whether the sideways path exceeds `SIDEWAYS_SHARE` of the forward path anywhere.
+
+        Motion to and fro within `JITTER_S` is jitter, as that of legs, and does not count.
+        """
+        if not self.moves_sideways or np.ptp(self.t) < JITTER_S:
+            return False
+        edges = np.arange(self.t[0], self.t[-1], JITTER_S)
+        window = np.ones(min(round(SIDEWAYS_WINDOW_S / JITTER_S), edges.size - 1))
+
+        def path(speed: np.ndarray) -> np.ndarray:
+            steps = np.nan_to_num(speed * validities(self.t))[:-1]
+            passed = np.interp(edges, self.t, np.append(0.0, np.cumsum(steps)))
+            return np.asarray(np.convolve(np.abs(np.diff(passed)), window, "valid"))
+
+        limit = np.maximum(SIDEWAYS_SHARE * path(np.abs(self.v)), MIN_SIDEWAYS_M)
+        return bool((path(self.vy) > limit).any())
 
     @property
     def bridged(self) -> Self:

@@ -20,7 +20,7 @@ from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InternalError
-from homeward.estimator import NO_BEARINGS_S, Status
+from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
 from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
@@ -123,6 +123,9 @@ class Session:
                     return
                 if isinstance(message, msg.OdometryIn):
                     twist = self._corrections.corrected(message.v, message.omega, message.vy)
+                    estimator = self.localisation.estimator
+                    if message.vy and estimator is not None and not takes_sideways(estimator):
+                        self.counts["sideways speeds ignored by the estimator"] += 1
                     corrected = dict(zip(("v", "omega", "vy"), twist, strict=True))
                     message = message.model_copy(update=corrected)
                 elif self._late:
