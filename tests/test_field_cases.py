@@ -23,13 +23,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 from cli.commands import call
+from drives.ros import build
+from drives.ros.rig import bearings_message
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import read_folder
-from homeward.drives.opening import sample_drive
+from homeward.drives.opening import open_drive, sample_drive, save_drive
+from homeward.drives.ros.writing import writing
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.registry import make_estimator
 from homeward.runs.report.summary import summarise
 from homeward.runs.scoring import accuracy, errors, score
@@ -104,7 +108,11 @@ CASES = {
     ),
     "arrays": Case("36-arrays-in-a-cell", "odometry.csv aruco.csv home.csv truth.csv"),
     "mecanum": Case("37-mecanum", "odometry.csv bearings.csv home.csv truth.csv", until=75.0),
-    "mecanum wheels": Case("37-mecanum", "wheels4.csv bearings.csv home.csv truth.csv"),
+    "mecanum wheels": Case(
+        "37-mecanum",
+        f"wheels4.csv bearings.csv home.csv truth.csv {WHEELS},wheelbase=0.3",
+        until=75.0,
+    ),
     "clock": Case("38-clock-set-after-start", "odometry.csv bearings.csv home.csv truth.csv"),
     "spreadsheet": Case("39-spreadsheet-stamps", "odometry.csv detections.csv home.csv"),
     "noisy second": Case(
@@ -467,34 +475,71 @@ def test_arrays_in_a_cell_are_read(imported, data_dir):
 # 37: a robot that strafes.
 
 
-@today("position error 1.6 m RMSE; inside 3 sigma for 12 % of the time")
-def test_sideways_motion_is_used(result):
-    """Twice the error of the same path without strafing, which is 0.07 m RMSE."""
-    metrics = result("mecanum").metrics()
+def write_poses(drive, source, base):
+    """Import the case with the poses of its odometry instead of twists."""
+    path = dead_reckoning(drive.odometry, drive.odometry.t)
+    rows = np.stack([drive.odometry.t, *path], axis=1)
+    poses = base / "odom_poses.csv"
+    np.savetxt(poses, rows, fmt="%.5f", delimiter=",", header="t,x,y,heading", comments="")
+    return import_files([poses, "bearings.csv", "home.csv", "truth.csv"], source, base / "drive")
+
+
+def write_bag(drive, _, base):
+    """Write a ROS log of the case: nav_msgs/Odometry and bearings."""
+    path = dead_reckoning(drive.odometry, drive.odometry.t)
+    twists = drive.odometry.v, drive.odometry.omega, *path, drive.odometry.vy
+    rows = zip(drive.odometry.t.tolist(), np.stack(twists, axis=1).tolist(), strict=True)
+    messages = [(t, "/odom", build.odometry, values) for t, values in rows]
+    messages += [
+        (t, "/bearings", bearings_message, (list(seen), list(seen.values())))
+        for t, seen, _ in drive.sightings.stamps()
+    ]
+    target = base / "log.mcap"
+    with writing(target) as log:
+        for t, topic, make, values in sorted(messages, key=lambda message: message[0]):
+            stamp = round((100.0 + t) * build.SECOND)
+            log.write(topic, stamp, make(log, stamp, *values))
+    logged = dataclasses.replace(open_drive(target), home=drive.home)
+    truth = dataclasses.replace(drive.truth, t=drive.truth.t + logged.span[0] - drive.span[0])
+    save_drive(dataclasses.replace(logged, truth=truth), base / "drive")
+    return Imported("\n".join(logged.remark_lines), base / "drive")
+
+
+@pytest.fixture(scope="module")
+def strafing(imported, result, tmp_path_factory):
+    """A function that returns the run of case 37 from twists, poses or a bag; it happens once."""
+    done = {}
+
+    def of(form):
+        if form in ("twists", "wheels"):
+            return result({"twists": "mecanum", "wheels": "mecanum wheels"}[form])
+        if form not in done:
+            given, base = imported("mecanum"), tmp_path_factory.mktemp(form)
+            source = given.folder.parent / "files"
+            write = {"poses": write_poses, "bag": write_bag}[form]
+            done[form] = run_folder(write(given.drive, source, base))
+        return done[form]
+
+    return of
+
+
+@pytest.mark.parametrize("form", ["twists", "poses", "bag", "wheels"])
+def test_sideways_motion_is_used(strafing, form):
+    """The same path without strafing has 0.07 m RMSE."""
+    found = strafing(form)
+    metrics = found.metrics()
     assert metrics.accuracy is not None
-    assert metrics.accuracy.position.rmse < 0.15
+    assert metrics.accuracy.position.rmse < 0.084
     assert metrics.accuracy.position_inside_sigma_shares[2] > 0.97
+    assert found.moved() == []
+    assert found.wrong((Status.LOCALISED,)) == (0, 0.0)
 
 
-@today("seven landmarks are reported as moved; none moved")
-def test_sideways_motion_accuses_no_landmark(result):
-    assert result("mecanum").moved() == []
-
-
-@today("192 of 751 rows are localised and wrong, by up to 1.9 m")
-def test_sideways_motion_gives_no_wrong_pose(result):
-    assert result("mecanum").wrong((Status.LOCALISED,)) == (0, 0.0)
-
-
-def test_four_wheels_are_refused_or_read_right(imported, data_dir):
-    given = imported("mecanum wheels")
-    if given.folder is not None:
-        rows = rows_of(data_dir / "field" / "37-mecanum", "odometry.csv")
-        expected = np.array([float(row["vx"]) for row in rows])
-        found = np.interp(
-            [float(r["t"]) for r in rows], given.drive.odometry.t, given.drive.odometry.v
-        )
-        assert np.median(np.abs(found - expected)) < 0.02
+@pytest.mark.parametrize("name", ["ekf", "invariant"])
+def test_filters_without_a_sideways_speed_are_refused(imported, name):
+    settings = RunSettings(drive=str(imported("mecanum").folder), estimator=name)
+    with pytest.raises(InputError, match="the robot moves sideways"):
+        finish(*prepare(settings))
 
 
 # 38: the clock is set 4 s after the start.

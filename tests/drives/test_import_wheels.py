@@ -5,7 +5,7 @@ import pytest
 
 from homeward.drives.importers.columns import words_in
 from homeward.drives.importers.reading import drive_of, understand
-from homeward.drives.importers.wheel_columns import wheel_role
+from homeward.drives.importers.wheel_columns import wheel_roles
 from homeward.drives.settings import Wheels
 from homeward.drives.wheels import WRAPPED
 from homeward.errors import InputError
@@ -81,6 +81,45 @@ def test_counters_that_wrap_round_or_restart(tmp_path):
     assert np.flatnonzero(np.isnan(reset.odometry.v)).tolist() == [149]
 
 
+VY = 0.15 * np.cos(0.4 * T)
+REACH = (0.4 + 0.5) / 2
+MECANUM = V + np.outer([-1, 1, 1, -1], VY) + np.outer([-1, 1, -1, 1], REACH * OMEGA)
+"""Speeds of the wheels front left, front right, rear left and rear right, rollers as an X."""
+MECANUM_TRAVEL = np.cumsum(np.pad(MECANUM[:, :-1] * 0.1, ((0, 0), (1, 0))), axis=1)
+
+
+@pytest.mark.parametrize(
+    ("names", "values"),
+    [
+        ("fl_ticks,fr_ticks,rl_ticks,rr_ticks", np.round(MECANUM_TRAVEL * 1000 / (0.1 * np.pi))),
+        ("lf_rev,rf_rev,lb_rev,rb_rev", MECANUM_TRAVEL / (0.1 * np.pi)),
+        (
+            "front_left_wheel_angle,front_right_wheel_angle,back_left_wheel_angle,"
+            "back_right_wheel_angle",
+            MECANUM_TRAVEL / 0.05,
+        ),
+        ("wheel_FL_rpm,wheel_FR_rpm,wheel_BL_rpm,wheel_BR_rpm", MECANUM * 30 / 0.05 / np.pi),
+        ("d_fl_m,d_fr_m,d_rl_m,d_rr_m", np.diff(MECANUM_TRAVEL, axis=1, prepend=0.0)),
+    ],
+)
+def test_four_wheels_of_a_mecanum_drive(tmp_path, names, values):
+    drive = imported(tmp_path, names, *values)
+    tolerance = 4e-3 if "ticks" in names else 1e-6
+    assert_same(drive.odometry, tolerance)
+    assert drive.odometry.vy[:-1] == pytest.approx(VY[:-1], abs=tolerance)
+    wheels = WHEELS.model_copy(update={"wheelbase": None})
+    with pytest.raises(InputError, match="requires wheelbase"):
+        imported(tmp_path, names, *values, wheels=wheels)
+
+
+def test_two_of_four_wheels_of_a_skid_steered_robot(tmp_path):
+    names, roles = (
+        "fl_ticks,fr_ticks,rl_ticks,rr_ticks",
+        "left_wheel=fl_ticks, right_wheel=rr_ticks",
+    )
+    assert_same(imported(tmp_path, names, *TICKS, *TICKS, roles=[roles]).odometry, 4e-3)
+
+
 def test_steering_and_steps(tmp_path):
     steering = np.arctan(OMEGA * 0.5 / V)
     assert_same(imported(tmp_path, "speed,steering_angle", V, steering).odometry)
@@ -123,14 +162,14 @@ def test_wheels_with_unclear_units_or_geometry_are_refused(
 def test_commands_are_no_measurements(tmp_path):
     drive = imported(tmp_path, "cmd_left,cmd_right,v,omega", *SPEEDS, V, OMEGA, wheels=None)
     assert_same(drive.odometry)
-    assert wheel_role(words_in("left_speed_target")) is None
+    assert not wheel_roles(words_in("left_speed_target"))
 
 
 @pytest.mark.parametrize(
     "name", ["bearing_L1", "bearing_left_rad", "left", "tag_right", "x", "angle_left_door_right"]
 )
 def test_other_columns_are_no_wheels(name):
-    assert wheel_role(words_in(name)) is None
+    assert not wheel_roles(words_in(name))
 
 
 def test_an_encoder_that_counts_backwards_is_reported(tmp_path):

@@ -202,6 +202,28 @@ def test_angles_of_no_unit_have_that_of_their_neighbours(tmp_path):
     assert how["home", "bearing"] == ("deg", "as bearings")
 
 
+@pytest.mark.parametrize(
+    ("head", "factor", "columns"),
+    [
+        ("t,vx,vy,wz", 1.0, []),
+        ("t,linear.x,linear.y,angular.z", 1.0, []),
+        ("t,v [mm/s],vy,omega", 1e3, []),
+        ("t,speed,lateral speed (cm/s),yaw rate", (1.0, 1e2), []),
+        ("t,v,drift,omega", (1.0, -1e3), ["vy=-drift[mm/s]"]),
+    ],
+)
+def test_the_sideways_speed_is_read(tmp_path, head, factor, columns):
+    ahead, left = (factor, factor) if isinstance(factor, float) else factor
+    rows = [f"{t / 10},{0.2 * ahead},{-0.1 * left},{0.3}" for t in range(30)]
+    seen = table("t,landmark,bearing", [f"{t / 10},a,0.1" for t in range(30)])
+    home = table("landmark,bearing", ["a,0.1"])
+    odometry = imported(
+        tmp_path, columns, odometry=table(head, rows), seen=seen, home=home
+    ).odometry
+    assert odometry.v == pytest.approx(np.full(30, 0.2))
+    assert odometry.vy == pytest.approx(np.full(30, -0.1))
+
+
 def test_numbers_may_head_the_columns_of_landmarks(tmp_path):
     seen, home = "t,7,12\n0,0.5,\n0.1,,-1.25\n", "landmark,bearing\n7,0.4\n12,0.1\n"
     drive = imported(tmp_path, odometry=TWISTS, seen=seen, home=home)

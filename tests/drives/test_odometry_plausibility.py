@@ -42,6 +42,19 @@ def test_a_pose_that_jumps_is_unknown_motion_ahead_and_sideways(direction):
     assert "the first at 5.00 s" in reason
 
 
+@pytest.mark.parametrize("vy", [0.2, -0.02, 0.001, 0.0])
+def test_poses_of_a_robot_that_strafes_have_its_sideways_speed(vy):
+    """A slower sideways motion is no strafing: the twists are as without it."""
+    t = np.append(T, T[-1] + 0.1)
+    given = Odometry(t, 0.3 + 0.1 * np.sin(t), np.cos(t), np.full(t.size, vy))
+    remarks = {}
+    found = odometry_from_poses(t, np.stack(dead_reckoning(given, t), axis=1), remarks)
+    expected = vy if abs(vy) > 0.01 else 0.0
+    assert found.vy[:-1] == pytest.approx(np.full(T.size, expected), abs=1e-12)
+    assert found.v[:-1] == pytest.approx(given.v[:-1])
+    assert sum(remarks.values()) == (t.size if expected else 0)
+
+
 @pytest.mark.parametrize("rate", [1.0, 10.0, 100.0])
 def test_noise_brisk_driving_bursts_and_slow_updates_are_plausible(rate):
     rng = np.random.default_rng(0)

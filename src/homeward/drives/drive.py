@@ -74,9 +74,9 @@ class Odometry(Columns):
 
         Motion to and fro within `JITTER_S` is jitter, as that of legs, and does not count.
         """
-        if not self.moves_sideways or np.ptp(self.t) < JITTER_S:
+        if not self.moves_sideways:
             return False
-        edges = np.arange(self.t[0], self.t[-1], JITTER_S)
+        edges = np.arange(self.t[0], self.t[-1] + 1.5 * JITTER_S, JITTER_S)
         window = np.ones(min(round(SIDEWAYS_WINDOW_S / JITTER_S), edges.size - 1))
 
         def path(speed: np.ndarray) -> np.ndarray:

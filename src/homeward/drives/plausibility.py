@@ -41,6 +41,7 @@ NO_SPEED = (
     "odometry samples, all with a speed of exactly 0; if the robot did not only turn on the spot, "
     "its speed is missing: add it"
 )
+SIDEWAYS = "poses of a robot that moves sideways; the sideways speed is computed, too"
 UNKNOWN = (
     "odometry intervals with implausible motion (encoder reset, pose jump or spike; the first at "
     "{:.2f} s, at {:.3g} m/s and {:.3g} rad/s); their motion counts as unknown"
@@ -137,13 +138,18 @@ def odometry_from_poses(t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]
     """Return the twists from each pose to the next along an arc; the last is 0.
 
     `t` (n,) [s] increases strictly; `rows` (n, 3) are x [m], y [m], heading [rad]. Sideways motion
-    is ignored. The motion of a jump is unknown; `remarks` counts jumps.
+    counts where the robot strafes; less is noise of the poses. The motion of a jump is unknown.
+    `remarks` counts jumps.
     """
     forward, sideways, turn = steps_between(rows)
     # An arc is longer than its chord by (turn / 2) / sin(turn / 2).
-    arc = forward / np.sinc(turn / math.tau)
-    rates = (np.append(step / np.diff(t), 0.0) for step in (arc, turn, sideways))
+    chord = np.sinc(turn / math.tau)
+    steps = forward / chord, turn, sideways / chord
+    rates = (np.append(step / np.diff(t), 0.0) for step in steps)
     odometry = without_implausible(Odometry(t, *rates), remarks)
+    if odometry.strafes:
+        remarks[SIDEWAYS] = t.size
+        return odometry
     return Odometry(t, odometry.v, odometry.omega)
 
 

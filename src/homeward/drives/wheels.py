@@ -40,6 +40,20 @@ def differential(
     return without_implausible(Odometry(t, (left + right) / 2, omega), remarks)
 
 
+def mecanum(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str, int]) -> Odometry:
+    """Return the odometry of a mecanum drive, whose rollers form an X seen from above.
+
+    `speeds` (n, 4) [m/s] are those of the front left, front right, rear left and rear right wheel,
+    positive forward. Requires `wheels.track_width` and `wheels.wheelbase`.
+    """
+    front_left, front_right, rear_left, rear_right = speeds.T / 4
+    lever = ((wheels.track_width or math.nan) + (wheels.wheelbase or math.nan)) / 2
+    v = front_left + front_right + rear_left + rear_right
+    omega = (front_right + rear_right - front_left - rear_left) / lever
+    vy = front_right + rear_left - front_left - rear_right
+    return without_implausible(Odometry(t, v, omega, vy), remarks)
+
+
 def ackermann(
     t: np.ndarray, v: np.ndarray, steering: np.ndarray, wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:

@@ -131,12 +131,12 @@ def test_poses_are_odometry_where_the_topics_file_names_them(opened, name, kind,
     assert "no topic with odometry" in refused(opened, data)
 
 
-def test_sideways_speeds_of_a_swerve_drive_are_reported(opened):
+def test_sideways_speeds_of_a_swerve_drive_are_read(opened):
     rows = [header(), SPEEDS, CAMERA]
     for k in range(20):
         rows += [record(1, k * MICRO // 10, doubles(0.5, 0.4, 0.0)), record(2, k, photon(TAGS))]
     drive = opened(b"".join(rows))
-    assert "20 odometry messages with a sideways speed, which is ignored" in drive.remark_lines
+    assert drive.odometry.vy.tolist() == [0.4] * 20
 
 
 def test_objects_without_an_id_and_results_without_positions_are_left_out(opened):

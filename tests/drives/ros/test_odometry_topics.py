@@ -203,12 +203,12 @@ def test_an_imu_that_contradicts_the_odometry_is_refused(made, measured, topic, 
         made(imu_and_odometry(measured), topics, odometry_too=False)
 
 
-def test_numbers_that_are_not_finite_and_sideways_speeds_are_counted(made):
+def test_numbers_that_are_not_finite_are_counted_and_sideways_speeds_are_read(made):
     def fill(log):
         for i, t in enumerate(stamps(10)):
             v = math.nan if i == 3 else 0.2
             log.write("/odom", t, odometry(log, t, v, 0.1, sideways=0.1 if i > 7 else 0.0))
 
     drive = made(fill, odometry_too=False)
-    assert drive.odometry.t.size == 9
-    assert sorted(drive.remarks.values()) == [1, 2]
+    assert drive.odometry.vy.tolist() == [0.0] * 7 + [0.1] * 2
+    assert list(drive.remarks.values()) == [1]

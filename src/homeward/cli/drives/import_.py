@@ -34,9 +34,10 @@ def import_(
             metavar="[FILE:]ROLE=COLUMN[UNIT]",
             help="Roles of columns, separated by commas; a minus before COLUMN changes the sign. "
             "Without a header, columns are 1, 2, 3. "
-            "Roles: t, v, omega, landmark, bearing, sigma, x, y, z, heading; "
+            "Roles: t, v, omega, vy, landmark, bearing, sigma, x, y, z, heading; "
             "of positions: forward, left, right; of wheels: left_wheel, left_speed, left_step, "
-            "right_wheel, right_speed, right_step, steering; of steps: distance, turn; "
+            "right_wheel, right_speed, right_step, steering, front_left_wheel (and so on); "
+            "of steps: distance, turn; "
             "of pixels: column, row, column0 to row3, fx, fy, cx, cy.",
         ),
     ] = None,

@@ -10,8 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from homeward.drives.importers.wheel_columns import FOUR, WHAT, wheel_roles
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
-from homeward.drives.importers.wheel_columns import wheel_role
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -50,6 +50,10 @@ ROLES: Mapping[str, tuple[str, str]] = {
         "speed",
         "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x forward "
         "forward.velocity forward.speed linear.velocity linear.speed geschwindigkeit",
+    ),
+    "vy": (
+        "speed",
+        "vy linear.y vel.vy v.y velocity.y vel.y lateral.velocity lateral.speed sideways.speed",
     ),
     "omega": (
         "rate",
@@ -113,7 +117,8 @@ OPTIONAL: Mapping[str, tuple[str, ...]] = {
 }
 """The optional roles of these tables."""
 ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
-    KINDS["odometry"]: (),
+    KINDS["odometry"]: ("vy",),
+    **{("t", *(f"{wheel}_{what}" for wheel in FOUR)): ("omega",) for what in WHAT},
     ("t", "left_wheel", "right_wheel"): ("omega",),
     ("t", "left_speed", "right_speed"): ("omega",),
     ("t", "left_step", "right_step"): ("omega",),
@@ -125,7 +130,7 @@ UNUSED = {"acceleration", "accel", "acc", "covariance", "magnetic", "mag"}
 """Words in names of columns without a role."""
 ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
 NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
-EXCLUDED = {"v": UNUSED | ROTATIONAL, "x": NO_PLACE, "y": NO_PLACE, "z": NO_PLACE}
+EXCLUDED = dict.fromkeys(("v", "vy"), UNUSED | ROTATIONAL) | dict.fromkeys("xyz", NO_PLACE)
 """Words in names of columns that have no such role; `UNUSED` for others."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
@@ -311,9 +316,8 @@ def _score(name: str, role: str) -> tuple[int, int]:
 def _scores(name: str) -> dict[str, tuple[int, int]]:
     """Return `_score` of all roles that match a name."""
     words = words_in(name)
-    wheel = wheel_role(words)
-    if wheel is not None:
-        return {wheel: (1, -len(words))}
+    if wheels := wheel_roles(words):
+        return {role: (1, -len(words)) for role in wheels}
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words) - size + 1))
     found = {role: len(span) for span in spans for role in _ROLES.get(span, ())}
     if "frame" in words and "child" not in words:

@@ -10,11 +10,12 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY, odometry_of, sorted_by_time, without_repeats
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.drives.importers.wheel_columns import accumulates, base_of
+from homeward.drives.importers.wheel_columns import FOUR, PAIR, accumulates, base_of
+from homeward.drives.importers.wheel_columns import ROLES as WHEELS
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import Wheels
-from homeward.drives.wheels import ackermann, differential, speeds_from_positions
+from homeward.drives.wheels import ackermann, differential, mecanum, speeds_from_positions
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import Table
@@ -38,9 +39,7 @@ def imported_odometry(
     the wheels is ambiguous or too large.
     """
     by_role = {one.column.role: one for one in columns}
-    if wheels != Wheels() and not by_role.keys() & {"left_wheel", "left_speed", "left_step"} | (
-        by_role.keys() & {"steering"}
-    ):
+    if wheels != Wheels() and not by_role.keys() & {*WHEELS, "steering"}:
         raise InputError(
             "--wheels is not needed: the odometry does not come from wheels; give their columns, "
             "as in --columns 'left_wheel=A, right_wheel=B', or leave it out",
@@ -76,31 +75,37 @@ def imported_odometry(
 def _of_wheels(
     by_role: dict[str, ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:
-    """Return the odometry of left and right wheels."""
-    left, right = (
-        next(one for role, one in by_role.items() if role.startswith(side))
-        for side in ("left_", "right_")
-    )
-    role, name, unit = left.column.role.removeprefix("left_"), left.column.name, base_of(left.unit)
-    if base_of(right.unit) != unit:
-        _refuse_unit(left, f"{name!r} is in {left.unit}, {right.column.name!r} in {right.unit}")
+    """Return the odometry of left and right wheels, or of the four wheels of a mecanum drive."""
+    by_wheel = {role.rpartition("_")[0]: one for role, one in by_role.items() if role in WHEELS}
+    names = FOUR if FOUR[0] in by_wheel else PAIR
+    columns = [by_wheel[name] for name in names]
+    left, right = columns[:2]
+    role, name, unit = left.column.role.rpartition("_")[2], left.column.name, base_of(left.unit)
+    for other in columns[1:]:
+        if base_of(other.unit) != unit:
+            _refuse_unit(left, f"{name!r} is in {left.unit}, {other.column.name!r} in {other.unit}")
     if role == "speed" and left.column.unit is None and unit == "m" and wheels.wheel_radius:
         _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
-    missing = wheels.missing(unit)
-    _require(missing, (left, right), table)
-    t, values = table["t"], np.stack([table[left.column.role], table[right.column.role]], axis=1)
+    missing = wheels.missing(unit) + wheels.missing("m", steers=True) * (names == FOUR)
+    _require(missing, columns, table)
+    t, values = table["t"], np.stack([table[one.column.role] for one in columns], axis=1)
     if role == "speed":
         speeds = wheels.metres(unit) * values
     else:
         speeds = speeds_from_positions(t, values, wheels, unit, remarks)
     moved = speeds[:-1] * np.diff(t)[:, None]
     if role == "wheel" and not left.column.is_specified and not any(map(accumulates, moved.T)):
+        steps, positions = (
+            ", ".join(f"{w}_{what}={c.column.name}" for w, c in zip(names, columns, strict=True))
+            for what in ("step", "wheel")
+        )
         raise InputError(
             f"{name!r} and {right.column.name!r} do not accumulate: if they are steps from row to "
-            f"row, use --columns 'left_step={name}, right_step={right.column.name}', otherwise "
-            f"'left_wheel={name}, right_wheel={right.column.name}'",
+            f"row, use --columns '{steps}', otherwise '{positions}'",
             table.file,
         )
+    if names == FOUR:
+        return mecanum(t, speeds, wheels, remarks)
     moving = np.hypot(*speeds.T) > 0.0
     opposite = int((speeds.prod(axis=1) < 0).sum())
     if 2 * opposite > moving.sum():

@@ -116,7 +116,11 @@ class Part:
             if role == "sigma":  # the same program writes bearings and sigmas
                 angle = units["bearing"][0]
             if column.quantity != "name":
-                unit, _ = units[role] = _unit(table, column, clock, angle)
+                if role == "vy" and column.unit is None:  # the same program writes both speeds
+                    units[role] = units["v"][0], "as v"
+                else:
+                    units[role] = _unit(table, column, clock, angle)
+                unit, _ = units[role]
                 values[role] = column.sign * UNITS[column.quantity][unit] * values[role]
         remarks = {INCOMPLETE.format(self.kind): missing} if missing else {}
         columns = dict(self.columns)

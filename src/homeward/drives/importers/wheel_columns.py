@@ -22,7 +22,7 @@ STEPS = {"d", "delta", "diff", "step", "increment", "inc"}
 NOUNS = SPEEDS | POSITIONS | STEPS
 OF_WHEELS = COUNTS | {"wheel", "wheels", "motor", "joint", "rpm"}
 """Words that no other columns have; names without one must have no further words."""
-FURTHER = {"raw", "total", "cumulative", "cum", "front", "rear", "side", "robot", "s"}
+FURTHER = {"raw", "total", "cumulative", "cum", "front", "rear", "back", "side", "robot", "s"}
 OTHERS = {"cmd", "command", "target", "setpoint", "desired", "goal", "ref", "pwm", "duty", "effort"}
 OTHERS |= {"torque", "current", "acceleration", "temperature"}
 """Words of commands and of other measurements."""
@@ -31,7 +31,20 @@ _COMPOUND = re.compile(
     rf"(?P<side>left|right|l|r)(?P<noun>{_LONG})|(?P<noun_>{_LONG}|v|w|d)(?P<side_>left|right|l|r)"
 )
 """A side and a noun in one word, as in leftticks, rpmL or vl."""
-ROLES = {f"{side}_{what}" for side in ("left", "right") for what in ("wheel", "speed", "step")}
+CORNERS = {
+    f"{first}{second}": (axle, side)
+    for a, axle in (("f", "front"), ("r", "rear"), ("b", "rear"))
+    for s, side in (("l", "left"), ("r", "right"))
+    for first, second in ((a, s), (s, a))
+    if a != "r" or first == "r"  # "lr" may be left and right
+}
+"""Abbreviated axles and sides, as in fl_ticks or rr_ticks."""
+AXLES = {"front": "front", "rear": "rear", "back": "rear"}
+WHAT = "wheel", "speed", "step"
+PAIR = "left", "right"
+FOUR = "front_left", "front_right", "rear_left", "rear_right"
+"""The wheels of a mecanum drive."""
+ROLES = {f"{side}_{what}" for side in (*PAIR, *FOUR) for what in WHAT}
 BASES = {
     **dict.fromkeys(("ticks", "ticks/s"), "ticks"),
     **dict.fromkeys(("rad", "deg", "rev", "rad/s", "deg/s", "rpm", "rev/s"), "rad"),
@@ -42,23 +55,33 @@ MAX_TRAVEL = 4.0
 
 
 @lru_cache(maxsize=2**15)
-def wheel_role(words: tuple[str, ...]) -> str | None:
-    """Return the role of a column with these words in its name; None for other columns."""
+def wheel_roles(words: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the roles of a column with these words in its name; none for other columns.
+
+    A front wheel may be one of two or of four.
+    """
     found = _split(words)
     sides = {SIDES[word] for word in found if word in SIDES}
     is_known = found <= SIDES.keys() | NOUNS | FURTHER or found & OF_WHEELS
-    if len(sides) != 1 or not is_known or found & OTHERS:
-        return None
+    axles = {AXLES[word] for word in found if word in AXLES}
+    if len(sides) != 1 or len(axles) > 1 or not is_known or found & OTHERS:
+        return ()
     speeds = SPEEDS | {"s"}  # of a unit, as in rad_s
     kinds = {"step": STEPS, "speed": speeds, "wheel": POSITIONS}
     kind = next((kind for kind, known in kinds.items() if found & known), None)
-    return kind and f"{sides.pop()}_{kind}"
+    if kind is None:
+        return ()
+    role = f"{sides.pop()}_{kind}"
+    return (role, *(f"{axle}_{role}" for axle in axles))
 
 
 def _split(words: tuple[str, ...]) -> set[str]:
     """Return words, with a side and a noun in one word as two."""
     found = set[str]()
     for word in words:
+        if word in CORNERS:
+            found.update(CORNERS[word])
+            continue
         compound = None if word in NOUNS else _COMPOUND.fullmatch(word)
         found.update([word] if compound is None else filter(None, compound.groups()))
     return found

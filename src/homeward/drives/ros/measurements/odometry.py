@@ -96,9 +96,6 @@ POSES = (
     ROBOT_ON_FIELD,
 )
 """Types with a pose."""
-SIDEWAYS = "odometry messages with a sideways speed, which is ignored"
-SIDEWAYS_SHARE = 0.1
-"""Minimum sideways speed, as a share of the forward speed; less is noise."""
 CONTRADICTION = (
     "odometry messages whose twists and poses contradict each other: {}; the {} are used ({})"
 )
@@ -212,23 +209,20 @@ class OdometryRows:
             t, v, steering = rows.T.copy()
             return ackermann(t, v, steering, self._given, remarks)
         if self._by_twist(rows, remarks):
-            with np.errstate(invalid="ignore"):
-                sideways = np.abs(rows[:, 3]) > SIDEWAYS_SHARE * np.abs(rows[:, 1]) + 1e-3
-            remarks.count(SIDEWAYS, int(sideways.sum()))
             return without_implausible(Odometry(*self._cleaned_twists(rows, remarks)), remarks)
         self._require_orientations(rows)
         rows = self._clean(rows[:, [0, 4, 5, 6]], remarks)
         return odometry_from_poses(rows[:, 0], rows[:, 1:], remarks)
 
     def _cleaned_twists(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
-        """Return t, v and omega, shape (3, n); homeward's own messages may have unknown motion."""
+        """Return t, v, omega, vy, shape (4, n); homeward's own messages may have unknown motion."""
         unknown = np.isnan(rows[:, 1:3]).all(axis=1) & (self._kind == ODOMETRY)
         if not unknown.any():
-            return self._clean(rows[:, :3], remarks).T.copy()
+            return self._clean(rows[:, :4], remarks).T.copy()
         # Zeros replace unknown twists, so that `_clean` keeps the rows.
-        marked = np.column_stack([rows[:, 0], np.where(unknown, 0.0, rows[:, 1:3].T).T, unknown])
-        t, v, omega, lost = self._clean(marked, remarks).T
-        return np.stack([t, *np.where(lost > 0, np.nan, [v, omega])])
+        marked = np.column_stack([rows[:, 0], np.where(unknown, 0.0, rows[:, 1:4].T).T, unknown])
+        t, *twist, lost = self._clean(marked, remarks).T
+        return np.stack([t, *np.where(lost > 0, np.nan, twist)])
 
     def _clean(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
         return clean_rows(rows, self._given.topic, "odometry", REPEATED_ODOMETRY, remarks)
