@@ -233,6 +233,7 @@ def test_headers_of_the_items_give_frame_and_time(tmp_path):
         "std_msgs/Header header\nfloat32 v\nfloat32 omega\n",
         "std_msgs/Header header\nfloat64 linear_velocity\nfloat64 yaw_rate\n",
         "std_msgs/Header header\ngeometry_msgs/Twist twist\nint32 battery\n",
+        "std_msgs/Header header\nfloat32 vx\nfloat32 wz\nfloat64 vy\n",
     ],
 )
 def test_odometry_of_an_unknown_type(tmp_path, text):
@@ -240,11 +241,15 @@ def test_odometry_of_an_unknown_type(tmp_path, text):
     names = [line.split()[-1] for line in text.splitlines()[1:3]]
     fields = dict(zip(names, (0.5, 0.1), strict=True))
     if "Twist" in text:
-        fields = {"twist": {"linear": {"x": 0.5}, "angular": {"z": 0.1}}}
+        fields = {"twist": {"linear": {"x": 0.5, "y": -0.2}, "angular": {"z": 0.1}}}
+    if "vy" in text:
+        fields["vy"] = -0.2
     write_log(path, "my_msgs/msg/Wheel", text, [fields] * 10, topic="/wheels", with_odometry=False)
     drive = open_drive(path)
     assert drive.odometry.v.tolist() == pytest.approx([0.5] * 10)
     assert drive.odometry.omega.tolist() == pytest.approx([0.1] * 10)
+    strafes = "vy" in text or "Twist" in text
+    assert drive.odometry.vy.tolist() == pytest.approx([-0.2 if strafes else 0.0] * 10)
     assert any("read by fields: v = " in remark for remark in drive.remarks)
     assert "/wheels (my_msgs/msg/Wheel): can be used as odometry: v = " in info(path)
 

@@ -243,7 +243,8 @@ def _numbered(names: list[str]) -> list[str]:
 def _uses_by_fields(known: TopicSurvey, name: str) -> Iterator[str]:
     """Yield the possible uses of a topic of an unknown type."""
     for option in candidates(known, OdometryTopic(topic=name)):
-        yield f"odometry: v = {option.v}, omega = {option.omega}, as in {shown([option])}"
+        fields = f"v = {option.v}, omega = {option.omega}" + f", vy = {option.vy}" * bool(option.vy)
+        yield f"odometry: {fields}, as in {shown([option])}"
     for given in candidates(known, BearingsTopic(topic=name)):
         axes = ""
         if given.position:

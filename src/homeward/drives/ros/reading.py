@@ -139,6 +139,7 @@ class _Reading:
             if wheels != Wheels() and source.yaw_rate is None:
                 self._settings = self._settings.model_copy(update={"wheels": wheels})
             fields = f"v = {source.v}, omega = {source.omega}"
+            fields += f", vy = {source.vy}" * bool(source.vy)
             self._remark_fields(source.topic, fields, "odometry samples", odometry.t.size)
         sightings = self._sightings()
         found = Drive(

@@ -52,6 +52,8 @@ class OdometryTopic(Wheels):
     """Path of the forward speed [m/s] in a message of another type, as in ``twist.linear.x``."""
     omega: FieldPath | None = None
     """Path of the yaw rate [rad/s]."""
+    vy: FieldPath | None = None
+    """Path of the speed to the left [m/s]."""
     use: Literal["twist", "pose"] | None = None
     """Part of a nav_msgs/Odometry: the twist, or differentiated poses; None: the twist, unless the
     poses contradict it and are usable."""

@@ -171,8 +171,8 @@ class OdometryRows:
             self._rows.append((t, *nothing, float(place.x), float(place.y), yaw(rotation)))
             return
         if self._given.v and self._given.omega:
-            paths = self._given.v, self._given.omega
-            twist = (*(values(message, path)[0] for path in paths), 0.0)
+            paths = self._given.v, self._given.omega, self._given.vy
+            twist = tuple(values(message, path)[0] if path else 0.0 for path in paths)
         else:
             twist = twist_of(message) if self._kind in TWISTS else nothing
         pose = pose_of(message) if self._kind in POSES else nothing

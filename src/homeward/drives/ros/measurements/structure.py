@@ -160,12 +160,21 @@ def has_frame(layout: Layout, found: Mapping[str, str]) -> bool:
     return bool({"", _scope(layout.place)}.intersection(headers))
 
 
-def odometry_paths(kind: str, fields: Fields) -> tuple[tuple[str, str], ...]:
-    """Return the possible paths of forward speed and yaw rate in a message type."""
+def odometry_paths(kind: str, fields: Fields) -> tuple[tuple[str, str, str], ...]:
+    """Return the possible paths of forward speed, yaw rate and sideways speed in a message type.
+
+    The last one is empty if a type has none.
+    """
     numbers = [p for p in _of(leaves(kind, fields), NUMBER) if "[]" not in p]
     speeds = [m for p in numbers if (m := _SPEEDS.fullmatch(p))]
     rates = [m for p in numbers if (m := _YAW_RATES.fullmatch(p))]
-    return tuple((v[0], w[0]) for v in speeds for w in rates if v["parent"] == w["parent"])
+    sideways = {p: p[:-1] + "y" for p in numbers if p.endswith("x") and p[:-1] + "y" in numbers}
+    return tuple(
+        (v[0], w[0], sideways.get(v[0], ""))
+        for v in speeds
+        for w in rates
+        if v["parent"] == w["parent"]
+    )
 
 
 def _named(ids: Sequence[str], scope: str) -> list[str]:

@@ -23,7 +23,7 @@ from homeward.drives.ros.topics.survey import IS_READ, Topic, TopicSurvey
 from homeward.errors import InputError
 from homeward.io.naming import listing
 
-PATHS = ("id", "position", "bearing", "v", "omega")
+PATHS = ("id", "position", "bearing", "v", "omega", "vy")
 """Keys of fields in a topics file."""
 Named = TypeVar("Named", BearingsTopic, OdometryTopic)
 
@@ -45,8 +45,8 @@ def candidates(survey: TopicSurvey, given: Named) -> list[Named]:
     if isinstance(given, BearingsTopic):
         options = [layout._asdict() for layout in layouts(kind, fields)]
     else:
-        pairs = odometry_paths(kind, fields)
-        options = [{"v": v, "omega": omega} for v, omega in pairs]
+        paths = odometry_paths(kind, fields)
+        options = [{"v": v, "omega": omega, "vy": vy} for v, omega, vy in paths]
     wanted = _paths(given)
     return [
         given.model_copy(update={name: path or None for name, path in option.items()})
