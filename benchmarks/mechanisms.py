@@ -207,6 +207,7 @@ MECHANISMS = {
     "scene-change": off(
         "change of scene", "recovery.monitor:SceneChangeDetector.has_changed", False
     ),
+    "common-motion": off("common motion of landmarks", "chart:carried_since"),
 }
 
 

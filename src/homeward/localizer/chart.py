@@ -36,6 +36,7 @@ from homeward.localizer.output.faces import (
 )
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
+from homeward.localizer.recovery.common_motion import carried_since
 from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
 from homeward.localizer.recovery.search import find_by_frame, pose_reset
 from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
@@ -363,10 +364,15 @@ class Chart:
         rejected = self.map.landmarks.update_rejections(gated.fits)
         moved = self.monitor.moved_landmarks(rejected) if rejected else []
         try:
-            return self.map.update(gated, moved)
+            changed = self.map.update(gated, moved)
+            carried = carried_since(self.map.landmarks) if changed else None
+            if carried is None:
+                return changed
+            self.map.revert_to(carried)
         except np.linalg.LinAlgError:
             self._give_up_map()
             return True
+        return self._begin_search(gated.frame, Health.CARRIED)
 
     def _begin_search(self, seen: WeighedFrame, why: Health) -> bool:
         """Begin a relocalisation; return whether it succeeds at once."""

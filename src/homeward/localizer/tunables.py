@@ -437,6 +437,8 @@ NUM_HALVINGS = 8
 """Bisections for a quantile, which is then known to 0.5 % of a deviation."""
 
 # Recovery
+MIN_TOGETHER = 3
+"""Landmarks that must have moved together: two always do, but for their distance."""
 VIEW_ANGLE = math.pi
 """Width of the sector in which landmarks are seen [rad]."""
 FIX_PATIENCE = 4

@@ -56,7 +56,9 @@ class Landmark:
     entered: int = 0
     """Keyframe at which it was initialised ..."""
     first: int = 0
-    """... and of its first sighting."""
+    """... of its first sighting ..."""
+    last: int = 0
+    """... and of the last one that fitted its position."""
     rejections: int = 0
     """Recent rejections less twice the acceptances, not below zero."""
     walk_moment: np.ndarray = field(default_factory=lambda: np.zeros((2, 2)))
@@ -156,12 +158,14 @@ class Landmarks:
         self, t: float, names: list[str], rows: np.ndarray, directions: np.ndarray
     ) -> None:
         """Add accepted sightings of `t` [s], rows of the table, along directions [rad]."""
+        newest = int(rows[0, KEYFRAME]) if len(rows) else 0
         for name, row, line in zip(names, rows, directions.tolist(), strict=True):
             landmark = self.mapped.get(name)
             if landmark is None:
                 self._candidates.setdefault(name, Candidate(t)).rows.append(row)
             else:
                 landmark.count_sighting(line)
+                landmark.last = newest
                 if not landmark.rejections:
                     self._candidates.pop(name, None)
         self.smoother.add_sightings(rows[rows[:, LANDMARK] >= 0])
@@ -226,9 +230,11 @@ class Landmarks:
             self._drop(name)  # it was badly initialised
         elif self._has_returned(name, rows):
             self._restore(name)
+        first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
         if name not in self.mapped:
-            number, first = self.smoother.add_landmark(position), int(rows[0, KEYFRAME])
+            number = self.smoother.add_landmark(position)
             self.mapped[name] = Landmark(name, number, 0, self.smoother.newest, first)
+        self.mapped[name].last = last
         rows[:, LANDMARK] = self.mapped[name].number
         self.smoother.add_sightings(rows)
         directions = self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING]
@@ -364,6 +370,15 @@ class Landmarks:
                 self._drop(name)
                 initialised = True
         return initialised
+
+    def revert_to(self, keyframe: int) -> None:
+        """Remove landmarks initialised after a keyframe, and undo moves declared since."""
+        for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
+            self._drop(name)
+        for name in [n for n in self.former if n not in self.mapped]:
+            self._restore(name)
+        self._candidates.clear()
+        self.range_mixtures.clear()
 
     def drop_misfits(self, residuals: np.ndarray) -> int:
         """Remove landmarks on which the sightings do not agree; return how many.

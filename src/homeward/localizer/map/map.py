@@ -336,6 +336,14 @@ class Map:
         self._add_sightings(frame, rows, float(self.camera_at(here, frame.offset)[2]), {})
         self._correct(True)
 
+    def revert_to(self, keyframe: int) -> None:
+        """Revert the landmarks to those of a keyframe, undoing later initialisations and moves.
+
+        `numpy.linalg.LinAlgError` when the map has become singular.
+        """
+        self.landmarks.revert_to(keyframe)
+        self._correct(True)
+
     def integrate_again(self, since: float, between: Callable[[float, float], Motion]) -> None:
         """Integrate the motions since a time again, and evaluate the next solution with them."""
         self.smoother.integrate_again(since, between, self._mount)

@@ -2,7 +2,8 @@
 
 A robot may be lifted, pushed or slip, and its odometry may drop out. Then the map is still right,
 but the robot is not where the map has it. The detectors run in the order in which their evidence
-becomes available: odometry, before it predicts anything; then the innovations.
+becomes available: odometry, before it predicts anything; the innovations; landmarks that seem to
+have moved.
 """
 
 from __future__ import annotations
@@ -174,9 +175,11 @@ class Health(Enum):
     ODOMETRY_LOST = auto()
     """Lost from now on: odometry dropped out for too long ..."""
     KIDNAPPED = auto()
-    """... hardly any bearing fits the map ..."""
+    """... or hardly any bearing fits the map ..."""
     SCENE_CHANGED = auto()
-    """... or all that is in sight was replaced at once."""
+    """... or all that is in sight was replaced at once ..."""
+    CARRIED = auto()
+    """... or landmarks moved together, which means that the robot was carried."""
     LOST = auto()
     """Lost before, and not relocalised yet."""
 
