@@ -77,7 +77,7 @@ def test_the_change_and_its_onset_are_those_of_the_wheels():
     found = find_change(smoother)
     onset = smoother.stamps[found.keyframe - smoother.first]
     assert onset == pytest.approx(began, abs=1.0)
-    assert found.size[0] == pytest.approx(-0.2, abs=3.0 * found.sigma[0] + 0.05)
+    assert found.size == pytest.approx(-0.2, abs=3.0 * found.sigma + 0.05)
 
 
 def test_nothing_is_tested_in_a_window_without_landmarks_or_motions():

@@ -15,7 +15,7 @@ LAYOUT = {
 """Rows, columns and sizes of tables, and floors against a division by zero."""
 QUADRATURE = {
     "CHI_SQUARES", "LAG_TIMES", "MAD_TO_SIGMA", "QUARTER_TO_SIGMA", "SHARES", "UNIFORM_FROM",
-    "WEIGHTS", "_SLOPES",
+    "WEIGHTS", "_SLOPES", "_TWICE_ALONG",
 }  # fmt: skip
 """Nodes of integrals, and constants of distributions."""
 

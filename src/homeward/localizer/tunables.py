@@ -367,6 +367,11 @@ NUM_JUMPS = 10
 bump also moves the robot, and a wheel may slip now and then."""
 NUM_CHANGES = 24
 """Motions at which odometry may have changed: it is tested every few keyframes."""
+MIN_CHANGED = 3
+"""Motions after a change before it is tested: a slip is a change in one or two."""
+MIN_SCALE = 0.1
+"""Smallest scale of the speed after a change [1]: wheels that turn ten times too fast have no
+grip."""
 MIN_CHANGE = 0.15
 """Smallest change of the odometry's scale that is not drift: three standard deviations of the
 calibration of a robot [1]."""

@@ -210,7 +210,7 @@ class Map:
         self._solve()
 
     def change_odometry(self, change: OdometryChange) -> None:
-        """Free the scales of odometry; see `Smoother.change_odometry`."""
+        """Free the scale of the speed; see `Smoother.change_odometry`."""
         self.smoother.change_odometry(change.keyframe)
         self.landmarks.drop_candidates_before(self.smoother.first)
         self.odometry_change = ChangeTest()

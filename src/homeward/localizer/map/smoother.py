@@ -48,7 +48,6 @@ from homeward.localizer.motions import (
     ODOMETRY_CALIBRATION,
     SPEED_SCALE,
     TIME_CONSTANT,
-    TURN_SCALE,
     TURN_SLIP,
     Motion,
     camera_after,
@@ -396,11 +395,11 @@ class Smoother:
         self.solve()
 
     def change_odometry(self, keyframe: int) -> None:
-        """Free the scales of odometry from a keyframe on, and solve the window.
+        """Free the scale of the speed from a keyframe on, and solve the window.
 
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
-        self.marginalise(keyframe - self.first, {SPEED_SCALE: 1.0, TURN_SCALE: 1.0})
+        self.marginalise(keyframe - self.first, {SPEED_SCALE: 1.0})
         self.solve()
 
     def marginalise(self, count: int, changes: Mapping[int, float] | None = None) -> None:

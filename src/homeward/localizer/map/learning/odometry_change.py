@@ -1,4 +1,4 @@
-"""Test for odometry that changes: from some keyframe on, its speed and turn have another scale.
+"""Test for odometry that changes: from some keyframe on, its speed has another scale.
 
 Wheels spin, a wheel blocks, a gear slips. The scale of odometry alone is not observable without
 distances, but a change of it is: the map has the scale of the odometry before. It follows from the
@@ -14,32 +14,35 @@ import numpy as np
 
 from homeward.localizer import kernels
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.motions import SPEED_SCALE, TURN_SCALE
+from homeward.localizer.motions import SPEED_SCALE
 from homeward.localizer.reference.extension import Unknown
-from homeward.localizer.tunables import FINAL_GATE, MIN_CHANGE, NUM_CHANGES
-
-_SCALES = [SPEED_SCALE, TURN_SCALE]
+from homeward.localizer.tunables import FINAL_GATE, MIN_CHANGE, MIN_CHANGED, MIN_SCALE, NUM_CHANGES
 
 
 class OdometryChange(NamedTuple):
-    """Change of the scales of odometry."""
+    """Change of the scale of the speed."""
 
     keyframe: int
-    """Number of the first keyframe after which they are changed."""
-    scale: np.ndarray
-    """(2,): scale of speed and of turn after it [1]."""
-    size: np.ndarray
-    """(2,): their changes [1]."""
-    sigma: np.ndarray
-    """(2,): their standard deviations [1]."""
-    square: float
-    """Squared Mahalanobis distance from no change."""
+    """Number of the first keyframe after which it is changed."""
+    scale: float
+    """Scale after it [1]."""
+    size: float
+    """Its change [1]."""
+    sigma: float
+    """Standard deviation of the change [1]."""
 
     @property
-    def is_proved(self) -> bool:
-        """Whether one of them passes the gate of final decisions, and is no drift."""
-        off = np.abs(self.size)
-        return bool(((off > FINAL_GATE * self.sigma) & (off > MIN_CHANGE)).any())
+    def square(self) -> float:
+        """Squared Mahalanobis distance from no change."""
+        return (self.size / self.sigma) ** 2
+
+    def is_proved(self, rival: float) -> bool:
+        """Whether it explains more than a rival by the gate of final decisions, and is no drift.
+
+        `rival` is the squared Mahalanobis distance of another explanation.
+        """
+        is_large = abs(self.size) > MIN_CHANGE and self.scale > MIN_SCALE
+        return is_large and self.square > rival + FINAL_GATE**2
 
 
 class ChangeTest:
@@ -47,7 +50,7 @@ class ChangeTest:
 
     def __init__(self) -> None:
         self.is_suspected = False
-        """Whether the last solution showed a change."""
+        """Whether the last solution showed a change, or one that was applied was none."""
         self.proved: OdometryChange | None = None
         """The change if it was suspected before: so the status reports it before it is applied."""
 
@@ -58,9 +61,10 @@ class ChangeTest:
         `numpy.linalg.LinAlgError` when the solution has become singular.
         """
         found, suspected = find_change(smoother), self.is_suspected
-        self.is_suspected = found is not None and found.is_proved and found.square > rival
-        is_forwards = found is not None and (found.scale > 0.0).all()  # else the signs are wrong
-        self.proved = found if suspected and self.is_suspected and is_forwards else None
+        is_proved = found is not None and found.is_proved(rival)
+        self.proved = found if suspected and is_proved else None
+        # Wheels that hardly move the robot, or move it backwards, are no change of the scale.
+        self.is_suspected = is_proved or smoother.state.calibration[SPEED_SCALE] < MIN_SCALE - 1.0
         return self.is_suspected
 
 
@@ -69,24 +73,18 @@ def find_change(smoother: Smoother) -> OdometryChange | None:
 
     `numpy.linalg.LinAlgError` when the normal equations are singular.
     """
-    w, n = len(smoother.stamps), len(smoother.ids)
-    if w < 3 or not n:
+    num_motions = len(smoother.stamps) - 1
+    at = np.arange(max(1, num_motions - NUM_CHANGES), num_motions - MIN_CHANGED + 1)
+    if not at.size or not len(smoother.ids):
         return None
     given = smoother.linearised()
-    seen, scales = given.seen, given.motions.jacobian[:, :, 6:][:, :, _SCALES]
-    at = np.arange(max(1, w - 1 - NUM_CHANGES), w - 1)
-    is_after = np.arange(w - 1)[:, None] >= at
-    by_motion = (scales[:, :, :, None] * is_after[:, None, None]).reshape(w - 1, 3, -1)
-    count, none = at.size, np.full(seen.pose.size, -1)
-    unknown = Unknown(np.zeros((none.size, 1)), none, np.ones(2 * count), by_motion)
+    is_after = np.arange(num_motions)[:, None] >= at
+    by_motion = given.motions.jacobian[:, :, 6 + SPEED_SCALE, None] * is_after[:, None]
+    none = np.full(given.seen.pose.size, -1)
+    unknown = Unknown(np.zeros((none.size, 1)), none, np.ones(at.size), by_motion)
     extra = kernels.extend(given, unknown)
-    pairs = np.arange(count)[:, None] + np.array([0, count])
-    information = extra.information[pairs[:, :, None], pairs[:, None, :]]
-    slope = extra.slope[pairs]
-    covariance = np.linalg.inv(information)
-    size = (covariance @ slope[:, :, None])[:, :, 0]
-    square = (size * slope).sum(axis=1)
-    k = int(square.argmax())
-    sigma = np.sqrt(covariance[k].diagonal())
-    scale = 1.0 + smoother.state.calibration[_SCALES] + size[k]
-    return OdometryChange(smoother.first + int(at[k]), scale, size[k], sigma, float(square[k]))
+    information = extra.information.diagonal()
+    k = int((extra.slope**2 / information).argmax())
+    size, sigma = float(extra.slope[k] / information[k]), float(information[k] ** -0.5)
+    scale = 1.0 + float(smoother.state.calibration[SPEED_SCALE]) + size
+    return OdometryChange(smoother.first + int(at[k]), scale, size, sigma)
