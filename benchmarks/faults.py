@@ -208,7 +208,7 @@ def only(is_twist: bool, change: Change) -> Change:
 FAULTS: dict[str, Callable[[Scene], Samples]] = {
     "none": lambda scene: scene.samples,
     **{
-        f"wheels count {k} times too much": during(wheels(lambda v, w, k=k: (k * v, w)))
+        f"wheels count {k} times the way": during(wheels(lambda v, w, k=k: (k * v, w)))
         for k in (0.3, 0.5, 1.5, 2.0, 3.0, 5.0)
     },
     "one wheel counts 0.3 times": during(one_wheel(1.0, 0.3)),
