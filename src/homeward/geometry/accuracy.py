@@ -62,14 +62,14 @@ def _radii() -> tuple[np.ndarray, np.ndarray]:
 class AccuracyLimit:
     """Whether poses are accurate enough, with hysteresis.
 
+    A pose whose deviation is not larger is accurate enough. After one that is larger, others are so
+    only below `RETURN` times the limit, so that a deviation near the limit does not switch a robot
+    on and off.
+
     Parameters
     ----------
     largest_sigma : float, optional
         Limit of the standard deviation of the position along its worst direction [m].
-
-    A pose whose deviation is not larger is accurate enough. After one that is larger, others are so
-    only below `RETURN` times the limit, so that a deviation near the limit does not switch a robot
-    on and off.
     """
 
     def __init__(self, largest_sigma: float = MAX_SIGMA_M) -> None:
