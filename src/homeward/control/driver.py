@@ -9,7 +9,6 @@ from homeward.control.goals import Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Blind, DrivingTime, Fault
 from homeward.estimator import Status
-from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.frames import Twist, position_sigma
 
 AFTERWARDS_S = 1.0
@@ -38,7 +37,7 @@ class Driver:
         """When the state began."""
         self._unlocalised = DrivingTime(math.inf)
         """Since the robot was last localised."""
-        self._accurate = AccuracyLimit(limits.largest_sigma or MAX_SIGMA_M)
+        self._accurate = limits.accuracy()
         self._looked, self._look_rate = 0.0, 0.0
         """Angle turned to see landmarks, or to find the pose, since the robot last drove [rad], and
         the rate [rad/s]."""

@@ -6,6 +6,7 @@ import math
 from typing import Annotated
 
 from homeward.drives.settings import NonNegative, Positive, PositiveOrInf, RobotSettings
+from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.frames import Twist
 from homeward.io.checks import Field
 from homeward.io.keys import Strict
@@ -46,6 +47,10 @@ class Limits(Strict):
         if self.largest_sigma is not None:
             return self
         return self.model_copy(update={"largest_sigma": robot.largest_sigma})
+
+    def accuracy(self) -> AccuracyLimit:
+        """Return a new test of poses by `largest_sigma`."""
+        return AccuracyLimit(self.largest_sigma or MAX_SIGMA_M)
 
     def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
         """Return the twist nearest to the wanted one that is reachable in `dt` [s]."""

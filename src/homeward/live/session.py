@@ -21,7 +21,6 @@ from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, Stam
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
-from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
@@ -61,7 +60,7 @@ class Session:
         """Whether the odometry noise is given, so that the robot may drive on odometry alone."""
         self.homing, self._turning = Driver(limits), Driver(limits)
         self._driver = self.homing
-        self._accurate = AccuracyLimit(limits.largest_sigma or MAX_SIGMA_M)
+        self._accurate = limits.accuracy()
         self._store_after_turn = msg.StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not reach the estimator, by reason in words."""
