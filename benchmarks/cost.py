@@ -1,9 +1,11 @@
 """Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; plain iSAM2.
 
-`python -m benchmarks.cost [--hours 8] [--part steady|long|many|peer|ekf|mcap ...]` prints
+`python -m benchmarks.cost [--hours 8] [--part steady|long|many|hall|peer|ekf|mcap ...]` prints
 milliseconds of processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one
 core). The peer is a plain GTSAM script that keeps the pose of every sample, on the samples of the
-first part. `ekf` is 20 landmarks at 20 Hz next to an EKF that is given the map and the start.
+first part. `hall` drives for `--seconds` on the lanes of a hall with 576 posts, of which a camera
+of 60 degrees sees four at a time. `ekf` is 20 landmarks at 20 Hz next to an EKF that is given the
+map and the start.
 `mcap` is the processor time of the estimation of whole drives, one in circles and those after
 `--drive` (by default the sample), and of writing run.mcap; the first includes the types of ROS.
 """
@@ -18,7 +20,7 @@ import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.peers import surveyed
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.opening import SAMPLE, open_drive
 from homeward.drives.settings import Start
@@ -157,6 +159,60 @@ def many() -> None:
     )
 
 
+def hall_drive(seconds: float, rows: int = 24, seed: int = 0) -> Drive:
+    """Return a drive on lanes of a hall with `rows` times as many posts, 3.4 m apart."""
+    rng, spacing, reach, lane = np.random.default_rng(seed), 3.4, 9.0, 8.0
+    edge = 0.5 * rows * spacing - 6.0
+    grid = (
+        np.stack(np.meshgrid(np.arange(rows), np.arange(rows)), -1) - 0.5 * (rows - 1)
+    ) * spacing
+    posts = (grid + rng.uniform(-1.0, 1.0, (rows, rows, 2))).reshape(-1, 2)
+    ends = [(-edge, edge), (edge, -edge)]
+    points = [
+        (x, float(y)) for k, y in enumerate(np.arange(-edge, edge, lane)) for x in ends[k % 2]
+    ]
+    scene = simulate(
+        sim.Scenario(
+            name=f"hall with {len(posts)} posts",
+            seed=seed,
+            home=sim.RoomPose(x=-edge, y=-edge),
+            landmarks=sim.Listed(
+                at={f"P{i}": (post[0], post[1]) for i, post in enumerate(posts.tolist())}
+            ),
+            visibility=sim.Visibility(field_of_view=np.deg2rad(60.0), range=(0.3, reach)),
+            noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
+            rates=sim.Rates(odometry=10.0, bearings=RATE, truth=1.0),
+            odometry=sim.OdometryErrors(
+                speed_sigma=0.02, turn_sigma=0.02, speed_scale_sigma=0.02, turn_bias_sigma=0.002
+            ),
+            start=sim.StartPose(R=1.0, theta=0.3, alpha=0.2, prior=False),
+            trajectory=sim.Waypoints(
+                kind="waypoints", points=points, speed=0.35, max_turn_rate=0.8, duration=seconds
+            ),
+        )
+    )
+    home = {  # seen while the robot turned round there
+        name: HomeBearing(float(np.arctan2(y, x) + 0.01 * rng.normal()), 0.01)
+        for name, (x, y) in zip(scene.world.ids, scene.world.in_home_frame.tolist(), strict=True)
+        if np.hypot(x, y) < reach
+    }
+    return replace(scene.drive, home=home)
+
+
+def hall(seconds: float) -> None:
+    drive = hall_drive(seconds)
+    localizer = Localizer(drive.home, **drive.settings.robot)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    cost, found = milliseconds(drive, localizer)
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    print(
+        f"hall, {seconds:g} s, {len(localizer.landmarks())} of 576 landmarks: median "
+        f"{np.median(cost):.1f} ms (goal 3), 99 % {np.quantile(cost, 0.99):.1f} ms (goal 20), "
+        f"{cost.sum() / 1e3:.0f} s in all, memory {(after - before) / 1024:+.0f} MB; with a pose "
+        f"{found.mean():.2f}"
+    )
+
+
 def peer() -> None:
     drive = make_drive(20, 1200)
     ours, _ = milliseconds(drive)
@@ -204,8 +260,9 @@ def mcap(paths: list[str]) -> None:
 
 def main() -> None:
     parts = {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}
+    parts |= {"hall": lambda: hall(options.seconds)}
     parts |= {"ekf": ekf, "mcap": lambda: mcap(options.drive)}
-    options = monte_carlo.parsed(__doc__, hours=8.0, part=parts, drive=[SAMPLE])
+    options = monte_carlo.parsed(__doc__, hours=8.0, seconds=1500.0, part=parts, drive=[SAMPLE])
     for part in options.part:
         parts[part]()
 

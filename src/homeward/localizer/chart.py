@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
 
@@ -138,7 +138,7 @@ class Chart:
         if reckoned.age == math.inf and not self._known.landmarks:
             self.counts.reject(Rejection.NO_ODOMETRY, len(frame.sightings))
             return []
-        was_singular = self.learn(frame.t)  # 0 noise and walking landmarks, by the last solution
+        was_singular = self.learn(frame.t, frame.sightings)  # 0 noise, walkers, landmarks in view
         seen = self.noise.weigh(frame, reckoned)  # 1 measurement noise
         if frame.offset is not None:
             sigma = self.drive.cameras[frame.camera].bearing_sigma_at(self.map.smoother.state.scale)
@@ -170,10 +170,11 @@ class Chart:
             self._find_home(now)  # 7 resection of home, inlier home bearings; 8 status, covariance
         return gated.innovations if gated is not None else []
 
-    def learn(self, t: float, everything: bool = False) -> bool:
+    def learn(self, t: float, in_view: Collection[str] = (), everything: bool = False) -> bool:
         """Learn from the last solution; return whether the map was reset at `t` [s] as singular.
 
-        At most a piece of the work that is due, unless `everything`.
+        At most a piece of the work that is due, unless `everything`. Then the landmarks `in_view`
+        of the next frame are made active.
         """
         if self.map.evaluated and self.noise.confirmed and self.map.smoother.is_stale:
             calibration, since = self.map.smoother.state.calibration, self._integrable_since
@@ -188,6 +189,7 @@ class Chart:
             change = self.map.odometry_change.proved
             if change is not None and change.keyframe > self.map.smoother.first:
                 self.map.change_odometry(change)
+            self.map.landmarks.activate(in_view)
         except np.linalg.LinAlgError:
             self.counts.reject(Rejection.MAP_RESET)
             self._reset_map(t)
@@ -292,7 +294,7 @@ class Chart:
             self.map.landmarks,
             self.home.names,
             hypotheses,
-            self.map.registration.in_home_frame(self.map.smoother.state),
+            self.map.registration.places,
             self.map.registration.survey,
             {**self.home.exchanged, **self.map.registration.survey.exchanged},
             observed.offsets,
@@ -434,7 +436,10 @@ class Chart:
     def _begin_map(self, t: float) -> None:
         """Begin a map whose origin is the robot's pose at `t` [s]."""
         learnt = self.noise, self.process_noise, self.extrinsics
-        self.map = Map(self.drive, self._settings, *learnt, self.counts, t, self._known, self.scale)
+        at_home, counts = self.home.observation.bearings, self.counts
+        self.map = Map(
+            self.drive, self._settings, *learnt, counts, t, self._known, self.scale, at_home
+        )
         self._contradiction = Contradiction()
         self.monitor = Monitor(self.drive.start is not None)
         self._first_fix = FirstFix(self.map.registration.survey)

@@ -39,6 +39,7 @@ from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignChecks
 from homeward.localizer.motion.odometry import lag_notes
+from homeward.localizer.motions import HEAD
 from homeward.localizer.output.faces import EstimatedCalibration, PredictedBearings
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
@@ -365,10 +366,9 @@ class Localizer:
             When the measurements do not suffice.
         """
         chart = self.chart
-        state, mapped = chart.map.registration.without_survey(), chart.map.landmarks.mapped
-        index = chart.map.landmarks.index(mapped.values())
-        at = state.columns(index).ravel()
-        mean, covariance = state.positions[index], state.covariance[np.ix_(at, at)]
+        mapped = chart.map.landmarks.mapped
+        state = chart.map.registration.measured(mapped.values())
+        mean, covariance = state.positions, state.covariance[HEAD:, HEAD:]
         if chart.scale.rest is not None:
             covariance = covariance + chart.scale.rest**2 * np.outer(mean, mean)
         found, observed = chart.home.hypotheses, chart.home.observation

@@ -313,6 +313,16 @@ RETRY_GROWTH = 1.1
 """A failed candidate is tried again once it has this many times more sightings."""
 MAX_HOME_LANDMARKS = 48
 """Landmarks used for the resection of home; the oldest are the nearest."""
+LONG_WINDOW = 7500
+"""Keyframes times landmarks from which a window that waits for parallax is too long: the longest
+one with the landmarks of a room, fewer keyframes in a hall."""
+MIN_IDLE = 16
+"""Landmarks out of view that are made passive at a time: with fewer, solutions take no longer."""
+COMMON_DIRECTIONS = 96
+"""Common errors of passive landmarks that are kept: the map bends and turns in fewer ways than
+that, and the rest is smaller than the noise of a bearing."""
+COMMON_SPARE = 32
+"""How many more may come before they are reduced to those."""
 CANDIDATE_MEMORY_S = 120.0
 """A candidate older than this is dropped where ids come without end [s]; the window of keyframes
 is no longer."""

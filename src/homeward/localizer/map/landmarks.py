@@ -132,21 +132,32 @@ class Landmarks:
         return {n: known[n].number for n in names if n in known}
 
     def index(self, landmarks: Iterable[Landmark]) -> np.ndarray:
-        """Return the indices of landmarks in the state, shape (k,)."""
-        return self.smoother.index(np.array([m.number for m in landmarks], int))
+        """Return the indices of active landmarks in the state, shape (k,)."""
+        return self.smoother.index(numbers(landmarks))
+
+    def activate(self, names: Iterable[str]) -> None:
+        """Make the landmarks of a frame active; see `Smoother.activate`."""
+        ids = self.ids(names)
+        self.smoother.activate(ids[ids >= 0])
+
+    def deactivate(self, home: Collection[str]) -> None:
+        """Make landmarks out of view passive, but those of `home`; see `Smoother.deactivate`."""
+        used = self.shared_with_home(home)
+        at_home = [m for known in (self.mapped, self.former) for n, m in known.items() if n in used]
+        self.smoother.deactivate(numbers(at_home))
 
     def positions(self, names: Iterable[str]) -> np.ndarray:
         """Return the positions of those landmarks that are mapped, (k, 2) [m]."""
-        index = self.index(self.mapped[n] for n in names if n in self.mapped)
-        return np.asarray(self.smoother.state.positions[index])
+        known = [self.mapped[n] for n in names if n in self.mapped]
+        return self.smoother.all_landmarks.positions(numbers(known))
 
     def walking_probabilities(self, landmarks: Iterable[Landmark]) -> np.ndarray:
         """Return the probabilities of landmarks to be walking about, shape (k,)."""
-        return np.asarray(1.0 - self.smoother.p_static[self.index(landmarks)])
+        return 1.0 - self.smoother.all_landmarks.static_probabilities(numbers(landmarks))
 
     def places(self, landmarks: Iterable[Landmark]) -> tuple[np.ndarray, np.ndarray]:
         """Return positions of landmarks, (k, 2) [m], and their covariances, (k, 2, 2)."""
-        return self.smoother.state.places(self.index(landmarks))
+        return self.smoother.all_landmarks.places(numbers(landmarks))
 
     def expect(self, places: dict[str, np.ndarray]) -> None:
         """Set the expected positions (2,) [m] of unmapped landmarks; try their candidates."""
@@ -299,7 +310,7 @@ class Landmarks:
         """
         landmark, table = self.mapped[name], self.smoother.sightings
         old = table[table[:, LANDMARK] == landmark.number]
-        both, places = np.vstack([old, rows]), np.vstack([self.places([landmark])[0], position])
+        both, places = np.vstack([old, rows]), np.vstack([self.positions([name]), position])
         sigmas = np.concatenate([old[:, SIGMA], self._line_sigmas(rows)])
         off = unexplained(self.smoother.cameras(both)[0], both[:, BEARING], sigmas, places)
         before, since = off[:, : len(old)].sum(axis=1), off[:, len(old) :].sum(axis=1)
@@ -322,13 +333,15 @@ class Landmarks:
         """Return whether sightings fit the former position of a landmark declared moved."""
         if name not in self.former:
             return False
-        off = self._residuals(rows, self.places([self.former[name]])[0])[0]
+        place = self.smoother.all_landmarks.positions(numbers([self.former[name]]))
+        off = self._residuals(rows, place)[0]
         return bool((off < INLIER * self._line_sigmas(rows)).mean() >= MAJORITY)
 
     def _restore(self, name: str) -> None:
         """Restore a landmark to its former position."""
         self.mapped[name] = self.former.pop(name)
         self.mapped[name].rejections = 0
+        self.activate([name])
         del self.moved_at[name]
 
     def _is_swapped(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
@@ -338,7 +351,7 @@ class Landmarks:
         in each other's place.
         """
         sound = [m for n, m in self.mapped.items() if n != name and m.rejections < MIN_SIGHTINGS]
-        others = self.places([*sound, *self.former.values()])[0]
+        others = self.smoother.all_landmarks.positions(numbers([*sound, *self.former.values()]))
         own, *off = np.median(self._residuals(rows, np.vstack([position, others])), axis=1).tolist()
         return any(each < SWAP_RATIO * own for each in off)
 
@@ -390,8 +403,8 @@ class Landmarks:
         off = np.abs(residuals) > GATE * rows[:, SIGMA]
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
         bad = (sightings >= MIN_SIGHTINGS) & (misfits > 0.5 * sightings)
-        mapped = list(self.mapped.values())
-        names = [m.name for m, off in zip(mapped, bad[self.index(mapped)], strict=True) if off]
+        wrong = set(self.smoother.ids[bad].tolist())
+        names = [m.name for m in self.mapped.values() if m.number in wrong]
         for name in names:
             self._drop(name)
         return len(names)
@@ -432,3 +445,8 @@ class Landmarks:
         turned = np.cumsum([0.0, *self.smoother.turn_variances[::-1]])[::-1]
         since = turned[rows[:, KEYFRAME].astype(int) - self.smoother.first]
         return np.asarray(np.sqrt(rows[:, SIGMA] ** 2 + since))
+
+
+def numbers(landmarks: Iterable[Landmark]) -> np.ndarray:
+    """Return the ids of landmarks in the smoother, shape (k,)."""
+    return np.array([m.number for m in landmarks], int)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 
 import numpy as np
 
@@ -46,6 +46,7 @@ from homeward.localizer.tunables import (
     EVALUATED_AFTER_DENIAL,
     EVALUATIONS_PER_WINDOW,
     INLIER,
+    LONG_WINDOW,
     MAX_IDS,
     MAX_PER_KEYFRAME,
     NEGLIGIBLE,
@@ -58,8 +59,8 @@ class Map:
     """The map in the odometry frame, whose origin is the robot's pose at the start, time `t` [s].
 
     The residuals update `noise` and `process_noise`; `extrinsics` is the prior on the camera's pose
-    on the robot, `known` has surveyed landmarks and distances, and `scale` the scale of speeds and
-    ranges.
+    on the robot, `known` has surveyed landmarks and distances, `scale` is that of speeds and
+    ranges, and `home` are the landmarks that home saw.
     """
 
     def __init__(
@@ -73,7 +74,9 @@ class Map:
         t: float,
         known: KnownLandmarks,
         scale: ScaleErrors,
+        home: Collection[str],
     ) -> None:
+        self._home = home
         self._settings, self._counts = settings, counts
         self._process_noise, self._extrinsics = process_noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
@@ -103,7 +106,7 @@ class Map:
         self.evaluated = True
         """Whether the newest solution was evaluated: landmarks that do not fit it are dropped, and
         learning from it is due. That takes long, so it is not done at each keyframe."""
-        self._evaluated_at, self._evaluated_positions = 0, self.smoother.state.positions
+        self._evaluated_at, self._evaluated = 0, (self.smoother.ids, self.smoother.state.positions)
         self.busy = False
         """Whether the newest frame has taken long already: for an evaluation, or learning."""
         self._after_evaluation: list[Callable[[], None]] = []
@@ -409,8 +412,12 @@ class Map:
 
     def _has_moved(self) -> bool:
         """Return whether a landmark has moved notably in the map since the last evaluation."""
-        moved = self.smoother.state.positions - self._evaluated_positions
-        return bool((np.hypot(*moved.T) > NEGLIGIBLE * self.smoother.state.reach).any())
+        (ids, before), state = self._evaluated, self.smoother.state
+        now, reach = state.positions, state.reach
+        if ids is not self.smoother.ids:  # some have become active since
+            _, here, then = np.intersect1d(self.smoother.ids, ids, True, return_indices=True)
+            now, reach, before = now[here], reach[here], before[then]
+        return bool((np.hypot(*(now - before).T) > NEGLIGIBLE * reach).any())
 
     def _solve(self) -> None:
         """Solve the window, remove landmarks that do not fit, and learn from the residuals."""
@@ -424,7 +431,8 @@ class Map:
         if misfits:
             self._counts.reject(Rejection.INCONSISTENT_LANDMARK, misfits)
             smoother.solve()
-        self._evaluated_at, self._evaluated_positions = smoother.newest, smoother.state.positions
+        self._evaluated_at = smoother.newest
+        self._evaluated = smoother.ids, smoother.state.positions
         self.evaluated = True
         work = self._learn_bearings, self._learn_odometry
         self._after_evaluation += [piece for piece in work if piece not in self._after_evaluation]
@@ -444,11 +452,15 @@ class Map:
         spare = kept - settings.window
         if spare <= 0:
             return
-        since = smoother.newest - settings.longest_window
+        longest = max(settings.window, LONG_WINDOW // max(smoother.ids.size, 1))
+        longest = min(longest, settings.longest_window)
+        since = smoother.newest - longest
         needed = self.landmarks.first_needed(settings.mature_parallax, since)
         if self.camera_jump.possible is not None:
             needed = min(needed, self.camera_jump.possible.keyframe - 1)
-        count = max(min(spare, needed - smoother.first), kept - settings.longest_window)
+        count = max(min(spare, needed - smoother.first), kept - longest)
         if count > 0:
             smoother.marginalise(count)
             self.landmarks.drop_candidates_before(smoother.first)
+            if not self.registration.survey.known.is_given:
+                self.landmarks.deactivate(self._home)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from homeward.localizer.motions import HEAD
-from homeward.localizer.reference.window import Elimination
+from homeward.localizer.reference.window import Conditional, Elimination
 
 
 class Prior:
@@ -23,30 +23,45 @@ class Prior:
 
     def add_landmark(self, position: np.ndarray, sigma: float) -> None:
         """Add a landmark with a weak prior, around (2,) with standard deviation `sigma`."""
-        size = len(self.gradient)
-        grown = np.zeros((size + 2, size + 2))
-        grown[:size, :size] = self.information
-        grown[size, size] = grown[size + 1, size + 1] = sigma**-2.0
-        self.information = grown
-        self.gradient = np.append(self.gradient, [0.0, 0.0])
-        self.at = np.append(self.at, position)
+        nothing = np.zeros((2, len(self.at)))
+        self.append(position, Conditional(np.zeros(2), nothing, sigma**2 * np.eye(2)))
 
-    def drop_landmark(self, index: int, now: np.ndarray) -> None:
-        """Marginalise a landmark, linearised at `now`, shape (12 + 2 n,)."""
-        out = HEAD + 2 * index + np.arange(2)
-        keep = np.delete(np.arange(now.size), out)
-        information = self.information
-        gain = np.linalg.solve(information[np.ix_(out, out)], information[np.ix_(out, keep)]).T
-        gradient = self.gradient - information @ (now - self.at)
-        self.information = information[np.ix_(keep, keep)] - gain @ information[np.ix_(out, keep)]
-        self.gradient = gradient[keep] - gain @ gradient[out]
-        self.at = now[keep]
+    def append(self, at: np.ndarray, found: Conditional) -> None:
+        """Append k unknowns with this conditional, linearised at its mean, `at` (k,)."""
+        inverse = np.linalg.inv(found.covariance)
+        cross = inverse @ found.by_rest
+        old = self.information + found.by_rest.T @ cross
+        self.information = np.block([[old, -cross.T], [-cross, 0.5 * (inverse + inverse.T)]])
+        self.gradient = np.append(self.gradient, np.zeros(len(inverse)))
+        self.at = np.append(self.at, at)
 
-    def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> None:
+    def move_to(self, now: np.ndarray) -> None:
+        """Move the linearisation point to `now` (12 + 2 n,)."""
+        self.gradient = self.gradient - self.information @ (now - self.at)
+        self.at = now
+
+    def reorder(self, order: np.ndarray) -> None:
+        """Bring the unknowns into another order (12 + 2 n,)."""
+        self.information = self.information[np.ix_(order, order)]
+        self.gradient, self.at = self.gradient[order], self.at[order]
+
+    def take_out(self, out: np.ndarray) -> Conditional:
+        """Marginalise unknowns (k,), and return their conditional."""
+        keep, gradient = np.delete(np.arange(self.at.size), out), self.gradient
+        covariance = np.linalg.inv(self.information[np.ix_(out, out)])
+        covariance = 0.5 * (covariance + covariance.T)
+        cross = self.information[np.ix_(out, keep)]
+        gain = covariance @ cross
+        self.information = self.information[np.ix_(keep, keep)] - cross.T @ gain
+        self.gradient = gradient[keep] - gain.T @ gradient[out]
+        self.at = self.at[keep]
+        return Conditional(covariance @ gradient[out], -gain, covariance)
+
+    def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> Conditional:
         """Replace it by an elimination, linearised at `at`.
 
         The calibration drifts meanwhile by variances (9,): the old one is marginalised, and the new
-        one takes its place.
+        one takes its place. Return the conditional of the old one.
         """
         c = slice(3, HEAD)
         inverse = np.diag(1.0 / (drift + 1e-16))
@@ -60,3 +75,6 @@ class Prior:
         new[c, c] = inverse - inverse @ gain @ inverse
         new_gradient[c] = inverse @ gain @ gradient[c]
         self.information, self.gradient, self.at = 0.5 * (new + new.T), new_gradient, at
+        by_rest = -by_new.T
+        by_rest[:, c] = gain @ inverse
+        return Conditional(gain @ gradient[c], by_rest, 0.5 * (gain + gain.T))

@@ -22,6 +22,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_DISTANCE, sight
 from homeward.localizer import kernels
 from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.map.all_landmarks import AllLandmarks
+from homeward.localizer.map.passive import PassiveLandmarks
 from homeward.localizer.map.prior import Prior
 from homeward.localizer.map.ranges import range_residuals, range_sigmas, weigh_ranges
 from homeward.localizer.map.sightings import (
@@ -61,13 +63,21 @@ from homeward.localizer.reference.factors import (
     OdometryErrors,
     SightedFrom,
 )
-from homeward.localizer.reference.window import AddMore, Linearised, Window, eliminate, marginals
+from homeward.localizer.reference.window import (
+    AddMore,
+    Conditional,
+    Linearised,
+    Window,
+    eliminate,
+    marginals,
+)
 from homeward.localizer.tunables import (
     FIXED_TIME_CONSTANT_S,
     INFINITY_RATIO,
     LAG_GATE,
     LINEAR,
     MIN_CALIBRATION_SIGMA,
+    MIN_IDLE,
     STALE_S,
 )
 from homeward.table import GrowingTable
@@ -112,9 +122,13 @@ class Smoother:
         self.stamps = [t]
         """Times of the keyframes in the window [s]."""
         self.ids = np.zeros(0, int)
-        """(n,): ids of the landmarks in the state, ascending; none is reused."""
+        """(n,): ids of the landmarks in the state, the active ones, ascending; none is reused."""
         self.p_static = np.zeros(0)
         """(n,): probability of each to be static, the weight of its sightings [1]."""
+        self.passive = PassiveLandmarks()
+        """The other landmarks of the map, which are in no sighting of the window."""
+        self._in_view: dict[int, int] = {}
+        """Keyframe, or the one before the frame, that saw each active landmark last."""
         self._sightings = GrowingTable((COLUMNS,))
         self.frames = Frames()
         self.turn_variances: list[float] = []
@@ -175,16 +189,25 @@ class Smoother:
         )
         whole.stamps = [t for part in closed for t in part.stamps] + self.stamps
         rows = np.concatenate([*(part.sightings for part in closed), self.sightings])
-        whole.sightings = rows[np.isin(rows[:, LANDMARK], self.ids)]
+        landmarks = self.all_landmarks
+        whole.ids = ids = landmarks.ids
+        whole.state, whole.p_static = landmarks.joint(ids), landmarks.static_probabilities(ids)
+        whole.sightings = rows[np.isin(rows[:, LANDMARK], ids)]
         whole.frames = Frames.joined([*(part.frames for part in closed), self.frames])
         steps = [*(part.steps for part in closed), self._steps.rows]
         whole._steps = GrowingTable.of(np.concatenate(steps))
-        whole.ids, whole.state, whole.survey = self.ids, self.state, self.survey
-        whole.p_static = self.p_static
-        information = np.eye(self.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
+        whole.survey = self.survey
+        information = np.eye(whole.state.mean.size) * (INFINITY_RATIO * self.state.scale) ** -2
         information[:HEAD, :HEAD] = self._first_information
         whole._prior = Prior(information)
         return whole
+
+    @property
+    def all_landmarks(self) -> AllLandmarks:
+        """Active and passive landmarks together."""
+        step = self._linearisation_point() - self._prior.at
+        known = self.ids, self.p_static, self.state, self.passive
+        return AllLandmarks(*known, step, self.linearised)
 
     @property
     def sightings(self) -> np.ndarray:
@@ -254,6 +277,7 @@ class Smoother:
         """Add a landmark at `position` [m], shape (2,), without sightings yet; return its id."""
         distance = float(np.hypot(*(self.poses[:, :2] - position).T).max())
         unknown = INFINITY_RATIO * max(distance, MIN_DISTANCE)
+        self.passive.insert_unknowns(len(self._prior.at), 2)
         self._prior.add_landmark(position, unknown)
         self.state = self.state.with_landmark(position, unknown)
         self.ids = np.append(self.ids, self._next_id)
@@ -345,12 +369,73 @@ class Smoother:
 
     def drop_landmark(self, number: int) -> None:
         """Marginalise the landmark of an id: the information on the others is kept."""
-        index = int(self.index(np.array(number)))
-        self._prior.drop_landmark(index, self._linearisation_point())
-        self.state = self.state.without_landmark(index)
-        self.ids, self.p_static = np.delete(self.ids, index), np.delete(self.p_static, index)
+        gone = np.array([number])
+        if number in self.passive.ids:
+            self.passive.drop(self.passive.index(gone))
+            return
+        out, found = self._take_out(gone)
+        self.passive.eliminate(out, found)
         self.survey = self.survey.among(self.ids)
         self.sightings = self.sightings[self.sightings[:, LANDMARK] != number]
+        self._in_view.pop(number, None)
+
+    def activate(self, ids: np.ndarray) -> None:
+        """Make landmarks that are in view active, and solve the window if any was passive.
+
+        `numpy.linalg.LinAlgError` when the normal equations are singular.
+        """
+        self._in_view.update(dict.fromkeys(ids.tolist(), self.newest))
+        back = ids[np.isin(ids, self.passive.ids)]
+        if not back.size:
+            return
+        self._move_linearisation_point()
+        index = self.passive.index(back)
+        p_static = self.passive.p_static[index]
+        at, found = self.passive.take(index)
+        self._prior.append(at, found)
+        unknown = INFINITY_RATIO * self.state.scale
+        for position in at.reshape(-1, 2):
+            self.state = self.state.with_landmark(position, unknown)
+        every = np.append(self.ids, back)
+        order = every.argsort()
+        self.ids, self.p_static = every[order], np.append(self.p_static, p_static)[order]
+        unknowns = np.append(np.arange(HEAD), Marginal.columns(order))
+        self._prior.reorder(unknowns)
+        self.passive.reorder(unknowns)
+        self.state = self.state.reordered(unknowns)
+        self.solve()
+
+    def deactivate(self, needed: np.ndarray) -> None:
+        """Make landmarks passive that no frame in the window saw, except the `needed` ids.
+
+        Not a few of them: the solution with them takes less time than that.
+        """
+        seen = [number for number, last in self._in_view.items() if last >= self.first]
+        kept = np.concatenate([seen, needed, self.survey.ids, self.sightings[:, LANDMARK]])
+        idle = self.ids[~np.isin(self.ids, kept)]
+        if idle.size < MIN_IDLE:
+            return
+        index = self.index(idle)
+        at, p_static = self.state.positions[index].ravel(), self.p_static[index]
+        self.passive.add(idle, p_static, at, *self._take_out(idle))
+        for number in idle.tolist():
+            self._in_view.pop(number, None)
+
+    def _take_out(self, ids: np.ndarray) -> tuple[np.ndarray, Conditional]:
+        """Take landmarks out of state and prior; return their unknowns, and their conditional."""
+        index = self.index(ids)
+        out = Marginal.columns(index).ravel()
+        self._move_linearisation_point()
+        found = self._prior.take_out(out)
+        self.state = self.state.reordered(np.delete(np.arange(self.state.mean.size), out))
+        self.ids, self.p_static = np.delete(self.ids, index), np.delete(self.p_static, index)
+        return out, found
+
+    def _move_linearisation_point(self) -> None:
+        """Linearise the prior, and passive landmarks, at the present estimate."""
+        now = self._linearisation_point()
+        self.passive.move(now - self._prior.at)
+        self._prior.move_to(now)
 
     def solve(self) -> None:
         """Solve the whole window by Gauss-Newton.
@@ -422,6 +507,10 @@ class Smoother:
         drift = self._drift * max(self.stamps[count] - self.stamps[0], 1e-3)
         for state, variance in (changes or {}).items():
             drift[state] += variance
+        self._move_linearisation_point()
+        if len(self.passive):
+            self.passive.insert_unknowns(0, 3)
+            self.passive.eliminate(np.arange(3, 6), eliminated.oldest())
         frames = self.frames.take_before(first)
         if self._closed is not None:
             chain = self.poses[:count].copy(), self.stamps[:count]
@@ -434,7 +523,9 @@ class Smoother:
         self.turn_variances = self.turn_variances[count:]
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
-        self._prior.replace(eliminated, self._linearisation_point(), drift)
+        before = self._prior.replace(eliminated, self._linearisation_point(), drift)
+        self.passive.insert_unknowns(3, NC)
+        self.passive.eliminate(np.arange(HEAD, HEAD + NC), before)
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""

@@ -84,7 +84,6 @@ class Marginal:
         covariance[size, size] = covariance[size + 1, size + 1] = sigma**2
         return Marginal(np.append(self.mean, position), covariance)
 
-    def without_landmark(self, index: int) -> Marginal:
-        """Return it without a landmark."""
-        keep = np.delete(np.arange(self.mean.size), [HEAD + 2 * index, HEAD + 2 * index + 1])
-        return Marginal(self.mean[keep], self.covariance[np.ix_(keep, keep)])
+    def reordered(self, order: np.ndarray) -> Marginal:
+        """Return it with its unknowns in another order, or only some of them."""
+        return Marginal(self.mean[order], self.covariance[np.ix_(order, order)])

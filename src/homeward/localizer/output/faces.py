@@ -8,6 +8,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -98,11 +99,11 @@ def predicted_bearings(
     `slip` (3, 3) is the covariance of what wheels may slip in it, and `offset` (3,) the pose of the
     camera in the frame of the first one; None for the first.
     """
-    names = tuple(known.landmarks.mapped)
-    index = known.landmarks.index(known.landmarks.mapped.values())
+    names, mapped = tuple(known.landmarks.mapped), known.landmarks.mapped.values()
     wider = replace(motion, covariance=motion.covariance + slip)
-    state, eye = known.smoother.state.propagate(wider), known.camera(Motion.identity(), offset)
+    state = known.smoother.all_landmarks.joint(numbers(mapped)).propagate(wider)
+    eye = known.camera(Motion.identity(), offset)
     camera = cameras(eye.uncalibrated, eye.jacobian, state.mean[:3], state.calibration)
-    zero = np.zeros(index.size)
-    seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, index)
+    zero = np.zeros(len(names))
+    seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, np.arange(len(names)))
     return PredictedBearings(names, np.asarray(wrap(-seen.residual)), seen.covariance)

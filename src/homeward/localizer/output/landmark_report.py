@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,9 +13,8 @@ from homeward.estimator import LandmarkEstimate
 from homeward.geometry.angles import wrap
 from homeward.io.naming import natural
 from homeward.localizer.home.hypotheses import Hypotheses
-from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.range_mixture import RangeMixture
-from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import Survey
 
 
@@ -33,8 +32,8 @@ class LandmarkReport:
     """Names of the landmarks used to find home."""
     hypotheses: Hypotheses | None
     """Hypotheses on home; None while it is not found."""
-    state: Marginal
-    """State of the map, in the frame in which home is."""
+    places: Callable[[Collection[Landmark]], tuple[np.ndarray, np.ndarray]]
+    """Places of landmarks in the frame in which home is; see `Registration.places`."""
     survey: Survey
     """Survey of landmarks."""
     exchanged: Mapping[str, str]
@@ -114,8 +113,7 @@ class LandmarkReport:
             # Range mixtures are in the odometry frame, home is not if it was surveyed from.
             surveyed = self.hypotheses is not None and self.hypotheses.best.problem.surveyed.size
             return None if surveyed else self.known.range_mixtures.get(name)
-        index = self.known.index([self.known.mapped[name]])
-        return RangeMixture(*self.state.places(index), np.ones(1))
+        return RangeMixture(*self.places([self.known.mapped[name]]), np.ones(1))
 
     def _in_home_frame(self) -> dict[str, tuple[float, float, float]]:
         """Return landmarks' positions in the home frame, and deviations of distance [m]."""
@@ -123,7 +121,7 @@ class LandmarkReport:
         if self.hypotheses is None or not mapped:
             return {}
         best = self.hypotheses.best
-        at, covariance = self.state.places(self.known.index(mapped.values()))
+        at, covariance = self.places(mapped.values())
         index = {name: i for i, name in enumerate(mapped)}
         for name, place in zip(self.used, best.landmarks, strict=True):
             if name in index and name not in self.known.former:

@@ -60,7 +60,7 @@ class SeenAt:
 
     def lines(self, known: Map, whole: Smoother) -> SightLines:
         """Return the bearings as sight lines from the keyframe's pose."""
-        positions, covariances = whole.state.places(whole.index(self.ids))
+        positions, covariances = whole.all_landmarks.places(self.ids)
         camera = known.camera_pose(self.frame.offset)
         return SightLines(
             np.tile(camera, (self.ids.size, 1)),

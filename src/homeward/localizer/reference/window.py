@@ -173,6 +173,17 @@ def _bounded(window: Window) -> np.ndarray:
     return np.asarray(window.is_one_sided & (window.shared[:NC] < limit))
 
 
+class Conditional(NamedTuple):
+    """Gaussian of k unknowns given m others."""
+
+    mean: np.ndarray
+    """(k,): minus the linearisation point, where the others are at it."""
+    by_rest: np.ndarray
+    """(k, m): Jacobian by the others."""
+    covariance: np.ndarray
+    """(k, k)"""
+
+
 @dataclass(frozen=True)
 class Elimination:
     """Normal equations with all poses but the newest eliminated."""
@@ -198,6 +209,15 @@ class Elimination:
         tail = covariance @ self.gradient
         poses = _substitute(self, self.couplings[:, -1] - self.couplings[:, :-1] @ tail)
         return np.concatenate([poses, tail[:3]]).reshape(-1, 3), tail[3:], covariance
+
+    def oldest(self) -> Conditional:
+        """Return the conditional of the oldest pose on the newest one and the shared unknowns."""
+        size = len(self.gradient)
+        if not self.couplings.size:  # the newest is the oldest
+            return Conditional(np.zeros(3), np.eye(3, size), np.zeros((3, 3)))
+        steps = _substitute(self, self.couplings)[:3]
+        root = lapack.dtbtrs(self.factor, np.eye(len(self.couplings), 3), uplo="L")[0]
+        return Conditional(steps[:, -1], -steps[:, :-1], root.T @ root)
 
     def step(self, slope: np.ndarray, common_slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the steps of poses (w, 3, c) and shared unknowns (a, c) for c other gradients.

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.geometry.se2 import compose
-from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.landmarks import Landmark, Landmarks, numbers
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.factors import SurveyFactors, in_survey_frame
@@ -42,6 +42,26 @@ class Registration:
         if not self.survey.known.is_given:
             return self._smoother.state
         return self._smoother.without_survey(self.survey.size)
+
+    def measured(self, landmarks: Collection[Landmark]) -> Marginal:
+        """Return the state with some landmarks and no others, without the survey.
+
+        `numpy.linalg.LinAlgError` when there is too little of it.
+        """
+        if not self.survey.known.is_given:
+            return self._smoother.all_landmarks.joint(numbers(landmarks))
+        columns = Marginal.columns(self._landmarks.index(landmarks))
+        return self.without_survey().reordered(np.append(np.arange(HEAD), columns))
+
+    def places(self, landmarks: Collection[Landmark]) -> tuple[np.ndarray, np.ndarray]:
+        """Return positions of landmarks, (k, 2) [m], and their covariances, (k, 2, 2).
+
+        They are in home's frame if that is known, else in the odometry frame.
+        """
+        if not self.has_home:
+            return self._landmarks.places(landmarks)
+        state = self.in_home_frame(self._smoother.state)
+        return state.places(self._landmarks.index(landmarks))
 
     def in_home_frame(self, state: Marginal) -> Marginal:
         """Return a state in home's frame if that is known, else unchanged."""

@@ -1,0 +1,101 @@
+"""All landmarks of a map together: the active ones of a window, and the passive ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from homeward.localizer.map.passive import PassiveLandmarks
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD
+from homeward.localizer.reference.window import Linearised, eliminate, positive_inverse
+
+
+@dataclass(frozen=True)
+class AllLandmarks:
+    """Active and passive landmarks, each by its id, by a solution of the window."""
+
+    active: np.ndarray
+    """(n,): ids of the active ones, ascending, ..."""
+    p_static: np.ndarray
+    """(n,): ... their probability to be static ..."""
+    state: Marginal
+    """... and the state with them."""
+    passive: PassiveLandmarks
+    """The others, and ..."""
+    step: np.ndarray
+    """(12 + 2 n,): ... the step from their linearisation point to the solution."""
+    linearised: Callable[[], Linearised]
+    """Returns the window at the solution."""
+
+    @property
+    def ids(self) -> np.ndarray:
+        """(m,): ids of all of them, ascending."""
+        return np.sort(np.append(self.active, self.passive.ids))
+
+    def positions(self, ids: np.ndarray) -> np.ndarray:
+        """Return their positions, (k, 2) [m]."""
+        passive, found = self._is_passive(ids), np.empty((ids.size, 2))
+        found[~passive] = self.state.positions[self.active.searchsorted(ids[~passive])]
+        if passive.any():
+            found[passive] = self.passive.positions(self.passive.index(ids[passive]), self.step)
+        return found
+
+    def static_probabilities(self, ids: np.ndarray) -> np.ndarray:
+        """Return the probability of each to be static, (k,) [1]."""
+        passive, found = self._is_passive(ids), np.empty(ids.size)
+        found[~passive] = self.p_static[self.active.searchsorted(ids[~passive])]
+        found[passive] = self.passive.p_static[self.passive.index(ids[passive])]
+        return found
+
+    def places(self, ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return their positions, (k, 2) [m], and covariances, (k, 2, 2) [m^2]."""
+        passive, covariances = self._is_passive(ids), np.empty((ids.size, 2, 2))
+        index = self.active.searchsorted(ids[~passive])
+        covariances[~passive] = self.state.places(index)[1]
+        if passive.any():
+            index = self.passive.index(ids[passive])
+            by_window, of_window = self._by_window(index)
+            by_each = by_window.reshape(index.size, 2, -1)
+            found = by_each @ of_window @ by_each.transpose(0, 2, 1)
+            covariances[passive] = found + self.passive.covariances(index)
+        return self.positions(ids), covariances
+
+    def joint(self, ids: np.ndarray) -> Marginal:
+        """Return the state with these landmarks, in this order, and no others."""
+        passive = self._is_passive(ids)
+        mean = np.concatenate([self.state.mean[:HEAD], self.positions(ids).ravel()])
+        columns = Marginal.columns(self.active.searchsorted(ids[~passive]))
+        at = np.append(np.arange(HEAD), columns)
+        if not passive.any():
+            return Marginal(mean, self.state.covariance[np.ix_(at, at)])
+        index = self.passive.index(ids[passive])
+        by_window, of_window = self._by_window(index)
+        is_active = np.append(np.full(HEAD, True), np.repeat(~passive, 2))
+        jacobian = np.zeros((mean.size, len(of_window)))
+        jacobian[is_active, at] = 1.0
+        jacobian[~is_active] = by_window
+        covariance = jacobian @ of_window @ jacobian.T
+        covariance[np.ix_(~is_active, ~is_active)] += self.passive.covariance(index)
+        return Marginal(mean, covariance)
+
+    def _is_passive(self, ids: np.ndarray) -> np.ndarray:
+        """Return which landmarks are passive, (k,) bool."""
+        return np.isin(ids, self.passive.ids)
+
+    def _by_window(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Jacobian of passive landmarks by unknowns of the window, and their covariance.
+
+        The unknowns are the newest pose, the calibration, the active landmarks, and the error of
+        the oldest pose given those.
+        """
+        eliminated = eliminate(self.linearised().equations)
+        oldest, size = eliminated.oldest(), len(eliminated.gradient)
+        covariance = np.zeros((size + 3, size + 3))
+        covariance[:size, :size] = positive_inverse(eliminated.information)
+        covariance[size:, size:] = oldest.covariance
+        by_tail = np.eye(size, size + 3)
+        by_tail[:3] = np.hstack([oldest.by_rest, np.eye(3)])
+        return self.passive.by_active(index) @ by_tail, covariance
