@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.docking import dock
-from homeward.control.docking import MAX_ATTEMPTS, STAGING_M, DockGoal
+from homeward.control.docking import MAX_ATTEMPTS, STAGING_M, DockGoal, Docking, Phase
 from homeward.control.goals import Belief, GoalState
 from homeward.control.limits import Limits
 from homeward.estimator import Status
@@ -102,3 +102,21 @@ def test_it_stops_for_a_hindrance_and_does_not_arrive_unverified():
 def test_with_six_tags_of_which_one_was_moved_it_is_within_a_centimetre_and_a_degree():
     """The short form of `benchmarks.docking`."""
     assert dock(1).succeeded
+
+
+def twist_at(pose, phase, limits=None):
+    """Return what the controller commands at a pose in the dock's frame, in a phase."""
+    controller = Docking(DockGoal("the dock", ORIGIN), limits or Limits())
+    controller.phase = phase
+    return controller.step(0.0, Belief(Status.LOCALISED, pose, 1e-6 * np.eye(3)), "").twist
+
+
+@pytest.mark.parametrize(("x", "enters"), [(-0.45, True), (-1.5, True), (-0.35, False)])
+def test_it_enters_from_half_to_twice_the_staging_distance(x, enters):
+    twist = twist_at(Pose(x, 0.0, 0.0), Phase.STAGING)
+    assert (twist.v > 0.0 and abs(twist.omega) < 1e-9) is enters
+
+
+def test_it_looks_round_at_half_its_turn_rate():
+    twist = twist_at(Pose(-0.5, 0.0, 0.0), Phase.LOOKING, Limits(turn_rate=0.4))
+    assert twist == (0.0, 0.2)

@@ -124,3 +124,13 @@ def test_three_bearings_give_a_pose_only_where_one_that_is_wrong_leaves_somethin
     narrow = replace(known, mean=close, bearings=wrap(stored))
     integrity.update(Hypotheses((fit(narrow, home, inliers, 30),), np.ones(1)), solved=True)
     assert not integrity.fixed
+
+
+def test_the_density_of_homes_is_one_in_all():
+    known, _ = divided()
+    (x, y), near = known.centre, known.range
+    r = near * np.geomspace(1e-3, 1e6, 4000)
+    density = np.exp([known.log_density(np.array([x + away, y, 0.0])) for away in r])
+    inside = math.pi * r[0] ** 2 * density[0]
+    in_all = math.tau * (inside + np.trapezoid(math.tau * r * density, r))  # over all headings
+    assert in_all == pytest.approx(1.0, abs=1e-3)

@@ -25,6 +25,7 @@ from homeward.localizer.output.pose import (
 )
 from homeward.localizer.output.status import IntegrityMonitor
 from homeward.localizer.reference.labels import log_inlier, log_odds, log_outlier
+from homeward.localizer.resection import mixture_scores
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import INLIER
 
@@ -280,3 +281,22 @@ def test_a_landmark_too_far_to_be_mapped_is_judged_by_its_direction(fault):
     (tower,) = [m for m in rig.localizer.landmarks() if m.landmark == "tower"]
     assert tower.moved is (fault > 0)
     assert rig.moved() == ({"tower"} if fault else set())
+
+
+@pytest.mark.parametrize(("scatter", "agrees"), [(0.02, True), (0.045, False)])
+def test_sight_lines_beyond_three_sigma_agree_on_no_ray(scatter, agrees):
+    cameras = np.column_stack([np.linspace(0.0, 2.0, 30), np.zeros((30, 2))])
+    lines = scatter * (-1.0) ** np.arange(30)
+    still = np.diag([1e-4, 1e-4, 1e-5])
+    found = range_mixture(cameras, lines, np.full(30, 0.01), still, 3.0)
+    assert (found is not None) is agrees
+
+
+@pytest.mark.parametrize(("density", "right"), [(0.3, False), (0.6, True)])
+def test_a_bearing_is_an_inlier_of_a_pose_where_that_is_more_probable(density, right):
+    """With a prior of 0.3 to be moved, 0.7 times the density against a uniform one is to be 0.3."""
+    variance = 0.01
+    off = math.sqrt(-2.0 * variance * math.log(density * math.sqrt(variance / math.tau)))
+    noise = np.full(4, math.sqrt(0.5 * variance))
+    seen = np.full((1, 4), off), np.full((1, 4), 0.5 * variance)
+    assert mixture_scores(*seen, noise, 0.3)[1].tolist() == [[right] * 4]

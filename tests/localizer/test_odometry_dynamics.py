@@ -11,7 +11,7 @@ from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motions import CALIBRATION, DELAY, TIME_CONSTANT
+from homeward.localizer.motions import CALIBRATION, DELAY, NC, TIME_CONSTANT
 from homeward.localizer.reference.motion import settled
 from homeward.odometry.history import TwistHistory
 
@@ -121,3 +121,17 @@ def test_the_twist_of_a_lagging_robot_approaches_the_command():
         assert v == pytest.approx(0.5 * -math.expm1(-after / 0.2), abs=0.025)
         assert vy == pytest.approx(-0.6 * v)
         assert omega == pytest.approx(math.expm1(-after / 0.2), abs=0.05)
+
+
+@pytest.mark.parametrize("vy", [0.0, 0.2])
+def test_a_robot_that_lags_moves_alike_with_no_turn_and_with_hardly_any(vy):
+    """It still has to make its time constant times its twist, of a chord without a bend."""
+    found, calibration = [], np.zeros(NC)
+    calibration[TIME_CONSTANT] = 0.3
+    for omega in (0.0, 1e-9):
+        wheels = Wheels()
+        for k in range(40):
+            wheels.add(0.1 * k, 0.5 if k > 10 else 0.1, omega, vy if k > 10 else 0.0)
+        found.append(wheels.between(0.5, 3.0, calibration).delta)
+    assert found[0] == pytest.approx(found[1], abs=1e-6)
+    assert found[0][0] == pytest.approx(0.6 * 0.1 + 1.9 * 0.5 - 0.3 * 0.4, abs=0.02)

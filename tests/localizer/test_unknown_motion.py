@@ -208,3 +208,13 @@ def test_slow_odometry_is_remarked():
         "odometry rows with a median interval of 2.0 s",
         "rows of ground truth with a median interval of 2.0 s",
     ]
+
+
+def test_dead_odometry_is_found_by_a_camera_of_less_than_half_a_hertz():
+    dead, noise = DeadOdometry(), BearingNoise(0.01, 0.01)
+    for k in range(600):
+        t = 0.1 * k
+        dead.odometry(t, 0.0, 0.0)
+        if k % 25 == 0:
+            dead.bearings(t, {f"L{i}": i + 0.05 * t for i in range(6)}, {}, noise)
+    assert dead.is_dead
