@@ -106,6 +106,12 @@ def test_python_of_routes_runs(capsys):
     assert "State.DRIVING" in capsys.readouterr().out
 
 
+def test_python_of_a_lost_robot_runs(capsys):
+    (text,) = blocks(doc("do/lost.md"), "python")
+    exec(compile(text, "lost.md", "exec"), {})
+    assert capsys.readouterr().out.startswith("False mapping")
+
+
 def test_python_on_a_robot_runs(capsys):
     names = {}
     for text in blocks(doc("do/online.md"), "python"):

@@ -44,10 +44,10 @@ def here(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/do/places.md"])
+@pytest.mark.parametrize("page", ["README.md", "docs/do/install.md", "docs/do/places.md"])
 def test_commands_run_as_they_stand(page, here):
     commands = shown(page)
-    assert len(commands) > 5
+    assert len(commands) > 1
     for words in commands:
         done(call(*words))
         if words[0] == "simulate":

@@ -482,3 +482,14 @@ def test_a_robot_that_docks_is_home_with_its_heading():
     assert "degrees from home" in rig.session.homing.reason
     assert rig.robot.distance < 0.06
     assert abs(math.remainder(rig.robot.pose.heading, math.tau)) < 0.06
+
+
+def test_a_pose_is_sure_until_bearings_stop_coming():
+    rig = Rig(0, **QUICK)
+    assert not rig.session.is_sure(rig.robot.t)
+    rig.until(driving)
+    assert rig.session.is_sure(rig.robot.t)
+    rig.spoil = without(BearingsIn)
+    end = rig.robot.t + 1.0
+    rig.until(lambda r: r.robot.t > end)
+    assert not rig.session.is_sure(rig.robot.t)

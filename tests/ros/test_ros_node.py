@@ -178,6 +178,19 @@ def test_in_amcls_place_the_pose_is_in_the_map_and_its_topics_and_services_work(
     )
 
 
+def test_the_transform_is_withheld_while_the_pose_is_not_sure(stage):
+    stage.node.end()
+    stage.node = stage.start(withhold_transform="true")
+    stage.look_round()
+    stage.hear("/homeward/map_to_odom")
+    stage.robot.process.kill()
+    stage.hear("/diagnostics", lambda text: "no odometry for" in text)
+    since = len(stage.witness.lines)
+    time.sleep(1.0)
+    later = [line["topic"] for _, line in stage.witness.lines[since:]]
+    assert "/homeward/map_to_odom" not in later
+
+
 def test_an_obstacle_stops_the_robot(stage):
     stage.node.end()
     stage.node = stage.start(scan_topic="scan")

@@ -294,6 +294,17 @@ class Session:
         back = float(wrap(self._heading_seen - self._odometry_pose(self._twists.newest).heading))
         return Blind(Fault(f"no landmark in view for more than {limit:g} s", unseen), back)
 
+    def is_sure(self, now: float) -> bool:
+        """Return whether the pose can be relied on at `now` [s].
+
+        It is `localised` or `coasting`, within the limit of accuracy, and samples still come.
+        """
+        estimate = self.localisation.fix.estimate
+        if estimate.accuracy is None or self._odometry.fault(now) or self._bearings.fault(now):
+            return False
+        is_met = self._accurate.is_met(estimate.accuracy.position)
+        return is_met and estimate.status in (Status.LOCALISED, Status.COASTING)
+
     def diagnostics(self, now: float) -> msg.Diagnostics:
         """Return the state of the session at `now` [s]."""
         estimate, estimator = self.localisation.fix.estimate, self.localisation.estimator

@@ -60,6 +60,7 @@ PARAMETERS: dict[str, Any] = {
     "odom_frame": "odom",
     "home_in_map": [0.0, 0.0, 0.0],
     "transform_tolerance": 0.1,
+    "withhold_transform": False,
     "home": "",
     "place": "",
     "place_update": False,
@@ -356,7 +357,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             self._publish.command(command)
         # Without a pose, the last transform is the best estimate.
         self._map_to_odom = self._live.localisation.fix.odom or self._map_to_odom
-        if self._map_to_odom is not None:
+        withheld = self._parameter("withhold_transform") and not self._live.is_sure(
+            time.monotonic()
+        )
+        if self._map_to_odom is not None and not withheld:
             self._publish.transform(self._map_to_odom)
 
     def _report(self) -> None:
