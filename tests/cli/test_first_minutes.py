@@ -310,3 +310,21 @@ def test_listed_defaults_are_those_of_the_model_that_holds_them():
     reported = {key.name: key.default for key in keys(other_model("rooms"))}
     assert reported["rates.truth"] == "20.0"  # a room's, not those of any drive
     assert reported["boxes.*.at"] == "needed"
+
+
+def test_the_help_is_one_screen_in_groups():
+    shown = call("--help", terminal_width=80).stdout
+    assert len(shown.splitlines()) < 42
+    titles = [line for line in shown.splitlines() if line.endswith(":") and line[0] != " "]
+    assert titles == ["Options:", "Your robot:", "Design and research:", "Files:"]
+    assert all(f"  {name} " in shown for name in NAMES)
+
+
+def test_a_run_ends_with_the_next_command(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    short = first_seconds(tmp_path / "short", 40.0)
+    said = call("run", short).stdout.splitlines()
+    assert said[-1] == f"Next: homeward tune {short}"
+    (tmp_path / "robot.yaml").write_text("sensor: {bearing_sigma: 0.01}\n")
+    said = call("run", short, "--robot-file", "robot.yaml").stdout.splitlines()
+    assert said[-1] == f"Next: homeward live --tcp 7707 --robot-file {tmp_path / 'robot.yaml'}"

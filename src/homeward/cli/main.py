@@ -80,8 +80,14 @@ class OneLineErrors(TyperGroup):
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """Return the names in the order of the help, everyday commands first."""
-        return [_name(command) for command in (*EVERYDAY, *OTHERS)]
+        """Return the names in the order of the help."""
+        return [_name(command) for commands in GROUPS.values() for command in commands]
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands in groups, with a line for each."""
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(_name(each), line) for each, line in commands.items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -134,8 +140,29 @@ def main(
     """Localise a robot relative to home from bearings to landmarks and odometry."""
 
 
-EVERYDAY = (run, import_, info, see, live, place, tune, simulate)
-OTHERS = (plan, study, convert, export, settings, studio)
+GROUPS: dict[str, dict[Any, str]] = {
+    "Your robot": {
+        info: "topics, rates, gaps and clocks of a log; what to do next",
+        import_: "CSV files of any form to a drive folder",
+        see: "detect tags or landmarks in images",
+        run: "localise a robot in a recorded drive, with a report",
+        tune: "calibrate a robot from its drives",
+        place: "maps that are kept between drives",
+        live: "localise a robot while it drives, and drive it home",
+    },
+    "Design and research": {
+        simulate: "a drive, or a robot for live",
+        plan: "where homing can begin on a floor plan, how accurately",
+        study: "many runs of many estimators, with statistics",
+        studio: "move landmarks on a page, and compare estimators",
+        export: "a filter as C for microcontrollers",
+    },
+    "Files": {
+        convert: "a drive to a folder, an MCAP file or a ROS bag",
+        settings: "the settings of an estimator, a command or a file",
+    },
+}
+"""Commands in groups, with their lines in the help."""
 
 
 def _name(command: Any) -> str:
@@ -143,7 +170,7 @@ def _name(command: Any) -> str:
     return "place" if command is place else str(command.__name__).rstrip("_")
 
 
-for command in (*EVERYDAY, *OTHERS):
+for command in (command for commands in GROUPS.values() for command in commands):
     if isinstance(command, typer.Typer):
         app.add_typer(command, name=_name(command), epilog=EXIT_STATUSES)
         continue

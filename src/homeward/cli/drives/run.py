@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import chain, count
@@ -250,10 +251,21 @@ def _run(
         else:
             shared.say(f"Files: {folder}")
             shared.warn(f"no report.html and no run.mcap: {missing}")
+        if track.has_pose.any() and lost is None:
+            shared.say(f"Next: {_next(settings)}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():
         raise shared.no_answer()
+
+
+def _next(settings: RunSettings) -> str:
+    """Return the next command on the way to a robot: its calibration, then the robot itself."""
+    given = {"--robot-file": settings.robot_file, "--topics": settings.topics}
+    words = [f" {option} {shlex.quote(file)}" for option, file in given.items() if file]
+    if settings.robot_file is not None:
+        return f"homeward live --tcp 7707{words[0]}"
+    return f"homeward tune {shlex.quote(settings.drive)}{''.join(words)}"
 
 
 def _images(drive: Path) -> tuple[Images | None, list[str]]:
