@@ -1,0 +1,1 @@
+"""The inputs of the readers and of the import, frozen as digests."""
