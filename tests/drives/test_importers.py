@@ -391,7 +391,7 @@ def test_units_in_names(name, quantity, unit):
             "a,b\n1,2\n3,4\n",
             (),
             r"not recognised as odometry \(time, speed, yaw rate; or wheels\), detections \(time, "
-            r"landmark id, bearing, position or pixels\), .* as in --columns 't=a'",
+            r"landmark id, bearing, position or pixels\), .* 't=A, landmark=B, bearing=C'",
         ),
         (
             ",".join(f"c{k}" for k in range(89)) + ("\n" + "1," * 88 + "1") * 2,

@@ -189,14 +189,24 @@ def _by_landmarks(table: Table) -> bool:
     return changes == len(set(ids.tolist())) and bool((np.diff(t)[ids[1:] == ids[:-1]] >= 0).all())
 
 
+MIN_ROWS, MIN_STAMPS = 20, 0.1
+"""Minimum share of different stamps in a table with at least this number of rows."""
+EQUAL_STAMPS = (
+    "the {:,} rows have {:,} different stamps; a spreadsheet may have rounded them: export all "
+    "digits of the times"
+)
+
+
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
     """Return a table with the last row of equal times `t` [s]; count the others in `remarks`.
 
-    `InputError` where the table is empty or not in order.
+    `InputError` where the table is empty or not in order, or most of its times are equal.
     """
     table.require_rows()
     table.require_order()
     kept = table.last_of_equal_stamps()
+    if len(table) >= MIN_ROWS and len(kept) < MIN_STAMPS * len(table):
+        raise InputError(EQUAL_STAMPS.format(len(table), len(kept)), table.file)
     if len(kept) < len(table):
         remarks[reason] = len(table) - len(kept)
     return kept

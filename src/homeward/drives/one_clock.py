@@ -18,6 +18,9 @@ OUTSIDE = "sightings at times without odometry; check the clock and unit of thei
 MAX_INTERVAL_S, MIN_TWISTS = 2.0 * TWIST_VALIDITY_S, 10
 """Maximum median interval of usable odometry [s]: a twist is valid for about half of it. With fewer
 than this number of twists the interval is not tested."""
+DAY_S = 86400.0
+MAX_JUMP_S = 7 * DAY_S
+"""Maximum gap of odometry [s]; at a longer one, the clock was set."""
 UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 """Units of stamps by their number in a second."""
 TOO_RARE = (
@@ -53,6 +56,23 @@ def require_overlap(
         )
 
 
+def _require_steady(t: np.ndarray, path: Path) -> None:
+    """Raise InputError where the clock of odometry stamps `t`, (n,), was set meanwhile."""
+    steps = np.diff(t)
+    if steps.size < MIN_TWISTS:
+        return
+    k, usual = int(steps.argmax()), float(np.median(steps))
+    jump = float(steps[k])
+    if jump <= max(MAX_JUMP_S, 1e3 * usual):  # all stamps may be in another unit
+        return
+    raise InputError(
+        f"the clock was set during the recording: stamps jump from {float(t[k])!r} to "
+        f"{float(t[k + 1])!r} s, by {jump / DAY_S:,.0f} days; leave out the {k + 1:,} odometry rows"
+        " before the jump, and the sightings",
+        path,
+    )
+
+
 def remark_other_units(t: np.ndarray, remarks: dict[str, int]) -> None:
     """Add a remark where odometry stamps `t`, (n,), seem to be in a smaller unit than seconds."""
     if t.size < MIN_TWISTS or (step := float(np.median(np.diff(t)))) <= MAX_INTERVAL_S:
@@ -84,6 +104,7 @@ def with_clock_remarks(drive: Drive, path: Path) -> Drive:
     if not (odometry.size and seen.size):
         return drive
     first, last = float(odometry[0]), float(odometry[-1])
+    _require_steady(odometry, path)
     require_overlap(
         {"the odometry": (first, last), "the bearings": (float(seen[0]), float(seen[-1]))},
         OTHER_CLOCK,

@@ -23,6 +23,7 @@ from homeward.drives.images import IMAGES, cameras_in
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.log import is_log
+from homeward.drives.senses import with_sense_remark
 from homeward.drives.settings import RobotSettings, home_when
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
@@ -104,6 +105,7 @@ def open_drive(
             place,
         )
     with naming_file(place):
+        drive = with_sense_remark(drive)
         return drive if when is None else with_home(drive, when, on_progress)
 
 

@@ -321,6 +321,9 @@ class DriveSettings(RobotSettings):
     Others within 0.5 m of each other may."""
     truth: TruthFrame | None = Field(None, examples=[{"home": [0.0, 0.0, 0.0]}])
     """None: the home frame. `open_drive` transforms ground truth to it, and then sets None."""
+    check_senses: bool = True
+    """Whether the rotation of the odometry is compared with the bearings, and a run is refused if
+    these are in a fixed frame or another unit."""
     epoch: int | None = None
     """Whole seconds to add to the times of the drive for the clock of its log; None: 0. The times
     of logs with Unix stamps count from their first whole second, since a double resolves Unix time

@@ -30,6 +30,8 @@ MAX_LINE = 2**20
 """Maximum length of a line [characters]."""
 _FORMULA = re.compile(r"'*[=+\-@\t\r\n\uff1d\uff0b\uff0d\uff20]")
 """Begin of a text that a spreadsheet may execute as a formula, after any number of apostrophes."""
+_VALUE = re.compile(r"[^\s,;\[\]()]+")
+"""A value in an array."""
 _UNDECODABLE = re.compile("[\udc80-\udcff]")
 
 Parser = Callable[[str, Sequence[str], Sequence[int], Path], np.ndarray]
@@ -106,6 +108,9 @@ class Form:
     skip: int = 0
     """Number of lines before the table."""
     encoding: str = "utf-8-sig"
+    arrays: tuple[int, ...] = ()
+    """Number of values in each cell of a line that is an array; 0: a plain cell. Each value has its
+    own name. Empty: no cell is an array."""
 
 
 PLAIN = Form()
@@ -303,10 +308,26 @@ def _csv_records(lines: Iterator[str], path: Path, form: Form) -> Iterator[tuple
     try:
         for fields in reader:
             if len(fields) > 1 or (fields and fields[0].strip()):
-                yield row, fields
+                yield row, with_values(fields, form.arrays) if form.arrays else fields
             row = form.skip + reader.line_num + 1
     except csv.Error as error:
         raise InputError(f"not CSV: {error}", path, row) from error
+
+
+def array_in(cell: str) -> list[str]:
+    """Return the values of an array in a cell, as ``[[1. 2. 3.]]``; empty for another cell."""
+    return _VALUE.findall(cell) if cell.lstrip().startswith(("[", "(")) else []
+
+
+def with_values(fields: list[str], arrays: Sequence[int]) -> list[str]:
+    """Return the fields of a line, with those that are arrays of a known size as their values."""
+    if len(fields) != len(arrays):
+        return fields
+    values = list[str]()
+    for cell, size in zip(fields, arrays, strict=True):
+        found = array_in(cell)
+        values += [cell] * max(size, 1) if size == 0 or len(found) != size else found
+    return values
 
 
 def _column_indices(

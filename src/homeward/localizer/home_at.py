@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
@@ -54,8 +54,8 @@ def _predicted(solved: SolvedDrive, drive: Drive, t: float) -> JointHome:
     ends = [Pose(*pose) for pose in whole.poses[k : k + 2].tolist()]
     shift, covariance = solved.motions(k, [t], between(*ends) if len(ends) > 1 else None)[0]
     moved = dataclasses.replace(Motion.identity(), delta=shift, covariance=covariance)
-    states = whole.marginals()
-    state = states[k].propagate(moved)
+    state_at = whole.marginal_of()
+    state = state_at(k).propagate(moved)
     camera = state.pose_after(chart.map.camera(Motion.identity()))
     sigmas = chart.noise.sigmas(list(ids), {})
     zeros = np.zeros(index.size)
@@ -63,13 +63,15 @@ def _predicted(solved: SolvedDrive, drive: Drive, t: float) -> JointHome:
     joint = expected.covariance
     kept = joint.diagonal() <= MAX_PREDICTED_SIGMA**2
     kept &= whole.p_static[index] >= MIN_P_STATIC
-    kept &= ~np.isin(list(ids), _moved(solved, drive, states, t))
+    kept &= ~np.isin(list(ids), _moved(solved, drive, state_at, t))
     bearings = np.asarray(wrap(-expected.residual))
     chosen = [name for name, is_kept in zip(ids, kept.tolist(), strict=True) if is_kept]
     return JointHome(tuple(chosen), bearings[kept], joint[np.ix_(kept, kept)])
 
 
-def _moved(solved: SolvedDrive, drive: Drive, states: Sequence[Marginal], t: float) -> list[str]:
+def _moved(
+    solved: SolvedDrive, drive: Drive, state_at: Callable[[int], Marginal], t: float
+) -> list[str]:
     """Return landmarks that were elsewhere at a time [s]: their sightings next to it do not fit.
 
     The map has one position of a landmark that moved before it was established.
@@ -77,7 +79,7 @@ def _moved(solved: SolvedDrive, drive: Drive, states: Sequence[Marginal], t: flo
     whole, chart = solved.whole, solved.localizer.chart
     misfits = defaultdict[str, tuple[list[bool], list[bool]]](lambda: ([], []))
     for seen in seen_from_keyframes(drive, chart, whole, t):
-        wrong = seen.misfits(states[seen.keyframe - whole.first], chart.map, whole)
+        wrong = seen.misfits(state_at(seen.keyframe - whole.first), chart.map, whole)
         for name, is_wrong in zip(seen.frame.names, wrong.tolist(), strict=True):
             misfits[name][seen.frame.t > t].append(is_wrong)
     nearest = {n: (b[-NUM_NEAREST:], a[:NUM_NEAREST]) for n, (b, a) in misfits.items()}

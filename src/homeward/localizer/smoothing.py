@@ -142,8 +142,8 @@ class SolvedDrive:
         causal = within(lost, times) | (index < 0) | (stamps[index] < self.since)
         used = np.unique(index[~causal])
         needed = np.union1d(used, np.minimum(used + 1, stamps.size - 1)).tolist()
-        states = self.whole.marginals(needed)
-        hypotheses = {k: _at_pose(chart, state) for k, state in zip(needed, states, strict=True)}
+        state_at = self.whole.marginal_of()
+        hypotheses = {k: _at_pose(chart, state_at(k)) for k in needed}
         stayed, estimates = chart.home.stayed(chart.map), list(rows)
         for k in used.tolist():
             here = np.flatnonzero((index == k) & ~causal).tolist()
@@ -313,9 +313,9 @@ def _solve(whole: Smoother) -> None:
 
 def _contradicted(drive: Drive, chart: Chart, whole: Smoother) -> list[SeenAt]:
     """Return sightings from keyframes whose poses they contradict."""
-    states, known = whole.marginals(), chart.map
+    state_at, known = whole.marginal_of(), chart.map
     found = seen_from_keyframes(drive, chart, whole)
-    return [s for s in found if s.contradicts(states[s.keyframe - whole.first], known, whole)]
+    return [s for s in found if s.contradicts(state_at(s.keyframe - whole.first), known, whole)]
 
 
 def seen_from_keyframes(

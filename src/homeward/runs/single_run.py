@@ -14,6 +14,7 @@ from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
 from homeward.drives.ros.log import is_log
 from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
+from homeward.drives.senses import require_senses
 from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
@@ -149,6 +150,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         home_at=run.home_at,
         on_progress=progress,
     )
+    require_senses(drive)
     if not drive.sightings.t.size:
         raise _no_sightings(drive_path(run), drive.remark_lines)
     visits = run.place is not None and run.place_version != 0 and is_place(Path(run.place))

@@ -107,7 +107,12 @@ def import_(
             "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
     from homeward.drives.cameras.calibration import read_calibration
-    from homeward.drives.importers.reading import drive_of, home_warnings, understand
+    from homeward.drives.importers.reading import (
+        drive_of,
+        home_warnings,
+        sense_warnings,
+        understand,
+    )
     from homeward.drives.settings import Wheels
     from homeward.io.settings import parse_settings
     from homeward.io.writing import write_whole
@@ -134,7 +139,7 @@ def import_(
         name = "import" if out is None else out.name
         drive = drive_of(found, name, when, geometry, on_progress)
     write_whole(picture, png(draw_drive(drive)))
-    remarks = [*drive.remark_lines, *home_warnings(drive)]
+    remarks = [*drive.remark_lines, *sense_warnings(drive, found), *home_warnings(drive)]
     if out is not None:
         save_drive(drive, out, commented=True)
         following = command("run", out)

@@ -58,13 +58,13 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "omega": (
         "rate",
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
-        "angular.speed wz gyro.z gyroz gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit "
-        "gierrate",
+        "angular.speed wz om gyro.z gyroz gyro gz drehrate drehgeschwindigkeit "
+        "winkelgeschwindigkeit gierrate",
     ),
     "landmark": (
         "name",
         "landmark id tag marker beacon feature name label subject barcode landmarke marke "
-        "landmark.id tag.id marker.id landmark.name",
+        "landmark.id tag.id marker.id landmark.name class",
     ),
     "bearing": (
         "angle",
@@ -136,6 +136,15 @@ NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
 
 
+JOINS = {
+    "ends": "({} + {}) / 2",
+    "middle": "{}",
+    "corner": "{} + {} / 2",
+    "middle or corner": "{}, {}",
+}
+"""Formulas of the middle of a box, by the meaning of its columns."""
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a file with its role, unit and sign."""
@@ -150,7 +159,9 @@ class Column:
     """Whether the user specified its role."""
     more: tuple[str, ...] = ()
     """Columns of the same quantity: the nanoseconds of a time in seconds; z, x and y of a
-    quaternion whose w it is."""
+    quaternion whose w it is; the other end or the size of a box."""
+    join: str = ""
+    """How a coordinate of a box gives that of its middle: a key of `JOINS`; empty: it is no box."""
     file: str | None = None
     """Name of the file it was specified for; None: any file with such a column."""
 
@@ -162,7 +173,8 @@ class Column:
     @property
     def signed_name(self) -> str:
         """Name in the file, after a minus if the sign of its values is changed."""
-        return "-" * (self.sign < 0) + self.name
+        name = JOINS[self.join].format(self.name, *self.more) if self.join else self.name
+        return "-" * (self.sign < 0) + name
 
     @property
     def si(self) -> str:
@@ -236,6 +248,31 @@ def assigned(
     return found
 
 
+def recognised(
+    roles: Sequence[str], names: Sequence[str], specified: Sequence[Column]
+) -> dict[str, str]:
+    """Return the columns by role of those roles that a table has, complete or not."""
+    found = {c.role: c.name for c in (*_combined(names), *specified) if c.name in names}
+    for role in roles:
+        free = [name for name in names if name not in found.values()]
+        if role not in found and (likeliest := _likeliest(role, free)):
+            found[role] = likeliest[0]
+    return {role: found[role] for role in roles if role in found}
+
+
+def value_of(raw: Table, column: Column) -> np.ndarray:
+    """Return the values of a column, combined with those in `more`, in its own unit."""
+    first, more = raw[column.name], [raw[name] for name in column.more]
+    if column.role == "t" and more:
+        return np.asarray(first + 1e-9 * more[0])
+    if column.role == "heading" and more:
+        w, (z, x, y) = first, more
+        return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
+    if column.join == "ends":
+        return np.asarray((first + more[0]) / 2)
+    return np.asarray(first + more[0] / 2) if column.join == "corner" else first
+
+
 def times_in(names: Sequence[str], specified: Sequence[Column]) -> Column | None:
     """Return the column of times, as `assigned` finds it; None without one."""
     known = [c for c in (*specified, *_combined(names)) if c.role == "t" and c.name in names]
@@ -307,21 +344,23 @@ def matches(name: str, role: str) -> bool:
     return _score(name, role) != NO_MATCH
 
 
-def _score(name: str, role: str) -> tuple[int, int]:
+def _score(name: str, role: str) -> tuple[float, int]:
     """Return the match of a name with a role: number of matching words, minus all its words."""
     return _scores(name).get(role, NO_MATCH)
 
 
 @lru_cache(maxsize=2**15)
-def _scores(name: str) -> dict[str, tuple[int, int]]:
+def _scores(name: str) -> dict[str, tuple[float, int]]:
     """Return `_score` of all roles that match a name."""
     words = words_in(name)
     if wheels := wheel_roles(words):
         return {role: (1, -len(words)) for role in wheels}
     spans = (words[k : k + size] for size in _SIZES for k in range(len(words) - size + 1))
-    found = {role: len(span) for span in spans for role in _ROLES.get(span, ())}
+    found: dict[str, float] = {role: len(span) for span in spans for role in _ROLES.get(span, ())}
     if "frame" in words and "child" not in words:
         found.pop("landmark", None)
+    if "class" in words and found.get("landmark") == 1:  # any id is better
+        found["landmark"] = 0.5
     if found.get("camera") != len(words):  # a coordinate or stamp of the camera
         found.pop("camera", None)
     if len(words) > 1:  # left and right alone are wheels only where nothing else is in the name

@@ -15,6 +15,7 @@ from homeward.drives.importers.columns import (
     UNITS,
     Column,
     long,
+    value_of,
     words_in,
 )
 from homeward.drives.importers.pixels import (
@@ -185,16 +186,6 @@ class Part:
                 parser = kinds.get(column.quantity, number_parser(comma))
                 parsers |= dict.fromkeys((column.name, *column.more), parser)
         return read_csv(self.sheet.path, parsers, form=self.sheet.form)
-
-
-def value_of(raw: Table, column: Column) -> np.ndarray:
-    """Return the values of a column, combined with those in `more`, in its own unit."""
-    if column.role == "t" and column.more:
-        return np.asarray(raw[column.name] + 1e-9 * raw[column.more[0]])
-    if column.role == "heading" and column.more:
-        w, (z, x, y) = raw[column.name], (raw[name] for name in column.more)
-        return np.asarray(np.arctan2(2 * (w * z + x * y), w * w + x * x - y * y - z * z))
-    return raw[column.name]
 
 
 def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:

@@ -8,7 +8,7 @@ pixel is (0, 0), as in `Camera`.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
 
@@ -16,7 +16,14 @@ import numpy as np
 
 from homeward.drives.cameras.camera import tag_bearings, tag_ranges
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.importers.columns import KINDS, ROLES, Column, assigned, words_in
+from homeward.drives.importers.columns import (
+    KINDS,
+    ROLES,
+    Column,
+    assigned,
+    value_of,
+    words_in,
+)
 from homeward.drives.importers.sheet import Sheet, names, number_parser
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
@@ -32,8 +39,19 @@ Calibrations = Mapping[str, Lens]
 """Cameras by name; that of rows without a name, or of the first of several cameras, is under ""."""
 DOUBTFUL = (("cx", "cy"), ("x", "y"))
 """Roles of columns that may be pixels."""
-BOX, IMAGE = {"w", "width"}, {"image", "img", "frame"}
-"""Words in names of a box's or an image's width."""
+BOXES: Mapping[str, str] = {
+    **dict.fromkeys(("xmin ymin xmax ymax", "x1 y1 x2 y2", "left top right bottom"), "ends"),
+    **dict.fromkeys(("minx miny maxx maxy", "xtl ytl xbr ybr"), "ends"),
+    **dict.fromkeys(("xcenter ycenter width height", "centerx centery width height"), "middle"),
+    **dict.fromkeys(
+        ("cx cy w h", "cx cy width height", "xc yc w h", "xcenter ycenter w h"), "middle"
+    ),
+    **dict.fromkeys(("left top width height", "xmin ymin width height"), "corner"),
+    **dict.fromkeys(("x y w h", "x y width height"), "middle or corner"),
+}
+"""Names of the four columns of a box, without words for the box, and the meaning of the first."""
+OF_BOX, OF_IMAGE = {"bbox", "box", "bb", "rect", "roi"}, {"image", "img", "frame"}
+"""Words in names of coordinates of a box, and of sizes that are not its own."""
 _AXES = {**dict.fromkeys(("x", "u", "px", "col"), 0), **dict.fromkeys(("y", "v", "py", "row"), 1)}
 _PLACES = tuple(p.split() for p in ("0 1 2 3", "1 2 3 4", "tl tr br bl", "lt rt rb lb"))
 """Names of the corners of a tag, in order round it."""
@@ -64,6 +82,10 @@ class Pixels:
     """Source of the intrinsics."""
     order: tuple[int, ...] = ORDERS[0]
     """The corners in order round the tag."""
+    join: str = ""
+    """Meaning of the columns of boxes, a key of `JOINS`."""
+    is_share: bool = False
+    """Whether columns and rows are shares of the size of the image."""
     tag_size: float | None = None
     """Length of the sides of tags [m]; None: unknown, and no ranges."""
 
@@ -77,11 +99,11 @@ class Pixels:
         """Camera models and order of the corners, as shown to the user."""
         models = "/".join(dict.fromkeys(lens.model for lens in self.lenses.values()))
         order = "" if self.order == ORDERS[0] else f", order {' '.join(map(str, self.order))}"
-        return f"{models}{order}"
+        return f"{models}{order}{', shares of the image' * self.is_share}"
 
     def formula(self, columns: Mapping[str, Column], role: str) -> str:
         """Return the pixels of the bearing and its deviation, with the names of their columns."""
-        names = [columns[role].name for role in PIXEL_ROLES if role in columns]
+        names = [columns[role].signed_name for role in PIXEL_ROLES if role in columns]
         return f"tag {names[0]} ... {names[-1]}" if len(names) > 2 else f"ray ({', '.join(names)})"
 
     def measured(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -107,6 +129,8 @@ class Pixels:
                 sizes = np.full(len(bearing), self.tag_size)
                 found["range"] = tag_ranges(corners, sizes, lens, shape)
             return found
+        if self.is_share:
+            values = _in_pixels(values, lens)
         column, row = values["column"], values.get("row")
         row = np.full_like(column, lens.cy) if row is None else row
         return {"bearing": lens.directions(*_seen(column, row), shape)[0]}
@@ -129,6 +153,11 @@ def pixel_columns(
     optional = ("camera", *("range",) * (kind == "bearings"))
     if found := assigned((*needed, *CORNERS), free, known, optional):
         return found | intrinsics
+    if not {c.role for c in specified}.intersection(PIXEL_ROLES) and (box := box_columns(free)):
+        used = {name for column in box.values() for name in (column.name, *column.more)}
+        others = [name for name in free if name not in used]
+        if found := assigned(needed, others, specified, optional):
+            return found | box | intrinsics
     point = assigned((*needed, "column"), free, specified, ("row", *optional))
     if point and ("row" in point or point["column"].is_specified):
         return point | intrinsics
@@ -138,7 +167,8 @@ def pixel_columns(
             columns = {role: c for role, c in found.items() if role not in roles}
             columns |= {p: replace(found[r], role=p) for p, r in zip(POINT, roles, strict=True)}
             if roles == ("cx", "cy") or _are_pixels(one, columns | intrinsics, cameras):
-                _refuse_boxes(one, columns)
+                if any("w" in words_in(name) for name in free):
+                    raise _doubtful(one, (found[role].name for role in roles))
                 return columns | intrinsics
     return point | intrinsics if point and (cameras or intrinsics) else None
 
@@ -149,13 +179,13 @@ def has_intrinsics(tables: Mapping[str, dict[str, Column] | None], cameras: Cali
 
 
 def with_pixels(
-    one: Sheet, columns: dict[str, Column], cameras: Calibrations
+    one: Sheet, columns: dict[str, Column], cameras: Calibrations, like: Pixels | None = None
 ) -> tuple[dict[str, Column], Pixels]:
     """Return the columns without intrinsics, and the cameras of the pixels.
 
-    `InputError` without intrinsics, or where the values are no pixels of the camera's image.
+    `like` are the pixels of the drive, which also apply to those of home. `InputError` without
+    intrinsics, or where the values are no pixels of the camera's image.
     """
-    table = _read(one, columns)
     used = [c.name for role, c in columns.items() if role in PIXEL_ROLES]
     if not cameras and "fx" not in columns:
         raise InputError(
@@ -163,14 +193,19 @@ def with_pixels(
             "the camera's intrinsics; add --camera FILE (a calibration), or columns fx and cx",
             one.path,
         )
+    columns = _decided(one, columns, cameras, like)
+    table = _read(one, columns)
     lenses = _lenses(table, cameras)
     tilted = any(any(lens.distortion) or lens.pitch or lens.roll for lens in lenses.values())
     if len(used) == 1 and tilted:
         problem = "only columns of pixels, but the camera has distortion or tilt"
         raise InputError(f"{problem}; add their rows, as in --columns row=v", one.path)
-    if wrong := _problem(table, lenses):
+    join = columns["column"].join if "column" in columns else ""
+    is_share = bool(join) and all(np.nanmax(table[r], initial=0.0) <= 1.0 for r in POINT)
+    if wrong := _problem(table, lenses, is_share):
         raise InputError(wrong[0], one.path, wrong[1])
-    pixels = Pixels(lenses, "--camera" if cameras else "fx, cx")
+    source = "--camera" if cameras else "fx, cx"
+    pixels = Pixels(lenses, source, join=join, is_share=is_share)
     if "row0" in columns:
         pixels = replace(pixels, order=_order(table))
     return {role: c for role, c in columns.items() if role not in INTRINSICS}, pixels
@@ -199,6 +234,76 @@ def _corner_columns(names: Sequence[str]) -> dict[str, str]:
     return {}
 
 
+def box_columns(names: Sequence[str]) -> dict[str, Column]:
+    """Return the column and the row of the middle of a box; empty without one."""
+    by_name = {}
+    for name in names:
+        words = [w for w in words_in(name) if w not in OF_BOX]
+        if not OF_IMAGE.intersection(words):
+            by_name["".join(words).replace("centre", "center")] = name
+    for text, join in BOXES.items():
+        if all(word in by_name for word in text.split()):
+            x, y, *others = (by_name[word] for word in text.split())
+            more = [(), ()] if join == "middle" else [(name,) for name in others]
+            return {
+                role: Column(role, name, more=m, join=join)
+                for role, name, m in zip(POINT, (x, y), more, strict=True)
+            }
+    return {}
+
+
+def _decided(
+    one: Sheet, columns: dict[str, Column], cameras: Calibrations, like: Pixels | None
+) -> dict[str, Column]:
+    """Return columns of boxes of which x and y are known to be the middle or a corner.
+
+    The middles of boxes are in the image; `like` are the pixels of the drive. `InputError` where
+    both may be.
+    """
+    box = {role: c for role, c in columns.items() if c.join == "middle or corner"}
+    if not box:
+        return columns
+    both = {
+        join: columns
+        | {
+            r: replace(c, join=join, more=c.more if join == "corner" else ())
+            for r, c in box.items()
+        }
+        for join in ("corner", "middle")
+    }
+    if like is not None and like.join in both:
+        return both[like.join]
+    is_inside = {join: _is_inside(one, options, cameras) for join, options in both.items()}
+    if len(set(is_inside.values())) == 2:
+        return both[next(join for join, inside in is_inside.items() if inside)]
+    raise _doubtful(one, (c.name for c in box.values()))
+
+
+def _doubtful(one: Sheet, names: Iterable[str]) -> InputError:
+    """Return the error for x and y along with a size: they may be the centre or a corner."""
+    x, y = names
+    problem = f"{x!r} and {y!r} may be the centre or a corner of a box"
+    return InputError(f"{problem}; of centres, use --columns 'column={x}, row={y}'", one.path)
+
+
+def _is_inside(one: Sheet, columns: dict[str, Column], cameras: Calibrations) -> bool:
+    """Whether all pixels are in the image."""
+    table = _read(one, columns)
+    for name, use in _by_camera(table.columns):
+        lens = _lenses(table, cameras)[name]
+        size = lens.width or 2.0 * lens.cx
+        u = table["column"][use]
+        if ((u < -0.5) | (u > size - 0.5)).any():
+            return False
+    return True
+
+
+def _in_pixels(values: Mapping[str, np.ndarray], lens: Lens) -> dict[str, np.ndarray]:
+    """Return columns and rows of shares of the size of the image [px]."""
+    size = {"column": lens.width or 2.0 * lens.cx, "row": lens.height or 2.0 * lens.cy}
+    return {role: size[role] * v if role in size else v for role, v in values.items()}
+
+
 def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations) -> bool:
     """Whether there are intrinsics, and the values are pixels of the camera's image."""
     if not cameras and "fx" not in columns:
@@ -207,24 +312,16 @@ def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations
     return _problem(table, _lenses(table, cameras)) is None
 
 
-def _refuse_boxes(one: Sheet, found: Mapping[str, Column]) -> None:
-    """Refuse x and y along with a width: they may be the centre or a corner of a box."""
-    words = [words_in(name) for name in one.names]
-    if any(BOX.intersection(w) and not IMAGE.intersection(w) for w in words):
-        x, y = (found[role].name for role in POINT)
-        problem = f"{x!r} and {y!r} may be the centre or a corner of a box"
-        raise InputError(f"{problem}; of centres, use --columns 'column={x}, row={y}'", one.path)
-
-
 def _read(one: Sheet, columns: Mapping[str, Column]) -> Table:
     """Read the columns of pixels and intrinsics, and the names of cameras, by role."""
     used = {r: c for r, c in columns.items() if ROLES[r][0] == "pixel"}
     parsers: dict[str, Parser] = dict.fromkeys(
-        (c.name for c in used.values()), number_parser(one.decimal_comma)
+        (name for c in used.values() for name in (c.name, *c.more)),
+        number_parser(one.decimal_comma),
     )
     named = {"camera": columns["camera"].name} if "camera" in columns else {}
     raw = read_csv(one.path, parsers | dict.fromkeys(named.values(), names), form=one.form)
-    by_role = {role: c.sign * raw[c.name] for role, c in used.items()}
+    by_role = {role: c.sign * value_of(raw, c) for role, c in used.items()}
     return replace(raw, columns=by_role | {role: raw[name] for role, name in named.items()})
 
 
@@ -308,10 +405,14 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _problem(table: Table, lenses: Calibrations) -> tuple[str, int | None] | None:
+def _problem(
+    table: Table, lenses: Calibrations, is_share: bool = False
+) -> tuple[str, int | None] | None:
     """Return why values are no pixels of their camera's image, and the row; None if they are."""
-    rows = _by_camera(table.columns)
-    found = (_problem_of_one(table.rows(use), lenses[name]) for name, use in rows)
+    parts = [(table.rows(use), lenses[name]) for name, use in _by_camera(table.columns)]
+    if is_share:
+        parts = [(replace(p, columns=_in_pixels(p.columns, lens)), lens) for p, lens in parts]
+    found = (_problem_of_one(part, lens) for part, lens in parts)
     return next((problem for problem in found if problem), None)
 
 

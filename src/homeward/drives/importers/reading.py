@@ -27,7 +27,7 @@ from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
-from homeward.drives.importers.sense import with_sense_of
+from homeward.drives.importers.sense import NOT_DECIDED, require_imported_senses, with_senses
 from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
@@ -112,7 +112,7 @@ def understand(
                 angle = None if seen.column.unit else seen.unit
     with suppress(InputError):  # `drive_of` raises it after the columns are shown
         tables = {one.kind: one.table for one in found}
-        return with_sense_of(_odometry(found, tables, wheels, {}), found)
+        return with_senses(_odometry(found, tables, wheels, {}), found)
     return found
 
 
@@ -188,6 +188,7 @@ def drive_of(
     if truth is not None and truth.is_unsure:
         drive = _without_dead_reckoning(drive, truth.table.file)
     drive = with_clock_remarks(drive, tables["bearings"].file)
+    require_imported_senses(drive, found)
     return drive if home is None else with_home(drive, home, on_progress)
 
 
@@ -204,6 +205,11 @@ def _averaged(home: Table, remarks: dict[str, int]) -> Table:
     remarks[AVERAGED] = len(home)
     columns = {name: values[first] for name, values in home.columns.items()}
     return Table(home.file, home.row[first], columns | {"bearing": np.angle(total)})
+
+
+def sense_warnings(drive: Drive, found: Sequence[ImportedColumn]) -> list[str]:
+    """Return a warning where the senses and units of bearings could not be tested."""
+    return [NOT_DECIDED] if require_imported_senses(drive, found).sense is None else []
 
 
 def home_warnings(drive: Drive) -> list[str]:

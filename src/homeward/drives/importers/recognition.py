@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -17,15 +18,18 @@ from homeward.drives.importers.columns import (
     landmark_columns,
     landmark_in,
     matches,
+    recognised,
     times_in,
     unit_of,
+    value_of,
     words_in,
 )
-from homeward.drives.importers.parts import Part, value_of
+from homeward.drives.importers.parts import Part
 from homeward.drives.importers.pixels import (
     PIXEL_ROLES,
     Calibrations,
     Pixels,
+    box_columns,
     has_intrinsics,
     pixel_columns,
     with_pixels,
@@ -93,11 +97,11 @@ def parts_of(
         across = {} if one.headless else landmark_columns(free, ids)
         t = times_in(one.names, mine)
         if across and (t is not None or one.one_row) and kind in (None, _wide_kind(t)):
-            parts.append(_wide_part(one, across, t))
+            parts.append(_wide_part(one, across, t, mine))
         elif all(part.sheet is not one for part in parts):
             gyro = assigned(KINDS["gyro"], one.names, mine) if kind is None else None
             if gyro is None:
-                raise InputError(_not_recognised(one, kind), one.path)
+                raise InputError(_not_recognised(one, kind, mine), one.path)
             parts.append(Part(one, "gyro", gyro))
     _find_odometry(parts, kinds or {})
     _find_sources(parts, cameras or {})
@@ -229,12 +233,14 @@ def _has_landmarks(one: Sheet, landmark: Column) -> bool:
 
 def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
     """Find the camera of pixels, and the axes of positions, of the drive before those of home."""
-    axes = None
+    axes, pixels = None, None
     for part in sorted(parts, key=lambda part: part.kind):
         if part.kind not in POSITIONED or part.wide or "bearing" in part.columns:
             continue
         if not part.columns.keys().isdisjoint(PIXEL_ROLES):
-            part.columns, part.source = with_pixels(part.sheet, part.columns, cameras)
+            given = part.sheet, part.columns, cameras, pixels
+            part.columns, pixels = with_pixels(*given)
+            part.source = pixels
         else:
             part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes)
             part.source = axes
@@ -245,7 +251,7 @@ def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
         )
 
 
-def _not_recognised(one: Sheet, kind: str | None) -> str:
+def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> str:
     """Return the message for a table that is no part of a drive, or not of the specified kind."""
     if kind is not None:
         words = ", ".join(map(repr, one.names[:MAX_SHOWN]))
@@ -255,8 +261,33 @@ def _not_recognised(one: Sheet, kind: str | None) -> str:
     shown = ", ".join(map(repr, names[:MAX_SHOWN]))
     more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
     return (
-        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: give their "
-        f"roles, as in --columns '{file}t={names[0]}'"
+        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: "
+        f"{_missing_roles(one, mine, file)}"
+    )
+
+
+def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
+    """Return the advice for the kind of table of which the fewest roles are missing."""
+    kinds = {kind: roles for kind, roles in KINDS.items() if kind != "gyro"}
+    found = {kind: recognised(roles, one.names, mine) for kind, roles in kinds.items()}
+    boxes = box_columns(one.names)
+    for kind in POSITIONED if boxes else ():
+        found[kind] = {"bearing": "box"} | found[kind]
+    kind = max(found, key=lambda k: (len(found[k]) / len(KINDS[k]), len(found[k])))
+    numbers = {name: number for number, name in one.numbers.items()}
+    if not found[kind]:
+        a, b, c, *_ = (*numbers.values(), *"ABC")
+        return f"give their roles, as in --columns '{file}t={a}, landmark={b}, bearing={c}'"
+    used = {*found[kind].values(), *(n for c in boxes.values() for n in (c.name, *c.more))}
+    free = [numbers.get(n, n) for n in one.names if n and n not in used]
+    missing = [role for role in KINDS[kind] if role not in found[kind]]
+    roles = ", ".join(
+        f"{role}={name}" for role, name in zip(missing, [*free, *"ABCD"], strict=False)
+    )
+    known = ", ".join(f"{role} ({name})" for role, name in found[kind].items())
+    return (
+        f"for {kind} with {known}, {' and '.join(missing)} is missing; give its column, as in "
+        f"--columns '{file}{roles}'"
     )
 
 
@@ -309,9 +340,17 @@ def _wide_kind(t: Column | None) -> str:
     return "home" if t is None else "bearings"
 
 
-def _wide_part(one: Sheet, across: dict[str, str], t: Column | None) -> Part:
+def _wide_part(
+    one: Sheet, across: dict[str, str], t: Column | None, mine: Sequence[Column]
+) -> Part:
+    """Return a table with a column for each landmark; a specified one counts for all."""
     first, *_, last = across.values()
     span = f"{first} ... {last}"
     columns = {"landmark": Column("landmark", span)}
-    columns["bearing"] = Column("bearing", span, unit_of(list(across.values())))
+    given = [c for c in mine if c.role == "bearing" and c.name in across.values()]
+    columns["bearing"] = replace(
+        given[0] if given else Column("bearing", span),
+        name=span,
+        unit=(given and given[0].unit) or unit_of(list(across.values())),
+    )
     return Part(one, _wide_kind(t), columns if t is None else {"t": t, **columns}, across)

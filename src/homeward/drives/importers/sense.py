@@ -1,56 +1,125 @@
-"""Whether bearings are clockwise, from the yaw rates of the odometry."""
+"""Senses and units of imported columns, decided by the test of bearings against the odometry."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-import numpy as np
-
-from homeward.drives.drive import Odometry
+from homeward.drives.drive import Drive, Odometry
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.geometry.angles import wrap
-from homeward.io.table import Table
-from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
+from homeward.drives.importers.pixels import PIXEL_ROLES
+from homeward.drives.importers.wheel_columns import ROLES as WHEELS
+from homeward.drives.senses import UNDECIDED, Sense, SenseTest, compare_senses, senses_of
+from homeward.errors import InputError
 
-MIN_TURN, MAX_TURN = 0.1, 1.5
-"""Rotation of the robot between two compared sightings of a landmark [rad]."""
-MAX_GAP_S = 5.0
-"""Maximum time between them [s]."""
-MAX_RADIUS = 2.0
-"""Maximum radius of the arc between them [m], since landmarks nearer than half of it could show
-the opposite sense."""
-MIN_PAIRS = 8
-"""Minimum number of pairs that fit the opposite sense."""
-MAX_SHARE = 0.1
-"""Maximum share of pairs that fit the same sense."""
 LATERAL = ("bearing", "left", "right")
 """Roles of columns whose sign depends on the sense of rotation."""
+ROTATIONS = ("omega", "turn")
+"""Roles of odometry whose unit may be wrong."""
+SIDED = ("camera axes", "named")
+"""Sources of positions of which the axes show which side is left."""
 SHOWN = "sign changed to fit yaw rates"
 REMARK = (
-    "bearings with changed sign, because they were clockwise and the yaw rates anti-clockwise; "
-    "for the opposite, use --columns 'omega=-COLUMN'"
+    "bearings with changed sign, because they were clockwise and the yaw rates anti-clockwise; to "
+    "keep it, use --columns 'bearing=COLUMN', and if the yaw rates are wrong, 'omega=-COLUMN'"
+)
+FITS = "fits the bearings"
+UNIT = "rows with {} in {}, which fits the bearings; to keep it, use --columns '{}={}[{}]'"
+NOT_DECIDED = (
+    "Senses and units of bearings and yaw rates were not tested: too few intervals in which the "
+    "robot turns to both sides. Check that both are anti-clockwise."
+)
+WRONG_WAY = (
+    "the odometry turns the wrong way: its yaw rates and the bearings have opposite signs in {:,} "
+    "intervals, and {} show which side is left. {}"
 )
 
 
-def with_sense_of(odometry: Odometry, found: list[ImportedColumn]) -> list[ImportedColumn]:
-    """Return the columns of a drive with bearings that have the sense of rotation of its odometry.
+def with_senses(odometry: Odometry, found: list[ImportedColumn]) -> list[ImportedColumn]:
+    """Return the columns of a drive in the sense of rotation and the units that fit its odometry.
 
-    Specified columns keep their sign, and so do home bearings of another kind: bearings, positions
+    Specified columns stay as they are, and so do home bearings of another kind: bearings, positions
     and pixels may come from several programs.
     """
-    parts = {k: [one for one in found if one.kind == k] for k in ("bearings", "home")}
-    seen = parts["bearings"]
-    if not seen or _is_fixed(seen) or not is_opposite(odometry, seen[0].table):
+    seen = [one for one in found if one.kind == "bearings"]
+    if not seen or is_fixed(seen):
         return found
-    if _is_fixed(parts["home"]) or _sources(parts["home"]) != _sources(seen):
-        del parts["home"]
-    return [_reversed(one) if one.kind in parts else one for one in found]
+    sense = _test(odometry, seen[0]).sense
+    if sense is None or sense is Sense.RIGHT:
+        return found
+    if sense.rate_factor != 1.0:
+        found, odometry = _in_other_unit(sense, found, odometry)
+        seen = [one for one in found if one.kind == "bearings"]
+        sense = _test(odometry, seen[0]).sense
+    if sense is not Sense.REVERSED or _sided(seen):
+        return found
+    home = [one for one in found if one.kind == "home"]
+    also_home = not is_fixed(home) and _sources(home) == _sources(seen)
+    kinds = ("bearings", "home") if also_home else ("bearings",)
+    return [_reversed(one) if one.kind in kinds else one for one in found]
 
 
-def _is_fixed(columns: Sequence[ImportedColumn]) -> bool:
+def _test(odometry: Odometry, seen: ImportedColumn) -> SenseTest:
+    t = seen.table
+    camera = t.columns.get("camera")
+    return compare_senses(odometry, t["t"], t["landmark"], t["bearing"], camera)
+
+
+def require_imported_senses(drive: Drive, found: Sequence[ImportedColumn]) -> SenseTest:
+    """Test the drive of these columns; `InputError` with a remedy where it contradicts itself.
+
+    Specified bearings are not tested.
+    """
+    seen = [one for one in found if one.kind == "bearings"]
+    decided = UNDECIDED if is_fixed(seen) else senses_of(drive)
+    if not decided.is_fault:
+        return decided
+    sided, odometry = _sided(seen), [one for one in found if one.kind == "odometry"]
+    if sided and decided.sense is Sense.FIXED_FRAME:
+        return dataclasses.replace(decided, sense=None)
+    if sided and decided.sense is Sense.REVERSED:
+        if any(one.column.is_specified for one in odometry):
+            return decided
+        advice = _other_way({one.column.role: one.column.name for one in odometry})
+        problem = WRONG_WAY.format(decided.intervals, sided, advice)
+        raise InputError(problem, odometry[0].table.file)
+    given = [u.column for u in seen if u.column.role in ("forward", *LATERAL)]
+    given = [c for c in given if c.role != "bearing" or len(given) == 1]
+    keep = ", ".join(f"{c.role}={c.name.partition(' ... ')[0]}" for c in given)
+    advice = f"To import them all the same, use --columns '{keep}'"
+    raise InputError(f"{decided.problem}. {advice}", seen[0].table.file)
+
+
+def _other_way(columns: Mapping[str, str]) -> str:
+    """Return the remedy for odometry, with columns by role, that turns the wrong way."""
+    pairs = [(role, role.replace("left", "right")) for role in columns if "left" in role]
+    if columns.keys() >= {role for pair in pairs for role in pair} and columns.keys() & WHEELS:
+        exchanged = ", ".join(
+            f"{a}={columns[b]}, {b}={columns[a]}" for a, b in pairs if {a, b} <= columns.keys()
+        )
+        same = ", ".join(f"{role}={columns[role]}" for pair in pairs for role in pair)
+        return (
+            f"If the left and right encoders are exchanged, use --columns '{exchanged}'; if they "
+            f"are right, '{same}'"
+        )
+    role = next((r for r in ("omega", "turn", "steering", "heading") if r in columns), "omega")
+    name = columns.get(role, "COLUMN")
+    return f"Change the sign with --columns '{role}=-{name}'; if it is right, '{role}={name}'"
+
+
+def is_fixed(columns: Sequence[ImportedColumn]) -> bool:
+    """Whether the user specified the columns of bearings."""
     return any(one.column.role in LATERAL and one.column.is_specified for one in columns)
+
+
+def _sided(columns: Sequence[ImportedColumn]) -> str:
+    """Return the source of bearings that shows which side is left; empty for plain angles."""
+    roles = {one.column.role for one in columns}
+    if roles.intersection(PIXEL_ROLES):
+        return "pixels"
+    is_sided = any(one.column.role == "forward" and one.source in SIDED for one in columns)
+    return "positions" if is_sided else ""
 
 
 def _sources(columns: Sequence[ImportedColumn]) -> set[str]:
@@ -60,46 +129,47 @@ def _sources(columns: Sequence[ImportedColumn]) -> set[str]:
 
 def _reversed(one: ImportedColumn) -> ImportedColumn:
     """Return a column of bearings or of home with the opposite sense of rotation."""
-    table, column, remarks, source = one.table, one.column, one.remarks, one.source
-    values = {n: -v if n in LATERAL else v for n, v in table.columns.items()}
+    column, remarks, source = one.column, one.remarks, one.source
+    values = {n: -v if n in LATERAL else v for n, v in one.table.columns.items()}
     if column.role in LATERAL:
         column = dataclasses.replace(column, sign=-column.sign)
     if column.role == "bearing":
         source = f"{source}; {SHOWN}"
-        remarks = remarks | ({REMARK: len(table)} if one.kind == "bearings" else {})
-    table = dataclasses.replace(table, columns=values)
+        remarks = remarks | ({REMARK: len(one.table)} if one.kind == "bearings" else {})
+    table = dataclasses.replace(one.table, columns=values)
     return dataclasses.replace(one, table=table, column=column, source=source, remarks=remarks)
 
 
-def is_opposite(odometry: Odometry, bearings: Table) -> bool:
-    """Whether bearings and yaw rates clearly have opposite senses of rotation.
+def _in_other_unit(
+    sense: Sense, found: list[ImportedColumn], odometry: Odometry
+) -> tuple[list[ImportedColumn], Odometry]:
+    """Return the columns and the odometry with yaw rates, or else bearings, in another unit.
 
-    While the robot turns by d, the bearing of a landmark that is not very near changes by about -d,
-    or by d if the senses are opposite. `bearings` has t [s], landmark, bearing [rad], and the
-    camera if there are several, between which bearings do not compare.
+    Only a unit that was guessed is changed.
     """
-    if not odometry.t.size:
-        return False
-    inside = (bearings["t"] >= odometry.t[0]) & (bearings["t"] <= odometry.t[-1])
-    t, landmark, bearing = (bearings[name][inside] for name in ("t", "landmark", "bearing"))
-    pose = dead_reckoning_unwrapped(odometry, t)
-    same = opposite = 0
-    track = landmark.astype(str)
-    if "camera" in bearings.columns:
-        track = np.char.add(np.char.add(track, "\n"), bearings["camera"][inside].astype(str))
-    order = np.argsort(track, kind="stable")
-    starts = np.flatnonzero(track[order][1:] != track[order][:-1]) + 1
-    for rows in np.split(order, starts) if order.size else ():
-        first = rows[0]
-        for row in rows[1:]:
-            turn = pose.heading[row] - pose.heading[first]
-            is_near = t[row] - t[first] <= MAX_GAP_S
-            if is_near and abs(turn) < MIN_TURN:
-                continue
-            chord = math.hypot(pose.x[row] - pose.x[first], pose.y[row] - pose.y[first])
-            if is_near and abs(turn) <= MAX_TURN and chord <= MAX_RADIUS * abs(turn):
-                change = bearing[row] - bearing[first]
-                right, wrong = abs(wrap(change + turn)), abs(wrap(change - turn))
-                same, opposite = same + (2 * right < wrong), opposite + (2 * wrong < right)
-            first = row
-    return opposite >= MIN_PAIRS and same <= MAX_SHARE * (same + opposite)
+    guessed = [one for one in found if one.column.unit is None]
+    old, new = ("rad", "deg") if sense.rate_factor > 1.0 else ("deg", "rad")
+    for one in guessed:
+        if one.kind == "odometry" and one.column.role in ROTATIONS and one.unit.startswith(old):
+            unit = one.unit.replace(old, new)
+            scaled = [_scaled(o, one, 1.0 / sense.rate_factor, unit) for o in found]
+            twists = odometry.t, odometry.v, odometry.omega / sense.rate_factor, odometry.vy
+            return scaled, Odometry(*twists)
+    for one in guessed:
+        if new == "rad" and one.column.role == "bearing" and one.unit == "rad":
+            found = [_scaled(o, one, math.radians(1.0), "deg") for o in found]
+    return found, odometry
+
+
+def _scaled(one: ImportedColumn, like: ImportedColumn, factor: float, unit: str) -> ImportedColumn:
+    """Return a column after that of the role and table of `like` was converted to `unit`."""
+    if one.kind != like.kind:
+        return one
+    role, name = like.column.role, like.column.name
+    columns = {**one.table.columns, role: factor * one.table[role]}
+    one = dataclasses.replace(one, table=dataclasses.replace(one.table, columns=columns))
+    if one.column.role != role:
+        return one
+    words = UNIT.format(role, unit, role, name.partition(" ... ")[0], like.unit)
+    remarks = one.remarks | {words: len(one.table)}
+    return dataclasses.replace(one, unit=unit, source=f"guessed: {FITS}", remarks=remarks)

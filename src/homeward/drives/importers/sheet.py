@@ -19,7 +19,16 @@ import numpy as np
 from homeward.drives.importers.columns import Column, is_unit
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
-from homeward.io.table import Form, Parser, identifiers, numbers_or_nan, quoted, text_lines
+from homeward.io.table import (
+    Form,
+    Parser,
+    array_in,
+    identifiers,
+    numbers_or_nan,
+    quoted,
+    text_lines,
+    with_values,
+)
 
 STAMP = ("stamp.sec", "stamp.nanosec", "frame")
 XYZ, XYZW = "xyz", "xyzw"
@@ -261,10 +270,35 @@ def sheet(path: Path) -> Sheet:
     if not body:
         raise InputError("a header without rows", path)
     names = [*names, *[""] * (width - len(names))]
+    arrays = _arrays(body, width)
+    if any(arrays):
+        body = [with_values(row, arrays) for row in body]
+        names = [part for name, n in zip(names, arrays, strict=True) for part in _parts(name, n)]
     cells = [cell for row in body for cell in row]
     comma = delimiter != "," and any("," in cell and is_number(cell, True) for cell in cells)
-    form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding)
+    sizes = arrays if any(arrays) else ()
+    form = Form(delimiter, tuple(name.strip() for name in names), skip, encoding, sizes)
     return Sheet(path, form, comma, len(body) == 1, numbered and len(above) != len(head))
+
+
+def _arrays(body: Sequence[Sequence[str]], width: int) -> tuple[int, ...]:
+    """Return the number of values in the cells of each column; 0 where they are no arrays."""
+    rows = [row for row in body if len(row) == width]
+    sizes = [
+        {len(array_in(cell)) for cell in column if cell.strip().lower() not in EMPTY}
+        for column in zip(*rows, strict=True)
+    ]
+    return tuple(max(found) if len(found) == 1 and max(found) > 1 else 0 for found in sizes)
+
+
+def _parts(name: str, size: int) -> list[str]:
+    """Return the names of the values of an array, before the unit; the name if it is none."""
+    if not size:
+        return [name]
+    plain = re.split(r"\s*[\[(<]", name.strip(), maxsplit=1)[0]
+    unit = name.strip().removeprefix(plain)
+    ends = XYZ if size == len(XYZ) else range(size)
+    return [f"{plain}_{end}{unit}" for end in ends]
 
 
 def _encoding(path: Path) -> str:

@@ -40,6 +40,7 @@ from homeward.drives.ros.topics.choosing import (
     use_of,
 )
 from homeward.drives.ros.topics.survey import MIN_TAGS, OnProgress, Topic, TopicSurvey, survey
+from homeward.drives.senses import with_sense_remark
 from homeward.errors import InputError
 from homeward.io.naming import command
 from homeward.io.settings import read_settings, settings_yaml
@@ -192,7 +193,7 @@ def _checked(path: Path, home_needed: bool) -> Iterator[str]:
     if home_needed and not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
     try:
-        yield from with_clock_remarks(with_calibration(drive), path).remark_lines
+        yield from with_sense_remark(with_clock_remarks(with_calibration(drive), path)).remark_lines
     except InputError as error:
         yield from drive.remark_lines
         yield REFUSED.format(error.what)
@@ -207,7 +208,8 @@ def _tried(
     if plan.odometry is None:
         return
     try:
-        drive = with_clock_remarks(read_planned(known, plan, topics, on_progress), known.log.path)
+        drive = read_planned(known, plan, topics, on_progress)
+        drive = with_sense_remark(with_clock_remarks(drive, known.log.path))
     except InputError as error:
         yield REFUSED.format(error.what)
         return

@@ -13,7 +13,7 @@ undone is marginalised.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -455,15 +455,20 @@ class Smoother:
         poses, common, covariance = kernels.solve_equations(equations)
         return Marginal(self.state.mean + np.concatenate([poses[-1], common]), covariance)
 
-    def marginals(self, indices: Sequence[int] | None = None) -> list[Marginal]:
-        """Return the state at poses in the window, by default at each, after `solve`."""
+    def marginal_of(self) -> Callable[[int], Marginal]:
+        """Return a function from a pose in the window to the state there, after `solve`.
+
+        With hundreds of landmarks, the states at all poses together exceed the memory.
+        """
         own, by_common, common = marginals(self.linearised().equations)
-        found, poses = [], self.poses
-        for k in range(len(poses)) if indices is None else indices:
+        poses, mean = self.poses.copy(), self.state.mean[3:].copy()
+
+        def marginal(k: int) -> Marginal:
             cross = -by_common[k] @ common
             joint = np.block([[own[k], cross], [cross.T, common]])
-            found.append(Marginal(np.concatenate([poses[k], self.state.mean[3:]]), joint))
-        return found
+            return Marginal(np.concatenate([poses[k], mean]), joint)
+
+        return marginal
 
     def turn_camera(self, keyframe: int, size: float) -> None:
         """Turn the camera on the robot by `size` [rad] from a keyframe on, and solve the window.

@@ -1,0 +1,129 @@
+"""The test of senses, units and frames: short form of `benchmarks.senses`, and its users."""
+
+import dataclasses
+import re
+
+import numpy as np
+import pytest
+
+from benchmarks.senses import FAULTS, simulated, slipping
+from homeward.drives.folder import read_folder
+from homeward.drives.importers.reading import drive_of, understand
+from homeward.drives.opening import open_drive, sample_drive, save_drive
+from homeward.drives.senses import PROBLEMS, SHOWS, Sense, compare_senses, senses_of
+from homeward.errors import InputError
+from homeward.geometry.angles import wrap
+from homeward.runs.single_run import RunSettings, opened
+
+
+@pytest.fixture(scope="module")
+def drives():
+    return [simulated(seed) for seed in range(30)]
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return read_folder(sample_drive())
+
+
+def test_right_drives_are_never_decided_to_be_wrong(drives):
+    assert not [drive for drive in drives if drive.decided().is_fault]
+    assert not [n for n in (8, 20) if slipping(1, n).decided().is_fault]
+
+
+@pytest.mark.parametrize("sense", FAULTS)
+def test_each_fault_is_recognised_in_some_drives(drives, sense):
+    found = [FAULTS[sense](drive).decided().sense for drive in drives]
+    assert found.count(sense) >= 2
+    assert found.count(sense) > 2 * sum(other not in (None, sense) for other in found)
+
+
+def test_rotation_to_one_side_is_enough_only_on_the_spot(plain):
+    odometry = plain.odometry.rows(plain.odometry.t < 60.0)
+    t = np.repeat(np.arange(0.0, 60.0, 0.2), 5)
+    landmark = np.tile(np.array(list("ABCDE"), object), t.size // 5)
+    turning = np.full(odometry.t.size, 0.3)
+    bearing = wrap(np.tile(np.arange(5.0), t.size // 5) + 0.3 * t)
+    for speed, found in ((0.0, Sense.REVERSED), (0.5, None)):
+        o = dataclasses.replace(odometry, v=np.full(odometry.t.size, speed), omega=turning)
+        assert compare_senses(o, t, landmark, bearing).sense is found
+
+
+def fixed_frame(drive):
+    """Return the drive with the heading added to its bearings."""
+    s = drive.sightings
+    bearing = wrap(s.bearing + drive.truth.at(s.t).heading)
+    return dataclasses.replace(drive, sightings=dataclasses.replace(s, bearing=bearing))
+
+
+def test_a_run_refuses_bearings_in_a_fixed_frame(plain, tmp_path):
+    save_drive(fixed_frame(plain), tmp_path / "drive")
+    remark = SHOWS + PROBLEMS[Sense.FIXED_FRAME]
+    assert remark in open_drive(tmp_path / "drive").remarks
+    with pytest.raises(InputError, match=r"do not turn with the robot.*check_senses: false"):
+        opened(RunSettings(drive=str(tmp_path / "drive")))
+    settings = tmp_path / "drive" / "drive.yaml"
+    settings.write_text("check_senses: false\n", encoding="utf-8")
+    assert remark not in opened(RunSettings(drive=str(tmp_path / "drive"))).remarks
+
+
+def test_a_run_of_reversed_bearings_has_a_remark(plain):
+    s = plain.sightings
+    drive = dataclasses.replace(plain, sightings=dataclasses.replace(s, bearing=-s.bearing))
+    assert senses_of(drive).sense is Sense.REVERSED
+
+
+def write(folder, drive, bearing, omega=1.0, wide=False):
+    """Write the tables of a drive with these bearings; return their paths."""
+    o, s = drive.odometry, drive.sightings
+    twists = (f"{t},{v},{omega * w}" for t, v, w in zip(o.t, o.v, o.omega, strict=True))
+    (folder / "odometry.csv").write_text("\n".join(["t,v,omega", *twists]))
+    if wide:
+        ids = sorted(set(s.landmark))
+        rows = {t: [str(t), *[""] * len(ids)] for t in s.t.tolist()}
+        for t, landmark, value in zip(s.t.tolist(), s.landmark, bearing, strict=True):
+            rows[t][1 + ids.index(landmark)] = str(value)
+        lines = [",".join(["t", *(f"bearing_{i}" for i in ids)]), *map(",".join, rows.values())]
+    else:
+        columns = zip(s.t, s.landmark, bearing, strict=True)
+        lines = ["t,landmark,bearing", *(f"{t},{i},{b}" for t, i, b in columns)]
+    (folder / "bearings.csv").write_text("\n".join(lines))
+    home = (f"{i},{h.bearing}" for i, h in drive.home.items())
+    (folder / "home.csv").write_text("\n".join(["landmark,bearing", *home]))
+    return [folder / f"{name}.csv" for name in ("odometry", "bearings", "home")]
+
+
+def test_the_unit_of_slow_yaw_rates_follows_from_the_bearings(plain, tmp_path):
+    """The sample ten times slower turns by at most 4 degrees a second."""
+    o, s = plain.odometry, plain.sightings
+    slow = dataclasses.replace(o, t=10.0 * o.t, v=o.v / 10.0, omega=o.omega / 10.0)
+    seen = dataclasses.replace(s, t=10.0 * s.t)
+    slow = dataclasses.replace(plain, odometry=slow, sightings=seen)
+    for factor, unit in ((1.0, "rad/s"), (np.degrees(1.0), "deg/s")):
+        paths = write(tmp_path, slow, s.bearing, omega=factor)
+        found = understand(paths)
+        (rate,) = [one for one in found if one.column.role == "omega"]
+        assert rate.unit == unit
+        drive = drive_of(found, "")
+        assert drive.odometry.omega == pytest.approx(slow.odometry.omega, abs=1e-9)
+    (option,) = (re.search(r"--columns '(.*)'", line)[1] for line in drive.remarks)
+    assert next(o for o in understand(paths, [option]) if o.column.role == "omega").unit == "rad/s"
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_the_option_in_the_refusal_overrides_it(plain, tmp_path, wide):
+    paths = write(tmp_path, plain, fixed_frame(plain).sightings.bearing, wide=wide)
+    found = understand(paths)
+    with pytest.raises(InputError, match="fixed frame") as caught:
+        drive_of(found, "")
+    option = re.search(r"--columns '(.*)'", str(caught.value))[1]
+    assert drive_of(understand(paths, [option]), "").sightings.t.size == plain.sightings.t.size
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_the_option_in_the_remark_keeps_the_sign(plain, tmp_path, wide):
+    paths = write(tmp_path, plain, -plain.sightings.bearing, wide=wide)
+    name = "bearing_L01" if wide else "bearing"
+    drives = [drive_of(understand(paths, o), "") for o in ([], [f"bearing={name}"])]
+    signs = [np.sign(d.sightings.bearing @ drives[0].sightings.bearing) for d in drives]
+    assert signs == [1.0, -1.0]
