@@ -39,3 +39,23 @@ def test_no_class_name_has_two_meanings_in_one_house():
         for name in re.findall(r"^ *class (\w+)[(:]", file.read_text("utf-8"), re.MULTILINE):
             found.setdefault((house, name), []).append(path.as_posix())
     assert {name: files for name, files in found.items() if len(files) > 1} == {}
+
+
+RUN = """
+import sys, tempfile
+from typer.testing import CliRunner
+from homeward.cli.main import app
+result = CliRunner().invoke(app, ["run", "sample", "--out", tempfile.mkdtemp() + "/run"])
+assert result.exit_code == 0, result.output
+print(*(name for name in sys.modules if name.startswith("homeward.")), sep="\\n")
+"""
+
+
+def test_a_run_of_tables_loads_no_places_and_no_other_sources():
+    command = [sys.executable, "-c", RUN]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    loaded = done.stdout.split()
+    sources = r"drives\.(importers|home|ros\.(topics|reading))"
+    others = rf"homeward\.(places|control|live|vision|lab|{sources})\b"
+    assert [name for name in loaded if re.match(others, name)] == []
+    assert len(loaded) < 185

@@ -26,7 +26,7 @@ def about() -> None:
 def info(folder: Folder, json: AsJson = False) -> None:
     """Print the landmarks, homes, routes and visits of a place."""
     from homeward.places.files import load_place
-    from homeward.runs.report.words import info_lines
+    from homeward.runs.report.place_words import info_lines
 
     found = load_place(folder)
     show(json, _facts(found), *info_lines(found))
@@ -90,7 +90,7 @@ def align(
     from homeward.io.settings import read_settings
     from homeward.places.alignment import align_place
     from homeward.places.files import load_place
-    from homeward.runs.report.words import alignment_lines
+    from homeward.runs.report.place_words import alignment_lines
 
     found = align_place(load_place(folder), read_settings(survey, KnownLandmarks), survey)
     position, heading = found.sigmas
@@ -111,7 +111,7 @@ def merge(
     """Merge another robot's place of the same room into a place."""
     from homeward.places.files import load_place, update_place
     from homeward.places.visiting import merged_places
-    from homeward.runs.report.words import visit_words
+    from homeward.runs.report.place_words import visit_words
 
     added = load_place(other)
     now, _ = update_place(folder, lambda known: merged_places(known, added))
@@ -127,7 +127,7 @@ def forget(
 ) -> None:
     """Remove landmarks, homes or routes from a place."""
     from homeward.places.files import update_place
-    from homeward.runs.report.words import forget_words
+    from homeward.runs.report.place_words import forget_words
 
     now, _ = update_place(folder, lambda p: p.without(landmarks or [], home or [], route or []))
     say(forget_words(now))

@@ -12,7 +12,7 @@ from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import without_implausible
-from homeward.drives.ros.log import is_log
+from homeward.drives.ros.kinds import is_log
 from homeward.drives.settings import HOME_TIMES, DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap

@@ -18,11 +18,9 @@ from homeward.drives.folder import (
     read_folder,
     write_folder,
 )
-from homeward.drives.home.when import with_home
 from homeward.drives.images import IMAGES, cameras_in
-from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
-from homeward.drives.ros.log import is_log
+from homeward.drives.ros.kinds import is_log
 from homeward.drives.senses import with_sense_remark
 from homeward.drives.settings import RobotSettings, home_when
 from homeward.errors import InputError, naming_file
@@ -106,7 +104,11 @@ def open_drive(
         )
     with naming_file(place):
         drive = with_sense_remark(drive)
-        return drive if when is None else with_home(drive, when, on_progress)
+        if when is None:
+            return drive
+        from homeward.drives.home.when import with_home
+
+        return with_home(drive, when, on_progress)
 
 
 def _truth_from_home(drive: Drive, place: Path) -> Drive:
@@ -148,6 +150,8 @@ def kind_of(place: Path) -> str:
         raise InputError(f"not a drive yet: convert its tables with `{way}`", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
         raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
+    from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
+
     if is_mrclam(place):
         ways = f"convert one of its robots ({robots_in(place)}) with `{mrclam_command(place)}`"
         raise InputError(f"an MRCLAM folder: {ways}", place)

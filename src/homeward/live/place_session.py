@@ -32,7 +32,8 @@ from homeward.places.route import Route, map_of_estimates, route_of, taught_alon
 from homeward.places.visit_data import VisitData, collect_visit_along, require_name
 from homeward.places.visiting import first_place, merged
 from homeward.registry import DEFAULT
-from homeward.runs.report.words import count, visit_words
+from homeward.runs.report.place_words import visit_words
+from homeward.runs.report.words import count
 
 COLUMNS = 5
 """Columns of a stored answer: stamp, pose, and the position's sigma, NaN unless localised."""

@@ -12,8 +12,7 @@ import numpy as np
 from homeward.drives.drive import Drive
 from homeward.drives.folder import HOME_ADVICE
 from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
-from homeward.drives.ros.log import is_log
-from homeward.drives.ros.settings import NAME_BEARINGS, NAME_HOME
+from homeward.drives.ros.kinds import is_log
 from homeward.drives.senses import require_senses
 from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
 from homeward.errors import HomewardError, InputError
@@ -26,10 +25,8 @@ from homeward.localizer.fixed_lag import smooth_with_lag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.smoothing import smooth
-from homeward.places.files import is_place
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.runs.scoring import Metrics, score
-from homeward.runs.visits import in_place, place_notes, place_used
 from homeward.track import Track
 from homeward.track import run as follow
 
@@ -110,7 +107,11 @@ def finish(
     progress: Callable[[float], None] | None = None,
 ) -> Track:
     """Run an estimator on a drive, both from `prepare`, and return the track."""
-    notes = ((TRUTH_NOTE,) if run.start == "truth" else ()) + place_notes(run, drive)
+    notes: tuple[str, ...] = (TRUTH_NOTE,) if run.start == "truth" else ()
+    if run.place is not None:
+        from homeward.runs.visits import place_notes
+
+        notes += place_notes(run, drive)
     settings = estimator_settings(run.estimator, run.settings)
     if run.is_smoothed and isinstance(settings, LocalizerSettings):
         if (lag := run.smoothed_lag) is not None:
@@ -153,20 +154,31 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
     require_senses(drive)
     if not drive.sightings.t.size:
         raise _no_sightings(drive_path(run), drive.remark_lines)
-    visits = run.place is not None and run.place_version != 0 and is_place(Path(run.place))
+    visits = run.place is not None and run.place_version != 0 and _is_place(run.place)
     if not (drive.home or visits) and not (
         drive.known.surveyed_from_home and run.estimator == DEFAULT
     ):
-        remedy = NAME_HOME if is_log(drive_path(run)) else HOME_ADVICE
+        remedy = HOME_ADVICE
+        if is_log(drive_path(run)):
+            from homeward.drives.ros.settings import NAME_HOME as remedy
         raise InputError(f"no home bearings found: {remedy}", Path(run.drive))
     return drive
+
+
+def _is_place(folder: str) -> bool:
+    from homeward.places.files import is_place  # only runs in a place need it
+
+    return is_place(Path(folder))
 
 
 def ready(run: RunSettings, drive: Drive) -> tuple[Drive, Estimator, RunSettings]:
     """Return what `prepare` returns, for a drive that is open."""
     settings = estimator_settings(run.estimator, run.settings)
-    run = run.model_copy(update=place_used(run, drive))
-    drive = in_place(run, drive)
+    if run.place is not None:
+        from homeward.runs.visits import in_place, place_used
+
+        run = run.model_copy(update=place_used(run, drive))
+        drive = in_place(run, drive)
     start, drive = with_start(drive, run.estimator, run.start)
     estimator = make_estimator(run.estimator, drive, settings)
     if run.place is not None and not isinstance(estimator, Localizer):
@@ -182,7 +194,11 @@ def _no_sightings(path: Path, remarks: Iterable[str]) -> HomewardError:
     """Return the error for a drive without sightings; sound images are no input error."""
     if is_image_folder(path):
         return HomewardError("; ".join([f"{path}: no landmark was found in its images", *remarks]))
-    remedy = f": {NAME_BEARINGS}" if is_log(path) else ""
+    remedy = ""
+    if is_log(path):
+        from homeward.drives.ros.settings import NAME_BEARINGS
+
+        remedy = f": {NAME_BEARINGS}"
     return InputError("; ".join([f"no sightings of landmarks in it{remedy}", *remarks]), path)
 
 

@@ -220,9 +220,13 @@ def test_invalid_logs_are_refused_in_one_line(opened, data, message):
 
 def test_the_repeated_values_of_a_hostile_log_are_limited(opened):
     rows = [header(), SPEEDS, CAMERA]
-    rows += [record(1, 10**k * MICRO, doubles(0, 0, 0), (1, 1, 8)) for k in range(10)]
+    times = [*(10**k for k in range(6)), 600_000]
+    rows += [record(1, t * MICRO, doubles(0, 0, 0), (1, 1, 8)) for t in times]
     rows += [record(2, 0, photon(TAGS))]
     assert opened(b"".join(rows)).odometry.t.size < 110_000
+    rows += [record(1, 10**9 * MICRO, doubles(0, 0, 0), (1, 1, 8))]
+    with pytest.raises(InputError, match="the clock was set during the recording"):
+        opened(b"".join(rows))
 
 
 @pytest.mark.parametrize(

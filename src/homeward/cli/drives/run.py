@@ -100,7 +100,6 @@ def run(
     table.tex. Exit status 1 if no pose was found.
     """
     from homeward.io.settings import nested
-    from homeward.places.files import check_place, newest
 
     stored_at, home_at = (home_at, None) if store_home else (None, home_at)
     options = {
@@ -122,10 +121,13 @@ def run(
         raise InputError("--smooth and --smoothed-lag exclude each other; choose one")
     if update and (place is None or is_smoothed):
         raise InputError("--update needs --place, and does not work with a smoothed track")
-    if place is not None and update:
-        check_place(place)  # fail before a run of minutes
-    elif place is not None:
-        newest(place)
+    if place is not None:  # fail before a run of minutes
+        from homeward.places.files import check_place, newest
+
+        if update:
+            check_place(place)
+        else:
+            newest(place)
     for option, name in (("--store-home", store_home), ("--store-route", store_route)):
         if name is not None and not update:
             raise InputError(f"{option} needs --update")
@@ -207,17 +209,18 @@ def _run(
     json: bool,
 ) -> None:
     from homeward.runs.report.folder import PAGE, missing_extra, write_run
-    from homeward.runs.report.words import route_words, visit_words
     from homeward.runs.scoring import score
     from homeward.runs.single_run import drive_path, finish, prepare
-    from homeward.runs.visits import ToStore, check_update, save_visit
 
-    store, missing = ToStore(*names), missing_extra()
+    missing = missing_extra()
     lost: HomewardError | None = None
     after: Place | None = None
     with shared.progress(f"{settings.drive}, {settings.estimator}") as on_progress:
         drive, estimator, complete = prepare(settings, on_progress)
         if update:
+            from homeward.runs.visits import ToStore, check_update, save_visit
+
+            store = ToStore(*names)
             check_update(complete, drive, store)
         folder = _output_folder(out, drive.name, settings.drive)
         images, unread = _images(drive_path(complete))
@@ -229,9 +232,13 @@ def _run(
                 lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # raised after the summary is printed
                 after, lost = None, error
-    words = [summary, *([] if after is None else [visit_words(after)])]
-    if after is not None and store.route in after.routes:
-        words.append(route_words(after, str(store.route)))
+    words = [summary]
+    if after is not None:
+        from homeward.runs.report.place_words import route_words, visit_words
+
+        words.append(visit_words(after))
+        if store.route in after.routes:
+            words.append(route_words(after, str(store.route)))
     if json:
         facts: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
         facts["report"] = str(folder / PAGE) if missing is None else None

@@ -32,7 +32,8 @@ from homeward.drives.importers.sheet import sheet
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
 from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
-from homeward.drives.ros.log import Log, is_log
+from homeward.drives.ros.kinds import is_log
+from homeward.drives.ros.log import Log
 from homeward.drives.settings import DriveSettings, HomeWhen, Wheels
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError

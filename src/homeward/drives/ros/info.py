@@ -23,6 +23,7 @@ from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS, axes_of
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_HOME,
+    OUR_SETTINGS,
     PICTURES,
     BearingsTopic,
     LogSettings,
@@ -34,7 +35,6 @@ from homeward.drives.ros.topics.by_fields import candidates, first_frame, shown,
 from homeward.drives.ros.topics.choosing import (
     LASER_SCAN,
     NO_IDS_IN_SCAN,
-    OUR_SETTINGS,
     USES,
     choose,
     use_of,

@@ -24,17 +24,21 @@ from pathlib import Path, PurePath
 from typing import Any, NamedTuple
 
 from homeward.drives.ros import wpilog
+from homeward.drives.ros.kinds import (
+    KINDS,
+    LCM,
+    METADATA,
+    OLDER_ROSBAG,
+    Kind,
+    bare_files,
+    first_bytes,
+)
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming, opened
 from homeward.io.table import quoted
 
-METADATA = "metadata.yaml"
-"""Metadata file of a ROS 2 bag folder."""
 _ROOT = "rosbag2_bagfile_information"
 _ZSTD = b"\x28\xb5\x2f\xfd"
-_OLDER_ROSBAG = b"#ROSBAG"
-_LCM = b"\xed\xa1\xda\x01"
-"""Beginning of each event in a log of LCM (lcm-proj.github.io, log file format)."""
 MAX_UNPACKED = 2**34
 """Maximum size of a temporary file unpacked from a compressed one [byte]."""
 MIN_UNPACKED, MAX_GROWTH = 256 * 2**20, 100
@@ -49,27 +53,6 @@ PACKED_BYTES_PER_SECOND, BYTES_PER_SECOND = 100_000, 1_000_000
 with or without compression."""
 MIN_MESSAGES = 100_000
 """Maximum number of messages, in addition to one for each byte of the file."""
-
-
-class _Kind(NamedTuple):
-    reader: str
-    words: str
-    repair: str
-
-
-_KINDS = {
-    b"#ROSBAG V2.0\n": _Kind("bag", "ROS 1 bag", "repair it with `rosbag reindex FILE`"),
-    b"\x89MCAP0\r\n": _Kind(
-        "mcap", "MCAP", "`mcap recover FILE -o NEW.mcap` recovers the messages before the damage"
-    ),
-    b"SQLite format 3\x00": _Kind(
-        "db3",
-        "ROS 2 bag (sqlite3)",
-        'recover it with `sqlite3 FILE ".recover" | sqlite3 NEW.db3`',
-    ),
-    wpilog.MAGIC: _Kind("wpilog", "WPILib data log", "copy it from the robot again"),
-}
-"""Kinds by the first bytes of a file."""
 
 
 @dataclass(frozen=True)
@@ -94,13 +77,6 @@ class Message(NamedTuple):
     receive: int
     """Receive time of the recorder [ns]."""
     data: bytes
-
-
-def is_log(path: Path) -> bool:
-    """Whether a path is a log file or the folder of a ROS 2 bag."""
-    if path.is_dir():
-        return is_there(path / METADATA) or bool(_bare_files(path))
-    return is_there(path) and _first_bytes(path).startswith((*_KINDS, _OLDER_ROSBAG, _LCM))
 
 
 class Log:
@@ -159,7 +135,7 @@ class Log:
                     self._remark_cut(file, kind, count, *values)
 
     def _of_data_log(
-        self, file: Path, kind: _Kind, size: int, topics: Collection[str] | None
+        self, file: Path, kind: Kind, size: int, topics: Collection[str] | None
     ) -> Iterator[Message]:
         with opened(file) as stream:
             log, count = wpilog.DataLog(stream, size), 0
@@ -174,7 +150,7 @@ class Log:
         if log.at < size:
             self._remark_cut(file, kind, count, log.at, size)
 
-    def _remark_cut(self, file: Path, kind: _Kind, count: int, at: int, size: int) -> None:
+    def _remark_cut(self, file: Path, kind: Kind, count: int, at: int, size: int) -> None:
         """Add a remark about an incomplete file; `InputError` if it has no readable message."""
         if not count and not self.cut_short:
             raise InputError(f"damaged: no readable message; {kind.repair}", file)
@@ -187,7 +163,7 @@ class Log:
     @contextmanager
     def _unpacked(self, file: Path) -> Iterator[Path]:
         """Yield a file, unpacked if it is compressed."""
-        if not _first_bytes(file).startswith(_ZSTD):
+        if not first_bytes(file).startswith(_ZSTD):
             yield file
             return
         with tempfile.TemporaryDirectory(prefix="homeward-") as folder, _about(file):
@@ -324,14 +300,14 @@ def _channel(topic: str, kind: str, *rest: str) -> Channel:
     return Channel(topic, f"{package}/msg/{name}" if slash and "/" not in name else kind, *rest)
 
 
-def _kind(path: Path) -> _Kind:
-    first = _first_bytes(path)
-    for magic, kind in _KINDS.items():
+def _kind(path: Path) -> Kind:
+    first = first_bytes(path)
+    for magic, kind in KINDS.items():
         if first.startswith(magic):
             return kind
-    if first.startswith(_OLDER_ROSBAG):
+    if first.startswith(OLDER_ROSBAG):
         raise InputError("a ROS bag of a format before 2.0; convert it with rosbag fix", path)
-    if first.startswith(_LCM):
+    if first.startswith(LCM):
         raise InputError(
             "an LCM event log, which does not contain the definitions of its messages: export its "
             "channels to CSV files (lcm.EventLog in Python; docs/do/csv.md), then use homeward "
@@ -341,25 +317,13 @@ def _kind(path: Path) -> _Kind:
     raise InputError("neither a ROS bag, an MCAP file nor a .wpilog file", path)
 
 
-def _first_bytes(path: Path) -> bytes:
-    """Return the bytes that identify the kind of a file."""
-    with naming(path, "cannot be read"), opened(path) as stream:
-        return bytes(stream.read(16))
-
-
-def _bare_files(path: Path) -> list[Path]:
-    """Return the files of a bag folder, for one without metadata."""
-    with naming(path, "cannot be read"):
-        return sorted(f for f in path.iterdir() if f.suffix in (".mcap", ".db3") and f.is_file())
-
-
 def _contents(path: Path) -> tuple[list[Path], bool]:
     """Return a folder's files in order, and whether their messages are compressed."""
     from homeward.io.settings import read_tree
 
     file = path / METADATA
     if not is_there(file):
-        if not (files := _bare_files(path)):
+        if not (files := bare_files(path)):
             raise InputError("contains no ROS bag and no MCAP file", path)
         return files, False
     metadata = read_tree(file).get(_ROOT)

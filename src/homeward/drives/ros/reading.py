@@ -30,12 +30,13 @@ from homeward.drives.ros.messages.decoding import Decoder
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_BEARINGS,
+    OUR_SETTINGS,
     PICTURES,
     BearingsTopic,
     LogSettings,
     calibrated,
 )
-from homeward.drives.ros.topics.choosing import OUR_SETTINGS, choose
+from homeward.drives.ros.topics.choosing import choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
 from homeward.drives.settings import DriveSettings, OtherCamera, RobotSettings, Wheels
 from homeward.errors import InputError, naming_file

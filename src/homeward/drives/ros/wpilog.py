@@ -14,7 +14,6 @@ from typing import IO, NamedTuple
 from homeward.drives.ros.messages import wpilib
 from homeward.errors import InputError
 
-MAGIC = b"WPILOG"
 MAX_PAYLOAD = 256 * 2**20
 """Maximum size of a record [byte]."""
 REPEAT_US = 500_000

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sqlite3
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
 from pathlib import Path
@@ -19,15 +19,16 @@ from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
 from homeward.drives.ros.messages.decoding import typestore
 from homeward.drives.ros.messages.stamps import NANO, split
-from homeward.drives.ros.settings import BEARINGS, ODOMETRY, POSE
-from homeward.drives.ros.topics.choosing import (
+from homeward.drives.ros.settings import (
+    BEARINGS,
+    ODOMETRY,
     OUR_BEARINGS,
     OUR_HOME,
     OUR_ODOMETRY,
     OUR_SETTINGS,
     OUR_TRUTH,
+    POSE,
 )
-from homeward.drives.ros.topics.survey import OnProgress
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import settings_yaml
@@ -127,7 +128,7 @@ BASE, CAMERA, HOME = "base_link", "camera", "home"
 """Frames: the robot's centre, its camera with x along the axis, and the home frame."""
 
 
-def write_log(drive: Drive, path: Path, on_progress: OnProgress | None = None) -> None:
+def write_log(drive: Drive, path: Path, on_progress: Callable[[float], None] | None = None) -> None:
     """Write a drive as a ROS 1 bag, an MCAP file or a sqlite3 bag file: .bag, .mcap or .db3.
 
     Name and remarks are not written. `InputError` where the file cannot be written, or the drive

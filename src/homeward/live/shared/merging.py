@@ -24,7 +24,7 @@ from homeward.places import files
 from homeward.places.place import DAY_S, Place
 from homeward.places.visit_data import VisitData
 from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
-from homeward.runs.report.words import visit_words
+from homeward.runs.report.place_words import visit_words
 
 LIVE = "live"
 """Subfolder of a place with the visits in progress."""

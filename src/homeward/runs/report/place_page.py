@@ -14,8 +14,8 @@ from homeward.places.place import Place
 from homeward.runs.report import words
 from homeward.runs.report.canvas import legend_below, new_figure, plain, style, svg
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMILLION
+from homeward.runs.report.place_words import date, info_lines
 from homeward.runs.report.template import render
-from homeward.runs.report.words import date, info_lines
 
 MAX_LABELS = 60
 """Maximum number of landmarks whose names are drawn."""

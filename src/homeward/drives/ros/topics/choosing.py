@@ -24,6 +24,8 @@ from homeward.drives.ros.measurements.odometry import (
 )
 from homeward.drives.ros.settings import (
     BEARINGS,
+    OUR_HOME,
+    OUR_TRUTH,
     PICTURES,
     POSE,
     BearingsTopic,
@@ -37,11 +39,6 @@ from homeward.drives.ros.topics.by_fields import only_candidate, with_fields
 from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.errors import InputError
 
-OUR_HOME = "/homeward/home"
-OUR_TRUTH = "/homeward/truth"
-OUR_SETTINGS = "/homeward/settings"
-OUR_ODOMETRY = "/homeward/odometry"
-OUR_BEARINGS = "/homeward/bearings"
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
 NO_PICTURES = "the log contains no images; use homeward run for a log with detected tags"
 
