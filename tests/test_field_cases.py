@@ -69,7 +69,7 @@ class Case:
 CASES = {
     "points": Case(
         "31-many-points-in-pixels",
-        "odometry.csv points.csv groundtruth.csv --camera camera.yaml --home-at 0",
+        "odometry.csv points.csv groundtruth.csv --camera camera.yaml --home at:0",
         until=60.0,
     ),
     "swapped": Case(
@@ -84,7 +84,7 @@ CASES = {
     ),
     # Without home.csv, whose landmarks are those of another drive: with it no pose is possible.
     "degrees": Case(
-        "33-yaw-rate-in-degrees", "odometry.csv bearings.csv truth.csv --home-at 0", until=60.0
+        "33-yaw-rate-in-degrees", "odometry.csv bearings.csv truth.csv --home at:0", until=60.0
     ),
     "fixed frame": Case(
         "34-bearings-in-a-fixed-frame",
@@ -117,10 +117,10 @@ CASES = {
     "spreadsheet": Case("39-spreadsheet-stamps", "odometry.csv detections.csv home.csv"),
     "noisy second": Case(
         "40-noisy-second",
-        "odometry.csv bearings.csv truth.csv --columns omega=om --home-at 0",
+        "odometry.csv bearings.csv truth.csv --columns omega=om --home at:0",
         until=220.0,
     ),
-    "om": Case("40-noisy-second", "odometry.csv bearings.csv truth.csv --home-at 0", until=20.0),
+    "om": Case("40-noisy-second", "odometry.csv bearings.csv truth.csv --home at:0", until=20.0),
     "spin": Case("41-wheels-spin", until=76.0),
     "yaw check": Case("43-yaw-check"),
     "turtlebot": Case("44-turtlebot-course"),

@@ -89,7 +89,7 @@ def _(s: Sample) -> Files:
     return {}
 
 
-@kind("no home bearings", "import odometry.csv bearings.csv", refused="--home-during")
+@kind("no home bearings", "import odometry.csv bearings.csv", refused="--home during")
 def _(s: Sample) -> Files:
     return {}
 

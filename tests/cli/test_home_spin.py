@@ -10,6 +10,7 @@ from commands import call, done, refused
 
 from homeward.drives.folder import read_folder, write_folder
 from homeward.drives.opening import open_drive
+from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.settings import validated
 from homeward.lab.simulation.scenario import Scenario
@@ -56,7 +57,7 @@ def truths(folder):
 
 def test_run_finds_home_by_a_turn(narrow, tmp_path):
     out = tmp_path / "run"
-    result = done(call("run", narrow, "--home-spin", "0,14", "--out", out))
+    result = done(call("run", narrow, "--home", "spin:0,14", "--out", out))
     assert "home bearings from a rotation of 3" in " ".join(result.output.split())
     run = open_drive(narrow, home_spin=(0.0, 14.0))
     true = truths(narrow)
@@ -94,7 +95,7 @@ def test_home_is_taken_from_a_rest_by_an_option_alike_on_run_import_and_convert(
         for t, _, rest in (row.partition(",") for row in rows[1:])
     ]
     (folder / "odometry.csv").write_text("\n".join([rows[0], *still]) + "\n")
-    rest = ("--home-during", "0,2.5")
+    rest = ("--home", "during:0,2.5")
     home = open_drive(folder, home_during=(0.0, 2.5)).home
     assert len(home) >= 3
     done(call("convert", folder, tmp_path / "converted", *rest))
@@ -103,21 +104,44 @@ def test_home_is_taken_from_a_rest_by_an_option_alike_on_run_import_and_convert(
     picture = ("--picture", tmp_path / "seen.png")
     done(call("import", *files, *picture, *rest, "--out", tmp_path / "mine"))
     assert read_folder(tmp_path / "mine").home.keys() == home.keys()
-    both = refused(call("run", folder, *rest, "--home-spin", "0,14"))
-    assert "give one of --home-during, --home-spin, --home-at" in both
+    given = tmp_path / "other" / "seen.csv"
+    given.parent.mkdir()
+    shutil.copy(tmp_path / "converted" / "home.csv", given)
+    assert open_drive(folder, home_file=given).home == read_folder(tmp_path / "converted").home
+    with pytest.raises(InputError, match="not both"):
+        open_drive(folder, home_file=given, home_at=0.0)
+    done(call("convert", folder, tmp_path / "again", "--home", given))
+    assert read_folder(tmp_path / "again").home == read_folder(tmp_path / "converted").home
+    done(call("import", *files, *picture, "--home", given, "--out", tmp_path / "third"))
+    assert read_folder(tmp_path / "third").home.keys() == home.keys()
     advice = refused(call("import", *files, *picture))
-    for option in ("--home-during FROM,TO", "--home-spin FROM,TO", "--home-at T", "home.csv"):
+    for option in ("--home during:FROM,TO", "spin:FROM,TO", "at:T", "home.csv"):
         assert option in advice
 
 
 def test_a_log_has_its_turn_too(narrow, tmp_path):
     log, topics, out = tmp_path / "log.mcap", tmp_path / "topics.yaml", tmp_path / "folder"
-    done(call("convert", narrow, log, "--home-spin", "0,14"))
+    done(call("convert", narrow, log, "--home", "spin:0,14"))
     topics.write_text("home: {spin: [0, 14]}\nbearings: {topic: /homeward/bearings}\n")
     done(call("convert", log, out, "--topics", topics))
     kept, same = read_folder(out).home, open_drive(narrow, home_spin=(0.0, 14.0)).home
     assert kept.keys() == same.keys()
     assert all(kept[n].bearing == pytest.approx(same[n].bearing, abs=1e-9) for n in kept)
+
+
+@pytest.mark.parametrize(
+    ("words", "now"),
+    [
+        (("--home-spin", "0,14"), "--home-spin is now --home spin:0,14"),
+        (("--home-at=3",), "--home-at is now --home at:3"),
+        (("--home-during",), "--home-during is now --home during:"),
+        (("--home", "none.csv"), "no such file; give FILE|during:FROM,TO|spin:FROM,TO|at:T"),
+        (("--home", "when:3"), "must be FILE|during"),
+        (("--home", "at:soon"), "must be at:T"),
+    ],
+)
+def test_other_forms_of_home_are_refused_with_the_right_one(narrow, words, now):
+    assert now in refused(call("run", narrow, *words))
 
 
 @pytest.mark.parametrize(
@@ -134,7 +158,7 @@ def test_a_log_has_its_turn_too(narrow, tmp_path):
 )
 def test_what_is_no_turn_is_refused_and_nothing_is_written(narrow, tmp_path, span, words):
     out = tmp_path / "run"
-    assert words in refused(call("run", narrow, f"--home-spin={span}", "--out", out))
+    assert words in refused(call("run", narrow, f"--home=spin:{span}", "--out", out))
     assert not out.exists()
 
 

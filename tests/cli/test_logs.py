@@ -57,9 +57,9 @@ def test_info_of_a_drive_without_home_names_all_ways_to_give_it_and_the_next_com
     shutil.copytree(sample_drive(), folder)
     (folder / "home.csv").unlink()
     words = done(call("info", folder)).stdout
-    for way in ("home.csv", "--home-during FROM,TO", "--home-spin FROM,TO", "--home-at T"):
+    for way in ("home.csv", "--home during:FROM,TO", "spin:FROM,TO", "at:T"):
         assert way in words
-    assert words.endswith(f"Next: homeward run '{folder}' --home-at 0\n")
+    assert words.endswith(f"Next: homeward run '{folder}' --home at:0\n")
 
 
 def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
@@ -83,7 +83,7 @@ def test_info_recognises_folders_of_images_and_of_mrclam(tmp_path):
 @pytest.mark.parametrize(
     ("file", "head", "advice", "advice_for_folder"),
     [
-        ("home.csv", "landmark,bearing", "a file or topic under home", "--home-during"),
+        ("home.csv", "landmark,bearing", "a file or topic under home", "--home during"),
         ("bearings.csv", "t,landmark,bearing", "its topics under bearings", "no sightings"),
     ],
 )

@@ -15,7 +15,7 @@ from homeward.places.files import load_place, newest, save_place
 from homeward.runs.single_run import load_run, prepare
 
 SHORT = ["run", "{short}"]
-AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home-at"]
+AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home"]
 
 
 def another_day(folder, seconds=40.0):
@@ -74,7 +74,7 @@ def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
 
 def test_a_home_is_stored_where_the_drive_was_at_any_time(hall, tmp_path):
     drive, out = another_day(tmp_path / "short", 20.0), tmp_path / "out"
-    stored = "--update", "--store-home", "dock 4", "--home-at", 12.0
+    stored = "--update", "--store-home", "dock 4", "--home", "at:12.0"
     done(call("run", drive, "--place", hall, *stored, "--out", out))
     there = load_place(hall).home_pose("dock 4")
     truth = open_drive(drive).truth.at(np.array([12.0]))
@@ -220,9 +220,9 @@ def test_view_writes_a_page(hall, tmp_path):
         ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' exists"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' exists"),
         ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
-        ([*AT, "999"], "time at home 999: must be from 0 to"),
-        ([*AT, "nan"], "time at home nan: must be from 0 to"),
-        ([*AT, "-1"], "time at home -1: must be from 0 to"),
+        ([*AT, "at:999"], "time at home 999: must be from 0 to"),
+        ([*AT, "at:nan"], "time at home nan: must be from 0 to"),
+        ([*AT, "at:-1"], "time at home -1: must be from 0 to"),
         (["place", "info", "{hall}/.."], "contains no place"),
         (["info", "{hall}"], "a place, not a drive"),
         (["place", "forget", "{hall}", "no such"], "no landmark 'no such'"),
@@ -274,7 +274,7 @@ def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
     drive = open_drive(first_seconds(tmp_path / "short", 20.0))
     settings = drive.settings.model_copy(update={"start": None})
     save_drive(replace(drive, settings=settings), tmp_path / "d")
-    more = "--update", "--store-home", "early", "--home-at", "0.0", "--when", "2026-11-01"
+    more = "--update", "--store-home", "early", "--home", "at:0.0", "--when", "2026-11-01"
     result = call(
         "run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o"
     )

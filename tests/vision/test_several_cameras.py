@@ -177,4 +177,4 @@ def test_several_cameras_need_tags(robot):
 def test_a_turn_at_home_needs_the_extrinsics_of_all_cameras(robot):
     (robot / "drive.yaml").write_text("sensor: {x: 0.15, y: 0.0, yaw: 0.0}\n")
     message = "cameras 'front' and 'rear': only one may have the extrinsics under sensor:"
-    assert message in refused(see(robot, "--home-spin", "0,1"))
+    assert message in refused(see(robot, "--home", "spin:0,1"))

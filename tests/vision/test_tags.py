@@ -150,12 +150,11 @@ def test_a_folder_that_specifies_when_home_was_needs_no_picture_of_it(homeless, 
     assert set(open_drive(tmp_path / "drive").home) == {"0", "1", "2", "3"}
 
 
-@pytest.mark.parametrize(("option", "number"), [("--home-spin", 4), ("--home-during", 2)])
+@pytest.mark.parametrize(("option", "number"), [("spin:0,1", 4), ("during:0,0.3", 2)])
 def test_options_specify_when_home_was_seen(homeless, tmp_path, option, number):
-    until = {"--home-spin": "0,1", "--home-during": "0,0.3"}[option]
     asked = "see", homeless, "--tags", "36h11", "--out", tmp_path / "drive"
-    assert f"{option} must be" in refused(call(*asked, option, "3"))
-    done(call(*asked, option, until))
+    assert "must be two numbers" in refused(call(*asked, "--home", "spin:3"))
+    done(call(*asked, "--home", option))
     assert len(read_folder(tmp_path / "drive").home) == number
 
 

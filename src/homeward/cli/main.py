@@ -46,6 +46,8 @@ FORMER = {
     "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
 """Commands of earlier versions, and their replacements."""
+FORMER_OPTIONS = {f"--home-{kind}": f"--home {kind}:" for kind in ("during", "spin", "at")}
+"""Options of earlier versions, and their replacements before the value."""
 
 
 @contextmanager
@@ -91,7 +93,13 @@ class OneLineErrors(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
+        words = [*getattr(ctx, "_protected_args", ()), *ctx.args]
         try:
+            for k, word in enumerate(words):
+                option, equals, value = word.partition("=")
+                if option in FORMER_OPTIONS:
+                    value = value if equals else "".join(words[k + 1 : k + 2])
+                    raise InputError(f"{option} is now {FORMER_OPTIONS[option]}{value}")
             with internal_errors() as found:
                 result = super().invoke(ctx)
             if found:

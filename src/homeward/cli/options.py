@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TextIO, TypedDict, Un
 import typer
 
 from homeward.errors import InputError, printable
+from homeward.io.reading import is_there
 from homeward.io.settings import parse_yaml
 
 ANSWER, NO_ANSWER, BAD_INPUT, AFTER_ERROR, INTERRUPTED = 0, 1, 2, 3, 130
@@ -116,31 +117,20 @@ def _width(stream: TextIO) -> int | None:
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
+    from homeward.drives.settings import HomeWhen
 
 PIPED_S = 30.0
 """Interval of progress messages in a pipe [s]."""
 Topics = Annotated[
     Path | None, typer.Option(help="For logs: the topics file, a YAML file with topics and roles.")
 ]
-HomeSpin = Annotated[
+HOME_FORMS = "FILE|during:FROM,TO|spin:FROM,TO|at:T"
+Home = Annotated[
     str | None,
     typer.Option(
-        metavar="FROM,TO",
-        help="Interval in which the robot turned on the spot at home [s from the start].",
-    ),
-]
-HomeDuring = Annotated[
-    str | None,
-    typer.Option(
-        metavar="FROM,TO",
-        help="Interval in which the robot was at rest at home [s from the start].",
-    ),
-]
-HomeAt = Annotated[
-    float | None,
-    typer.Option(
-        metavar="T",
-        help="Time at which the pose of the robot is home [s from the start]; 0: the first pose.",
+        metavar=HOME_FORMS,
+        help="Home: a table with its bearings; or when the robot was at rest there, turned on the "
+        "spot there, or had the pose that is home [s from the start].",
     ),
 ]
 Changes = Annotated[
@@ -193,31 +183,42 @@ def two_numbers(text: str, what: str) -> tuple[float, float]:
     return a, b
 
 
-def _span(text: str | None, option: str) -> tuple[float, float] | None:
-    """Parse the two times [s] of an option; errors as `three_numbers`."""
+class HomeChoice(TypedDict, total=False):
+    """The option `Home` as a keyword argument of `open_drive`."""
+
+    home_file: str
+    home_during: tuple[float, float]
+    home_spin: tuple[float, float]
+    home_at: float
+
+
+def home_choice(text: str | None) -> HomeChoice:
+    """Parse the option `Home`."""
     if text is None:
-        return None
-    begin, end = two_numbers(text, option)
+        return {}
+    kind, colon, value = text.partition(":")
+    if not colon or is_there(Path(text)):
+        if is_there(Path(text)):
+            return {"home_file": text}
+        raise InputError(f"--home {text}: no such file; give {HOME_FORMS}")
+    if kind == "at":
+        try:
+            return {"home_at": float(value)}
+        except ValueError:
+            raise InputError(f"--home {text}: must be at:T [s]") from None
+    if kind not in ("during", "spin"):
+        raise InputError(f"--home {text}: must be {HOME_FORMS}")
+    begin, end = two_numbers(value, f"--home {kind}:")
     if not 0.0 <= begin < end:
-        raise InputError(f"{option} must be FROM,TO [s] with 0 <= FROM < TO, not {text!r}")
-    return begin, end
+        raise InputError(f"--home {text}: must be FROM,TO [s] with 0 <= FROM < TO")
+    return {"home_during": (begin, end)} if kind == "during" else {"home_spin": (begin, end)}
 
 
-class HomeTimes(TypedDict, total=False):
-    """The options that give home by a time of the drive, as keyword arguments of `open_drive`."""
+def time_at_home(chosen: HomeChoice) -> HomeWhen | None:
+    """Return the time at home of an option `Home` that is no file."""
+    from homeward.drives.settings import home_when
 
-    home_during: tuple[float, float] | None
-    home_spin: tuple[float, float] | None
-    home_at: float | None
-
-
-def home_times(home_during: str | None, home_spin: str | None, home_at: float | None) -> HomeTimes:
-    """Parse the options `HomeDuring`, `HomeSpin` and `HomeAt`."""
-    return {
-        "home_during": _span(home_during, "--home-during"),
-        "home_spin": _span(home_spin, "--home-spin"),
-        "home_at": home_at,
-    }
+    return home_when(chosen.get("home_during"), chosen.get("home_spin"), chosen.get("home_at"))
 
 
 def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:
@@ -232,7 +233,7 @@ def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[flo
     return values
 
 
-def read_drive(source: str, topics: Path | None, **home: Unpack[HomeTimes]) -> Drive:
+def read_drive(source: str, topics: Path | None, **home: Unpack[HomeChoice]) -> Drive:
     """Open a drive, with a progress bar."""
     from homeward.drives.opening import open_drive
 

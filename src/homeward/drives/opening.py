@@ -16,6 +16,7 @@ from homeward.drives.folder import (
     SETTINGS,
     is_drive_folder,
     read_folder,
+    read_home,
     write_folder,
 )
 from homeward.drives.images import IMAGES, cameras_in
@@ -47,6 +48,7 @@ def open_drive(
     home_spin: tuple[float, float] | None = None,
     home_during: tuple[float, float] | None = None,
     home_at: float | None = None,
+    home_file: str | os.PathLike[str] | None = None,
     on_progress: Callable[[float], None] | None = None,
 ) -> Drive:
     """Read a drive in any known format.
@@ -67,6 +69,8 @@ def open_drive(
     home_at : float, optional
         Time of the pose that is home, since the first sample of the drive [s], instead; its
         bearings come from a map of the drive.
+    home_file : path-like, optional
+        A table like home.csv, instead.
     on_progress : callable, optional
         Receives the fraction done, in [0, 1], of a log, of images, or of the map for `home_at`.
 
@@ -76,6 +80,8 @@ def open_drive(
         For an unknown format or invalid data, or where bearings and odometry do not overlap.
     """
     chosen = home_when(home_during, home_spin, home_at)
+    if chosen is not None and home_file is not None:
+        raise InputError("give a time at home or a file with home bearings, not both")
     robot = None if robot_file is None else read_settings(Path(robot_file), RobotSettings)
     place = located(path)
     kind = kind_of(place)
@@ -87,7 +93,9 @@ def open_drive(
 
         drive = with_calibration(see_recording(place, on_progress), robot)
     elif kind == DRIVE_FOLDER:
-        drive = with_calibration(read_folder(place, home_needed=chosen is None), robot)
+        drive = with_calibration(
+            read_folder(place, home_needed=chosen is None and home_file is None), robot
+        )
     else:
         from homeward.drives.ros.reading import read_log
 
@@ -95,7 +103,11 @@ def open_drive(
         drive = read_log(place, file, on_progress, robot=robot)
     drive = _truth_from_home(with_clock_remarks(drive, place), place)
     when = drive.settings.home
-    if chosen is not None:
+    if home_file is not None:
+        when, remarks = None, dict(drive.remarks)
+        home = read_home(Path(home_file), remarks)
+        drive = dataclasses.replace(drive, home=home, remarks=remarks)
+    elif chosen is not None:
         when = chosen
     elif when is not None and drive.home:
         raise InputError(

@@ -258,8 +258,8 @@ Span = Annotated[tuple[NonNegative, NonNegative], AfterValidator(_in_order)]
 
 
 HOME_TIMES = (
-    "--home-during FROM,TO [s] (at rest at home), --home-spin FROM,TO [s] (turned on the spot "
-    "there) or --home-at T [s] (its pose at time T; 0: the first)"
+    "--home during:FROM,TO [s] (at rest at home), spin:FROM,TO [s] (turned on the spot there) or "
+    "at:T [s] (its pose at time T; 0: the first)"
 )
 """Ways to give home by a time of the drive."""
 
@@ -295,7 +295,7 @@ def home_when(
     given = {"during": home_during, "spin": home_spin, "at": home_at}
     chosen = {key: value for key, value in given.items() if value is not None}
     if len(chosen) > 1:
-        raise InputError(f"give one of {', '.join(f'--home-{key}' for key in given)}, not several")
+        raise InputError(f"give one of {', '.join(f'home_{key}' for key in given)}, not several")
     return validated(HomeWhen, chosen) if chosen else None
 
 

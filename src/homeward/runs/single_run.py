@@ -68,6 +68,8 @@ class RunSettings(DriveChoice):
     """Time span of the drive in which the robot turned on the spot at home [s]."""
     home_at: NonNegative | None = None
     """Time of the pose of the drive that is home [s]."""
+    home_file: str | None = None
+    """Path of a table with home bearings."""
     estimator: str = DEFAULT
     start: Literal["truth"] | tuple[Finite, Finite, Finite] | None = None
     """R [m], theta [rad], alpha [rad]; "truth": from ground truth; None: from the drive's settings,
@@ -149,6 +151,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         home_spin=run.home_spin,
         home_during=run.home_during,
         home_at=run.home_at,
+        home_file=run.home_file,
         on_progress=progress,
     )
     require_senses(drive)

@@ -8,11 +8,9 @@ from typing import Annotated
 import typer
 
 from homeward.cli.options import (
-    HomeAt,
-    HomeDuring,
-    HomeSpin,
+    Home,
     Topics,
-    home_times,
+    home_choice,
     progress,
     read_drive,
     say,
@@ -28,14 +26,12 @@ def convert(
         Path, typer.Argument(help="A file ending in .mcap, .bag or .db3, or a new drive folder.")
     ],
     topics: Topics = None,
-    home_during: HomeDuring = None,
-    home_spin: HomeSpin = None,
-    home_at: HomeAt = None,
+    home: Home = None,
 ) -> None:
     """Convert a drive to a drive folder, an MCAP file or a ROS bag, without loss."""
     from homeward.drives.opening import save_drive
 
-    drive = read_drive(source, topics, **home_times(home_during, home_spin, home_at))
+    drive = read_drive(source, topics, **home_choice(home))
     with progress(f"writing {target}") as on_progress:
         kind = save_drive(drive, target, on_progress)
     say(

@@ -69,15 +69,18 @@ def import_(
         float | None,
         typer.Option(min=1e-3, max=100.0, help="Side of the tags [m], for ranges from corners."),
     ] = None,
-    home_during: shared.HomeDuring = None,
-    home_spin: shared.HomeSpin = None,
-    home_at: shared.HomeAt = None,
     picture: Annotated[Path, typer.Option(help="The figure of the imported data to write.")] = Path(
         "out/import.png"
     ),
     robot: Annotated[int | None, typer.Option(help="mrclam: number of the robot, 1 to 5.")] = None,
     home: Annotated[
-        str | None, typer.Option(help="mrclam: X,Y,HEADING [m, m, rad] of home in the survey.")
+        str | None,
+        typer.Option(
+            metavar=shared.HOME_FORMS,
+            help="Home: a table with its bearings; or when the robot was at rest there, turned on "
+            "the spot there, or had the pose that is home [s from the start]. mrclam: X,Y,HEADING "
+            "[m, m, rad] in the survey.",
+        ),
     ] = None,
     home_noise_deg: Annotated[
         float, typer.Option(help="mrclam: noise of the computed home bearings [deg].")
@@ -92,20 +95,23 @@ def import_(
     --home 2.0,0.0,0.3 --out DRIVE` reads a folder of the UTIAS MRCLAM data set.
     """
     from homeward.drives.opening import save_drive
-    from homeward.drives.settings import home_when
 
-    when = home_when(**shared.home_times(home_during, home_spin, home_at))
     if files[0] == Path(MRCLAM) and len(files) > 1:
-        if columns or kinds or wheels or camera or tag_size or when:
+        if columns or kinds or wheels or camera or tag_size:
             raise InputError(
                 "import mrclam takes only --robot, --home, --home-noise-deg, --seed, --out"
             )
         _mrclam(files[1:], robot, home, (home_noise_deg, seed), out, json)
         return
-    if robot is not None or home is not None or home_noise_deg or seed:
+    if robot is not None or home_noise_deg or seed:
         raise InputError(
-            "--robot, --home, --home-noise-deg and --seed are only for: homeward import mrclam"
+            "--robot, --home-noise-deg and --seed are only for: homeward import mrclam"
         )
+    chosen = shared.home_choice(home)
+    if (table := chosen.pop("home_file", None)) is not None:
+        files, kinds = [*files, Path(table)], [*(kinds or ()), f"{Path(table).name}=home"]
+        home = None
+    when = shared.time_at_home(chosen)
     from homeward.drives.cameras.calibration import read_calibration
     from homeward.drives.importers.reading import (
         drive_of,
@@ -147,15 +153,10 @@ def import_(
         options: list[tuple[str, object]] = [("--columns", text) for text in columns or ()]
         options += [("--as", text) for text in kinds or ()]
         options += [("--camera", text) for text in camera or ()]
-        options += [("--wheels", wheels), ("--home-during", home_during)]
-        options += [
-            ("--tag-size", tag_size),
-            ("--home-spin", home_spin),
-            ("--home-at", home_at),
-            ("--out", "out/drive"),
-        ]
-        chosen = (part for option in options if option[1] is not None for part in option)
-        following = command("import", *files, *chosen)
+        options += [("--wheels", wheels), ("--tag-size", tag_size), ("--home", home)]
+        options += [("--out", "out/drive")]
+        words = (part for option in options if option[1] is not None for part in option)
+        following = command("import", *files, *words)
     if json:
         columns_read = [dict(zip(keys, row, strict=True)) for row in rows]
         facts = {"columns": columns_read, "remarks": remarks, "picture": picture}

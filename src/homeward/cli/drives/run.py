@@ -57,9 +57,7 @@ def run(
         Path | None,
         typer.Option(help="The robot.yaml of the robot, written by homeward tune."),
     ] = None,
-    home_during: shared.HomeDuring = None,
-    home_spin: shared.HomeSpin = None,
-    home_at: shared.HomeAt = None,
+    home: shared.Home = None,
     place: shared.KnownPlace = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the drive into the place after the run.")
@@ -67,7 +65,7 @@ def run(
     store_home: Annotated[
         str | None,
         typer.Option(
-            help="With --update: store the end of the drive, or its pose at --home-at, as a home "
+            help="With --update: store the end of the drive, or its pose at --home at:T, as a home "
             "with this name."
         ),
     ] = None,
@@ -101,11 +99,14 @@ def run(
     """
     from homeward.io.settings import nested
 
-    stored_at, home_at = (home_at, None) if store_home else (None, home_at)
+    chosen = shared.home_choice(home)
+    stored_at = chosen.pop("home_at", None) if store_home else None
+    if "home_file" in chosen:
+        chosen["home_file"] = os.path.realpath(chosen["home_file"])
     options = {
         "estimator": estimator,
         "start": _start(start),
-        **shared.home_times(home_during, home_spin, home_at),
+        **chosen,
         "topics": None if topics is None else os.path.realpath(topics),
         "robot_file": None if robot_file is None else os.path.realpath(robot_file),
         "place": None if place is None else os.path.realpath(place),
@@ -161,7 +162,8 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
         confirmed = given.get("estimator") == earlier.estimator
         changed = sorted(given.keys() - ({"estimator"} if confirmed else set()))
         if changed:
-            option = "--" + ("set" if "settings" in given else changed[0].replace("_", "-"))
+            names = {"settings": "set", **{k: "home" for k in given if k.startswith("home_")}}
+            option = "--" + names.get(changed[0], changed[0].replace("_", "-"))
             raise InputError(
                 f"{option} cannot be changed when a run.yaml is repeated; run the drive itself",
                 file,

@@ -34,9 +34,7 @@ def see(
         typer.Option(help="Detect fiducial tags of this family, for example 36h11 or 4x4_50."),
     ] = None,
     topics: shared.Topics = None,
-    home_during: shared.HomeDuring = None,
-    home_spin: shared.HomeSpin = None,
-    home_at: shared.HomeAt = None,
+    home: shared.Home = None,
     camera: Annotated[
         Path | None,
         typer.Option(
@@ -57,16 +55,17 @@ def see(
 
     Continue with: homeward run OUT. images.yaml in the folder may name the camera, the home image,
     and a mask, black where the robot itself is visible; drive.yaml and truth.csv are copied. With
-    --tags, home.csv, --home-during, --home-spin or --home-at replace the home image; a drive in a
+    --tags, home.csv or a time at --home replaces the home image; a drive in a
     known place needs none of them. Each camera of several has images.csv or a video, images.yaml
     and a home image in a sub-folder with its name. Exit status 1 if no landmark was found.
 
     For two panoramas (`homeward see home.png now.png`), it reports the rotation of the camera since
     home and the direction of home, and writes comparison.png, matches.csv and comparison.json.
     """
-    from homeward.drives.settings import home_when
-
-    when = home_when(**shared.home_times(home_during, home_spin, home_at))
+    chosen = shared.home_choice(home)
+    if "home_file" in chosen:
+        raise InputError("home bearings of images: copy the file to home.csv in their folder")
+    when = shared.time_at_home(chosen)
     if now is not None:
         if tags or topics or when:
             raise InputError("two panoramas take only --camera, --mask, --force, --out and --json")

@@ -46,7 +46,7 @@ from homeward.io.naming import command
 from homeward.io.settings import read_settings, settings_yaml
 from homeward.io.table import quoted
 
-FIRST_POSE = "--home-at", "0"
+FIRST_POSE = "--home", "at:0"
 """Options of a next command where home is not given: any other time works, too."""
 REFUSED = "homeward run cannot use it: {}."
 
