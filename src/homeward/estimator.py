@@ -21,6 +21,7 @@ from homeward.errors import InputError
 from homeward.geometry.accuracy import PoseAccuracy
 from homeward.geometry.frames import Polar, Pose, to_polar
 from homeward.reasons import Rejection
+from homeward.sighting_keys import keyed
 
 
 class Status(enum.Enum):
@@ -231,8 +232,9 @@ def _reals(values: Any) -> dict[str, float]:
 _CONVERTERS: dict[str, Callable[[Any], Any]] = {
     "float": real,
     "Mapping[str, float]": _reals,
+    "Mapping[str, float] | Sequence[Any]": lambda values: _reals(keyed(values)),
     "str": str,
-    "Mapping[str, float] | None": lambda values: None if values is None else _reals(values),
+    "Mapping[str, float] | None": lambda values: None if values is None else _reals(keyed(values)),
 }
 """By annotation of the argument."""
 

@@ -33,6 +33,10 @@ class Reason(_Words):
         "odometry moves by another scale than before: wheels spin, or one of them is blocked"
     )
     NO_BEARINGS = "no bearings now"
+    HOME_AMBIGUOUS = (
+        "home bearings without ids fit no place of the map better than all others; drive on"
+    )
+    NO_CONSTELLATION = "bearings without ids do not fit the map; the robot may be elsewhere"
     FROZEN = "the camera is frozen: bearings repeat exactly while odometry moves"
     CONTRADICTED = "odometry moves, but bearings do not: the camera is frozen, or the wheels spin"
 
@@ -46,6 +50,7 @@ class Rejection(_Words):
     BAD_RANGE = "range is not greater than 0, or infinite"
     RANGE_OUTSIDE_GATE = "range contradicts the map"
     LATE_BEARINGS = "bearings came late"
+    UNIDENTIFIED = "bearing without an id fits no landmark, or several"
     BEYOND_MAX = "more landmarks in view than the maximum used"
     REPEATED_BEARINGS = "duplicate of a bearing with the same stamp"
     FROZEN = "the camera is frozen: the bearing repeats exactly while odometry moves"

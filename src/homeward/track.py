@@ -30,6 +30,7 @@ from homeward.internal_errors import Attempts, InternalFailure, failure_notes
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
 from homeward.reasons import Reason
+from homeward.sighting_keys import is_unlabelled
 
 GRID_S = 0.1
 """Interval of the estimates between bearing stamps [s]."""
@@ -183,9 +184,10 @@ def run(
     ------
     InputError
         When the stamps of the drive span more than a week: one of them must be wrong. When the
-        robot moves sideways, and the estimator takes no sideways speed.
+        robot moves sideways, or sightings have no ids, and the estimator takes no such samples.
     """
     ignored = sideways_notes(drive, estimator)
+    require_ids(drive, estimator)
     began = time.perf_counter()
     stamps = np.unique(drive.sightings.t)
     grid = grid_times(drive.span, stamps)
@@ -242,6 +244,16 @@ def run(
     seconds = np.array(update_seconds), time.perf_counter() - began
     track = rows.track(attempts, estimator, *seconds)
     return dataclasses.replace(track, notes=(*track.notes, *ignored)) if ignored else track
+
+
+def require_ids(drive: Drive, estimator: Estimator) -> None:
+    """Raise `InputError` if a drive has sightings without ids, and the estimator needs ids."""
+    if getattr(estimator, "uses_unlabelled", False):
+        return
+    if any(map(is_unlabelled, {*map(str, drive.sightings.landmark), *drive.home})):
+        raise InputError(
+            f"the estimator {estimator.name} needs an id for each landmark; robust does not"
+        )
 
 
 def sideways_notes(drive: Drive, estimator: Estimator) -> tuple[str, ...]:

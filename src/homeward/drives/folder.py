@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,6 @@ from homeward.io.settings import commented_yaml, read_settings, settings_yaml
 from homeward.io.table import (
     Parser,
     Table,
-    identifiers,
     identifiers_or_empty,
     is_identifier,
     numbers,
@@ -33,6 +34,7 @@ from homeward.io.table import (
 )
 from homeward.io.writing import whole_folder
 from homeward.odometry.clock import MAX_DELAY_S
+from homeward.sighting_keys import is_unlabelled, numbered, without_number
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
@@ -53,6 +55,7 @@ NO_ODOMETRY = (
     f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
     "surveyed landmarks only"
 )
+WITHOUT_IDS = "sightings without an id; the estimator robust finds their landmarks"
 BAD_RANGES = "ranges that are not greater than 0, or infinite; only their bearings are used"
 BEYOND_A_TURN = (
     "bearings beyond a full turn were wrapped; convert them to rad if they are in degrees"
@@ -265,7 +268,8 @@ def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
 
     Errors and remarks as `read_folder`.
     """
-    columns = {"t": numbers, "landmark": identifiers, "bearing": numbers}
+    columns: dict[str, Parser] = {"t": numbers, "bearing": numbers}
+    columns["landmark"] = identifiers_or_empty
     optional: dict[str, Parser] = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
     optional[CAMERA] = identifiers_or_empty
     return sightings_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
@@ -282,19 +286,34 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     if cameras:
         number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
         sightings = sightings.rows(np.lexsort((number, sightings.t)))
+    sightings = _with_keys(sightings, remarks)
     count_repeats(sightings, remarks)
     return sightings
 
 
+def _with_keys(sightings: Sightings, remarks: dict[str, int]) -> Sightings:
+    """Return sightings of which those without an id have a key of their own in each frame."""
+    texts = [str(text) for text in sightings.landmark]
+    number = sum(map(is_unlabelled, texts))
+    if not number:
+        return sightings
+    remarks[WITHOUT_IDS] = number
+    ends = [*sightings.begins.tolist(), len(texts)]
+    keys = [key for a, b in pairwise(ends) for key in numbered(texts[a:b])]
+    return replace(sightings, landmark=np.array(keys, object))
+
+
 def read_home(path: Path, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Read a home.csv (landmark, bearing[, sigma][, camera]); as `read_folder`."""
-    columns = {"landmark": identifiers, "bearing": numbers}
+    columns: dict[str, Parser] = {"landmark": identifiers_or_empty, "bearing": numbers}
     optional: dict[str, Parser] = {"sigma": numbers_or_nan, CAMERA: identifiers_or_empty}
     return home_of(read_csv(path, columns, optional, advice=IMPORT_ADVICE), remarks)
 
 
 def home_of(table: Table, remarks: dict[str, int]) -> dict[str, HomeBearing]:
     """Return the home bearings of a table; as `read_home`."""
+    keys = np.array(numbered(table["landmark"].tolist()), object)
+    table = replace(table, columns={**table.columns, "landmark": keys})
     table.require_unique("landmark")
     bearings = wrapped(table, "bearing", remarks)
     cameras = table[CAMERA].tolist() if CAMERA in table.columns else [""] * len(table)
@@ -367,12 +386,15 @@ def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> 
 
 def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
     """Return the columns of each CSV file of a drive."""
-    home = drive.home
+    home, seen = drive.home, drive.sightings
     files = {
         ODOMETRY: dict(vars(drive.odometry)),
-        BEARINGS: dict(vars(drive.sightings)),
+        BEARINGS: {
+            **vars(seen),
+            "landmark": np.array([without_number(str(i)) for i in seen.landmark], object),
+        },
         HOME: {
-            "landmark": np.array(list(home), object),
+            "landmark": np.array([without_number(key) for key in home], object),
             "bearing": np.array([seen.bearing for seen in home.values()], float),
             "sigma": np.array([seen.sigma for seen in home.values()], float),
             CAMERA: np.array([seen.camera for seen in home.values()], object),
@@ -395,7 +417,7 @@ def _cells(column: str, values: np.ndarray, file: Path, may_lack: bool) -> list[
     """Return a column as text; repr is the shortest text of a float that reads back exactly."""
     if column in ("landmark", CAMERA):
         ids = [str(value) for value in values]
-        if bad := [i for i in ids if not is_identifier(i) and (i or column != CAMERA)]:
+        if bad := [i for i in ids if i and not is_identifier(i)]:
             raise InputError(
                 f"{column} {quoted(bad[0])} is not a valid id (printable, no outer spaces)", file
             )

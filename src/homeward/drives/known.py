@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
 from homeward.drives.drive import HomeBearing
@@ -12,13 +12,16 @@ from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError
 from homeward.estimator import real
 from homeward.io.settings import Model, validated
+from homeward.sighting_keys import keyed
 
-Home = Mapping[str, float | HomeBearing]
-"""Home bearings [rad] by landmark id, with standard deviations where known."""
+Home = Mapping[str, float | HomeBearing] | Sequence[Any]
+"""Home bearings [rad] by landmark id, with standard deviations where known. Those without ids are a
+sequence of bearings, or of pairs of a class and a bearing."""
 
 
 def known_home(home: Home) -> dict[str, HomeBearing]:
     """Return validated home bearings; `InputError` for a wrong type or number."""
+    home = keyed(home)
     if not isinstance(home, Mapping):
         raise InputError(
             f"home is a {type(home).__name__} instead of bearings [rad] by landmark id"

@@ -113,6 +113,11 @@ class Chart:
             self._give_up_map()
         self._find_home(t)
 
+    def replace_home(self, home: Mapping[str, HomeBearing], t: float) -> None:
+        """Replace the home bearings, whose landmarks are found without ids, at `t` [s]."""
+        self.home.replace(home, self.drive, self._settings)
+        self._find_home(t)
+
     def follow(self, t: float) -> None:
         """Integrate the odometry after a twist of `t` [s] has arrived."""
         self.odometry.rewind(t)

@@ -10,12 +10,13 @@ import copy
 import dataclasses
 import math
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Unpack
 
 import numpy as np
 
 from homeward.drives.cameras.names import Cameras, with_camera
+from homeward.drives.drive import HomeBearing
 from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, OtherCamera, Robot
@@ -44,9 +45,11 @@ from homeward.localizer.output.faces import EstimatedCalibration, PredictedBeari
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
+from homeward.localizer.unlabelled.front import UnlabelledLandmarks
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
+from homeward.sighting_keys import is_unlabelled
 
 SCALE_NOTE = (
     "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. To remove"
@@ -89,6 +92,8 @@ class Localizer:
     """Whether `bearings` takes ranges, and the name of a camera."""
     uses_sideways = True
     """Whether `odometry` takes a sideways speed."""
+    uses_unlabelled = True
+    """Whether `bearings` takes sightings without ids."""
 
     def __init__(
         self,
@@ -115,6 +120,10 @@ class Localizer:
         """Begin without samples and without a map."""
         self.twists = TwistHistory()
         """The newest twists, as accepted."""
+        self.unlabelled: UnlabelledLandmarks | None = None
+        """Landmarks without ids; None as long as all have one."""
+        if any(map(is_unlabelled, self._home)):
+            self.unlabelled = UnlabelledLandmarks(self._home)
         self._chart = self._new_chart(self._robot, self.counts)
         if self._keeps:
             self._chart.retain_marginalised()
@@ -209,13 +218,16 @@ class Localizer:
     def bearings(
         self,
         t: float,
-        sightings: Mapping[str, float],
+        sightings: Mapping[str, float] | Sequence[Any],
         sigmas: Mapping[str, float] | None = None,
         ranges: Mapping[str, float] | None = None,
         range_sigmas: Mapping[str, float] | None = None,
         camera: str = "",
     ) -> Estimate:
         """Add all sightings of stamp `t` [s]: bearing [rad] from the camera's axis by id.
+
+        Without ids, they are a list of bearings, or of pairs of a class and a bearing. Mixed with
+        ids, the key ``class:post``, or an empty one, has the list of their bearings.
 
         `camera` is the name of their camera in `cameras`; a robot with one camera needs none.
 
@@ -225,6 +237,7 @@ class Localizer:
         If odometry is late, they wait for it, and the estimate is without them for now. A frame
         without sightings has no effect: the estimate is that of `estimate`.
         """
+        assert isinstance(sightings, Mapping)  # as `guarded` converts it
         offset = self._cameras.in_first(camera)
         stamp, t = t, self._clock.read(t)
         if not math.isfinite(t) or t < self._reorder.newest or self._is_too_late(t):
@@ -251,7 +264,10 @@ class Localizer:
                 self._reject(Rejection.BAD_RANGE, bad)
             frame = frame._replace(ranges=with_range)
         self._reorder.bearings(frame)
-        tracks = frame.by_camera(usable), frame.by_camera(valid)
+        with_ids = {n: b for n, b in usable.items() if not is_unlabelled(n)}
+        if len(with_ids) < len(usable) and self.unlabelled is None:
+            self.unlabelled = UnlabelledLandmarks(self._home)
+        tracks = frame.by_camera(with_ids), frame.by_camera(valid)
         self._dead.bearings(t, *tracks, self.chart.noise)
         innovations = self._process_due()
         return self._estimate(t, innovations, stamp)
@@ -418,6 +434,12 @@ class Localizer:
     def _process(self, frame: BearingFrame) -> list[Innovation]:
         """Process a frame in each chart; return its innovations in the one that answers."""
         here = self.twists.at(frame.t)
+        if self.unlabelled is not None:
+            twist = self.twists.before(frame.t)
+            turn_rate = 0.0 if twist is None else twist.omega
+            frame = self.unlabelled.identify(frame, here, turn_rate, self.chart)
+            if not frame.sightings:
+                return []
         if frame.camera not in self._frozen:
             yaw = self._robot.sensor.yaw + (0.0 if frame.offset is None else frame.offset[2])
             self._frozen[frame.camera] = FrozenCamera(float(yaw))
@@ -432,6 +454,9 @@ class Localizer:
         if reckoned is not None:
             self._sign_checks.bearings(frame.t, frame.camera, frame.sightings, reckoned)
         innovations = self._chart.add_bearings(frame, here, self._t)
+        if self.unlabelled is not None and self.unlabelled.after_frame(frame.t, self.chart):
+            for chart in self.charts:
+                chart.replace_home(self._named_home, self._t)
         if self._candidate_chart is not None:
             return self._update_candidate(self._candidate_chart, frame, here, innovations)
         if self._chart.monitor.fits_badly:
@@ -472,9 +497,14 @@ class Localizer:
             self._candidate_chart.retain_marginalised()
         self._candidate_chart.begin(t)
 
+    @property
+    def _named_home(self) -> dict[str, HomeBearing]:
+        """The home bearings whose landmarks are known, by landmark."""
+        return self._home if self.unlabelled is None else self.unlabelled.home.named()
+
     def _new_chart(self, robot: DriveSettings, counts: Counts) -> Chart:
         """Return a new chart."""
-        return Chart(self._home, robot, self.settings, counts, self.twists, self._known)
+        return Chart(self._named_home, robot, self.settings, counts, self.twists, self._known)
 
     def _advance(self, t: float) -> None:
         """Advance the time to `t` [s], unless it is there."""
@@ -489,8 +519,20 @@ class Localizer:
         dead = self._dead.reason if self._dead.is_dead else None
         complaint = self._reorder.complaint or dead
         found = self.chart.estimate(t, innovations, complaint)
+        found = self._with_doubt(found)
         if self._frozen and all(camera.is_frozen for camera in self._frozen.values()):
             coasts = found.status is Status.LOCALISED
             status = Status.COASTING if coasts else found.status
             found = dataclasses.replace(found, status=status, reason=Reason.FROZEN.words)
         return found if t == stamp else dataclasses.replace(found, t=stamp)
+
+    def _with_doubt(self, found: Estimate) -> Estimate:
+        """Return an estimate with doubts about sightings and home bearings without ids."""
+        if self.unlabelled is None:
+            return found
+        why = self.unlabelled.doubt
+        if found.pose is None and self.unlabelled.home.why is not None:
+            return dataclasses.replace(found, reason=self.unlabelled.home.why.words)
+        if why is None or found.status not in (Status.LOCALISED, Status.COASTING):
+            return found
+        return dataclasses.replace(found, status=Status.UNVERIFIED, reason=why.words)

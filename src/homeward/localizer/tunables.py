@@ -486,3 +486,104 @@ MIN_P_STATIC = 0.5
 NUM_NEAREST = 5
 """Sightings before and after a time by which a landmark was in place then: two wrong ones do not
 decide."""
+
+# Landmarks without ids
+ASSOCIATION_GATE = 3.5
+"""Gate of a bearing around its predicted one: a dozen pairs in a frame are tested [standard
+deviations]."""
+DISTINGUISHED = (0.008, 0.02)
+"""Limits of the noise of bearings to distinguish landmarks: a good camera's, at first, and the
+default [rad]."""
+ASSOCIATION_MARGIN = 6.0
+"""Twice the log likelihood ratio (3 nats) by which a pair must beat its rivals: one in 20 wrong."""
+NOT_LIVE = 3.0
+"""The same for a landmark in reach that was not seen just before: a fifth of them appear."""
+CLEAR_MARGIN = 20.0
+"""Pairs with this margin are accepted together: a conditioning hardly changes it."""
+MIN_HITS = 3
+"""Hits of a track before it counts: a false bearing continues another one by chance."""
+CONFIRMED = 7.0
+"""Log likelihood ratio of a track against clutter, of a thousand false bearings in a drive."""
+REFUTED = -3.0
+"""Below this, a track ends: two misses of a landmark that is in view."""
+CONFIRMED_AGAIN = 3.5
+"""The same for a mapped landmark that was not in view: its bearing is predicted."""
+DETECTED = 0.8
+"""Probability that a landmark in view is detected: a fifth is hidden or missed."""
+CLUTTER_KEPT = 0.02
+"""Share of a frame in the mean number of false bearings: 50 frames."""
+MIN_CLUTTER = 0.05
+"""False bearings in a frame that are always expected, and minimum field of view [rad]."""
+FALSE_AT_FIRST = 0.2
+"""Assumed at first [1/frame]."""
+MAX_FALSE, MIN_SEEN = 0.3, 2.0
+"""Largest share of false bearings: a track that ends early may also be of a landmark that is seldom
+detected; and bearings in a frame at first."""
+TRACK_MEMORY_S = 1.5
+"""A track without hits ends: half of the landmarks in view may be missed in each frame [s]."""
+CONFIRMED_MEMORY = 3.0
+"""One that is confirmed lasts longer by this factor [1]."""
+TRACK_DRIFT = 0.005
+"""Error of dead-reckoned directions at standstill [rad/s], ..."""
+TURN_ERROR = 0.05
+"""... by the scale of yaw rates [1] ..."""
+TURN_LAG_S = 0.15
+"""... and by the delay and time constant of the odometry, while the yaw rate changes [s] ..."""
+TURN_JITTER_S = 0.05
+"""... and jitter of the stamps; see `SIGN_LAGS_S` [s]."""
+NEAR = 0.25
+"""Distance of a near landmark, in median distances [1], ..."""
+NEAR_UNKNOWN_M = 0.7
+"""... and before anything is mapped [m]."""
+BORN_APART = 5.0
+"""No landmark begins so close to the predicted bearing of one that is not seen [standard
+deviations]."""
+MAX_SHARP = 0.1
+"""A prediction that is less certain does not keep a new landmark from beginning [rad]."""
+BREAKS = 2
+"""Frames in which most landmarks in view disappear before the robot counts as lost."""
+FIT_AGAIN = 0.6
+"""Share of a frame that fits again: see `MAJORITY`."""
+LOST_S = 4.0
+"""Time for which a lost robot searches before it maps new landmarks [s]."""
+SEARCH_LOST_S = 0.5
+"""Interval of searches of a lost robot: each takes 30 frames [s]."""
+REPAIR_S = 2.0
+"""Interval of the search for landmarks that were mapped twice [s]."""
+TOGETHER = 2
+"""Frames in which two landmarks may be seen together although they are one: false bearings."""
+UNMATCHED = 0.2
+"""Probability that a home bearing belongs to no landmark of the map: moved, or not mapped yet."""
+NATS_APART = 7.0
+"""Log evidence of home over other places: one in a thousand is wrong [nats]."""
+NATS_KEPT = 2.0
+"""Below this, an assignment of home bearings is withdrawn [nats]."""
+FIRST_SEARCH_S = 1.0
+"""Interval of the searches for home after a landmark was mapped [s], ..."""
+SEARCH_GROWTH = 1.3
+"""... its growth from search to search [1], ..."""
+MAX_SEARCH_S = 30.0
+"""... and its maximum [s]."""
+MAX_CONSTELLATION = 60
+"""Landmarks that a search uses, of those with most sightings: its time grows with them."""
+CONSTELLATION_STEP = 0.07
+"""Step of the grid of positions: the error of most bearings is then below 0.1 rad [reach], ..."""
+MAX_CELLS = 120
+"""... and the largest number of steps along a side."""
+CONSTELLATION_HEADINGS = 120
+"""Bins of the heading: 3 degrees, as the cells."""
+CONSTELLATION_PAD = 0.35
+"""Margin of the region around the landmarks in which the pose may be, by its longer side."""
+MAX_STARTS = 250
+"""Cells that are refined."""
+ANNEALED = (0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.0, 0.0)
+"""Tolerances of the refinement [rad]: from the size of a cell to the noise."""
+NUM_MATCHES = 20
+"""Distinct poses whose evidence is computed."""
+REACH = 0.95
+"""Quantile of the distances of sightings that is taken for the reach of the sensor, ..."""
+NUM_DISTANCES = 2000
+"""... of the newest ones."""
+MIN_MISSES, GHOST = 15, 0.2
+"""Frames in which a landmark is not seen where it is predicted, and share of those in which it is
+seen, below which it is no landmark: real ones are seen in four of five."""

@@ -58,6 +58,12 @@ class HomeObservation:
         """Drop the start prior, since the map does not begin there any more."""
         self._prior = None
 
+    def continued(self, before: HomeObservation) -> HomeObservation:
+        """Return it with the camera and the start prior as they are in another observation."""
+        self.mount, self.same_camera = before.mount, before.same_camera
+        self._prior = before._prior
+        return self
+
     def fix_camera(self, calibration: np.ndarray) -> None:
         """Fix the camera's pose at home to the present estimate: it is not the drive's any more."""
         self.mount, self.same_camera = self._estimated_mount(calibration), False

@@ -80,6 +80,17 @@ class HomeTracker:
         """Two landmarks, each with the other, whose home bearings are exchanged."""
         return {} if self.hypotheses is None else self.hypotheses.exchanged(self._sure)
 
+    def replace(
+        self, home: Mapping[str, HomeBearing], drive: DriveSettings, settings: LocalizerSettings
+    ) -> None:
+        """Replace the home bearings; hypotheses stay if none that they use has changed."""
+        before, now = self.observation, HomeObservation(home, drive, settings)
+        self.observation = now.continued(before)
+        if any(before.bearings[n] != now.bearings.get(n) for n in self.names):
+            self.hypotheses, self.names = None, []
+            self._seeds.clear()
+        self._p_static = None
+
     def update(self, known: Map) -> None:
         """Update home after a change of the map, by a new search if necessary."""
         now, before, frame = self.hypotheses, self.names, self._surveyed

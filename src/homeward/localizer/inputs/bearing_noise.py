@@ -25,6 +25,7 @@ from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import (
     CORRELATION_KEPT,
+    DISTINGUISHED,
     GATE,
     MAX_INFLATION,
     MAX_NOISE_RATIO,
@@ -97,6 +98,16 @@ class BearingNoise:
         if self._is_given or not self.confirmed or not self._from_differences:
             return None
         return max(self._from_residuals, self._from_differences)
+
+    @property
+    def to_distinguish(self) -> float:
+        """The same, to distinguish landmarks without ids: without a minimum [rad].
+
+        A standard deviation that is too large mixes neighbours, which makes it larger.
+        """
+        if self._given is not None:
+            return self.sigma
+        return float(np.clip(self.learnt or 0.0, *DISTINGUISHED))
 
     @property
     def typical(self) -> float:

@@ -1,0 +1,155 @@
+"""Home by bearings without ids: which landmark of the map each of them is of.
+
+The constellation of the home bearings is searched in the whole map until one place explains them
+better than any other. Then the home bearings get the ids of their landmarks, and the localiser
+finds home as with ids. Later searches confirm it, add landmarks that were mapped later, or withdraw
+it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+
+from homeward.drives.drive import HomeBearing
+from homeward.localizer.chart import Chart
+from homeward.localizer.tunables import (
+    ESTABLISHED,
+    FIRST_SEARCH_S,
+    MAX_CONSTELLATION,
+    MAX_SEARCH_S,
+    MINIMAL,
+    NATS_APART,
+    NATS_KEPT,
+    NEGLIGIBLE,
+    SEARCH_GROWTH,
+)
+from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, search
+from homeward.reasons import Reason
+from homeward.sighting_keys import class_of, is_unlabelled
+
+
+class HomeFinder:
+    """The home bearings, of which some have no id, and their landmarks as far as found."""
+
+    def __init__(self, home: Mapping[str, HomeBearing]) -> None:
+        self._home = dict(home)
+        self.is_needed = any(map(is_unlabelled, home))
+        """Whether there are home bearings without ids."""
+        self.assigned: dict[str, str] = {}
+        """Landmark of each home bearing that is assigned, by key."""
+        self.margin = -math.inf
+        """Log evidence of the newest search over other places [nats]."""
+        self._next, self._wait, self._mapped = -math.inf, FIRST_SEARCH_S, 0
+        self._near = 0.0
+        """Time near home while it was assigned [s]."""
+
+    @property
+    def why(self) -> Reason | None:
+        """Why there is no pose, where that is because home bearings have no ids."""
+        return Reason.HOME_AMBIGUOUS if self.is_needed and not self.assigned else None
+
+    def named(self) -> dict[str, HomeBearing]:
+        """Return the home bearings by landmark: those that have an id, or are assigned."""
+        names = {k: self.assigned.get(k) for k in self._home}
+        return {
+            n or k: self._home[k] for k, n in names.items() if n is not None or not is_unlabelled(k)
+        }
+
+    def update(self, t: float, chart: Chart, names: Mapping[str, str], reach: float) -> bool:
+        """Search for home in a map at `t` [s] if it is due; return whether assignments changed.
+
+        `names` has the classes of the map's landmarks, of those that may be used, and `reach` [m]
+        is the distance within which most landmarks are seen.
+        """
+        if not self.is_needed or t < self._next:
+            return False
+        kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
+        self._wait = min(self._wait * SEARCH_GROWTH, MAX_SEARCH_S)
+        if len(kept) > self._mapped:
+            self._wait = FIRST_SEARCH_S if not self.assigned else 3.0 * FIRST_SEARCH_S
+        self._next, self._mapped = t + self._wait, len(kept)
+        if len(kept) < MINIMAL:
+            return False
+        kept = sorted(kept, key=lambda n: -chart.map.landmarks.mapped[n].sightings)
+        kept = kept[:MAX_CONSTELLATION]
+        keys = [k for k in self._home if not self._home[k].camera]
+        sky = self._sky(keys, kept, chart, names, reach)
+        found = search(sky) if sky is not None else None
+        return self._accept(found, keys, kept)
+
+    def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:
+        """Accept the result of a search; return whether assignments changed."""
+        before = dict(self.assigned)
+        self.margin = found.margin if found is not None else -math.inf
+        if found is None:
+            return False
+        best = dict(self._pairs(found.best, keys, names))
+        sure = min(found.margin, found.best.log_evidence)
+        contradicted = sum(self.assigned.get(k, n) != n for k, n in best.items())
+        same = 2 * contradicted < len(best)
+        if sure > NATS_APART or (same and self.assigned and sure > NATS_KEPT):
+            kept = self.assigned.items() if same else ()
+            self.assigned = {k: n for k, n in kept if n not in best.values()} | best
+        elif self.assigned and not (same and found.margin > NATS_KEPT):
+            self.assigned = {}
+        return self.assigned != before
+
+    def _pairs(self, found: Match, keys: list[str], names: list[str]) -> list[tuple[str, str]]:
+        """Return the pairs of keys and landmarks of a match."""
+        return [
+            (keys[i], names[j]) for i, j in enumerate(found.landmark.tolist())
+            if j >= 0 and is_unlabelled(keys[i])
+        ]  # fmt: skip
+
+    def rename(self, old: str, new: str) -> None:
+        """Replace the landmark `old`, which turned out to be the landmark `new`."""
+        self.assigned = {k: new if n == old else n for k, n in self.assigned.items()}
+
+    def _sky(
+        self,
+        keys: list[str],
+        names: list[str],
+        chart: Chart,
+        kinds: Mapping[str, str],
+        reach: float,
+    ) -> Sky | None:
+        """Return the home bearings and the landmarks of a map."""
+        if not keys or not names:
+            return None
+        points, covariances = relative_places(chart, names)
+        sigmas = np.array([self._home[k].sigma for k in keys])
+        sigmas = np.where(np.isfinite(sigmas), sigmas, chart.noise.typical)
+        bearings = np.array([self._home[k].bearing for k in keys])
+        allowed = np.array([[may_be(k, n, kinds[n]) for n in names] for k in keys])
+        return Sky(points, covariances, bearings, sigmas**2, allowed, reach)
+
+
+def may_be(key: str, name: str, kind: str) -> bool:
+    """Return whether a sighting may be of a landmark of a class; an empty class may be any."""
+    if not is_unlabelled(key):
+        return key == name
+    own = class_of(key)
+    return not own or not kind or own == kind
+
+
+def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return landmarks' positions (n, 2) [m] and their covariances (n, 2, 2) relative to all.
+
+    A shift, rotation and scale that all have in common changes no bearing from a free pose.
+    """
+    known, state = chart.map.landmarks, chart.map.smoother.state
+    index = known.index([known.mapped[n] for n in names])
+    points, columns = state.positions[index], state.columns(index).ravel()
+    covariance = state.covariance[np.ix_(columns, columns)]
+    off = points - points.mean(axis=0)
+    common = np.zeros((2 * len(names), 4))
+    common[0::2, 0] = common[1::2, 1] = 1.0
+    common[:, 2], common[:, 3] = (off[:, ::-1] * [-1.0, 1.0]).ravel(), off.ravel()
+    basis = np.linalg.qr(common)[0]
+    rest = np.eye(len(common)) - basis @ basis.T
+    each = np.arange(2 * len(names)).reshape(-1, 2)
+    covariance = (rest @ covariance @ rest.T)[each[:, :, None], each[:, None]]
+    return points, covariance + (NEGLIGIBLE * state.scale / 10) ** 2 * np.eye(2)

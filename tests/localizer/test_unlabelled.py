@@ -1,0 +1,157 @@
+"""Landmarks without ids: association, home by constellation, files, and short drives."""
+
+import numpy as np
+import pytest
+
+from benchmarks import unlabelled as benchmark
+from homeward import InputError, Localizer
+from homeward.drives.folder import read_folder, write_folder
+from homeward.estimator import Status
+from homeward.geometry.angles import wrap
+from homeward.localizer.unlabelled.association import Forecast, associate
+from homeward.localizer.unlabelled.constellation import Sky, search
+from homeward.registry import make_estimator
+from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
+from homeward.track import run
+
+
+def test_sightings_of_a_frame_have_keys_of_their_own():
+    texts = ["", "class:post", "7", "", "class:post", "track:4"]
+    keys = numbered(texts)
+    assert keys == ["class:#1", "class:post#1", "7", "class:#2", "class:post#2", "track:4"]
+    assert [without_number(key) for key in keys] == texts
+    assert numbered(keys) == keys
+    assert [is_unlabelled(key) for key in keys] == [True, True, False, True, True, True]
+    assert [class_of(key) for key in keys] == ["", "post", "", "", "post", ""]
+
+
+def test_lists_become_mappings_by_key():
+    assert keyed([0.1, 0.2]) == {"class:#1": 0.1, "class:#2": 0.2}
+    assert keyed(np.array([0.1])) == {"class:#1": 0.1}
+    assert keyed([("post", 0.1), ("lamp", 0.2)]) == {"class:post#1": 0.1, "class:lamp#1": 0.2}
+    assert keyed({"7": 0.3, "class:post": [0.1, 0.2], "": [0.4]}) == {
+        "7": 0.3, "class:post#1": 0.1, "class:post#2": 0.2, "class:#1": 0.4,
+    }  # fmt: skip
+    with_ids = {"7": 0.3}
+    assert keyed(with_ids) is with_ids
+
+
+def test_what_is_no_bearing_is_refused():
+    localizer = Localizer([0.1, 0.2, 0.3])
+    with pytest.raises(InputError, match="not a real number"):
+        localizer.bearings(0.0, ["left"])
+    with pytest.raises(InputError, match="a landmark id must be text"):
+        localizer.bearings(0.0, [(3, 0.1)])
+    with pytest.raises(InputError, match="instead of bearings"):
+        localizer.bearings(0.0, "post")
+
+
+def forecast(mean, common, own):
+    n = len(mean)
+    return Forecast(np.array(mean), common**2 * np.ones((n, n)) + own**2 * np.eye(n))
+
+
+def test_a_common_error_is_found_by_the_least_ambiguous_pair():
+    true = np.array([-2.0, 0.0, 0.06, 0.12])
+    found = associate(
+        forecast(true, 0.05, 0.002), true + 0.05, np.full(4, 1e-6), np.ones((4, 4), bool)
+    )
+    assert found.landmark.tolist() == [0, 1, 2, 3]
+
+
+def test_an_ambiguous_bearing_is_held_back():
+    found = associate(
+        forecast([0.0, 0.02], 0.0, 0.02), np.array([0.01]), np.full(1, 1e-4), np.ones((1, 2), bool)
+    )
+    assert found.landmark.tolist() == [-1]
+    assert found.is_held.all()
+
+
+def sky(seed, number=20, seen=8, sigma=0.01):
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(-7.0, 7.0, (number, 2))
+    pose = np.array([*rng.uniform(-2.0, 2.0, 2), rng.uniform(-3.0, 3.0)])
+    away = points - pose[:2]
+    distance = np.hypot(*away.T)
+    nearest = np.argsort(distance)[:seen]
+    angle = np.arctan2(away[nearest, 1], away[nearest, 0]) - pose[2]
+    bearings = np.asarray(wrap(angle + sigma * rng.standard_normal(seen)))
+    covariances = np.tile(0.02**2 * np.eye(2), (number, 1, 1))
+    reach = float(distance[nearest].max()) * 1.05
+    allowed = np.ones((seen, number), bool)
+    return (
+        pose,
+        nearest,
+        Sky(points, covariances, bearings, np.full(seen, sigma**2), allowed, reach),
+    )
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_constellation_is_found_without_a_start(seed):
+    pose, nearest, given = sky(seed)
+    found = search(given)
+    assert np.abs(found.best.pose - pose).max() < 0.15
+    matched = found.best.landmark >= 0
+    assert (found.best.landmark[matched] == nearest[matched]).all()
+    assert found.margin > 4.0
+
+
+def test_a_square_has_four_poses():
+    points = np.array([[2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0]])
+    pose = np.array([0.5, 0.3, 0.2])
+    away = points - pose[:2]
+    bearings = np.asarray(wrap(np.arctan2(away[:, 1], away[:, 0]) - pose[2]))
+    covariances = np.tile(0.02**2 * np.eye(2), (4, 1, 1))
+    found = search(Sky(points, covariances, bearings, np.full(4, 1e-4), np.ones((4, 4), bool), 5.0))
+    assert found.margin < 1.0
+
+
+@pytest.fixture(scope="module")
+def pair():
+    return benchmark.open_hall(0, duration=60.0)
+
+
+def test_a_drive_is_localised_without_ids(pair):
+    figures = benchmark.compared(pair)
+    assert figures.ratio < 1.3
+    assert figures.purity > 0.98
+    assert figures.wrong_s == 0.0
+    assert figures.inside > 0.97
+    assert figures.localised > 0.4
+
+
+def test_a_square_of_equal_posts_is_never_localised():
+    pair = benchmark.square(0, duration=40.0)
+    localizer = Localizer(pair.without.home, **pair.without.settings.robot)
+    track = run(pair.without, localizer)
+    assert Status.LOCALISED not in track.status
+    assert Status.COASTING not in track.status
+
+
+def test_a_drive_without_ids_is_read_as_it_was_written(pair, tmp_path):
+    write_folder(pair.without, tmp_path / "drive")
+    text = (tmp_path / "drive" / "bearings.csv").read_text()
+    assert "#" not in text
+    read = read_folder(tmp_path / "drive")
+    assert (read.sightings.landmark == pair.without.sightings.landmark).all()
+    assert read.home == pair.without.home
+    assert any("without an id" in line for line in read.remark_lines)
+
+
+def test_estimators_that_need_ids_refuse_such_a_drive(pair):
+    class Other:
+        name = "other"
+
+    with pytest.raises(InputError, match="needs an id for each landmark"):
+        run(pair.without, Other())
+
+
+def test_classes_without_a_common_landmark_find_nothing():
+    _, _, given = sky(0)
+    none = Sky(*(getattr(given, n) for n in ("points", "covariances", "bearings", "variances")),
+               np.zeros_like(given.allowed), given.reach)  # fmt: skip
+    assert search(none) is None
+
+
+def test_the_default_estimator_takes_them(pair):
+    assert make_estimator("robust", pair.without).uses_unlabelled
