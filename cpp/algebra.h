@@ -24,9 +24,9 @@ using Fixed = Eigen::Matrix<double, rows, columns, columns == 1 ? Eigen::ColMajo
 using Vector3 = Fixed<3, 1>;
 using Matrix3 = Fixed<3, 3>;
 
-constexpr int NC = 9;         // unknowns of the calibration, in the order of localizer/motions.py
+constexpr int NC = 10;        // unknowns of the calibration, in the order of localizer/motions.py
 constexpr int HEAD = 3 + NC;  // the newest pose, and the calibration
-enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y };
+enum Calibration { TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT, SPEED_SCALE, SIDEWAYS_SCALE, CAMERA_YAW, CAMERA_X, CAMERA_Y };
 using Jacobian = Fixed<3, NC>;
 
 // geometry/se2.py and geometry/angles.py

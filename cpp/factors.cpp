@@ -106,12 +106,14 @@ void add_odometry(const Equations &e, const double *poses, const double *calibra
                   const Linearised &rows) {
   const Eigen::Map<const Fixed<NC, 1>> cal(calibration);
   const double size = 1.0 + cal[SPEED_SCALE];
-  const Vector3 scale(1.0 / size, 1.0 / size, 1.0);
   for (size_t k = 0; k + 1 < e.w; k++) {
     const double *row = steps + STEP * k, *p = poses + 3 * k;
     const Eigen::Map<const Vector3> free(row);
     const Eigen::Map<const Matrix3> information(row + INFORMATION);
     const Eigen::Map<const Jacobian> by_calibration(row + BY_CALIBRATION);
+    const bool strafes = by_calibration(1, SIDEWAYS_SCALE) != 0.0;
+    const double aside = strafes ? 1.0 + cal[SIDEWAYS_SCALE] : 1.0;
+    const Vector3 scale(1.0 / size, 1.0 / (size * aside), 1.0);
     const double c = std::cos(p[2]), s = std::sin(p[2]), x = p[3] - p[0], y = p[4] - p[1];
     Matrix3 back = Matrix3::Identity(), lever = Matrix3::Identity();
     back(0, 0) = back(1, 1) = c, back(0, 1) = s, back(1, 0) = -s;
@@ -122,7 +124,8 @@ void add_odometry(const Equations &e, const double *poses, const double *calibra
     jacobian.leftCols<3>() = -back * lever;
     jacobian.middleCols<3>(3) = back;
     jacobian.rightCols<NC>() = -by_calibration;
-    jacobian.block<2, 1>(0, 6 + SPEED_SCALE) += error.head<2>();
+    jacobian(0, 6 + SPEED_SCALE) += error[0], jacobian(1, 6 + SPEED_SCALE) += aside * error[1];
+    if (strafes) jacobian(1, 6 + SIDEWAYS_SCALE) += size * error[1];
     jacobian = scale.asDiagonal() * jacobian;
     const double weight = 4.0 / std::max(1.0 + error.dot(information * error), 4.0);
     if (rows.weight) {

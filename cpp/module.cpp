@@ -13,7 +13,7 @@ void bind_window(nanobind::module_ &m);
 
 // Increase it, and that of core.py, with each change of a signature: an editable installation may have a
 // module that is older than its Python.
-constexpr int INTERFACE = 4;
+constexpr int INTERFACE = 5;
 
 NB_MODULE(_core, m) {
   m.attr("INTERFACE") = INTERFACE;

@@ -14,7 +14,8 @@ constexpr int NUM_INTERVALS = 10;  // of the past that weighs in a first-order l
 constexpr double ROUNDING = 1e-12;
 
 struct Tunables {
-  double speed_time, turn_time, bridged, validity, mean, steady, min_steady_speed, max_lag, bend;
+  double speed_time, turn_time, bridged, validity, mean, steady, min_steady_speed, moving_speed, sideways_share, max_lag,
+      bend;
   int num_bends;
 };
 
@@ -54,13 +55,21 @@ class Twists {
     return low;
   }
 
-  double path(double t) const {
+  // A path (PATH, SIDE) up to a time, at a speed (V, VY).
+  double path(double t, Column path, Column speed) const {
     if (!size_) return 0.0;
     const int64_t k = std::max<int64_t>(before(t, true) - 1, 0);
-    return at(k, PATH) + at(k, V) * std::max(std::min(t, at(k, UNTIL)) - at(k, T), 0.0);
+    return at(k, path) + at(k, speed) * std::max(std::min(t, at(k, UNTIL)) - at(k, T), 0.0);
   }
 
-  double steady_speed(double t) const { return (path(t) - path(t - steady_s_)) / steady_s_; }
+  double steady_speed(double t, Column path = PATH, Column speed = V) const {
+    return (this->path(t, path, speed) - this->path(t - steady_s_, path, speed)) / steady_s_;
+  }
+
+  bool strafes(double t, double moving_speed, double share) const {
+    const double side = std::abs(steady_speed(t, SIDE, VY));
+    return side > moving_speed && side > share * std::abs(steady_speed(t));
+  }
 
   // The robot's twist, which follows the odometry as a first-order lag, and its slope.
   Settled settled(double t, double time_constant) const {
@@ -185,15 +194,18 @@ double turn_rate(double omega, bool moves, const double *calibration) {
 // The commanded motion that the robot still has to make, forward or backward by sign.
 Motion outstanding(const Settled &end, const double *calibration, double sign) {
   const double lag = calibration[TIME_CONSTANT], size = 1.0 + calibration[SPEED_SCALE];
+  const double aside = size * (1.0 + calibration[SIDEWAYS_SCALE]);
   const double half = 0.5 * turn_rate(end.omega, end.moves(), calibration) * sign * lag, heading = 2.0 * half;
-  const double chord = size * end.v * sign * lag * sinc(half), left = size * end.vy * sign * lag * sinc(half);
+  const double chord = size * end.v * sign * lag * sinc(half), left = aside * end.vy * sign * lag * sinc(half);
   const double ahead = chord * std::cos(half), side = left * std::cos(half);
   Motion motion;
   motion.delta << ahead - left * std::sin(half), chord * std::sin(half) + side, heading;
   const Vector3 by_turn(-ahead * heading / 3.0 - 0.5 * side, 0.5 * ahead - side * heading / 3.0, 1.0);
   motion.jacobian.col(TURN_SCALE) = by_turn * (sign * lag * end.omega);
   motion.jacobian.col(TURN_BIAS) = by_turn * (sign * lag);
-  const double c = std::cos(heading), s = std::sin(heading), by_ahead = size * end.by_v, by_side = size * end.by_vy;
+  motion.jacobian.col(SIDEWAYS_SCALE) << -left * std::sin(half) * size / aside, side * size / aside, 0.0;
+  const double c = std::cos(heading), s = std::sin(heading), by_ahead = size * end.by_v;
+  const double by_side = aside * end.by_vy;
   const double by_rate = turn_rate(end.by_omega, end.moves(), calibration);
   motion.jacobian.col(TIME_CONSTANT) << c * by_ahead - s * by_side, s * by_ahead + c * by_side, by_rate;
   motion.jacobian.col(TIME_CONSTANT) *= sign;
@@ -207,6 +219,7 @@ struct Chord {
 Motion commanded(const std::vector<Piece> &pieces, const double *calibration, const double *rates,
                  double straightest, const Tunables &tunables, Vector &by_bend) {
   const double slip = calibration[TURN_SLIP], size = 1.0 + calibration[SPEED_SCALE];
+  const double aside = size * (1.0 + calibration[SIDEWAYS_SCALE]);
   double x = 0.0, y = 0.0, psi = 0.0;
   Motion motion;
   std::vector<Chord> chords;
@@ -217,7 +230,8 @@ Motion commanded(const std::vector<Piece> &pieces, const double *calibration, co
     const double slips = p.v ? std::copysign(spin, ahead) - p.steady * straightest : 0.0;
     const double speed = size * (p.v - slip * slips), half = 0.5 * rate * p.dt;
     const double c = std::cos(psi + half), s = std::sin(psi + half);
-    const double chord = speed * p.dt * sinc(half), left = size * p.vy * p.dt * sinc(half);
+    const double chord = speed * p.dt * sinc(half), left = aside * p.vy * p.dt * sinc(half);
+    motion.jacobian(0, SIDEWAYS_SCALE) -= left * s, motion.jacobian(1, SIDEWAYS_SCALE) += left * c;
     const double dx = chord * c - left * s, dy = chord * s + left * c;
     chords.push_back({x + 0.5 * dx, y + 0.5 * dy, c, s, size * slips});
     x += dx, y += dy, psi += 2.0 * half;
@@ -226,19 +240,29 @@ Motion commanded(const std::vector<Piece> &pieces, const double *calibration, co
     by_bend[bend < tunables.num_bends ? int(bend) : tunables.num_bends - 1] += std::abs(p.v) * p.dt;
   }
   motion.delta << x, y, psi;
+  motion.jacobian.col(SIDEWAYS_SCALE) *= size / aside;
   Matrix3 &cov = motion.covariance;
   Jacobian &j = motion.jacobian;
   for (size_t k = 0; k < pieces.size(); k++) {
     const Piece &p = pieces[k];
     const Chord &q = chords[k];
     const double steady = p.moves() ? p.dt : 0.0, speed = std::hypot(p.v, p.vy), spin = std::abs(p.omega);
-    const double along = steady * (rates[0] + rates[1] * speed + rates[2] * spin) + p.shift;
-    const double across = steady * (rates[3] + rates[4] * speed + rates[5] * spin) + p.shift;
+    double along = steady * (rates[0] + rates[1] * speed + rates[2] * spin) + p.shift;
+    double across = steady * (rates[3] + rates[4] * speed + rates[5] * spin) + p.shift;
     const double heading = steady * (rates[6] + rates[7] * speed + rates[8] * spin) + p.swing;
     const double dx = q.y - y, dy = x - q.x;
     // The direction of the motion is the heading, unless the robot moves sideways.
-    const double c = p.vy ? (q.c * p.v - q.s * p.vy) / speed : q.c;
-    const double s = p.vy ? (q.s * p.v + q.c * p.vy) / speed : q.s;
+    double c = q.c, s = q.s;
+    if (p.vy) {
+      if (rates[3]) {
+        const double own = steady * rates[0], other = steady * rates[3];
+        along -= own, across -= other;
+        cov(0, 0) += c * c * own + s * s * other;
+        cov(0, 1) += c * s * (own - other);
+        cov(1, 1) += s * s * own + c * c * other;
+      }
+      c = (q.c * p.v - q.s * p.vy) / speed, s = (q.s * p.v + q.c * p.vy) / speed;
+    }
     cov(0, 0) += dx * dx * heading + c * c * along + s * s * across;
     cov(0, 1) += dx * dy * heading + c * s * (along - across);
     cov(1, 1) += dy * dy * heading + s * s * along + c * c * across;
@@ -269,9 +293,11 @@ nb::tuple preintegrate(In rows, double begin, double end, In calibration, In rat
   motion = composed(composed(outstanding(first, cal, 1.0), motion), outstanding(last, cal, -1.0));
   const double size = 1.0 + cal[SPEED_SCALE];
   motion.jacobian.block<2, 1>(0, SPEED_SCALE) = motion.delta.head<2>() / size;
+  if (!twists.strafes(end, s.moving_speed, s.sideways_share)) motion.jacobian.col(SIDEWAYS_SCALE).setZero();
+  const double aside = size * (1.0 + cal[SIDEWAYS_SCALE]);
   const double c = std::cos(motion.delta[2]), sn = std::sin(motion.delta[2]);
-  const double v0 = size * first.v, vy0 = size * first.vy, rate0 = turn_rate(first.omega, first.moves(), cal);
-  const double v1 = size * last.v, vy1 = size * last.vy, rate1 = turn_rate(last.omega, last.moves(), cal);
+  const double v0 = size * first.v, vy0 = aside * first.vy, rate0 = turn_rate(first.omega, first.moves(), cal);
+  const double v1 = size * last.v, vy1 = aside * last.vy, rate1 = turn_rate(last.omega, last.moves(), cal);
   motion.jacobian.col(DELAY) << v0 - rate0 * motion.delta[1] - (c * v1 - sn * vy1),
       vy0 + rate0 * motion.delta[0] - (sn * v1 + c * vy1), rate0 - rate1;
   double moving = 0.0;
@@ -289,9 +315,10 @@ nb::tuple preintegrate(In rows, double begin, double end, In calibration, In rat
 void bind_motion(nanobind::module_ &m) {
   using namespace homeward;
   nb::class_<Tunables>(m, "MotionTunables")
-      .def(nb::init<double, double, double, double, double, double, double, double, double, int>(),
+      .def(nb::init<double, double, double, double, double, double, double, double, double, double, double, int>(),
            nb::arg("speed_time"), nb::arg("turn_time"), nb::arg("bridged"), nb::arg("validity"), nb::arg("mean"),
-           nb::arg("steady"), nb::arg("min_steady_speed"), nb::arg("max_lag"), nb::arg("bend"), nb::arg("num_bends"));
+           nb::arg("steady"), nb::arg("min_steady_speed"), nb::arg("moving_speed"), nb::arg("sideways_share"),
+           nb::arg("max_lag"), nb::arg("bend"), nb::arg("num_bends"));
   m.def("preintegrate", &preintegrate, nb::arg("twists").noconvert(), nb::arg("begin"), nb::arg("end"),
         nb::arg("calibration").noconvert(), nb::arg("rates").noconvert(), nb::arg("usual_speed"),
         nb::arg("usual_turn_rate"), nb::arg("straightest"), nb::arg("tunables"));

@@ -60,6 +60,13 @@ def _room(seed: int, **changes: Any) -> Trial:
     return trial(Leg(simulate(_course(seed, **changes))))
 
 
+def _legged(seed: int) -> Trial:
+    """The same path on legs: they sway, slip more, and turn the body meanwhile."""
+    robot = sim.Robot(drive="omni", yaw_rate=0.1, sway=0.1)
+    errors = {"speed_sigma": 0.02, "sideways_sigma": 0.03, "turn_sigma": 0.02}
+    return _room(seed, robot=robot, odometry=sim.OdometryErrors(**errors))
+
+
 def _camera(seed: int, degrees: int) -> Trial:
     landmarks = sim.Ring(count=NARROW[degrees], distance=(2.5, 5.0))
     view = sim.Visibility(probability=0.8, field_of_view=math.radians(degrees))
@@ -235,6 +242,15 @@ def _three_hardships(seed: int) -> Trial:
 
 SCENARIOS = {
     "room": Named("10 m across, all round, all parameters given", _room),
+    "strafing": Named(
+        "the same paths with a constant heading, as with mecanum wheels",
+        lambda s: _room(s, robot=sim.Robot(drive="mecanum")),
+    ),
+    "swerve": Named(
+        "the same paths, the robot turns as it drives",
+        lambda s: _room(s, robot=sim.Robot(drive="omni")),
+    ),
+    "legged": Named("as swerve, on legs that sway, with two to three times the noise", _legged),
     "table": Named("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1)),
     "site": Named("the same drives, 100 m across", lambda s: scaled(_room(s), 10.0)),
     "camera-90": Named("camera of 90 deg", lambda s: _camera(s, 90), 100),

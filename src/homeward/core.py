@@ -10,7 +10,7 @@ import os
 from importlib import import_module
 from types import ModuleType
 
-INTERFACE = 4
+INTERFACE = 5
 """Version of the signatures of the module's functions; cpp/module.cpp has the same number."""
 PURE = "HOMEWARD_PURE"
 """Environment variable that excludes the compiled core, from an installation or at run time."""

@@ -71,9 +71,10 @@ def still(_):
 class Wheels(OdometryIntegrator):
     """Odometry with a history of twists of its own, its noise that of nobody in particular."""
 
-    def __init__(self):
+    def __init__(self, noise=None):
         self.twists = TwistHistory()
-        super().__init__(self.twists, ProcessNoise(OdometryNoise(), OdometryDefaults()))
+        given = noise or OdometryNoise()
+        super().__init__(self.twists, ProcessNoise(given, OdometryDefaults()))
 
     def add(self, t, v, omega, vy=0.0):
         """Take a twist, which may be late."""

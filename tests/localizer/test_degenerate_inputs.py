@@ -215,7 +215,7 @@ def test_parallel_sight_lines_and_an_outlier_place_no_landmark():
 
 def smoother():
     """Return a smoother with one pose."""
-    sigmas = np.array([0.05, 0.003, 0.05, 0.2, 0.2, 0.0])
+    sigmas = np.array([0.05, 0.003, 0.05, 0.2, 0.2, 0.0, 0.0])
     return Smoother(sigmas, np.zeros(NC), np.full(3, 1e-2), CorrelatedErrors(), 0.0)
 
 

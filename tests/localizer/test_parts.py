@@ -282,7 +282,7 @@ def test_a_slip_is_suspected_while_most_is_off():
 
 def test_a_landmark_refused_more_often_than_not_is_to_start_anew():
     landmarks = Landmarks(
-        Smoother(np.ones(6), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
+        Smoother(np.ones(7), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0), 0.06
     )
     landmarks.mapped["a"] = Landmark("a", 0)
     assert not any(landmarks.update_rejections({"a": fit}) for fit in 20 * [False, True])

@@ -15,7 +15,7 @@ from homeward.localizer.motions import NC, TURN_SLIP, Motion, camera_after
 from homeward.localizer.smoothing import bridged
 from homeward.localizer.tunables import MAX_HOME_LANDMARKS
 
-SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.05, 0.001])
+SIGMAS = np.array([0.02, 0.002, 0.02, 0.05, 0.05, 0.001, 0.001])
 MOUNT_SIGMAS = np.array([0.01, 0.02, 0.02])
 POINTS = np.array([[3.0, 1.0], [-1.0, 3.0], [2.0, -2.5]])
 MOUNT = np.array([0.1, 0.0, 0.0])

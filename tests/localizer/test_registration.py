@@ -23,7 +23,7 @@ def test_a_landmark_at_an_unknown_distance_does_not_move_the_frame_of_the_survey
 
     Each step of a solution has a limit, so that it would move the frame until the tag is in place.
     """
-    smoother = Smoother(np.ones(6), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0)
+    smoother = Smoother(np.ones(7), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0)
     landmarks, names = Landmarks(smoother, 0.06), [str(i) for i in range(len(MARKS))]
     for name, place in zip(names, [*MARKS[:4], 2.5 * MARKS[4]], strict=True):
         landmarks.mapped[name] = Landmark(name, smoother.add_landmark(place))

@@ -74,7 +74,7 @@ def test_a_landmark_in_a_wrong_place_moves_no_robot_however_often_it_is_seen():
 
 def mapped():
     """A smoother's state and landmarks, the five of `MARKS`, well known."""
-    smoother = Smoother(np.ones(6), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0)
+    smoother = Smoother(np.ones(7), np.ones(NC), np.ones(3), CorrelatedErrors(), 0.0)
     landmarks = Landmarks(smoother, 0.06)
     for place in MARKS:
         number = smoother.add_landmark(place)

@@ -7,8 +7,17 @@ import pytest
 from rig import Wheels
 
 from homeward import core
+from homeward.drives.settings import OdometryNoise
 from homeward.localizer import kernels
-from homeward.localizer.motions import DELAY, NC, SPEED_SCALE, TIME_CONSTANT, TURN_SCALE, TURN_SLIP
+from homeward.localizer.motions import (
+    DELAY,
+    NC,
+    SIDEWAYS_SCALE,
+    SPEED_SCALE,
+    TIME_CONSTANT,
+    TURN_SCALE,
+    TURN_SLIP,
+)
 
 KERNELS = [
     pytest.param(
@@ -18,8 +27,8 @@ KERNELS = [
     None,
 ]
 NOTHING = np.zeros(NC)
-OTHERS = [i for i in range(NC) if i != TURN_SLIP]
-"""Unknowns of the calibration but slip, which acts on the speed ahead alone."""
+OTHERS = [i for i in range(NC) if i not in (TURN_SLIP, SIDEWAYS_SCALE)]
+"""Unknowns of the calibration but those that act on one axis of the robot alone."""
 
 
 @pytest.fixture(params=KERNELS, ids=["compiled", "numpy"], autouse=True)
@@ -55,6 +64,37 @@ def test_a_motion_off_the_axis_is_that_along_it_but_for_a_rotation(direction, ti
     expected = rotation @ ahead.jacobian[:, OTHERS]
     assert found.jacobian[:, OTHERS] == pytest.approx(expected, abs=1e-12)
     assert (found.path, found.turned) == pytest.approx((ahead.path, ahead.turned))
+
+
+@pytest.mark.parametrize("time_constant", [0.0, 0.2])
+@pytest.mark.parametrize("scale", [0.0, -0.15])
+def test_the_derivative_by_the_sideways_scale_is_that_of_differences(time_constant, scale):
+    calibration = np.full(NC, 0.02)
+    calibration[[DELAY, TIME_CONSTANT, SIDEWAYS_SCALE]] = 0.1, time_constant, scale
+    step = 1e-5 * np.eye(NC)[SIDEWAYS_SCALE]
+    after, before = (driven(0.9, calibration + way * step).delta for way in (1.0, -1.0))
+    found = driven(0.9, calibration).jacobian[:, SIDEWAYS_SCALE]
+    assert found == pytest.approx((after - before) / 2e-5, abs=1e-7)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_jitter_to_and_fro_does_not_open_the_sideways_scale(speed):
+    wheels = Wheels()
+    wheels.restart(0.0)
+    for k in range(60):
+        wheels.add(k / 50, speed, 0.3, 0.1 * math.sin(0.25 * k))
+    assert not wheels.motion(1.15, NOTHING).jacobian[:, SIDEWAYS_SCALE].any()
+
+
+def test_sideways_noise_is_along_the_axis_of_the_robot():
+    noise = OdometryNoise(speed_sigma=0.02, sideways_sigma=0.06, turn_sigma=0.0)
+    ahead, side, both = (Wheels(noise) for _ in range(3))
+    for wheels, twist in ((ahead, (0.5, 0.0)), (side, (0.0, 0.5)), (both, (0.3, 0.3))):
+        wheels.restart(0.0)
+        wheels.add(0.0, twist[0], 0.0, twist[1])
+    found = [w.motion(0.4, NOTHING).covariance[:2, :2] for w in (ahead, side, both)]
+    for covariance in found:  # in the robot's axes, in whatever direction it drives
+        assert covariance == pytest.approx(np.diag([0.4 * 0.02**2, 0.4 * 0.06**2]))
 
 
 def test_a_square_without_turning_ends_where_it_began():

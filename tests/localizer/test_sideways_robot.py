@@ -30,8 +30,10 @@ def drive_along(sample, turn):
         update={
             "sensor": Sensor(bearing_sigma=camera.bearing_sigma, **place),
             "home_sensor": Mount(**place),
-            # Slip acts on the speed ahead alone, and noise is learnt along the axes.
-            "odometry": OdometryNoise(turn_slip_sigma=0.0, speed_sigma=0.02, turn_sigma=0.02),
+            # Slip and the sideways scale act on one axis alone, and noise is learnt along the axes.
+            "odometry": OdometryNoise(
+                turn_slip_sigma=0.0, sideways_scale_sigma=0.0, speed_sigma=0.02, turn_sigma=0.02
+            ),
             "start": None,
         }
     )

@@ -84,6 +84,10 @@ class OdometryNoise(Strict):
     """True speed over that of the odometry [1]."""
     speed_scale_sigma: NonNegative | None = None
     """Constant relative error of the speed [1]."""
+    sideways_scale: Scale | None = None
+    """True sideways speed over that of the odometry times `speed_scale` [1]."""
+    sideways_scale_sigma: NonNegative | None = None
+    """Constant relative error of the sideways speed, beyond that of the speed [1]."""
     turn_scale: Scale | None = None
     """True yaw rate over that of the odometry [1]."""
     turn_scale_sigma: NonNegative | None = None
@@ -98,6 +102,8 @@ class OdometryNoise(Strict):
     """Constant error of `turn_slip` [m]; None: 0 if `speed_scale_sigma` is given, else unknown."""
     speed_sigma: NonNegative | None = None
     """Density of the speed's white noise [m/s/sqrt(Hz)]."""
+    sideways_sigma: NonNegative | None = None
+    """The same of the sideways speed; None: the speed's, along the direction of motion."""
     turn_sigma: NonNegative | None = None
     """Density of the yaw rate's white noise [rad/s/sqrt(Hz)]."""
     time_constant: NonNegative | None = None
@@ -111,9 +117,8 @@ class OdometryNoise(Strict):
     @property
     def corrections(self) -> dict[str, float]:
         """The given corrections by key."""
-        return self.model_dump(
-            include={"speed_scale", "turn_scale", "turn_bias", "turn_slip"}, exclude_none=True
-        )
+        keys = {"speed_scale", "sideways_scale", "turn_scale", "turn_bias", "turn_slip"}
+        return self.model_dump(include=keys, exclude_none=True)
 
     def corrected(self, v: Number, omega: Number, vy: Number) -> tuple[Number, Number, Number]:
         """Return `v` [m/s], `omega` [rad/s], `vy` [m/s], numbers or (n,), with the corrections."""
@@ -121,7 +126,7 @@ class OdometryNoise(Strict):
         scale = self.speed_scale or 1.0
         speed, rate = scale * v, (self.turn_scale or 1.0) * omega + bias
         lost = np.minimum((self.turn_slip or 0.0) * np.abs(rate), np.abs(speed))
-        return speed - np.copysign(lost, speed), rate, scale * vy
+        return speed - np.copysign(lost, speed), rate, (self.sideways_scale or 1.0) * scale * vy
 
     @property
     def lag(self) -> tuple[float, float] | None:
@@ -380,6 +385,8 @@ class OdometryDefaults(Strict):
     """Constant error of the yaw rate while the robot moves [rad/s]."""
     turn_slip: Positive = 0.05
     """Slip in bends, the speed lost per yaw rate [m]; see `OdometryNoise.turn_slip_sigma`."""
+    sideways_scale: Positive = 0.2
+    """Constant relative error of the sideways speed, beyond that of the speed [1]: rollers slip."""
     speed_scale: Positive = 0.03
     """Constant relative error of the speed [1]; not observable from bearings."""
 
@@ -399,4 +406,5 @@ def noise_rates(given: OdometryNoise, default: OdometryDefaults) -> np.ndarray:
         rates[2, 1:] = default.turn_by_driving**2, default.turn_by_turning**2
     else:
         rates[2, 0] = given.turn_sigma**2
+    rates[1, 0] = (given.sideways_sigma or 0.0) ** 2
     return rates

@@ -30,6 +30,8 @@ class KnownInputs(TypedDict, total=False):
     """White noise of the odometry's speed [m/s/sqrt(Hz)]."""
     turn_sigma: Required[float]
     """White noise of the odometry's turn rate [rad/s/sqrt(Hz)]."""
+    sideways_sigma: float | None
+    """The same of the speed to the left; None: the robot never moves sideways."""
     moved: np.ndarray | None
     """(q,), bool, landmarks known to have moved, whose home bearings are not used; default none."""
     start_covariance: np.ndarray | None
@@ -93,6 +95,7 @@ class RunningBound:
     def __init__(self, landmarks: np.ndarray, **known: Unpack[KnownInputs]) -> None:
         self.bearing_sigma, self.mount = known["bearing_sigma"], known.get("mount", CENTRE)
         self._sigmas = known["speed_sigma"], known["turn_sigma"]
+        self._sideways_sigma = known.get("sideways_sigma")
         moved, start = known.get("moved"), known.get("start_covariance")
         right = np.ones(len(landmarks), bool) if moved is None else ~moved
         jacobian = _bearing_jacobians(np.zeros((1, 3)), landmarks, self.mount)[0, right]
@@ -110,10 +113,18 @@ class RunningBound:
         back = np.eye(len(self.information))
         back[:3, :3] = lever(before - after)
         carried = back.T @ self.information @ back
-        noise = np.zeros((len(self.information), 2))
-        noise[:3] = odometry_noise(before[2] + 0.5 * twist[1] * dt, twist[0], dt, self._sigmas)
+        heading, sideways = before[2] + 0.5 * twist[1] * dt, self._sideways_sigma
+        root = odometry_noise(heading, twist[0], dt, self._sigmas)
+        if sideways is not None:
+            x, y = 0.5 * (after - before)[:2]
+            root[:2, 1] = self._sigmas[1] * np.sqrt(dt) * np.array([-y, x])
+            left = sideways * np.sqrt(dt) * np.array([-np.sin(heading), np.cos(heading), 0.0])
+            root = np.column_stack([root, left])
+        noise = np.zeros((len(self.information), root.shape[1]))
+        noise[:3] = root
         pulled = carried @ noise
-        left = carried - pulled @ np.linalg.solve(np.eye(2) + noise.T @ pulled, pulled.T)
+        unit = np.eye(root.shape[1])
+        left = carried - pulled @ np.linalg.solve(unit + noise.T @ pulled, pulled.T)
         self.information = 0.5 * (left + left.T)  # asymmetry would grow at each step
 
     def see(self, pose: np.ndarray, landmarks: np.ndarray, visible: np.ndarray) -> None:

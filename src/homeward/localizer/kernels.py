@@ -39,6 +39,7 @@ from homeward.localizer.tunables import (
     MAX_SOLVE_STEPS,
     MEAN_S,
     MIN_BEARING_SIGMA,
+    MIN_SIDEWAYS_SHARE,
     MIN_STEADY_SPEED,
     MINIMAL,
     NEGLIGIBLE_CALIBRATION,
@@ -51,7 +52,7 @@ from homeward.localizer.tunables import (
     VAGUE,
     VARIANCE_ROUNDING,
 )
-from homeward.odometry.history import STEADY_S
+from homeward.odometry.history import MOVING_SPEED, STEADY_S
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
@@ -66,6 +67,8 @@ def _motion_tunables(build: Callable[..., Any]) -> Any:
         mean=MEAN_S,
         steady=STEADY_S,
         min_steady_speed=MIN_STEADY_SPEED,
+        moving_speed=MOVING_SPEED,
+        sideways_share=MIN_SIDEWAYS_SHARE,
         max_lag=MAX_LAG_S,
         bend=BEND,
         num_bends=NUM_BENDS,

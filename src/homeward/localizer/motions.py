@@ -2,7 +2,8 @@
 
 The calibration is one vector (`CALIBRATION`), constant but for a slow drift; the reference of
 preintegration explains each unknown of odometry. All speeds are ``1 + speed_scale`` times as large,
-which only known landmarks make observable; the camera is turned by ``camera_yaw`` and shifted by
+which only known landmarks make observable, and that to the left another ``1 + sideways_scale``
+times; the camera is turned by ``camera_yaw`` and shifted by
 ``camera_x`` and ``camera_y`` from its given pose.
 """
 
@@ -24,9 +25,10 @@ ODOMETRY_CALIBRATION = (
     "delay",
     "time_constant",
     "speed_scale",
+    "sideways_scale",
 )
 CALIBRATION = (*ODOMETRY_CALIBRATION, "camera_yaw", "camera_x", "camera_y")
-"""Unknowns of odometry and camera: [1], [rad/s], [m], [s], [s], [1], [rad], [m], [m]."""
+"""Unknowns of odometry and camera: [1], [rad/s], [m], [s], [s], [1], [1], [rad], [m], [m]."""
 NC = len(CALIBRATION)
 HEAD = 3 + NC
 """Length of the state before the landmarks: newest pose and calibration."""
@@ -37,13 +39,14 @@ HEAD = 3 + NC
     DELAY,
     TIME_CONSTANT,
     SPEED_SCALE,
+    SIDEWAYS_SCALE,
     CAMERA_YAW,
     CAMERA_X,
     CAMERA_Y,
 ) = range(NC)
 MOUNT = slice(CAMERA_YAW, CAMERA_Y + 1)
 CAMERA_JACOBIAN = np.eye(NC)[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
-"""(3, 9): Jacobian of the camera's pose on the robot by the calibration."""
+"""(3, 10): Jacobian of the camera's pose on the robot by the calibration."""
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,13 @@ class Motion:
     covariance: np.ndarray
     """(3, 3): of `delta`, by white noise alone."""
     jacobian: np.ndarray
-    """(3, 9): of `delta` by the calibration."""
+    """(3, 10): of `delta` by the calibration."""
     path: float = 0.0
     """Length driven [m]."""
     turned: float = 0.0
     """Sum of the sizes of all turns [rad]."""
     calibration: np.ndarray = field(default_factory=lambda: np.zeros(NC))
-    """(9,): linearisation point."""
+    """(10,): linearisation point."""
     is_odometry: bool = False
     """Whether it is from twists alone, and so can be integrated again."""
 

@@ -358,6 +358,8 @@ MIN_RANGE_SIGMA, MAX_RANGE_SIGMA = 0.005, 1.0
 """Bounds on the relative standard deviation of a range: no detector of tags is better [1]."""
 MIN_STEADY_SPEED = 1e-9
 """Mean speeds below it are zero but for rounding, which has no direction [m/s]."""
+MIN_SIDEWAYS_SHARE = 0.1
+"""Smallest mean speed sideways of a robot that strafes, as a share of that ahead [1]."""
 MIN_CALIBRATION_SIGMA = 1e-6
 """Smallest prior standard deviation of the odometry's calibration."""
 NEGLIGIBLE_CALIBRATION = 1e-4

@@ -25,6 +25,7 @@ from homeward.localizer.motions import (
     CAMERA_YAW,
     DELAY,
     NC,
+    SIDEWAYS_SCALE,
     SPEED_SCALE,
     TIME_CONSTANT,
     TURN_BIAS,
@@ -60,6 +61,7 @@ ASSUMED = {
     "odometry.turn_scale": DEFAULT.turn_scale,
     "odometry.turn_bias": DEFAULT.turn_bias,
     "odometry.turn_slip": DEFAULT.turn_slip,
+    "odometry.sideways_scale": DEFAULT.sideways_scale,
     LATE: LocalizerSettings().delay_sigma,
     LAG: LocalizerSettings().time_constant_sigma,
     "sensor.x": math.inf,
@@ -68,7 +70,7 @@ ASSUMED = {
 }
 """Keys of the calibration, and the standard deviations that are assumed without an estimate."""
 STATES = (
-    *(SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, DELAY, TIME_CONSTANT),
+    *(SPEED_SCALE, TURN_SCALE, TURN_BIAS, TURN_SLIP, SIDEWAYS_SCALE, DELAY, TIME_CONSTANT),
     *(CAMERA_X, CAMERA_Y, CAMERA_YAW),
 )
 """The state of the localiser for each of them."""
@@ -91,7 +93,8 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
     """Return the estimates of a drive that an uncalibrated localiser has processed.
 
     Those from ground truth replace those from the map. The scale of the speed needs ground truth, a
-    survey, measured distances, or ranges of a known scale; camera extrinsics are estimated where
+    survey, measured distances, or ranges of a known scale; that of the sideways speed, relative to
+    it, is from the map of a robot that strafes; camera extrinsics are estimated where
     they are not given and the bearings contradict zero.
     """
     found = _from_map(localizer)

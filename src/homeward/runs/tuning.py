@@ -58,9 +58,16 @@ class Noise(NamedTuple):
     """[m/s/sqrt(Hz)]"""
     turn_sigma: float
     """[rad/s/sqrt(Hz)]"""
+    sideways_sigma: float
+    """[m/s/sqrt(Hz)], of robots that strafe."""
 
 
-NOISE_KEYS = "sensor.bearing_sigma", "odometry.speed_sigma", "odometry.turn_sigma"
+NOISE_KEYS = (
+    "sensor.bearing_sigma",
+    "odometry.speed_sigma",
+    "odometry.turn_sigma",
+    "odometry.sideways_sigma",
+)
 """Keys of `Noise`."""
 
 
@@ -104,7 +111,9 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     halves = [_halves(drive) for drive in drives]
     first, held_out = [a for a, _ in halves], [b for _, b in halves]
     has_bearing_noise = any(np.isnan(drive.sightings.sigma).any() for drive in first)
-    fields = Noise._fields[0 if has_bearing_noise else 1 :]
+    strafes = any(drive.odometry.strafes for drive in drives)
+    used = slice(0 if has_bearing_noise else 1, 4 if strafes else 3)
+    fields = Noise._fields[used]
     num_steps = 2 * len(fields) * len(FACTORS) + 6
     done = 0
 
@@ -120,9 +129,8 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
     parts = [e for _, e in begun]
 
     def settings(found: Sequence[Estimates]) -> RobotSettings:
-        sigmas = dict(zip(NOISE_KEYS, (float(f"{sigma:.3g}") for sigma in noise), strict=True))
-        for key in NOISE_KEYS[: 0 if has_bearing_noise else 1]:
-            del sigmas[key]
+        values = (float(f"{sigma:.3g}") for sigma in list(noise)[used])
+        sigmas = dict(zip(NOISE_KEYS[used], values, strict=True))
         keys = {**shared, **sigmas, **as_keys(combined(found, parts))}
         return validated(RobotSettings, nested({k: v for k, v in keys.items() if v is not None}))
 
@@ -254,7 +262,7 @@ def _identified(drive: Drive) -> tuple[Noise, Estimates]:
             f"{drive.name}: in its first half the robot moves too little to estimate the odometry"
             " noise; use a log with more motion"
         )
-    return Noise(known.bearing_sigma, math.sqrt(along), math.sqrt(heading)), found
+    return Noise(known.bearing_sigma, math.sqrt(along), math.sqrt(heading), math.sqrt(along)), found
 
 
 def _search(

@@ -9,10 +9,11 @@ import pytest
 from homeward.errors import InputError
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, advance, from_polar, to_polar
+from homeward.geometry.frames import Pose, Twist, advance, compose, from_polar, to_polar
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.simulate import load_scenario, prepare, simulate
 from homeward.lab.simulation.trajectories import SEARCH_RADIUS
+from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.registry import make_estimator
 
 SHORT = {"trajectory.duration": 10.0}
@@ -304,3 +305,32 @@ def test_progress_grows_to_no_more_than_one():
     assert told == sorted(told)
     assert len(told) > 2
     assert 0 <= told[0] <= told[-1] <= 1
+
+
+@pytest.mark.parametrize("kind", ["mecanum", "omni"])
+def test_a_robot_that_moves_sideways_drives_the_same_path_with_another_heading(kind):
+    changes = SILENT | {"trajectory.duration": 60.0}
+    ahead = simulate(load_scenario("warehouse", changes)).drive
+    drive = simulate(load_scenario("warehouse", changes | {"robot.drive": kind})).drive
+    assert drive.odometry.strafes
+    assert not ahead.odometry.moves_sideways
+    shared = min(drive.truth.t.size, ahead.truth.t.size)
+    off = np.hypot(
+        drive.truth.x[:shared] - ahead.truth.x[:shared],
+        drive.truth.y[:shared] - ahead.truth.y[:shared],
+    )
+    assert off.max() < 0.05
+    turned = np.unwrap(drive.truth.heading)
+    rate = 0.2 if kind == "omni" else 0.0
+    assert turned == pytest.approx(turned[0] + rate * drive.truth.t, abs=1e-3)
+    reckoned = dead_reckoning(drive.odometry, drive.truth.t)
+    start = Pose(drive.truth.x[0], drive.truth.y[0], drive.truth.heading[0])
+    x, y, _ = compose(start, reckoned)
+    assert np.hypot(x - drive.truth.x, y - drive.truth.y).max() < 0.02
+
+
+def test_sway_and_sideways_errors_are_those_of_the_scenario():
+    changes = SILENT | SHORT | {"robot.sway": 0.1, "odometry.sideways_scale": -0.5}
+    odometry = simulate(load_scenario("warehouse", changes)).drive.odometry
+    assert np.abs(odometry.vy).max() == pytest.approx(0.05, abs=1e-3)
+    assert not odometry.strafes

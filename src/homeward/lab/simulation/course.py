@@ -14,7 +14,7 @@ import numpy as np
 from homeward.control.goals import Belief
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
-from homeward.estimator import Estimate, Estimator
+from homeward.estimator import Estimate, Estimator, add_twist
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import (
     Polar,
@@ -26,7 +26,7 @@ from homeward.geometry.frames import (
     from_polar,
     to_polar,
 )
-from homeward.lab.simulation.scenario import Course, OdometryErrors, Repeat, Scenario
+from homeward.lab.simulation.scenario import Course, OdometryErrors, Repeat, Robot, Scenario
 from homeward.lab.simulation.trajectories import exact, make_control
 from homeward.lab.simulation.world import Stream, World, generator, in_view, quantise
 
@@ -40,6 +40,16 @@ class Wheels:
         self._speed_scale, self._turn_scale, self._turn_bias = _constant_errors(errors, constants)
         self._sigmas = errors.speed_sigma * root, errors.turn_sigma * root
         self._noise = generator(scenario, Stream.ODOMETRY)
+        sideways, scale = errors.sideways_sigma, errors.sideways_scale
+        self._sideways_sigma = self._sigmas[0] if sideways is None else sideways * root
+        if scale is None:
+            scale = (errors.sideways_scale_sigma or 0.0) * float(constants.standard_normal())
+        self._sideways_scale = (1.0 + self._speed_scale) * (1.0 + scale)
+
+    def measure_sideways(self, vy: float) -> float:
+        """Return the measured speed to the left of a robot that moves sideways [m/s]."""
+        white = float(self._noise.standard_normal())
+        return quantise(self._sideways_scale * vy + self._sideways_sigma * white, 4)
 
     def measure(self, twist: Twist) -> Twist:
         """Return the measured twist, rounded as in a log."""
@@ -61,6 +71,36 @@ def _constant_errors(
         for value, sigma, draw in zip(given, sigmas, draws, strict=True)
     )
     return speed_scale, turn_scale, turn_bias
+
+
+SWAY_HZ = 2.0
+"""Frequency of the sway of legs [Hz]."""
+
+
+class Chassis:
+    """Twist of a robot that drives a path with any heading."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot, self._off = robot, 0.0
+        self.is_holonomic = robot.drive != "differential" or robot.sway > 0.0
+        """Whether the robot moves sideways."""
+
+    def ahead(self, belief: Belief) -> Belief:
+        """Return the belief of a robot that looks where it drives."""
+        pose = belief.pose
+        if pose is None or not self._off:
+            return belief
+        return belief._replace(pose=pose._replace(heading=pose.heading - self._off))
+
+    def driven(self, t: float, twist: Twist, dt: float) -> tuple[Twist, float]:
+        """Return the twist, and the speed to the left [m/s], for `dt` [s] of a twist ahead."""
+        robot, off = self._robot, self._off
+        sway = robot.sway * math.cos(math.tau * SWAY_HZ * t) if twist.v else 0.0
+        if robot.drive == "differential":
+            return twist, sway
+        omega = robot.yaw_rate if robot.drive == "omni" else 0.0
+        self._off += (omega - twist.omega) * dt
+        return Twist(twist.v * math.cos(off), omega), sway - twist.v * math.sin(off)
 
 
 class Camera:
@@ -139,7 +179,7 @@ class Log:
 
     def __init__(self, estimator: Estimator | None, yaw: float = 0.0) -> None:
         self._estimator, self._yaw = estimator, yaw
-        self._odometry: list[tuple[float, float, float]] = []
+        self._odometry: list[tuple[float, float, float, float]] = []
         self._sightings: list[tuple[float, str, float, float]] = []
         self._truth: list[tuple[float, float, float, float]] = []
         self.estimates: list[Estimate] = []
@@ -156,11 +196,11 @@ class Log:
         estimate = self._estimator.estimate(t)
         return Belief(estimate.status, estimate.pose, estimate.covariance, self.seen)
 
-    def odometry(self, t: float, twist: Twist) -> None:
-        """Log a measured twist."""
-        self._odometry.append((t, twist.v, twist.omega))
+    def odometry(self, t: float, twist: Twist, vy: float = 0.0) -> None:
+        """Log a measured twist, and the speed to the left [m/s]."""
+        self._odometry.append((t, twist.v, twist.omega, vy))
         if self._estimator is not None:
-            self._estimator.odometry(t, twist.v, twist.omega)
+            add_twist(self._estimator, t, twist.v, twist.omega, vy)
 
     def bearings(
         self, t: float, seen: Mapping[str, float], sigmas: Mapping[str, float] | None = None
@@ -243,23 +283,29 @@ def drive_course(
     bearing-only laws. `progress` receives the fraction of the maximum duration, in [0, 1].
     """
     pose = course.start.in_home_frame(course.home.pose)
-    control, wheels = make_control(course, pose, home), Wheels(course)
+    control, wheels, chassis = (
+        make_control(course, pose, home),
+        Wheels(course),
+        Chassis(course.robot),
+    )
     odometry, bearings, truth = stamps(course)
     push = course.trajectory.push if isinstance(course.trajectory, Repeat) else None
     for step, (t, until) in enumerate(zip_longest(odometry, odometry[1:])):
         if progress is not None and step % STEPS_PER_REPORT == 0:
             progress(t / course.trajectory.duration)
-        twist = control.twist(t, log.believed(t, pose))
-        if twist is None or until is None:
+        wanted = control.twist(t, chassis.ahead(log.believed(t, pose)))
+        if wanted is None or until is None:
             break
-        log.odometry(t, wheels.measure(twist))
+        twist, vy = chassis.driven(t, wanted, until - t)
+        measured = wheels.measure(twist)
+        log.odometry(t, measured, wheels.measure_sideways(vy) if chassis.is_holonomic else 0.0)
         for stamp in within(bearings, t, until):
-            there = advance(pose, twist, stamp - t)
+            there = advance(pose, twist, stamp - t, vy)
             look(stamp, there)
             log.face(stamp, there)
         for stamp in within(truth, t, until):
-            log.truth(stamp, advance(pose, twist, stamp - t))
-        pose = advance(pose, twist, until - t)
+            log.truth(stamp, advance(pose, twist, stamp - t, vy))
+        pose = advance(pose, twist, until - t, vy)
         if push is not None and t <= push.at < until:
             pose = compose(pose, Pose(push.x, push.y, push.turn))
     # Every drive ends at rest, with a last sample of odometry and ground truth.
@@ -267,7 +313,7 @@ def drive_course(
     log.truth(t, pose)
     log.failure = control.gave_up
     ended = Ending.GAVE_UP if control.gave_up else Ending.DONE
-    return ended if twist is None else Ending.TIME_UP, pose
+    return ended if wanted is None else Ending.TIME_UP, pose
 
 
 def before(
@@ -281,6 +327,11 @@ def before(
     Its settings contain the sigmas of the drawn errors, not the errors. `bearing_sigma` (None where
     unknown) and `field_of_view` are those of the camera [rad].
     """
+    errors = course.odometry.model_dump(exclude_none=True)
+    sigmas = {key: sigma for key, sigma in errors.items() if key.endswith("_sigma")}
+    if Chassis(course.robot).is_holonomic:
+        same = {"sideways_sigma": course.odometry.speed_sigma, "sideways_scale_sigma": 0.0}
+        sigmas = same | sigmas
     return Drive(
         name=course.name,
         odometry=Odometry(*np.empty((3, 0))),
@@ -293,9 +344,7 @@ def before(
                 field_of_view=field_of_view,
             ),
             home_sensor=course.home_sensor,
-            odometry=OdometryNoise(
-                **{k: s for k, s in course.odometry.model_dump().items() if k.endswith("_sigma")}
-            ),
+            odometry=OdometryNoise(**sigmas),
             start=_draw_prior(course) if course.start.prior else None,
         ),
     )

@@ -184,9 +184,14 @@ class OdometryErrors(Strict):
     """Of the constant relative error of the yaw rate, which is drawn unless given."""
     turn_bias_sigma: NonNegative = 0.0
     """Of the constant error of the yaw rate, which is drawn unless given [rad/s]."""
+    sideways_sigma: NonNegative | None = None
+    """As `speed_sigma`, of the speed to the left of a robot that moves sideways; None: the same."""
+    sideways_scale_sigma: NonNegative | None = None
+    """Of the constant relative error of that speed, in addition to that of the speed; None: 0."""
     speed_scale: Finite | None = None
     turn_scale: Finite | None = None
     turn_bias: Finite | None = None
+    sideways_scale: Finite | None = None
 
 
 class StartPose(Strict):
@@ -327,6 +332,18 @@ class Repeat(Trajectory):
     """Interval in which an obstacle is reported [s]."""
 
 
+class Robot(Strict):
+    """The robot's chassis. One that moves sideways drives the same path with another heading."""
+
+    drive: Literal["differential", "mecanum", "omni"] = "differential"
+    """With differential drive the robot looks where it drives; with mecanum wheels it keeps its
+    first heading, so that it strafes; with omni wheels or a swerve drive it turns as it drives."""
+    yaw_rate: Finite = 0.2
+    """Yaw rate of a robot with omni wheels as it drives [rad/s]."""
+    sway: NonNegative = 0.0
+    """Amplitude of a sideways speed to and fro twice a second, as of legs [m/s]."""
+
+
 class Course(Strict):
     """Settings of every simulated drive, independent of the camera model."""
 
@@ -334,6 +351,7 @@ class Course(Strict):
     seed: Annotated[int, Field(ge=0)] = 0
     home: RoomPose = RoomPose()
     rates: Rates = Rates()
+    robot: Robot = Robot()
     odometry: OdometryErrors = OdometryErrors()
     sensor: Mount = Mount()
     home_sensor: Mount | None = None

@@ -69,7 +69,7 @@ class HomeObservation:
         self.mount, self.same_camera = self._estimated_mount(calibration), False
 
     def _estimated_mount(self, calibration: np.ndarray) -> np.ndarray:
-        """Return the camera's pose on the robot at home, (3,), from a calibration (9,)."""
+        """Return the camera's pose on the robot at home, (3,), from a calibration (10,)."""
         off = calibration[[CAMERA_X, CAMERA_Y, CAMERA_YAW]]
         return self.mount + off if self.same_camera else self.mount
 
@@ -95,7 +95,7 @@ class HomeObservation:
     def mounts(self, calibration: np.ndarray) -> dict[str, np.ndarray]:
         """Return the poses (3,) of the cameras of home bearings on the robot, by landmark.
 
-        They are estimates from a calibration (9,), since `sensor` may be assumed or inaccurate.
+        They are estimates from a calibration (10,), since `sensor` may be assumed or inaccurate.
         """
         cameras = {n: self._drive.in_first(b.camera) for n, b in self.bearings.items()}
         first = self._estimated_mount(calibration)

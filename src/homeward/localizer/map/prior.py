@@ -60,8 +60,8 @@ class Prior:
     def replace(self, eliminated: Elimination, at: np.ndarray, drift: np.ndarray) -> Conditional:
         """Replace it by an elimination, linearised at `at`.
 
-        The calibration drifts meanwhile by variances (9,): the old one is marginalised, and the new
-        one takes its place. Return the conditional of the old one.
+        The calibration drifts meanwhile by variances (10,): the old one is marginalised, and the
+        new one takes its place. Return the conditional of the old one.
         """
         c = slice(3, HEAD)
         inverse = np.diag(1.0 / (drift + 1e-16))

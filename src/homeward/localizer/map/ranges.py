@@ -72,7 +72,7 @@ def range_residuals(
     """Return residuals of ranges (m,), and the Jacobian of the expected ones (m, 13).
 
     `rows` (m, COLUMNS) are of the table of sightings, `cameras` the camera's poses (m, 3) and
-    Jacobians (m, 3, 12) (`Frames.eyes`), `positions` (m, 2) of the landmarks [m]; `scale` is the
+    Jacobians (m, 3, 13) (`Frames.eyes`), `positions` (m, 2) of the landmarks [m]; `scale` is the
     logarithm of the scale of ranges, and `ratio` its derivative by the speed scale (`ScaleErrors`).
     A residual is the logarithm of the measured over the expected range; the Jacobian is by
     keyframe's pose, calibration and landmark.

@@ -54,7 +54,7 @@ class Frames:
 
     @property
     def jacobians(self) -> np.ndarray:
-        """(f, 3, 9): ... and its Jacobian by the calibration."""
+        """(f, 3, 10): ... and its Jacobian by the calibration."""
         return self._columns[3].rows
 
     @property
@@ -67,7 +67,7 @@ class Frames:
     ) -> np.ndarray:
         """Add a frame; return its rows in the table of sightings (m, COLUMNS).
 
-        `free` (3,) and `jacobian` (3, 9) are as in the table. Landmarks are still open (-1).
+        `free` (3,) and `jacobian` (3, 10) are as in the table. Landmarks are still open (-1).
         """
         rows = np.empty((len(frame.names), COLUMNS))
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
@@ -121,7 +121,7 @@ class Frames:
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 12).
 
-        From keyframe poses (f, 3) or (3,) and the present calibration (9,); Jacobians are by both.
+        From keyframe poses (f, 3) or (3,) and the present calibration (10,); Jacobians are by both.
         """
         return cameras(self.free, self.jacobians, poses, calibration)
 

@@ -102,8 +102,8 @@ class Closed(NamedTuple):
 class Smoother:
     """Keyframes, calibration and landmarks, and the factors between them.
 
-    Prior standard deviations, around zero: `odometry_sigmas` (6,) of the odometry's calibration,
-    `mount_sigmas` (3,) of the extrinsics. `drift` (9,) are the variances by which the calibration
+    Prior standard deviations, around zero: `odometry_sigmas` (7,) of the odometry's calibration,
+    `mount_sigmas` (3,) of the extrinsics. `drift` (10,) are the variances by which the calibration
     drifts, per second; `lasting` is the present model of time-correlated bearing errors, and `t`
     the time of the first keyframe, the origin [s].
     """
@@ -245,13 +245,13 @@ class Smoother:
         return np.asarray(self.ids.searchsorted(ids))
 
     def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 12)."""
+        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 13)."""
         return self._cameras(rows, self.poses, self.state.calibration)
 
     def _cameras(
         self, rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same at poses (w, 3) of the keyframes and a calibration (9,)."""
+        """Return the same at poses (w, 3) of the keyframes and a calibration (10,)."""
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
         some = self.frames.since(begin)

@@ -27,12 +27,12 @@ class Marginal:
 
     @cached_property
     def calibration(self) -> np.ndarray:
-        """(9,): calibration of odometry and camera."""
+        """(10,): calibration of odometry and camera."""
         return self.mean[3:HEAD]
 
     @property
     def calibration_variances(self) -> np.ndarray:
-        """(9,): its variances."""
+        """(10,): its variances."""
         return self.covariance.diagonal()[3:HEAD]
 
     @cached_property

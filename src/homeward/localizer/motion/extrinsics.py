@@ -69,7 +69,7 @@ class Extrinsics:
         return bool(self._not_given.any()) and not self.contradicted
 
     def estimate(self, calibration: np.ndarray) -> Pose | None:
-        """Return the camera's pose on the robot by a calibration (9,); None if as assumed."""
+        """Return the camera's pose on the robot by a calibration (10,); None if as assumed."""
         off = calibration[MOUNT]
         if not self.contradicted or (np.abs(off) < self._tolerance).all():
             return None
@@ -87,7 +87,7 @@ class Extrinsics:
         return {name: round(values[name], 2) + 0.0 for name in values if name not in given}  # no -0
 
     def notes(self, calibration: np.ndarray) -> tuple[str, ...]:
-        """Return notes for the user, `calibration` (9,) being the present one."""
+        """Return notes for the user, `calibration` (10,) being the present one."""
         learnt = self.learnt(calibration)
         turned: tuple[str, ...] = ()
         if self._turned_by:
@@ -117,7 +117,7 @@ class Extrinsics:
     def is_turn_open(self, variances: np.ndarray) -> bool:
         """Return whether a camera that was turned has a yaw less certain than a usual one.
 
-        `variances` (9,) are of the calibration.
+        `variances` (10,) are of the calibration.
         """
         return bool(self._turned_by) and variances[CAMERA_YAW] > self._usual**2
 
@@ -125,8 +125,8 @@ class Extrinsics:
         """Test the assumed values against the map; return whether it contradicts them now.
 
         If so, they are free from now on. The information of the prior is known, and so what the map
-        alone would estimate follows from its posterior: mean and variances (9,) in the map. `scale`
-        is the median distance of the landmarks [m].
+        alone would estimate follows from its posterior: mean and variances (10,) in the map.
+        `scale` is the median distance of the landmarks [m].
         """
         if not self.is_assumed:
             return False

@@ -39,13 +39,17 @@ from homeward.odometry.history import TwistHistory
 def calibration_sigmas(
     drive: DriveSettings, settings: LocalizerSettings, speed_scale: float
 ) -> np.ndarray:
-    """Return the prior standard deviations of the odometry's calibration, shape (6,).
+    """Return the prior standard deviations of the odometry's calibration, shape (7,).
 
     That of the speed's scale is `speed_scale`; it is zero unless something observes the scale, such
     as a survey: bearings do not.
     """
     given, default = drive.odometry, settings.odometry
-    scale, bias = given.turn_scale_sigma, given.turn_bias_sigma
+    scale, bias, sideways = (
+        given.turn_scale_sigma,
+        given.turn_bias_sigma,
+        given.sideways_scale_sigma,
+    )
     return np.array(
         [
             default.turn_scale if scale is None else scale,
@@ -54,6 +58,7 @@ def calibration_sigmas(
             settings.delay_sigma if given.delay_sigma is None else given.delay_sigma,
             settings.time_constant_sigma,
             speed_scale,
+            default.sideways_scale if sideways is None else sideways,
         ]
     )
 
@@ -62,7 +67,7 @@ def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
     """Return whether a map shows that the robot follows its odometry as a first-order lag.
 
     The time constant is fixed at zero until then. The information of that prior is known, and so
-    what the map alone would estimate follows from its posterior, mean and variances (9,) with the
+    what the map alone would estimate follows from its posterior, mean and variances (10,) with the
     prior of `FIXED_TIME_CONSTANT_S`. A filter also takes noise from the motions between keyframes,
     so the noise of measured twists looks like a time constant: of up to half the averaging time of
     a twist, or more if a negative delay makes up for it. So the lower bound of the estimate must
@@ -78,7 +83,7 @@ def shows_lag(calibration: np.ndarray, variances: np.ndarray) -> bool:
 
 
 def lag_notes(calibration: np.ndarray) -> tuple[str, ...]:
-    """Return notes for the user on the lag in a calibration (9,), if it is notable.
+    """Return notes for the user on the lag in a calibration (10,), if it is notable.
 
     A robot with a time constant moves that much later than its command, in the mean.
     """
@@ -159,7 +164,7 @@ class OdometryIntegrator:
     def motion(self, t: float, calibration: np.ndarray) -> Motion:
         """Return the motion since the newest keyframe up to `t` [s]; nothing changes.
 
-        A time before `end` counts as `end`. It is linearised at the calibration (9,).
+        A time before `end` counts as `end`. It is linearised at the calibration (10,).
         """
         if t <= self.end:
             return self._motion

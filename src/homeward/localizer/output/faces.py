@@ -19,6 +19,7 @@ from homeward.localizer.motions import (
     CAMERA_YAW,
     HEAD,
     NC,
+    SIDEWAYS_SCALE,
     SPEED_SCALE,
     TIME_CONSTANT,
     TURN_SLIP,
@@ -34,13 +35,13 @@ class EstimatedCalibration:
     """Calibration of odometry and camera, and noise, as estimated; in the order of `motions`."""
 
     mean: np.ndarray
-    """(9,): corrections of the given calibration."""
+    """(10,): corrections of the given calibration."""
     covariance: np.ndarray
-    """(9, 9): their covariance, ..."""
+    """(10, 10): their covariance, ..."""
     priors: np.ndarray
-    """(9,): ... and the variances of their priors."""
+    """(10,): ... and the variances of their priors."""
     is_open: np.ndarray
-    """(9,), bool: which of them are estimated; others are fixed, or as given."""
+    """(10,), bool: which of them are estimated; others are fixed, or as given."""
     bearing_sigma: float
     """Standard deviation of a bearing [rad]."""
     process_rates: np.ndarray
@@ -73,7 +74,7 @@ def estimated_calibration(
 ) -> EstimatedCalibration:
     """Return the calibration of a solution.
 
-    `of_odometry` (6,) has the prior standard deviations of the odometry's part, and `scale_rest`
+    `of_odometry` (7,) has the prior standard deviations of the odometry's part, and `scale_rest`
     is that of the scale which is in no state, since ranges leave it unknown.
     """
     state, lag_sigma = smoother.state, smoother.time_constant_prior[1]
@@ -85,6 +86,8 @@ def estimated_calibration(
     learnt = camera.learnt(state.calibration)
     is_open[[CAMERA_X, CAMERA_Y, CAMERA_YAW]] = [name in learnt for name in ("x", "y", "yaw")]
     is_open[TURN_SLIP] = state.calibration[TURN_SLIP] > NEGLIGIBLE_CALIBRATION  # not at its bound
+    is_observed = covariance[SIDEWAYS_SCALE, SIDEWAYS_SCALE] < priors[SIDEWAYS_SCALE]
+    is_open[SIDEWAYS_SCALE] = is_observed  # where the robot has not strafed, it drifts only
     is_open[TIME_CONSTANT] = lag_sigma > FIXED_TIME_CONSTANT_S  # the map contradicts zero
     is_raised = noise.scale > 1.0 or bool((process_noise.scales > 1.0).any())
     found = state.calibration, covariance, priors, is_open

@@ -13,14 +13,14 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, composition, lever, rotation, sight
-from homeward.localizer.motions import HEAD, NC, SPEED_SCALE
+from homeward.localizer.motions import HEAD, NC, SIDEWAYS_SCALE, SPEED_SCALE
 from homeward.localizer.tunables import GATE, MAX_PADDING
 
 FREE, INFORMATION, BY_CALIBRATION = slice(0, 3), slice(3, 12), slice(12, 12 + 3 * NC)
 IS_ODOMETRY = 12 + 3 * NC
 STEP = 13 + 3 * NC
 """Columns of the table of motions between keyframes: the motion for a calibration of zero, the
-inverse of its covariance (3, 3), its Jacobian by the calibration (3, 9), and whether it is from
+inverse of its covariance (3, 3), its Jacobian by the calibration (3, 10), and whether it is from
 twists alone."""
 
 
@@ -60,7 +60,7 @@ class OdometryErrors(NamedTuple):
     error: np.ndarray
     """(k, 3): residual, measured minus expected motion [m, m, rad]."""
     jacobian: np.ndarray
-    """(k, 3, 15): Jacobian of the expected motion by both poses and the calibration."""
+    """(k, 3, 16): Jacobian of the expected motion by both poses and the calibration."""
     information: np.ndarray
     """(k, 3, 3): inverse of the covariance of the residual."""
     weight: np.ndarray
@@ -80,22 +80,26 @@ def cauchy_weights(squares: np.ndarray) -> np.ndarray:
 def odometry_errors(
     poses: np.ndarray, calibration: np.ndarray, steps: np.ndarray
 ) -> OdometryErrors:
-    """Linearise the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (9,).
+    """Linearise the odometry factors (w - 1, STEP) between `poses` (w, 3) at a calibration (10,).
 
-    Residuals are measured in the odometry's own metres. Otherwise all of them would shrink with the
-    scale of its speed, which may be otherwise undetermined, and the map with it (errors in
-    variables).
+    Residuals are measured in the odometry's own metres, to the left those of the speed to the left.
+    Otherwise all of them would shrink with the scale of its speed, which may be otherwise
+    undetermined, and the map with it (errors in variables).
     """
     a, b = poses[:-1], poses[1:]
     by_calibration = steps[:, BY_CALIBRATION].reshape(-1, 3, NC)
-    size = np.array([1.0 + calibration[SPEED_SCALE], 1.0 + calibration[SPEED_SCALE], 1.0])
+    strafes = by_calibration[:, 1, SIDEWAYS_SCALE] != 0.0
+    aside, speed = 1.0 + strafes * calibration[SIDEWAYS_SCALE], 1.0 + calibration[SPEED_SCALE]
+    size = np.stack([np.full(len(a), speed), speed * aside, np.ones(len(a))], axis=1)
     error = (steps[:, FREE] + by_calibration @ calibration - between(a, b)) / size
     back = rotation(a[:, 2]).transpose(0, 2, 1)
     jacobian = np.empty((len(a), 3, 6 + NC))  # of expected minus measured motion
     jacobian[:, :, :3], jacobian[:, :, 3:6] = -back @ lever(b - a), back
     jacobian[:, :, 6:] = -by_calibration
-    jacobian[:, :2, 6 + SPEED_SCALE] += error[:, :2]
-    jacobian /= size[:, None]
+    jacobian[:, 0, 6 + SPEED_SCALE] += error[:, 0]
+    jacobian[:, 1, 6 + SPEED_SCALE] += aside * error[:, 1]
+    jacobian[:, 1, 6 + SIDEWAYS_SCALE] += strafes * speed * error[:, 1]
+    jacobian /= size[:, :, None]
     information = steps[:, INFORMATION].reshape(-1, 3, 3)
     square = ((information @ error[:, :, None])[:, :, 0] * error).sum(axis=1)
     return OdometryErrors(error, jacobian, information, cauchy_weights(square))
@@ -125,7 +129,7 @@ class WeighedSightings(NamedTuple):
     residual: np.ndarray
     """(m,): normalised residual, measured minus expected bearing [1]."""
     jacobian: np.ndarray
-    """(m, 14): normalised Jacobian of the expected one by pose, calibration and landmark."""
+    """(m, 15): normalised Jacobian of the expected one by pose, calibration and landmark."""
     pose: np.ndarray
     """(m,), int: the pose from which each was made ..."""
     landmark: np.ndarray
@@ -135,7 +139,7 @@ class WeighedSightings(NamedTuple):
 def bearing_residuals(
     bearings: np.ndarray, eyes: np.ndarray, by_head: np.ndarray, positions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return residuals of bearings (m,), and the Jacobian of the expected ones (m, 14).
+    """Return residuals of bearings (m,), and the Jacobian of the expected ones (m, 15).
 
     Bearings are from the camera's axis [rad], `eyes` (m, 3) the camera's poses and `by_head` (m, 3,
     12) their Jacobians (`Frames.eyes`), or one of each for all, `positions` (m, 2) those of the
@@ -162,7 +166,7 @@ def weigh_sightings(
 ) -> WeighedSightings:
     """Normalise bearing factors, with a redescending M-estimator against large residuals.
 
-    `residual` (m,) and `jacobian` (m, 14) are of `bearing_residuals`, `sigma` and `effective` (m,)
+    `residual` (m,) and `jacobian` (m, 15) are of `bearing_residuals`, `sigma` and `effective` (m,)
     the standard deviations, and those given earlier sightings [rad], `pose` and `landmark` (m,) the
     indices of each.
     """
@@ -253,7 +257,7 @@ class SightedFrom(NamedTuple):
     free: np.ndarray
     """(f, 3): ... the camera's pose in its keyframe's frame for a calibration of zero ..."""
     jacobians: np.ndarray
-    """(f, 3, 9): ... and the Jacobian of that by the calibration."""
+    """(f, 3, 10): ... and the Jacobian of that by the calibration."""
 
 
 def weighed(seen: SightedFrom, poses: np.ndarray, shared: np.ndarray) -> WeighedSightings:
@@ -272,7 +276,7 @@ def cameras(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 12).
 
-    From keyframe poses (f, 3) or (3,) and the present calibration (9,); Jacobians are by both.
+    From keyframe poses (f, 3) or (3,) and the present calibration (10,); Jacobians are by both.
     `free` and `jacobians` are as in `SightedFrom`.
     """
     eyes, by_pose, by_camera = composition(poses, free + jacobians @ calibration)

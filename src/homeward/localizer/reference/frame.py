@@ -79,7 +79,7 @@ class GateResult(NamedTuple):
     free: np.ndarray
     """(3,): the camera's pose in its keyframe's frame for a calibration of zero, ..."""
     jacobian: np.ndarray
-    """(3, 9): ... its Jacobian by the calibration ..."""
+    """(3, 10): ... its Jacobian by the calibration ..."""
     eye: np.ndarray
     """(3,): ... and its pose in the odometry frame [m, m, rad]."""
 

@@ -5,8 +5,12 @@ calibration, so that a new calibration needs no new integration.
 
 The true turn rate is ``(1 + turn_scale) omega + turn_bias`` while the robot moves; the true speed
 ahead is reduced in bends by the slip ``turn_slip (|omega| - r |v|)``; twists act ``delay`` seconds
-after their stamps; all speeds, that to the left too, are ``1 + speed_scale`` times as large. A
-robot whose twist is exactly zero is stationary, and gathers neither drift nor noise.
+after their stamps; all speeds are ``1 + speed_scale`` times as large, and that to the left another
+``1 + sideways_scale`` times. A robot whose twist is exactly zero is stationary, and gathers neither
+drift nor noise.
+
+The sideways scale is open only in motions at whose end the robot strafes: else jitter to and fro,
+as of legs, would count as information on it.
 
 Where odometry is the commanded twist u, the robot follows as a first-order lag with the time
 constant T: its twist is s, with ``T ds/dt = u - s``. Its pose is then the commanded one less the
@@ -28,6 +32,7 @@ import numpy as np
 from homeward.localizer.motions import (
     DELAY,
     NC,
+    SIDEWAYS_SCALE,
     SPEED_SCALE,
     TIME_CONSTANT,
     TURN_BIAS,
@@ -40,12 +45,13 @@ from homeward.localizer.tunables import (
     BRIDGED,
     MAX_LAG_S,
     MEAN_S,
+    MIN_SIDEWAYS_SHARE,
     MIN_STEADY_SPEED,
     NUM_BENDS,
     SPEED_TIME_S,
     TURN_TIME_S,
 )
-from homeward.odometry.history import STEADY_S, OdometrySample
+from homeward.odometry.history import MOVING_SPEED, STEADY_S, OdometrySample
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 T, V, VY, OMEGA, UNTIL, HEADING, PATH, SIDE = range(8)
@@ -108,11 +114,11 @@ def preintegrate(
         Twists in order of time, a row as `OdometrySample`.
     begin, end : float
         The times, of which the delay is not subtracted yet [s].
-    calibration : ndarray, shape (9,)
+    calibration : ndarray, shape (10,)
         Linearisation point.
     rates : ndarray, shape (3, 3)
         Growth of the variances (`homeward.drives.settings.noise_rates`), along and across the
-        direction of motion.
+        direction of motion; those constant in time along the robot's axes if it has both.
     usual : tuple of float
         Usual speed [m/s] and turn rate [rad/s], for dropouts.
     straightest : float
@@ -130,10 +136,15 @@ def preintegrate(
         _outstanding(*at, calibration, sign) for at, sign in zip(ends, (1.0, -1.0), strict=True)
     )
     motion = first.compose(motion).compose(last)
-    (scale, bias), size = calibration[[TURN_SCALE, TURN_BIAS]].tolist(), _size(calibration)
+    (scale, bias), (size, aside) = (
+        calibration[[TURN_SCALE, TURN_BIAS]].tolist(),
+        _sizes(calibration),
+    )
     motion.jacobian[:2, SPEED_SCALE] = motion.delta[:2] / size
+    if not strafes(table, end):
+        motion.jacobian[:, SIDEWAYS_SCALE] = 0.0
     twists = [
-        (size * v, size * vy, (1.0 + scale) * omega + bias if v or vy or omega else 0.0)
+        (size * v, aside * vy, (1.0 + scale) * omega + bias if v or vy or omega else 0.0)
         for (v, vy, omega), _ in ends
     ]
     motion.jacobian[:, DELAY] = _shift(motion.delta, *twists)
@@ -207,17 +218,31 @@ def steady_speed(table: np.ndarray, t: float) -> float:
 
     There is a twist at least.
     """
+    return _steady_speeds(table, t)[0]
+
+
+def strafes(table: np.ndarray, t: float) -> bool:
+    """Return whether the robot moves sideways at `t` [s], beyond jitter to and fro."""
+    if not len(table):
+        return False
+    ahead, side = _steady_speeds(table, t)
+    return abs(side) > max(MOVING_SPEED, MIN_SIDEWAYS_SHARE * abs(ahead))
+
+
+def _steady_speeds(table: np.ndarray, t: float) -> tuple[float, float]:
+    """Return the mean speeds ahead and to the left just before `t` [s], as `steady_speed`."""
     rows = table[np.maximum(table[:, T].searchsorted([t - STEADY_S, t], "right") - 1, 0)].tolist()
-    before, now = (
-        OdometrySample._make(row).reckoned(at)[1]
+    (_, *before), (_, *now) = (
+        OdometrySample._make(row).reckoned(at)
         for row, at in zip(rows, (t - STEADY_S, t), strict=True)
     )
-    return (now - before) / STEADY_S
+    return (now[0] - before[0]) / STEADY_S, (now[1] - before[1]) / STEADY_S
 
 
-def _size(calibration: np.ndarray) -> float:
-    """Return the factor of all speeds."""
-    return 1.0 + float(calibration[SPEED_SCALE])
+def _sizes(calibration: np.ndarray) -> tuple[float, float]:
+    """Return the factors of the speeds ahead and to the left."""
+    size = 1.0 + float(calibration[SPEED_SCALE])
+    return size, size * (1.0 + float(calibration[SIDEWAYS_SCALE]))
 
 
 def _commanded(
@@ -225,8 +250,8 @@ def _commanded(
 ) -> tuple[Motion, np.ndarray]:
     """Integrate pieces without a lag; return the motion, and the length ahead by bend [m]."""
     scale, bias, slip = calibration[[TURN_SCALE, TURN_BIAS, TURN_SLIP]].tolist()
-    size = _size(calibration)
-    x = y = psi = path = turned = 0.0
+    size, aside = _sizes(calibration)
+    x = y = psi = path = turned = side_x = side_y = 0.0
     by_bend, chords = [0.0] * NUM_BENDS, []
     for piece in pieces:  # of so few numbers, floats are quicker than arrays
         _, _, dt, v, vy, omega, steady = piece
@@ -236,13 +261,15 @@ def _commanded(
         speed, half = size * (v - slip * slips), 0.5 * rate * dt
         c, s = math.cos(psi + half), math.sin(psi + half)
         shrink = math.sin(half) / half if half else 1.0
-        chord, left = speed * dt * shrink, size * vy * dt * shrink
+        chord, left = speed * dt * shrink, aside * vy * dt * shrink
+        side_x, side_y = side_x - left * s, side_y + left * c
         dx, dy = chord * c - left * s, chord * s + left * c
         chords.append((piece, x + 0.5 * dx, y + 0.5 * dy, c, s, size * slips))
         x, y, psi = x + dx, y + dy, psi + 2.0 * half
         path, turned = path + math.hypot(v, vy) * dt, turned + 2.0 * abs(half)
         by_bend[min(int(spin / max(abs(steady), 1e-6) / BEND), NUM_BENDS - 1)] += abs(v) * dt
     delta, jacobian = np.array([x, y, psi]), np.zeros((3, NC))
+    jacobian[:2, SIDEWAYS_SCALE] = side_x * size / aside, side_y * size / aside
     covariance = _add_errors(chords, delta, rates.tolist(), jacobian)
     motion = Motion(delta, covariance, jacobian, path, turned, calibration, True)
     return motion, np.array(by_bend)
@@ -259,13 +286,13 @@ def _outstanding(
     A first-order lag is behind its command by its time constant times its own twist.
     """
     scale, bias, lag = calibration[[TURN_SCALE, TURN_BIAS, TIME_CONSTANT]].tolist()
-    size, (v, vy, omega), (by_v, by_vy, by_omega) = _size(calibration), twist, slope
+    (size, aside), (v, vy, omega), (by_v, by_vy, by_omega) = _sizes(calibration), twist, slope
     rate, by_rate = (
         (1.0 + scale) * turn + bias if v or vy or omega else 0.0 for turn in (omega, by_omega)
     )
     half, heading = 0.5 * rate * sign * lag, rate * sign * lag
     shrink = math.sin(half) / half if half else 1.0
-    chord, left = size * v * sign * lag * shrink, size * vy * sign * lag * shrink
+    chord, left = size * v * sign * lag * shrink, aside * vy * sign * lag * shrink
     c, s = math.cos(half), math.sin(half)
     delta = np.array([chord * c - left * s, chord * s + left * c, heading])
     by_calibration = np.zeros((3, NC))
@@ -275,7 +302,8 @@ def _outstanding(
     )
     by_calibration[:, TURN_SCALE] = by_turn * (sign * lag * omega)
     by_calibration[:, TURN_BIAS] = by_turn * (sign * lag)
-    c, s, ahead, side = math.cos(heading), math.sin(heading), size * by_v, size * by_vy
+    by_calibration[:2, SIDEWAYS_SCALE] = -left * s * size / aside, left * c * size / aside
+    c, s, ahead, side = math.cos(heading), math.sin(heading), size * by_v, aside * by_vy
     by_calibration[:, TIME_CONSTANT] = c * ahead - s * side, s * ahead + c * side, by_rate
     by_calibration[:, TIME_CONSTANT] *= sign
     return Motion(delta, np.zeros((3, 3)), by_calibration, 0.0, 0.0, calibration, True)
@@ -303,6 +331,12 @@ def _add_errors(
         heading = steady * (h + h_speed * speed + h_turn * spin) + swing
         slip_x, slip_y = slip_x - c * slips * dt, slip_y - s * slips * dt
         if vy:  # from the heading to the direction of the motion
+            if b:
+                own, other = steady * a, steady * b
+                along, across = along - own, across - other
+                xx += c * c * own + s * s * other
+                xy += c * s * (own - other)
+                yy += s * s * own + c * c * other
             c, s = (c * v - s * vy) / speed, (s * v + c * vy) / speed
         dx, dy = y - end_y, end_x - x
         xx += dx * dx * heading + c * c * along + s * s * across

@@ -41,7 +41,7 @@ BAND = 6
 
 
 class Window(NamedTuple):
-    """All knowledge of w poses, the calibration and n landmarks; a = 9 + 2 n."""
+    """All knowledge of w poses, the calibration and n landmarks; a = 10 + 2 n."""
 
     poses: np.ndarray
     """(w, 3): the present estimate of the poses, ..."""
@@ -58,13 +58,13 @@ class Window(NamedTuple):
     at: np.ndarray
     """(3 + a,): ... and that point."""
     weights: np.ndarray
-    """(9,): a prior on the calibration: inverse variances, ..."""
+    """(10,): a prior on the calibration: inverse variances, ..."""
     means: np.ndarray
-    """(9,): ... and means."""
+    """(10,): ... and means."""
     is_one_sided: np.ndarray
-    """(9,), bool: which of the calibration cannot be negative, and ..."""
+    """(10,), bool: which of the calibration cannot be negative, and ..."""
     is_bounded: np.ndarray
-    """(9,), bool: ... which are kept at zero, since they would be negative without that."""
+    """(10,), bool: ... which are kept at zero, since they would be negative without that."""
 
 
 AddMore = Callable[[NormalEquations, np.ndarray, np.ndarray], None]
@@ -92,7 +92,7 @@ class Solution(NamedTuple):
     covariance: np.ndarray
     """(3 + a, 3 + a): of the newest pose and the shared unknowns."""
     is_bounded: np.ndarray
-    """(9,), bool: as in `Window`, by this solution."""
+    """(10,), bool: as in `Window`, by this solution."""
     has_converged: bool
     """Whether the last step was small, and changed no bound."""
 
@@ -164,7 +164,7 @@ def _moved(window: Window, poses: np.ndarray, common: np.ndarray) -> tuple[Windo
 
 
 def _bounded(window: Window) -> np.ndarray:
-    """Return which unknowns are kept at zero (an active set), (9,) bool.
+    """Return which unknowns are kept at zero (an active set), (10,) bool.
 
     An unknown that nothing observes is zero but for rounding, whose sign must not decide: one is
     kept at zero from a notable negative value on, until it is not negative even then.

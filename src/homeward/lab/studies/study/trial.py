@@ -98,6 +98,7 @@ def drive_bound(
         home_sigma=noise.home_sigma,
         speed_sigma=case.odometry.speed_sigma,
         turn_sigma=case.odometry.turn_sigma,
+        sideways_sigma=drive.settings.odometry.sideways_sigma,
         moved=moved,
         mount=case.sensor.pose,
         carried=carried,
