@@ -100,7 +100,7 @@ def dock(seed: int, moved: bool = True) -> Docked:
                 break
         else:
             wanted = next(advised)
-        twist = limits.accelerated(twist, wanted, DT)
+        twist, _ = limits.accelerated(twist, wanted, DT)
         moving = float(twist != (0.0, 0.0))
         noise = moving * NOISE / math.sqrt(DT) * rng.normal(size=2)
         localizer.odometry(t, (1.0 + TOO_LONG) * twist.v + noise[0], twist.omega + noise[1])

@@ -1,5 +1,6 @@
 """Docking: to the pose of a home, heading included."""
 
+import itertools
 import math
 
 import numpy as np
@@ -13,12 +14,13 @@ from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance, between
 
 DT = 0.05
+DEFAULT = Limits()
 ORIGIN = Pose(0.0, 0.0, 0.0)
 
 
-def docked(start, at=ORIGIN, wrong=lambda t, pose: 0.0, seconds=120.0):
+def docked(start, at=ORIGIN, wrong=lambda t, pose: 0.0, seconds=120.0, limits=DEFAULT):
     """Dock by a pose that is `wrong` in y by so much; return the last output and all true poses."""
-    limits, robot, twist = Limits(), start, Twist(0.0, 0.0)
+    robot, twist, vy = start, Twist(0.0, 0.0), 0.0
     controller, poses = DockGoal("the dock", at).controller(limits), [start]
     for k in range(round(seconds / DT)):
         pose = robot._replace(y=robot.y + wrong(k * DT, robot))
@@ -26,8 +28,8 @@ def docked(start, at=ORIGIN, wrong=lambda t, pose: 0.0, seconds=120.0):
         output = controller.step(k * DT, belief, "")
         if output.state is not GoalState.DRIVING:
             return output, poses
-        twist = limits.accelerated(twist, output.twist, DT)
-        robot = advance(robot, twist, DT)
+        twist, vy = limits.accelerated(twist, output.twist, DT, (vy, output.vy))
+        robot = advance(robot, twist, DT, vy)
         poses.append(robot)
     return output, poses
 
@@ -42,6 +44,29 @@ def test_a_robot_with_the_right_pose_docks_from_anywhere(at, seed):
     assert output.state is GoalState.ARRIVED, output.reason
     assert math.hypot(off.x, off.y) < 0.008
     assert abs(math.remainder(off.heading, math.tau)) < math.radians(0.7)
+
+
+SWERVE = Limits(sideways=0.25)
+
+
+@pytest.mark.parametrize("at", [Pose(0.0, 0.0, 0.0), Pose(3.0, -2.0, 2.5)])
+@pytest.mark.parametrize("seed", range(6))
+def test_a_robot_that_moves_sideways_docks_from_anywhere(at, seed):
+    rng = np.random.default_rng(seed)
+    start = Pose(*map(float, rng.uniform([-3.0, -3.0, -math.pi], [1.0, 3.0, math.pi])))
+    output, poses = docked(start, at, limits=SWERVE)
+    off = between(at, poses[-1])
+    assert output.state is GoalState.ARRIVED, output.reason
+    assert math.hypot(off.x, off.y) < 0.008
+    assert abs(math.remainder(off.heading, math.tau)) < math.radians(0.7)
+
+
+def test_a_robot_that_moves_sideways_drives_straight_to_the_dock():
+    start = Pose(-1.5, 1.2, -2.5)
+    _, poses = docked(start, limits=SWERVE)
+    path = sum(math.dist(a[:2], b[:2]) for a, b in itertools.pairwise(poses))
+    assert path < 1.02 * math.hypot(start.x, start.y)
+    assert len(poses) < len(docked(start)[1])
 
 
 def test_it_enters_along_the_axis():

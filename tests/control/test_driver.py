@@ -9,9 +9,9 @@ from homeward.control.driver import AFTERWARDS_S, LOST_S, Driver
 from homeward.control.following import STAND, Path
 from homeward.control.goals import Belief, GoalState, PointGoal, RouteGoal, TurnGoal
 from homeward.control.limits import Limits
-from homeward.control.watchdog import CLEARED_S, Fault
+from homeward.control.watchdog import CLEARED_S, DrivingTime, Fault
 from homeward.estimator import Status
-from homeward.geometry.frames import Pose, advance
+from homeward.geometry.frames import Pose, Twist, advance
 from homeward.lab.simulation.trajectories import GoalControl
 from homeward.live.messages import GoHome
 from homeward.live.session import Session
@@ -184,3 +184,44 @@ def test_the_simulator_and_a_live_session_command_the_same_for_the_same_estimate
         pose = advance(pose, twist, DT)
     assert twist is None
     assert len({*commands}) > 50
+
+
+def test_a_robot_that_moves_sideways_drives_straight_home_and_keeps_its_heading():
+    """Its speed and its acceleration are within the limits as vectors."""
+    limits = Limits(speed=0.3, sideways=0.15)
+    driver, pose, t, path = Driver(limits), Pose(2.0, 1.0, 1.1), 0.0, [(2.0, 1.0)]
+    speeds = [(0.0, 0.0)]
+    driver.go(0.0, HOME)
+    while driver.active and t < 60.0:
+        twist = driver.command(t, belief(pose))
+        speeds.append((twist.v, driver.vy))
+        pose, t = advance(pose, twist, DT, driver.vy), t + DT
+        path.append(pose[:2])
+    assert driver.state is GoalState.ARRIVED
+    assert pose.heading == pytest.approx(1.1)
+    v, vy = np.array(speeds).T
+    assert np.hypot(v / 0.3, vy / 0.15).max() <= 1.0 + SLACK
+    changes = np.hypot(np.diff(v), np.diff(vy))[:-1]  # the last command stops it at once
+    assert changes.max() <= limits.acceleration * DT + SLACK
+    off_line = np.array(path) @ np.array([1.0, -2.0]) / math.sqrt(5.0)
+    assert np.abs(off_line).max() < 0.02
+    assert driver.vy == 0.0
+
+
+def test_a_route_is_driven_sideways_where_the_robot_can():
+    limits = Limits(sideways=0.25)
+    driver, pose, t = Driver(limits), Pose(0.0, 0.0, 0.4), 0.0
+    driver.go(0.0, RouteGoal("the path", Path(np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]]))))
+    while driver.active and t < 60.0:
+        twist = driver.command(t, belief(pose))
+        assert twist.omega == 0.0
+        pose, t = advance(pose, twist, DT, driver.vy), t + DT
+    assert driver.state is GoalState.ARRIVED
+    assert math.dist(pose[:2], (1.0, 1.0)) < 0.06
+
+
+def test_sideways_motion_counts_as_driving_for_the_watchdog():
+    time = DrivingTime(0.0)
+    time.add(1.0, Twist(0.0, 0.5))
+    time.add(1.0, Twist(0.0, 0.5), 0.2)
+    assert time.seconds == 1.0

@@ -1,7 +1,8 @@
 """Docking: to the pose of a home, heading included, along its axis.
 
 The robot drives to a point behind the dock, turns to it, and follows the axis (pure pursuit of a
-point a fixed distance ahead). It turns to the dock's heading, stops, and checks the pose again:
+point a fixed distance ahead); a robot that moves sideways drives straight to the dock from anywhere
+behind it, and turns meanwhile. It turns to the dock's heading, stops, and checks the pose again:
 outside the tolerances it retreats and enters again. The pose is that of the localiser, from the
 bearings of all landmarks in view: never from the orientation of a tag. Where the pose is not known
 well enough to decide whether the robot is there, it retreats, turns once round to see the landmarks
@@ -57,6 +58,10 @@ class Phase(enum.Enum):
     LOOKING = "looking round before"
 
 
+STRAIGHT = Phase.STAGING, Phase.ALIGNING, Phase.ENTERING
+"""Phases in which a robot that moves sideways drives straight."""
+
+
 class DockGoal(NamedTuple):
     """Pose of a home that is to be reached with its heading."""
 
@@ -89,6 +94,8 @@ class Docking:
         self._is_known = True
         """Whether the last check could compare the pose with the tolerances."""
         self._has_looked = False
+        self._vy = 0.0
+        """Speed to the left [m/s]."""
         self._turned, self._heading = 0.0, 0.0
         """Angle turned left in this phase, and the heading at the last step [rad]."""
 
@@ -103,9 +110,10 @@ class Docking:
         if self.phase is Phase.SETTLING:
             return self._checked(now, there, belief)
         for _ in Phase:  # phases that are over already take no time
+            self._vy = 0.0
             twist = self._twist(there)
             if twist is not None:
-                return ControlOutput(GoalState.DRIVING, self._words, twist)
+                return ControlOutput(GoalState.DRIVING, self._words, twist, vy=self._vy)
             if self._enter(self._next, now) is Phase.SETTLING:
                 break
         return ControlOutput(GoalState.DRIVING, self._words, STAND)
@@ -132,6 +140,8 @@ class Docking:
         """Return the command of a phase by the pose in the dock's frame; None where it is over."""
         x, y, heading = there
         speed = self._limits.speed
+        if self._limits.sideways is not None and self.phase in STRAIGHT:
+            return self._strafing(there)
         match self.phase:
             case Phase.STAGING:
                 is_behind = -2.0 * STAGING_M < x < -0.5 * STAGING_M
@@ -157,6 +167,22 @@ class Docking:
                 if x < -0.5 * STAGING_M:
                     return None
                 return Twist(-0.5 * speed, self._turn_rate(-heading))
+
+    def _strafing(self, there: Pose) -> Twist | None:
+        """Return the command of such a phase where the robot moves sideways; None: it is over."""
+        x, y, heading = there
+        off, rate = math.hypot(x, y), self._turn_rate(-heading)
+        match self.phase:
+            case Phase.STAGING if x > -CORRIDOR * STAGING_M:
+                goal = -STAGING_M - x, -y
+            case Phase.ENTERING if off > 0.25 * TOLERANCE_M:
+                share = max(0.5, min(SLOWEST / off, 1.0))
+                goal = -share * x, -share * y
+            case _:
+                return None
+        c, s = math.cos(heading), math.sin(heading)
+        v, self._vy = self._limits.towards(c * goal[0] + s * goal[1], c * goal[1] - s * goal[0])
+        return Twist(v, rate)
 
     def _course(self, y: float) -> float:
         """Return the heading towards the point ahead on the axis [rad]."""

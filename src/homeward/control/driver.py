@@ -33,6 +33,8 @@ class Driver:
         self._controller: GoalController | None = None
         """Controller of the goal; None until the goal is known."""
         self._twist, self._last = STAND, -math.inf
+        self.vy = 0.0
+        """Speed to the left of the last command [m/s]."""
         self._since = -math.inf
         """When the state began."""
         self._unlocalised = DrivingTime(math.inf)
@@ -51,6 +53,7 @@ class Driver:
         """Start a drive; without a goal, as soon as `aim` sets one."""
         self._goal = self._controller = None
         self._twist, self.value, self._last, self._looked = STAND, None, now, 0.0
+        self.vy = 0.0
         self._unlocalised = DrivingTime(math.inf)
         self._enter(GoalState.HELD, "", now)
         self.aim(goal)
@@ -79,7 +82,7 @@ class Driver:
         A `blind` robot without other faults turns on the spot until it is not, at most once round;
         so does one that has lost its pose on this drive.
         """
-        self._unlocalised.add(now - self._last, self._twist)
+        self._unlocalised.add(now - self._last, self._twist, self.vy)
         dt, self._last = min(now - self._last, MAX_STEP_S), now
         if belief.status is Status.LOCALISED:
             self._unlocalised = DrivingTime(0.0)
@@ -109,8 +112,9 @@ class Driver:
         if self.state is not GoalState.DRIVING:
             self._enter(GoalState.DRIVING, "", now)
         self.reason = output.reason
-        self._twist = self._limits.accelerated(self._twist, output.twist, dt)
-        if self._twist.v:
+        sideways = self.vy, output.vy
+        self._twist, self.vy = self._limits.accelerated(self._twist, output.twist, dt, sideways)
+        if self._twist.v or self.vy:
             self._looked = 0.0
         return self._twist
 
@@ -129,7 +133,8 @@ class Driver:
             self._enter(GoalState.DRIVING, "", now)
         self.reason = why
         turning = Twist(0.0, self._twist.omega)
-        self._twist = self._limits.accelerated(turning, Twist(0.0, self._look_rate), dt)
+        wanted = Twist(0.0, self._look_rate)
+        self._twist, self.vy = self._limits.accelerated(turning, wanted, dt)
         self._looked += abs(self._twist.omega) * dt
         return self._twist
 
@@ -159,12 +164,12 @@ class Driver:
         if self.state is GoalState.HELD and now - self._since > patience:
             return self._stand(GoalState.FAILED, why, now)
         if self.state is GoalState.HELD:
-            self.reason, self._twist = why, STAND
+            self.reason, self._twist, self.vy = why, STAND, 0.0
             return STAND
         return self._stand(GoalState.HELD, why, now)
 
     def _stand(self, state: GoalState, reason: str, now: float) -> Twist:
-        self._twist = STAND
+        self._twist, self.vy = STAND, 0.0
         self._enter(state, reason, now)
         return STAND
 

@@ -138,11 +138,16 @@ class PathState(enum.Enum):
 class Follower:
     """Follows a path in the frame of the poses once, from any pose.
 
-    `speed` and `turn_rate` are limits [m/s, rad/s].
+    `speed` and `turn_rate` are limits [m/s, rad/s]; `sideways` is that of the speed to the left and
+    right of a robot that moves sideways: it keeps its heading between stops.
     """
 
-    def __init__(self, path: Path, speed: float, turn_rate: float) -> None:
+    def __init__(
+        self, path: Path, speed: float, turn_rate: float, sideways: float | None = None
+    ) -> None:
         self._path, self._speed, self._turn_rate = path, speed, turn_rate
+        self._sideways, self.vy = sideways, 0.0
+        """`vy` is the commanded speed to the left [m/s]."""
         self.state, self.reason = PathState.HELD, "not started"
         self.stop = 0
         """Index of the current or next stop."""
@@ -182,6 +187,7 @@ class Follower:
         `sure` is whether the robot is localised, `blocked` whether an obstacle is detected, or the
         reason not to drive.
         """
+        self.vy = 0.0
         if self.is_over:
             return STAND
         if sure:
@@ -195,7 +201,9 @@ class Follower:
         if self._is_stuck(t, pose):
             return self._hold("blocked: commanded to drive, but did not move", t)
         twist = self._along(t, pose)
-        self._commanded += twist.v * (0.0 if math.isnan(self._last) else t - self._last)
+        self._commanded += math.hypot(twist.v, self.vy) * (
+            0.0 if math.isnan(self._last) else t - self._last
+        )
         self._last = t
         return twist
 
@@ -241,9 +249,14 @@ class Follower:
         """Return the command along the arc to the aim, or towards an aim that is not ahead."""
         assert self._aim is not None
         e = float(bearing(pose, *self._path.at(self._aim)))
+        speed = min(self._speed, distance / SETTLING_S) if stopping else self._speed
+        if self._sideways is not None:
+            c, s = math.cos(e), math.sin(e)
+            speed = min(speed, 1.0 / math.hypot(c / self._speed, s / self._sideways))
+            self.vy = speed * s
+            return Twist(speed * c, 0.0)
         if abs(e) > FACING:
             return Twist(0.0, math.copysign(self._turn_rate, e))
-        speed = min(self._speed, distance / SETTLING_S) if stopping else self._speed
         sharp = 2.0 * abs(math.sin(e)) * speed  # the turn rate times the distance
         if sharp > self._turn_rate * distance:
             speed *= self._turn_rate * distance / sharp

@@ -63,6 +63,8 @@ class ControlOutput(NamedTuple):
     twist: Twist = STAND
     is_lost: bool = False
     """Whether the robot is stopped because its pose is not good enough."""
+    vy: float = 0.0
+    """Speed to the left of a robot that moves sideways [m/s]."""
 
 
 class GoalController(NamedTuple):
@@ -88,6 +90,7 @@ class PointGoal(NamedTuple):
 
     The default law is `homeward.control.laws.steer`, on a nearly straight path: the robot turns on
     the spot until the point is within 45 degrees ahead. With the paper's, the speed is constant.
+    A robot that moves sideways drives straight to the point, and keeps its heading.
     """
 
     name: str
@@ -113,6 +116,9 @@ class PointGoal(NamedTuple):
             if self.law == "paper":
                 v, omega = map(float, homing(to_polar(Pose(-dx, -dy, heading)), limits.speed))
                 twist = Twist(v, max(-limit, min(limit, omega)))
+            elif limits.sideways is not None:
+                share = left / distance
+                return _strafing(share * dx, share * dy, heading, limits)
             else:
                 share = left / distance
                 twist = steer(share * dx, share * dy, heading, limits.speed, limit, sharpness=2.0)
@@ -143,10 +149,19 @@ class BearingGoal(NamedTuple):
                 return ControlOutput(GoalState.HELD, why, is_lost=True)
             if math.hypot(*way) < limits.radius:
                 return _at_goal("home, from bearings", "home", belief.status)
+            if limits.sideways is not None:
+                return _strafing(*way, belief.pose.heading, limits)
             twist = steer(*way, belief.pose.heading, limits.speed, limits.turn_rate)
             return ControlOutput(GoalState.DRIVING, "", twist)
 
         return GoalController(limits.patience, step)
+
+
+def _strafing(x: float, y: float, heading: float, limits: Limits) -> ControlOutput:
+    """Return the output of a robot that drives straight along (x, y) [m] with any heading [rad]."""
+    c, s = math.cos(heading), math.sin(heading)
+    v, vy = limits.towards(c * x + s * y, c * y - s * x)
+    return ControlOutput(GoalState.DRIVING, "", Twist(v, 0.0), vy=vy)
 
 
 def _at_goal(words: str, name: str, status: Status) -> ControlOutput:
@@ -165,7 +180,7 @@ class RouteGoal(NamedTuple):
 
     def controller(self, limits: Limits) -> GoalController:
         """Return the controller of a drive along the route; the `Follower` decides on failure."""
-        follower = following.Follower(self.path, limits.speed, limits.turn_rate)
+        follower = following.Follower(self.path, limits.speed, limits.turn_rate, limits.sideways)
 
         def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
             sure = belief.status is Status.LOCALISED
@@ -185,9 +200,12 @@ class RouteGoal(NamedTuple):
                         GoalState.DRIVING, f"turning at {self._stop(follower)}", twist
                     )
             if follower.entering:
-                return ControlOutput(GoalState.DRIVING, f"entering {self.name}", twist)
+                return ControlOutput(
+                    GoalState.DRIVING, f"entering {self.name}", twist, vy=follower.vy
+                )
             metres = f"{follower.along:.0f} of {self.path.length:.0f} m"
-            return ControlOutput(GoalState.DRIVING, f"following {self.name}, {metres}", twist)
+            reason = f"following {self.name}, {metres}"
+            return ControlOutput(GoalState.DRIVING, reason, twist, vy=follower.vy)
 
         return GoalController(math.inf, step)
 

@@ -19,6 +19,9 @@ class Limits(Strict):
 
     speed: Positive = 0.25
     """Maximum speed [m/s]."""
+    sideways: Positive | None = None
+    """Maximum speed to the left and right of a robot that moves sideways: it drives straight to its
+    goal with any heading [m/s]; None: it does not move sideways."""
     turn_rate: Positive = 1.0
     """Maximum turn rate [rad/s]."""
     acceleration: PositiveOrInf = 0.5
@@ -52,11 +55,31 @@ class Limits(Strict):
         """Return a new test of poses by `largest_sigma`."""
         return AccuracyLimit(self.largest_sigma or MAX_SIGMA_M)
 
-    def accelerated(self, last: Twist, wanted: Twist, dt: float) -> Twist:
-        """Return the twist nearest to the wanted one that is reachable in `dt` [s]."""
+    def accelerated(
+        self, last: Twist, wanted: Twist, dt: float, sideways: tuple[float, float] = (0.0, 0.0)
+    ) -> tuple[Twist, float]:
+        """Return the twist nearest to the wanted one that is reachable in `dt` [s].
+
+        And the speed to the left [m/s]; `sideways` has the last and the wanted one.
+        """
         limits = self.acceleration, self.turn_acceleration
         dv, domega = (a if math.isinf(a) else a * dt for a in limits)
-        return Twist(
-            max(last.v - dv, min(last.v + dv, wanted.v)),
-            max(last.omega - domega, min(last.omega + domega, wanted.omega)),
-        )
+        v, vy = wanted.v, sideways[1]
+        change = math.hypot(v - last.v, vy - sideways[0])
+        if change > dv:
+            share = dv / change
+            v, vy = last.v + share * (v - last.v), sideways[0] + share * (vy - sideways[0])
+        return Twist(v, max(last.omega - domega, min(last.omega + domega, wanted.omega))), vy
+
+    def towards(self, x: float, y: float) -> tuple[float, float]:
+        """Return speeds ahead and to the left [m/s] straight to a point in the robot's frame [m].
+
+        For a robot with `sideways`; it slows down within 1 s of the point.
+        """
+        assert self.sideways is not None
+        distance = math.hypot(x, y)
+        if not distance:
+            return 0.0, 0.0
+        most = 1.0 / math.hypot(x / self.speed, y / self.sideways)  # shares of the distance
+        share = min(most, 1.0)
+        return share * x, share * y

@@ -53,9 +53,9 @@ class DrivingTime:
     def __init__(self, seconds: float) -> None:
         self.seconds = seconds
 
-    def add(self, dt: float, twist: Twist) -> None:
-        """Add the time `dt` [s] in which the robot had this command."""
-        if twist.v or not twist.omega:
+    def add(self, dt: float, twist: Twist, vy: float = 0.0) -> None:
+        """Add the time `dt` [s] in which the robot had this command, `vy` [m/s] to the left."""
+        if twist.v or vy or not twist.omega:
             self.seconds += dt
 
 

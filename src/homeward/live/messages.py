@@ -270,6 +270,8 @@ class Command(Strict):
     """[m/s]"""
     omega: float
     """[rad/s]"""
+    vy: float = 0.0
+    """To the left, where `limits.sideways` is given [m/s]."""
     state: Literal["driving", "held", "arrived", "turned", "failed"]
     reason: str
     """Text that is constant while the reason lasts."""

@@ -225,7 +225,7 @@ class Session:
         return failure
 
     def _command(self, now: float) -> msg.Command | None:
-        self._unseen.add(max(now - self._ticked, 0.0), self._twist)
+        self._unseen.add(max(now - self._ticked, 0.0), self._twist, self._driver.vy)
         self._ticked = now
         if self._refused:
             self.homing.fail(self._refused, now)
@@ -244,6 +244,7 @@ class Session:
         return msg.Command(
             v=twist.v,
             omega=twist.omega,
+            vy=self._driver.vy,
             state=self._driver.state.value,
             reason=self._driver.reason,
             value=self._driver.value,

@@ -383,7 +383,8 @@ class Publishers:
         if stamped:
             message.header.stamp = self._now()
         twist = message.twist if stamped else message
-        twist.linear.x, twist.angular.z = float(command.v), float(command.omega)
+        twist.linear.x, twist.linear.y = float(command.v), float(command.vy)
+        twist.angular.z = float(command.omega)
         self._out["cmd_vel"].publish(message)
         self._line(command)
 

@@ -12,7 +12,7 @@ from homeward.control.following import STAND
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance
-from homeward.lab.simulation.course import Camera, Wheels
+from homeward.lab.simulation.course import Camera, Chassis, Wheels
 from homeward.lab.simulation.scenario import Scenario
 from homeward.lab.simulation.simulate import prepare
 from homeward.lab.simulation.trajectories import Control, Search, exact
@@ -48,6 +48,8 @@ class Sensed(NamedTuple):
     """Measured by the wheels."""
     seen: Mapping[str, float] | None
     """Id to bearing from the camera's axis [rad]; None where no frame was taken."""
+    vy: float = 0.0
+    """Speed to the left, by the wheels [m/s]."""
 
 
 class LiveRobot:
@@ -74,25 +76,28 @@ class LiveRobot:
         self._looks = 1.0 / scenario.rates.bearings
         self._steps = self._looked = 0
         self._wheels, self._camera = Wheels(scenario), Camera(scenario, self.world)
-        self._command, self._until = STAND, -math.inf
+        self._is_holonomic = Chassis(scenario.robot).is_holonomic
+        self._command, self._vy, self._until = STAND, 0.0, -math.inf
 
     @property
     def distance(self) -> float:
         """True distance from home [m]."""
         return math.hypot(self.pose.x - self._home.x, self.pose.y - self._home.y)
 
-    def command(self, twist: Twist, hold: float) -> None:
-        """Drive with `twist` from the next step on, for `hold` [s]."""
-        self._command, self._until = twist, self.t + hold
+    def command(self, twist: Twist, hold: float, vy: float = 0.0) -> None:
+        """Drive with `twist`, and `vy` [m/s] to the left, from the next step on, for `hold` [s]."""
+        self._command, self._vy, self._until = twist, vy, self.t + hold
 
     def step(self) -> Sensed:
         """Return the sensor readings now, and drive for one period."""
-        twist = self._command if self.t < self._until else STAND
+        twist, vy = (self._command, self._vy) if self.t < self._until else (STAND, 0.0)
         seen = None
         if self.t >= self._looked * self._looks - 1e-9:
             seen, self._looked = self._camera.look(self.pose), self._looked + 1
-        sensed = Sensed(self.t, self._wheels.measure(twist), seen)
-        self.pose = Pose(*map(float, advance(self.pose, twist, self.period)))
+        measured = self._wheels.measure(twist)
+        left = self._wheels.measure_sideways(vy) if self._is_holonomic else 0.0
+        sensed = Sensed(self.t, measured, seen, left)
+        self.pose = Pose(*map(float, advance(self.pose, twist, self.period, vy)))
         self._steps += 1
         self.t = round(self._steps * self.period, 6)
         return sensed
@@ -186,7 +191,7 @@ class SimulatedRobotClient:
                 self._stored = True
                 yield self.task
         sensed = self.robot.step()
-        yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega)
+        yield OdometryIn(t=sensed.t, v=sensed.twist.v, omega=sensed.twist.omega, vy=sensed.vy)
         if sensed.seen is not None:
             yield BearingsIn(t=sensed.t, bearings=sensed.seen)
         looked = not self._turning and sensed.t - self._began > MIN_CIRCLES_S
@@ -207,7 +212,7 @@ class SimulatedRobotClient:
             elif self._teaching is None:
                 self._teaching = self._make_control(self.robot.pose)
         elif isinstance(message, Command) and (self._turning or (self._asked and not teaches)):
-            self.robot.command(Twist(message.v, message.omega), message.hold)
+            self.robot.command(Twist(message.v, message.omega), message.hold, message.vy)
             if message.state in ("arrived", "failed"):
                 self.ending = message
             elif message.state == "turned" and not self._asked:
