@@ -8,6 +8,7 @@ from localizer.rig import Rig, ring
 
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import passive, smoother
+from homeward.localizer.motions import HEAD
 from homeward.localizer.settings import LocalizerSettings
 
 SETTINGS = LocalizerSettings(window=10, longest_window=12)
@@ -61,10 +62,16 @@ def assert_same(one, other, ids):
     off = (other_covariance - covariance) / np.outer(sigmas, sigmas)
     assert np.abs(off).max() < 1e-6
     for window in (one, other):
-        each = window.all_landmarks.places(ids)[1] / (sigmas[12::2] * sigmas[13::2])[:, None, None]
-        at = 12 + 2 * np.arange(ids.size)[:, None] + np.arange(2)
+        each = (
+            window.all_landmarks.places(ids)[1]
+            / (sigmas[HEAD::2] * sigmas[HEAD + 1 :: 2])[:, None, None]
+        )
+        at = HEAD + 2 * np.arange(ids.size)[:, None] + np.arange(2)
         expected = covariance[at[:, :, None], at[:, None]]
-        assert np.abs(each - expected / (sigmas[12::2] * sigmas[13::2])[:, None, None]).max() < 1e-5
+        assert (
+            np.abs(each - expected / (sigmas[HEAD::2] * sigmas[HEAD + 1 :: 2])[:, None, None]).max()
+            < 1e-5
+        )
 
 
 def test_each_change_of_a_map_gives_the_same_with_passive_landmarks(solved, monkeypatch):

@@ -26,7 +26,7 @@ class AllLandmarks:
     passive: PassiveLandmarks
     """The others, and ..."""
     step: np.ndarray
-    """(12 + 2 n,): ... the step from their linearisation point to the solution."""
+    """(13 + 2 n,): ... the step from their linearisation point to the solution."""
     linearised: Callable[[], Linearised]
     """Returns the window at the solution."""
 

@@ -32,7 +32,7 @@ class PassiveLandmarks:
         self._mean = np.zeros(0)
         """(2 n,): positions at the linearisation point [m]."""
         self._by_active = np.zeros((0, HEAD))
-        """(2 n, 12 + 2 a)"""
+        """(2 n, 13 + 2 a)"""
         self._common = np.zeros((0, 0))
         """(2 n, k)"""
         self._own = np.zeros((0, 2, 2))
@@ -47,12 +47,12 @@ class PassiveLandmarks:
         return np.asarray(order[self.ids.searchsorted(ids, sorter=order)])
 
     def positions(self, index: np.ndarray, step: np.ndarray) -> np.ndarray:
-        """Return positions of some (k, 2) [m], after a step of r (12 + 2 a,)."""
+        """Return positions of some (k, 2) [m], after a step of r (13 + 2 a,)."""
         rows = columns(index).ravel()
         return np.asarray(self._mean[rows] + self._by_active[rows] @ step).reshape(-1, 2)
 
     def by_active(self, index: np.ndarray) -> np.ndarray:
-        """Return the Jacobian of the positions of some by r, (2 k, 12 + 2 a)."""
+        """Return the Jacobian of the positions of some by r, (2 k, 13 + 2 a)."""
         return np.asarray(self._by_active[columns(index).ravel()])
 
     def covariances(self, index: np.ndarray) -> np.ndarray:
@@ -68,7 +68,7 @@ class PassiveLandmarks:
         return np.asarray(found)
 
     def move(self, step: np.ndarray) -> None:
-        """Move the linearisation point by a step (12 + 2 a,)."""
+        """Move the linearisation point by a step (13 + 2 a,)."""
         if not len(self):
             return
         self._mean = self._mean + self._by_active @ step
@@ -140,7 +140,7 @@ class PassiveLandmarks:
         return at, found
 
     def reorder(self, order: np.ndarray) -> None:
-        """Bring the unknowns of r into another order (12 + 2 a,)."""
+        """Bring the unknowns of r into another order (13 + 2 a,)."""
         if len(self):
             self._by_active = self._by_active[:, order]
 

@@ -11,7 +11,7 @@ from homeward.localizer.reference.window import Conditional, Elimination
 class Prior:
     """Marginalisation prior on oldest pose, calibration and landmarks, around zero.
 
-    A Gaussian in information form (12 + 2 n, 12 + 2 n), with a fixed linearisation point.
+    A Gaussian in information form (13 + 2 n, 13 + 2 n), with a fixed linearisation point.
     """
 
     def __init__(self, information: np.ndarray) -> None:
@@ -36,12 +36,12 @@ class Prior:
         self.at = np.append(self.at, at)
 
     def move_to(self, now: np.ndarray) -> None:
-        """Move the linearisation point to `now` (12 + 2 n,)."""
+        """Move the linearisation point to `now` (13 + 2 n,)."""
         self.gradient = self.gradient - self.information @ (now - self.at)
         self.at = now
 
     def reorder(self, order: np.ndarray) -> None:
-        """Bring the unknowns into another order (12 + 2 n,)."""
+        """Bring the unknowns into another order (13 + 2 n,)."""
         self.information = self.information[np.ix_(order, order)]
         self.gradient, self.at = self.gradient[order], self.at[order]
 

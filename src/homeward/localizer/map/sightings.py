@@ -119,7 +119,7 @@ class Frames:
         return Frames(parts[0].first, tuple(joined))
 
     def eyes(self, poses: np.ndarray, calibration: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 12).
+        """Return the camera's poses in the odometry frame (f, 3), and their Jacobians (f, 3, 13).
 
         From keyframe poses (f, 3) or (3,) and the present calibration (10,); Jacobians are by both.
         """

@@ -59,7 +59,7 @@ class Marginal:
         return self.distances + CLOSE * self.scale
 
     def pose_after(self, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-        """Return the pose after a motion from the newest one, and its Jacobian (3, 12)."""
+        """Return the pose after a motion from the newest one, and its Jacobian (3, 13)."""
         return cameras(motion.uncalibrated, motion.jacobian, self.mean[:3], self.calibration)
 
     def propagate(self, motion: Motion) -> Marginal:

@@ -34,9 +34,9 @@ class GateInput(NamedTuple):
     """A frame of m bearings, k of them of mapped landmarks, and the state that predicts them."""
 
     mean: np.ndarray
-    """(12 + 2 n,): newest pose, calibration and n landmarks: mean ..."""
+    """(13 + 2 n,): newest pose, calibration and n landmarks: mean ..."""
     covariance: np.ndarray
-    """(12 + 2 n, 12 + 2 n): ... and covariance."""
+    """(13 + 2 n, 13 + 2 n): ... and covariance."""
     p_static: np.ndarray
     """(n,): probability of each landmark to be static."""
     scale: float
@@ -126,7 +126,7 @@ def predict_bearings(
     """Predict bearings from a state: innovations and their covariance.
 
     `bearings` and `sigmas` (k,) are from the camera's axis [rad], `camera` its pose (3,) in the
-    odometry frame and the Jacobian (3, 12), and `index` (k,) that of each landmark.
+    odometry frame and the Jacobian (3, 13), and `index` (k,) that of each landmark.
     """
     count = len(index)
     residual, by_own = bearing_residuals(bearings, *camera, mean[HEAD:].reshape(-1, 2)[index])
