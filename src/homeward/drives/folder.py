@@ -115,7 +115,11 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     require_folder(folder)
     missing = missing_files(folder, home_needed)
     if missing:
-        advice = f"; {HOME_ADVICE}" if missing == [HOME] else ""
+        advice = ""
+        if missing == [HOME]:
+            from homeward.drives.home.rest import with_proposal  # only a refusal needs it
+
+            advice = f"; {with_proposal(HOME_ADVICE, read_folder(folder, home_needed=False))}"
         raise InputError(f"not a complete drive folder: no {', '.join(missing)}{advice}", folder)
     surveyed = is_there(folder / KNOWN)
     known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()

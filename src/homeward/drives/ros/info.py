@@ -14,6 +14,7 @@ import numpy as np
 from homeward.drives import folder as csv
 from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Truth
+from homeward.drives.home.rest import PROPOSED, first_rest
 from homeward.drives.images import IMAGES, cameras_in, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
@@ -122,8 +123,14 @@ def _next(
         return command("see", log, "--tags", "36h11", "--out", f"out/{log.stem}")
     if plan.odometry is None or not plan.bearings or _is_refused(remarks):
         return _with_topics(log)
-    home = () if plan.home is not None else FIRST_POSE
+    home = () if plan.home is not None else _home_options(remarks)
     return command("run", log, *(() if topics is None else ("--topics", topics)), *home)
+
+
+def _home_options(remarks: Sequence[str]) -> Sequence[str]:
+    """Return the options that give home where it is missing: the proposed rest, if any."""
+    proposed = re.search(r"--home (during:\d[\d.]*,[\d.]+)", " ".join(remarks))
+    return FIRST_POSE if proposed is None else ("--home", proposed[1])
 
 
 def _with_topics(log: Path) -> str:
@@ -179,7 +186,7 @@ def _folder_info(kind: str, path: Path, given: Path, needed: tuple[str, ...]) ->
     if _is_refused(remarks):
         following = ""
     elif is_drive:
-        following = command("run", given, *(FIRST_POSE if has_no_home else ()))
+        following = command("run", given, *(_home_options(remarks) if has_no_home else ()))
     else:
         following = command("see", given, "--out", f"out/{path.name}")
     return LogInfo(kind, topics, None, tuple(remarks), True, following)
@@ -192,6 +199,8 @@ def _checked(path: Path, home_needed: bool) -> Iterator[str]:
         yield REFUSED.format(f"{csv.BEARINGS} has no rows")
     if home_needed and not drive.home and not csv.has_home(path):
         yield REFUSED.format(f"{csv.HOME} has no rows")
+    if not home_needed and (rest := first_rest(drive)) is not None:
+        yield f"{PROPOSED.format(*rest).capitalize()}."
     try:
         yield from with_sense_remark(with_clock_remarks(with_calibration(drive), path)).remark_lines
     except InputError as error:
@@ -213,6 +222,8 @@ def _tried(
     except InputError as error:
         yield REFUSED.format(error.what)
         return
+    if plan.home is None and (rest := first_rest(drive)) is not None:
+        yield f"{PROPOSED.format(*rest).capitalize()}."
     yield from drive.remark_lines
     if plan.bearings and not drive.sightings.t.size:
         yield REFUSED.format("it contains no sightings of landmarks")
