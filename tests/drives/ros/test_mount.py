@@ -120,6 +120,31 @@ def test_a_log_tells_the_mount_where_its_topics_file_asks(made, suffix):
         )
 
 
+def test_frames_that_link_the_camera_give_the_extrinsics_with_a_remark(made):
+    def fill(log, pitch=0.0, q=None, camera="camera"):
+        for t in stamps(3):
+            log.write("/b", t, bearings_message(log, t, ["a"], [0.5]))
+            matrix = turn(0.3, pitch)
+            message = static(log, t, matrix, (0.2, -0.1), camera)
+            if q is not None:
+                message.transforms[0].transform.rotation.w = q
+            log.write("/tf_static", t, message)
+
+    topics = "bearings: {topic: /b}\n"
+    drive = made(fill, topics, ".mcap")
+    assert drive.settings.sensor.pose == pytest.approx((0.2, -0.1, 0.3))
+    (remark,) = (reason for reason in drive.remarks if "/tf_static" in reason)
+    assert "camera (x 0.200 m, y -0.100 m, yaw 0.300 rad)" in remark
+    of_topic = topics.replace("b}", "b, sensor: {x: 1.0}}")
+    for given in (topics + "drive: {sensor: {x: 1.0}}\n", of_topic):
+        drive = made(fill, given, ".mcap")
+        assert drive.settings.sensor.x == 1.0
+        assert not any("/tf_static" in reason for reason in drive.remarks)
+    for other in ({"pitch": 0.5}, {"q": math.nan}, {"camera": "lidar"}):
+        drive = made(lambda log, other=other: fill(log, **other), topics, ".mcap")
+        assert drive.settings.sensor.pose == (0.0, 0.0, 0.0)
+
+
 FRONT, REAR = (0.2, 0.1, 0.3), (0.2, 0.1, -2.5)
 """Extrinsics of two cameras [m, m, rad]."""
 

@@ -15,8 +15,15 @@ from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
 from homeward.drives.home.when import with_home
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import TagDetector, frame_of, landmark_of, parts_of
+from homeward.drives.ros.measurements.bearings import (
+    TRANSFORMS,
+    TagDetector,
+    frame_of,
+    landmark_of,
+    parts_of,
+)
 from homeward.drives.ros.measurements.extrinsics import (
+    LINKED,
     TF,
     TF_STATIC,
     TopicSightings,
@@ -38,7 +45,13 @@ from homeward.drives.ros.settings import (
 )
 from homeward.drives.ros.topics.choosing import choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
-from homeward.drives.settings import DriveSettings, OtherCamera, RobotSettings, Wheels
+from homeward.drives.settings import (
+    DriveSettings,
+    Mount,
+    OtherCamera,
+    RobotSettings,
+    Wheels,
+)
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -132,6 +145,11 @@ class _Reading:
 
     def drive(self, on_progress: OnProgress | None, robot: RobotSettings | None) -> Drive:
         """Read the messages and return the drive."""
+        sensors = [part.sensor for part in (self._settings, robot) if part is not None]
+        is_given = any(not s.model_fields_set.isdisjoint(Mount.model_fields) for s in sensors)
+        names = {topic.name for topic in self._known.topics}
+        if not is_given and TF_STATIC in names - self._handlers.keys():
+            self._subscribe(TF_STATIC, lambda _, given: self._transforms.offer(given))
         self._read(on_progress)
         self._set_extrinsics()
         odometry = self._odometry.odometry(self._remarks)
@@ -189,6 +207,10 @@ class _Reading:
         sensor = extrinsics(self._cameras, self._transforms, self._plan, others)
         if sensor is None:
             return
+        if self._plan.mount is None and len(self._cameras) == 1:
+            frame, rows = self._cameras[0]
+            if rows.given.sensor is None and rows.kind not in TRANSFORMS:
+                self._remarks.count(LINKED.format(frame, *sensor.pose), len(rows))
         update: dict[str, Any] = dict(sensor)
         if others or any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
             update["field_of_view"] = None  # several cameras have no common one

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,6 +52,11 @@ class Transforms:
         self._followed: dict[str, tuple[Any, ...]] = {}
         self._moving: set[str] = set()
 
+    def offer(self, given: Any) -> None:
+        """Add a transform that nobody asked for, if it is valid."""
+        with suppress(InputError):
+            self.put(given)
+
     def put(self, given: Any) -> None:
         """Add a geometry_msgs/TransformStamped."""
         shift, q = given.transform.translation, given.transform.rotation
@@ -72,6 +78,10 @@ class Transforms:
             changes = (abs(a - b) for a, b in zip(first[1:], values[1:], strict=True))
             if first[0] != values[0] or max(changes) > MAX_CHANGE:
                 self._moving.add(child)
+
+    def is_known(self, frame: str) -> bool:
+        """Return whether a frame has a parent."""
+        return frame.strip("/") in self._parents
 
     def find(self, base: str, frame: str) -> Placed | None:
         """Return the pose of a frame in the base frame; None while no transforms connect them."""
@@ -146,6 +156,10 @@ def _rotation(q: Any) -> np.ndarray:
     return np.asarray(Rotation.from_quat(parts).as_matrix())
 
 
+LINKED = (
+    "sightings with the camera extrinsics that /tf_static gives for {0} (x {1:.3f} m, y {2:.3f} m, "
+    "yaw {3:.3f} rad), as with mount: {{base: base_link}}; sensor in the topics file replaces them"
+)
 MAX_DISTANCE = 0.01
 """Maximum distance of cameras that count as one [m]: the bearing of a landmark at 1 m then has an
 error of at most 0.01 rad, the usual noise of a bearing."""
@@ -214,6 +228,24 @@ def is_one_camera(place: Pose, is_exact: bool) -> bool:
     return is_exact or math.hypot(place.x, place.y) <= MAX_DISTANCE
 
 
+def _linked(camera: TopicSightings, transforms: Transforms) -> Mount | None:
+    """Return the extrinsics if transforms connect the frame of the sightings with the robot.
+
+    Nobody asked for them: None where they cannot be used.
+    """
+    if not camera.frame or not transforms.is_known(camera.frame):
+        return None
+    frames = MountFrames(camera=camera.frame)
+    try:
+        found = mount(transforms, frames, camera.rows.kind, camera.rows.given)
+    except InputError:
+        return None
+    if found is None:
+        return None
+    own, camera.rows.given = found
+    return own
+
+
 def _specified(
     camera: TopicSightings, transforms: Transforms, plan: LogSettings, several: bool
 ) -> Mount | None:
@@ -224,7 +256,8 @@ def _specified(
     is_found = camera.rows.kind in TRANSFORMS and not is_given  # in the tree of its own frames
     needs_frames = plan.mount is not None or several
     if camera.rows.given.sensor is not None or not (needs_frames or is_found):
-        return camera.rows.given.sensor
+        own = camera.rows.given.sensor
+        return own if own is not None or is_given else _linked(camera, transforms)
     frames = plan.mount or MountFrames()
     if several or frames.camera is None:
         frames = frames.model_copy(update={"camera": camera.frame})
