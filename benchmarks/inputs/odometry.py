@@ -53,6 +53,30 @@ def _(s: Sample) -> Files:
     return two(s, "left", "right", np.diff(ticks(s), axis=1, prepend=0))
 
 
+@kind(
+    "speeds of three omni wheels in rpm, --columns",
+    "import encoders.csv bearings.csv home.csv --wheels wheel_radius=0.033,omni_radius=0.2 "
+    "--columns 'omni_1_speed=a[rpm], omni_2_speed=b[rpm], omni_3_speed=c[rpm]'",
+)
+def _(s: Sample) -> Files:
+    angle = np.radians([[60.0], [180.0], [300.0]])
+    rolled = (0.2 * s.omega - np.sin(angle) * s.v) / 0.033 * 30.0 / np.pi
+    return {"encoders.csv": table({"t": s.t, **dict(zip("abc", rolled, strict=True))})}
+
+
+@kind(
+    "counts of four mecanum wheels",
+    f"import encoders.csv bearings.csv home.csv {RADIUS_WIDTH},ticks_per_turn=4096,wheelbase=0.3",
+)
+def _(s: Sample) -> Files:
+    reach = (ROBOT.track_width + ROBOT.wheelbase) / 2
+    rolled = s.v + np.outer([-reach, reach, -reach, reach], s.omega)
+    steps = np.pad(rolled[:, :-1] * np.diff(s.t), ((0, 0), (1, 0)))
+    counts = np.round(np.cumsum(steps, axis=1) / ROBOT.metres("ticks")).astype(int)
+    names = ("fl_ticks", "fr_ticks", "rl_ticks", "rr_ticks")
+    return {"encoders.csv": table({"t": s.t, **dict(zip(names, counts, strict=True))})}
+
+
 @kind("yaw rate of a gyroscope in deg/s, clockwise", OTHER.format("imu.csv"))
 def _(s: Sample) -> Files:
     wheels = {"t": s.t, "v": s.v, "omega": 1.2 * s.omega}

@@ -1,5 +1,7 @@
 """Imported odometry from wheels, steering, steps and gyroscopes."""
 
+import math
+
 import numpy as np
 import pytest
 
@@ -110,6 +112,39 @@ def test_four_wheels_of_a_mecanum_drive(tmp_path, names, values):
     wheels = WHEELS.model_copy(update={"wheelbase": None})
     with pytest.raises(InputError, match="requires wheelbase"):
         imported(tmp_path, names, *values, wheels=wheels)
+
+
+def test_rollers_of_a_mecanum_drive_at_another_angle(tmp_path):
+    """The wheel's own speed along the axle of a roller is that of the ground."""
+    angle = math.radians(60.0)
+    cot = 1.0 / math.tan(angle)
+    reach = (0.4 + 0.5 * cot) / 2
+    wheels = V + np.outer([-1, 1, 1, -1], cot * VY) + np.outer([-1, 1, -1, 1], reach * OMEGA)
+    given = WHEELS.model_copy(update={"roller_angle": angle})
+    drive = imported(tmp_path, "fl_m_s,fr_m_s,rl_m_s,rr_m_s", *wheels, wheels=given)
+    assert_same(drive.odometry)
+    assert drive.odometry.vy[:-1] == pytest.approx(VY[:-1], abs=1e-6)
+
+
+@pytest.mark.parametrize(("count", "first"), [(3, None), (4, None), (3, 0.0), (3, 3.0)])
+@pytest.mark.parametrize("by", ["wheel", "speed"])
+def test_omni_wheels_on_a_circle(tmp_path, count, first, by):
+    """A wheel at (x, y) rolls by the ground's speed there, anti-clockwise about the centre."""
+    angle = (math.pi / count if first is None else first) + math.tau * np.arange(count) / count
+    x, y = 0.2 * np.cos(angle)[:, None], 0.2 * np.sin(angle)[:, None]
+    along = (V - OMEGA * y) * -np.sin(angle)[:, None] + (VY + OMEGA * x) * np.cos(angle)[:, None]
+    turned = np.cumsum(np.pad(along[:, :-1] * 0.1, ((0, 0), (1, 0))), axis=1) / 0.05
+    wheels = Wheels(wheel_radius=0.05, omni_radius=0.2, omni_angle=first)
+    names = [f"motor{k}" for k in range(count)]
+    unit = "rad" if by == "wheel" else "rad/s"
+    roles = [f"omni_{k + 1}_{by}={name}[{unit}]" for k, name in enumerate(names)]
+    values = turned if by == "wheel" else along / 0.05
+    drive = imported(tmp_path, ",".join(names), *values, wheels=wheels, roles=roles)
+    assert_same(drive.odometry)
+    assert drive.odometry.vy[:-1] == pytest.approx(VY[:-1], abs=1e-6)
+    lacks = Wheels(wheel_radius=0.05)
+    with pytest.raises(InputError, match="requires omni_radius"):
+        imported(tmp_path, ",".join(names), *values, wheels=lacks, roles=roles)
 
 
 def test_two_of_four_wheels_of_a_skid_steered_robot(tmp_path):

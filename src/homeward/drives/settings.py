@@ -152,13 +152,21 @@ class Wheels(Strict):
     ticks_per_turn: Positive | None = None
     """Encoder counts in one turn of a wheel, with the gear; None: wheel angles are in radians."""
     wheelbase: Positive | None = None
-    """Distance between the axles of a car-like (Ackermann) robot [m]."""
+    """Distance between the axles of a car-like (Ackermann) robot, or of a mecanum drive [m]."""
+    roller_angle: Annotated[float, Field(gt=0, lt=math.pi / 2)] | None = None
+    """Angle of the rollers of mecanum wheels against the axles [rad]; None: 45 degrees. A
+    JointState is of mecanum wheels where it is given."""
+    omni_radius: Positive | None = None
+    """Distance of omni wheels from the centre of the robot [m]."""
+    omni_angle: Finite | None = None
+    """Direction of the first omni wheel from the centre, anti-clockwise from ahead [rad]; None: 60
+    degrees for three wheels, 45 degrees for four."""
 
-    def missing(self, unit: str, steers: bool = False) -> list[str]:
+    def missing(self, unit: str, steers: bool = False, omni: bool = False) -> list[str]:
         """Return the missing keys for wheels in a unit: ticks, rad or m, or these per second."""
         base = unit.removesuffix("/s")
         keys = ["wheel_radius"] * (base != "m") + ["ticks_per_turn"] * (base == "ticks")
-        keys.append("wheelbase" if steers else "track_width")
+        keys.append("omni_radius" if omni else "wheelbase" if steers else "track_width")
         return [key for key in keys if getattr(self, key) is None]
 
     def turn(self, unit: str) -> float | None:

@@ -47,10 +47,25 @@ def mecanum(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str
     positive forward. Requires `wheels.track_width` and `wheels.wheelbase`.
     """
     front_left, front_right, rear_left, rear_right = speeds.T / 4
-    lever = ((wheels.track_width or math.nan) + (wheels.wheelbase or math.nan)) / 2
+    slope = math.tan(wheels.roller_angle or math.pi / 4)
+    lever = ((wheels.track_width or math.nan) + (wheels.wheelbase or math.nan) / slope) / 2
     v = front_left + front_right + rear_left + rear_right
     omega = (front_right + rear_right - front_left - rear_left) / lever
-    vy = front_right + rear_left - front_left - rear_right
+    vy = slope * (front_right + rear_left - front_left - rear_right)
+    return without_implausible(Odometry(t, v, omega, vy), remarks)
+
+
+def omni(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str, int]) -> Odometry:
+    """Return the odometry of three or four omni wheels at equal angles on a circle.
+
+    `speeds` (n, k) [m/s] are in anti-clockwise order of the wheels, seen from above, and positive
+    where they turn the robot anti-clockwise. Requires `wheels.omni_radius`.
+    """
+    count = speeds.shape[1]
+    first = math.pi / count if wheels.omni_angle is None else wheels.omni_angle
+    angle = first + math.tau * np.arange(count) / count
+    v, vy = (2.0 / count * speeds @ by for by in (-np.sin(angle), np.cos(angle)))
+    omega = speeds.mean(axis=1) / (wheels.omni_radius or math.nan)
     return without_implausible(Odometry(t, v, omega, vy), remarks)
 
 

@@ -26,8 +26,8 @@ def rows_of(hz=20.0, seconds=60.0, speed=0.3, turning=0.4):
 
 
 def in_odom_frame(r):
-    v = r[:, 1].copy()
-    r[:, 1], r[:, 3] = v * np.cos(r[:, 6]), v * np.sin(r[:, 6])
+    velocity = (r[:, 1] + 1j * r[:, 3]) * np.exp(1j * r[:, 6])
+    r[:, 1], r[:, 3] = velocity.real, velocity.imag
 
 
 def there_and_back(r):
@@ -236,3 +236,20 @@ def test_poses_and_twists_that_jump_are_unknown_motion_of_that_interval(made, to
     drive = made(write_rows(rows), f"odometry: {{topic: /odom, {topic}}}\n", odometry_too=False)
     assert np.flatnonzero(np.isnan(drive.odometry.v)).tolist() == [299]
     assert np.abs(drive.odometry.v[np.arange(600) != 299]).max() < 0.5
+
+
+def test_the_twist_of_a_strafing_robot_in_the_odom_frame_is_found(made):
+    """It drives to its left mostly; the sideways speed then comes from its poses."""
+    rows = rows_of(seconds=30.0)
+    heading = rows[:, 6] = 0.3 * rows[:, 0]
+    v, vy = 0.1 + 0.0 * heading, 0.4 + 0.0 * heading
+    rows[:, 1], rows[:, 2], rows[:, 3] = v, 0.3, vy
+    c, s = np.cos(heading + 0.0075), np.sin(heading + 0.0075)
+    rows[1:, 4] = np.cumsum((v * c - vy * s)[:-1]) / 20
+    rows[1:, 5] = np.cumsum((v * s + vy * c)[:-1]) / 20
+    assert contradiction(rows) is None
+    in_odom_frame(rows)
+    drive = made(write_rows(rows), odometry_too=False)
+    assert drive.odometry.vy[:-1] == pytest.approx(0.4, abs=2e-3)
+    assert drive.odometry.v[:-1] == pytest.approx(0.1, abs=2e-3)
+    assert any("in the odom frame" in reason for reason in drive.remarks)

@@ -80,6 +80,35 @@ def test_wheels(made, by):
         made(fill, "odometry: {topic: /joints}\n", odometry_too=False)
 
 
+def test_joints_of_mecanum_and_omni_wheels(made):
+    """0.3 m/s ahead, 0.2 m/s to the left and 0.5 rad/s, by wheels of 0.1 m."""
+    v, vy, omega = 0.3, 0.2, 0.5
+    reach = (0.4 + 0.6) / 2
+    corners = {
+        "front_left_joint": v - vy - reach * omega,
+        "back_right_joint": v - vy + reach * omega,
+        "back_left_joint": v + vy - reach * omega,
+        "front_right_joint": v + vy + reach * omega,
+    }
+    angles = {f"omni_{k}": math.pi / 3 + k * math.tau / 3 for k in range(3)}
+    circle = {k: vy * math.cos(a) - v * math.sin(a) + 0.2 * omega for k, a in angles.items()}
+    mecanum = "wheel_radius: 0.1, track_width: 0.4, wheelbase: 0.6, roller_angle: 0.7854"
+    omni = "wheel_radius: 0.1, omni_radius: 0.2, omni: [omni_0, omni_1, omni_2]"
+    for wheels, given in ((corners, mecanum), (circle, omni)):
+
+        def fill(log, wheels=wheels):
+            for t in stamps(10):
+                turning = np.array(list(wheels.values())) / 0.1
+                log.write("/joints", t, joints(log, t, list(wheels), velocity=turning))
+
+        found = made(fill, f"odometry: {{topic: /joints, {given}}}\n", odometry_too=False).odometry
+        for rate, expected in ((found.v, v), (found.vy, vy), (found.omega, omega)):
+            assert rate == pytest.approx(expected, rel=1e-4)
+    lacks = mecanum.replace("wheelbase: 0.6, ", "")
+    with pytest.raises(InputError, match="wheelbase"):
+        made(fill, f"odometry: {{topic: /joints, {lacks}}}\n", odometry_too=False)
+
+
 def test_wheel_positions_in_ticks(made):
     def fill(log):
         for i, t in enumerate(stamps(10)):

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from homeward.drives.importers.wheel_columns import FOUR, WHAT, wheel_roles
+from homeward.drives.importers.wheel_columns import FOUR, OMNI, WHAT, wheel_roles
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
 from homeward.errors import InputError
 from homeward.io.table import Table
@@ -118,7 +118,11 @@ OPTIONAL: Mapping[str, tuple[str, ...]] = {
 """The optional roles of these tables."""
 ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
     KINDS["odometry"]: ("vy",),
-    **{("t", *(f"{wheel}_{what}" for wheel in FOUR)): ("omega",) for what in WHAT},
+    **{
+        ("t", *(f"{wheel}_{what}" for wheel in some)): ("omega",)
+        for some in (FOUR, OMNI, OMNI[:3])
+        for what in WHAT
+    },
     ("t", "left_wheel", "right_wheel"): ("omega",),
     ("t", "left_speed", "right_speed"): ("omega",),
     ("t", "left_step", "right_step"): ("omega",),

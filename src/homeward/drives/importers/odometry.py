@@ -10,12 +10,18 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY, odometry_of, sorted_by_time, without_repeats
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.drives.importers.wheel_columns import FOUR, PAIR, accumulates, base_of
+from homeward.drives.importers.wheel_columns import FOUR, OMNI, PAIR, accumulates, base_of
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import Wheels
-from homeward.drives.wheels import ackermann, differential, mecanum, speeds_from_positions
+from homeward.drives.wheels import (
+    ackermann,
+    differential,
+    mecanum,
+    omni,
+    speeds_from_positions,
+)
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import Table
@@ -27,6 +33,7 @@ OPPOSITE = (
     "use --columns '{}=-{}', or the same for the left one"
 )
 EXAMPLE = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
+EXAMPLE |= {"omni_radius": 0.2}
 """Values shown in error messages."""
 
 
@@ -75,9 +82,10 @@ def imported_odometry(
 def _of_wheels(
     by_role: dict[str, ImportedColumn], table: Table, wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:
-    """Return the odometry of left and right wheels, or of the four wheels of a mecanum drive."""
+    """Return the odometry of left and right wheels, of a mecanum drive, or of omni wheels."""
     by_wheel = {role.rpartition("_")[0]: one for role, one in by_role.items() if role in WHEELS}
-    names = FOUR if FOUR[0] in by_wheel else PAIR
+    on_circle = tuple(wheel for wheel in OMNI if wheel in by_wheel)
+    names = on_circle or (FOUR if FOUR[0] in by_wheel else PAIR)
     columns = [by_wheel[name] for name in names]
     left, right = columns[:2]
     role, name, unit = left.column.role.rpartition("_")[2], left.column.name, base_of(left.unit)
@@ -86,7 +94,8 @@ def _of_wheels(
             _refuse_unit(left, f"{name!r} is in {left.unit}, {other.column.name!r} in {other.unit}")
     if role == "speed" and left.column.unit is None and unit == "m" and wheels.wheel_radius:
         _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
-    missing = wheels.missing(unit) + wheels.missing("m", steers=True) * (names == FOUR)
+    missing = wheels.missing(unit, omni=bool(on_circle))
+    missing += wheels.missing("m", steers=True) * (names == FOUR)
     _require(missing, columns, table)
     t, values = table["t"], np.stack([table[one.column.role] for one in columns], axis=1)
     if role == "speed":
@@ -104,8 +113,8 @@ def _of_wheels(
             f"row, use --columns '{steps}', otherwise '{positions}'",
             table.file,
         )
-    if names == FOUR:
-        return mecanum(t, speeds, wheels, remarks)
+    if names != PAIR:
+        return (omni if on_circle else mecanum)(t, speeds, wheels, remarks)
     moving = np.hypot(*speeds.T) > 0.0
     opposite = int((speeds.prod(axis=1) < 0).sum())
     if 2 * opposite > moving.sum():

@@ -44,7 +44,9 @@ WHAT = "wheel", "speed", "step"
 PAIR = "left", "right"
 FOUR = "front_left", "front_right", "rear_left", "rear_right"
 """The wheels of a mecanum drive."""
-ROLES = {f"{side}_{what}" for side in (*PAIR, *FOUR) for what in WHAT}
+OMNI = "omni_1", "omni_2", "omni_3", "omni_4"
+"""Three or four omni wheels, anti-clockwise; no name of a column is known to be one."""
+ROLES = {f"{side}_{what}" for side in (*PAIR, *FOUR, *OMNI) for what in WHAT}
 BASES = {
     **dict.fromkeys(("ticks", "ticks/s"), "ticks"),
     **dict.fromkeys(("rad", "deg", "rev", "rad/s", "deg/s", "rpm", "rev/s"), "rad"),

@@ -67,6 +67,8 @@ class OdometryTopic(Wheels):
     """Joints of the left wheels in a sensor_msgs/JointState; empty: every name with left in it."""
     right: tuple[str, ...] = ()
     """Joints of the right wheels, as `left`."""
+    omni: tuple[str, ...] = ()
+    """Joints of three or four omni wheels, anti-clockwise; see `omni_radius`."""
     frames: tuple[str, str] = ("odom", "base_link")
     """Frames of odometry and robot in a tf2_msgs/TFMessage; base_footprint is the same as
     base_link."""

@@ -114,9 +114,10 @@ def _compare(
         return None
     coherent = np.square(pose.imag).sum() <= np.square(pose.real).sum()
     speed = np.abs(pose[moves]).sum() / max(np.ptp(rows[:, 0]), 1e-9)
+    if in_odom:  # the same motion, also where the robot moves sideways
+        words = "the twists are in the odom frame, not in the robot's"
+        return SourceContradiction(words, bool(speed <= MAX_SPEED))
     usable = bool(coherent and speed <= MAX_SPEED)
-    if in_odom:
-        return SourceContradiction("the twists are in the odom frame, not in the robot's", usable)
     if "twist" in (path, turn):
         still = " and ".join(n for n, r in (("speed", path), ("yaw rate", turn)) if r == "twist")
         return SourceContradiction(

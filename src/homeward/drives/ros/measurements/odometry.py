@@ -21,7 +21,7 @@ from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.measurements.structure import values
 from homeward.drives.ros.messages.wpilib import CHASSIS_SPEEDS, POSE2D, ROBOT_ON_FIELD
 from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
-from homeward.drives.wheels import ackermann, differential, speeds_from_positions
+from homeward.drives.wheels import ackermann, differential, mecanum, omni, speeds_from_positions
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import quoted
@@ -34,15 +34,23 @@ class JointRows:
         self._given = given
         self._by_position: bool | None = None
         self._wheels: tuple[list[str], list[str]] | None = None
+        self._is_mecanum = given.roller_angle is not None and not given.omni
 
     def row(self, message: Any) -> list[float] | None:
-        """Return the position (or rate) of each wheel, left ones first; None if one is missing."""
+        """Return the position (or rate) of each wheel, left ones first; None if one is missing.
+
+        Those of a mecanum drive are front left, rear left, front right, rear right.
+        """
         names = list(message.name)
         if self._wheels is None:
             left = self._joints(names, self._given.left, "left")
             right = self._joints(names, self._given.right, "right")
-            if not left or not right:
+            if self._given.omni:
+                left, right = list(self._given.omni), []
+            elif not left or not right or (self._is_mecanum and len(left + right) != 4):
                 return None
+            elif self._is_mecanum:
+                left, right = (sorted(side, key=_is_rear) for side in (left, right))
             self._wheels = left, right
             self._by_position = len(message.position) == len(names)
         values = message.position if self._by_position else message.velocity
@@ -66,9 +74,18 @@ class JointRows:
             speeds = speeds_from_positions(t, rows, given, unit, remarks)
         else:
             speeds = given.metres(unit) * rows
+        if given.omni:
+            return omni(t, speeds, given, remarks)
+        if self._is_mecanum:
+            return mecanum(t, speeds[:, [0, 2, 1, 3]], given, remarks)
         count = len(self._wheels[0])
         left, right = speeds[:, :count].mean(axis=1), speeds[:, count:].mean(axis=1)
         return differential(t, left, right, given, remarks)
+
+
+def _is_rear(joint: str) -> bool:
+    """Whether a joint is of a rear wheel, from its name."""
+    return any(word in joint.lower() for word in ("rear", "back"))
 
 
 NAV_ODOMETRY = "nav_msgs/msg/Odometry"
@@ -139,7 +156,11 @@ class OdometryRows:
         self._joints = JointRows(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
         self._yaw_rates: list[tuple[float, ...]] = []
-        missing = given.missing(*(("m", True) if kind in ACKERMANN else ("rad",)))
+        missing = given.missing(
+            *(("m", True) if kind in ACKERMANN else ("rad", False, bool(given.omni)))
+        )
+        if kind == JOINT_STATE and given.roller_angle is not None and not given.omni:
+            missing += given.missing("m", steers=True)
         if kind in WHEELS and missing:
             raise InputError(
                 f"{given.topic}: {quoted(kind)} needs {' and '.join(missing)} under odometry in "
