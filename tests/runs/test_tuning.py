@@ -70,9 +70,9 @@ def test_chance_gains_of_correlated_errors_change_nothing(monkeypatch, by_chance
     chance = np.repeat(np.random.default_rng(1).normal(size=50), 10)  # each error lasts ten looks
     gain = 0.05 + by_chance * (chance - chance.mean())
     monkeypatch.setattr(tuning, "_likelihoods", likelihoods_of(gain))
-    noise = tuning._search([], Noise(0.01, 0.02, 0.03), ("speed_sigma",), lambda: None)
+    noise = tuning._search([], Noise(0.01, 0.02, 0.03, 0.04), ("speed_sigma",), lambda: None)
     assert noise.speed_sigma == pytest.approx(speed)
-    assert noise == noise._replace(bearing_sigma=0.01, turn_sigma=0.03)
+    assert noise == noise._replace(bearing_sigma=0.01, turn_sigma=0.03, sideways_sigma=0.04)
 
 
 def test_two_runs_are_scored_where_both_have_a_pose():
