@@ -85,3 +85,83 @@ def _(s: Sample) -> Files:
     home = robot_axes(s, s.home, 1.0, -1.0) | {"frame_id": ["base_link"] * s.home.t.size}
     tags = {"stamp": s.seen.t} | robot_axes(s, s.seen, 1.0, -1.0)
     return {"tags.csv": table(tags), "home.csv": table(home)}
+
+
+PIXELS = "import odometry.csv tags.csv home.csv --camera camera.yaml"
+PINHOLE = "model: pinhole\nfx: 200\nfy: 200\ncx: 750\ncy: 240\nwidth: 1500\nheight: 480\n"
+
+
+def boxes(seen: Seen, names: str, form: str) -> dict[str, np.ndarray]:
+    """Return boxes of 24 by 80 pixels round the landmarks, with these names of columns."""
+    u, v = 750.0 - 200.0 * np.tan(seen.bearing), np.full(seen.t.size, 240.0)
+    width, height = np.full(seen.t.size, 24.0), np.full(seen.t.size, 80.0)
+    forms = {
+        "ends": (u - 12.0, v - 40.0, u + 12.0, v + 40.0),
+        "corner": (u - 12.0, v - 40.0, width, height),
+        "share": (u / 1500.0, v / 480.0, width / 1500.0, height / 480.0),
+    }
+    return {"class": seen.id} | dict(zip(names.split(), forms[form], strict=True))
+
+
+def box_kind(names: str, form: str, refused: str = "") -> None:
+    """Register boxes of a detector."""
+
+    def files(s: Sample) -> Files:
+        tags = table({"t": s.seen.ahead.t} | boxes(s.seen.ahead, names, form))
+        return {"tags.csv": tags, "camera.yaml": PINHOLE}
+
+    kind(f"boxes, {names}", PIXELS, refused=refused)(files)
+
+
+box_kind("xmin ymin xmax ymax", "ends")
+box_kind("x1 y1 x2 y2", "ends")
+box_kind("left top right bottom", "ends")
+box_kind("x_center y_center width height", "share")
+box_kind("x y w h", "corner", "may be the centre or a corner of a box")  # all fit in the image
+
+
+@kind("OpenCV arrays in a cell", TAGS)
+def _(s: Sample) -> Files:
+    a = s.seen.ahead
+    x, y, z = (v for k, v in optical_axes(a).items() if k in "xyz")
+    cells = [f'"[[{p:.6f} {q:.6f} {r:.6f}]]"' for p, q, r in zip(x, y, z, strict=True)]
+    return {"tags.csv": table({"time": a.t, "id": a.id, "tvec": cells})}
+
+
+@kind(
+    "exchanged encoders with pixels",
+    f"{PIXELS} --wheels track_width=0.3",
+    refused="turns the wrong way.*left_wheel=right",
+)
+def _(s: Sample) -> Files:
+    step = np.diff(s.t, append=s.t[-1:])
+    left, right = (np.cumsum((s.v + k * 0.15 * s.omega) * step) for k in (1.0, -1.0))
+    wheels = table({"t": s.t, "left_distance": left, "right_distance": right})
+    seen = s.seen.ahead
+    tags = table({"t": seen.t} | boxes(seen, "xmin ymin xmax ymax", "ends"))
+    return {"odometry.csv": wheels, "tags.csv": tags, "camera.yaml": PINHOLE}
+
+
+@kind("bearings in a fixed frame", ALL, refused="fixed frame.*bearing=bearing")
+def _(s: Sample) -> Files:
+    bearing = s.seen.bearing + s.truth.at(s.seen.t).heading
+    seen = {"t": s.seen.t, "landmark": s.seen.id, "bearing": np.angle(np.exp(1j * bearing))}
+    return {"bearings.csv": table(seen)}
+
+
+@kind("stamps made equal by a spreadsheet", ALL, refused="different stamps")
+def _(s: Sample) -> Files:
+    return {"odometry.csv": table({"t": 0 * s.t + 1.7639e9, "v": s.v, "omega": s.omega})}
+
+
+@kind("clock set during the drive", ALL, refused="the clock was set")
+def _(s: Sample) -> Files:
+    late = [t + 1e9 * (t > 4.0) for t in (s.t, s.seen.t)]
+    seen = {"t": late[1], "landmark": s.seen.id, "bearing": s.seen.bearing}
+    odometry = {"t": late[0], "v": s.v, "omega": s.omega}
+    return {"odometry.csv": table(odometry), "bearings.csv": table(seen)}
+
+
+@kind("a role without a name", ALL, refused="omega is missing.*'omega=qq'")
+def _(s: Sample) -> Files:
+    return {"odometry.csv": table({"t": s.t, "v": s.v, "qq": s.omega})}
