@@ -59,6 +59,8 @@ class Scene:
     with_ids: int = 0
     """The first landmarks, which have ids."""
     duration: float = 180.0
+    carried: bool = False
+    """Whether the robot is carried elsewhere in the middle of the drive."""
     path: Callable[[np.ndarray], np.ndarray] | None = None
     """Position (k, 2) at phases (k,) in a turn; None: a random loop."""
 
@@ -79,9 +81,15 @@ def simulated(scene: Scene) -> Pair:
     steps = round(scene.duration * ODOMETRY_HZ)
     t = np.arange(steps + 1) / ODOMETRY_HZ
     begin = rng.uniform(0, math.tau) if scene.path is None else 0.0
-    p = path(begin + _phase(path, 0.5, t, begin))
-    heading = np.unwrap(np.arctan2(*np.gradient(p, axis=0).T[::-1]))
+    phase, jump = begin + _phase(path, 0.5, t, begin), len(t) // 2
+    phase[jump:] += rng.uniform(1.0, 5.0) if scene.carried else 0.0
+    parts = [path(part) for part in np.split(phase, [jump])]
+    p = np.concatenate(parts)
+    tangents = np.concatenate([np.gradient(part, axis=0) for part in parts])
+    heading = np.unwrap(np.arctan2(*tangents.T[::-1]))
     speed, rate = np.hypot(*np.diff(p, axis=0).T) * ODOMETRY_HZ, np.diff(heading) * ODOMETRY_HZ
+    for twist in (speed, rate):
+        twist[jump - 1] = twist[jump]  # odometry does not measure that
     scale = 1.0 + 0.01 * rng.standard_normal(2)
     v = scale[0] * speed + 0.02 * rng.standard_normal(steps)
     omega = scale[1] * rate + 0.02 * rng.standard_normal(steps)
@@ -235,6 +243,7 @@ KINDS: dict[str, Callable[[int], Pair]] = {
     "3 of 15 moved": partial(room, moved=3),
     "3 classes": partial(open_hall, number=15, classes=3, reach=6.0),
     "8 with ids": mixture,
+    "carried": partial(open_hall, carried=True),
     "square": square,
     "two rooms": two_rooms,
     "mrclam 6": mrclam,
@@ -276,6 +285,8 @@ def compared(pair: Pair) -> Figures:
 
     track = run(pair.without, localizer, on_estimate=look)
     best = run(pair.with_ids, Localizer(pair.with_ids.home, **pair.with_ids.settings.robot))
+    if track.failures:
+        raise RuntimeError(f"internal error: {track.failures[0]}")
     total = sum(sum(c.values()) for c in table.values())
     pure = sum(max(c.values()) if c.most_common(1)[0][0] else 0 for c in table.values())
     moved = {m.landmark for m in track.landmarks if m.moved}

@@ -542,8 +542,10 @@ BORN_APART = 5.0
 deviations]."""
 MAX_SHARP = 0.1
 """A prediction that is less certain does not keep a new landmark from beginning [rad]."""
-BREAKS = 2
-"""Frames in which most landmarks in view disappear before the robot counts as lost."""
+BREAKS = 3
+"""Frames in which most expected landmarks are not seen before the robot counts as lost."""
+MIN_EXPECTED = 2.5
+"""Expected number of landmarks in such a frame: three that are mostly seen."""
 FIT_AGAIN = 0.6
 """Share of a frame that fits again: see `MAJORITY`."""
 LOST_S = 4.0
@@ -589,3 +591,9 @@ NUM_DISTANCES = 2000
 MIN_MISSES, GHOST = 15, 0.2
 """Frames in which a landmark is not seen where it is predicted, and share of those in which it is
 seen, below which it is no landmark: real ones are seen in four of five."""
+ANCHOR_S, ANCHORED = 3.0, 0.5
+"""Time in which three anchored landmarks must be seen for a verified pose [s], and their share of
+all sightings: of a wrong pose, up to a third fit by chance."""
+LINK_FRAMES, LINK_SHARE = 10, 0.25
+"""Frames in which a landmark must be seen with an anchored one, and share of its own sightings: by
+chance it is a tenth."""

@@ -50,6 +50,9 @@ class Sky:
     """(m, n), bool: which landmark a bearing may be of."""
     reach: float = math.inf
     """Distance within which most landmarks are seen [m]."""
+    near: tuple[float, float, float] | None = None
+    """Circle in which the pose is with a probability of a half: x, y, radius [m]; None: anywhere.
+    """
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -62,6 +65,19 @@ class Sky:
     def density(self) -> float:
         """Density of the bearings that are of no landmark of the map [1/rad]."""
         return max(UNMATCHED * self.bearings.size, 0.5) / TWO_PI
+
+    def log_prior(self, pose: np.ndarray) -> float:
+        """Return the log prior density of a pose (3,)."""
+        low, high = self.box
+        anywhere = -math.log(TWO_PI * float((high - low).prod()))
+        if self.near is None:
+            return anywhere
+        x, y, radius = self.near
+        if math.hypot(pose[0] - x, pose[1] - y) > radius:
+            return anywhere + math.log(0.5)
+        return float(
+            np.logaddexp(anywhere, -math.log(TWO_PI * math.pi * radius**2)) + math.log(0.5)
+        )
 
     def detected(self, pose: np.ndarray) -> np.ndarray:
         """Return the probability to see each landmark from a pose (3,), shape (n,)."""
@@ -125,11 +141,15 @@ def match(pose: np.ndarray, sky: Sky) -> Match | None:
         information = (by_pose / v[:, None]).T @ by_pose + 1e-9 * np.eye(3)
         step = np.linalg.solve(information, by_pose.T @ (r / v))
         pose = pose + step
-    (low, high), unseen = sky.box, np.log1p(-detected).sum()
+    unseen = np.log1p(-detected).sum()
     covariance = np.linalg.inv(information)
     volume = 0.5 * float(np.linalg.slogdet(TWO_PI * covariance)[1])
-    prior = math.log(TWO_PI * float((high - low).prod()))
-    return Match(pose, landmark, float(gain[rows, of].sum() + unseen) + volume - prior, covariance)
+    return Match(
+        pose,
+        landmark,
+        float(gain[rows, of].sum() + unseen) + volume + sky.log_prior(pose),
+        covariance,
+    )
 
 
 def _residuals(poses: np.ndarray, sky: Sky) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

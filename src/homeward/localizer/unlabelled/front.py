@@ -15,6 +15,8 @@ from homeward.geometry.angles import wrap
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import (
+    ANCHOR_S,
+    ANCHORED,
     ASSOCIATION_MARGIN,
     BORN_APART,
     BREAKS,
@@ -24,8 +26,11 @@ from homeward.localizer.tunables import (
     GHOST,
     INLIER,
     LINEAR,
+    LINK_FRAMES,
+    LINK_SHARE,
     LOST_S,
     MAX_SHARP,
+    MIN_EXPECTED,
     MIN_HITS,
     MIN_MISSES,
     MINIMAL,
@@ -75,6 +80,14 @@ class UnlabelledLandmarks:
         self._born = 0
         self._together: Counter[tuple[str, str]] = Counter()
         self._lost_at, self._searched_at, self._repaired_at = math.inf, -math.inf, -math.inf
+        self._anchored: set[str] = set()
+        """Landmarks whose positions relative to those of home are proven."""
+        self._recent: deque[tuple[float, str]] = deque()
+        """Times and landmarks of the newest sightings; empty for none."""
+        self._in_frame: list[str] = []
+        """Landmarks of those of the last frame."""
+        self._before_loss: set[str] = set()
+        """Landmarks that were mapped when the robot was lost."""
         self._breaks, self._turn_rate = 0, 0.0
         self._distances: deque[float] = deque(maxlen=NUM_DISTANCES)
         self.reach = math.inf
@@ -88,7 +101,13 @@ class UnlabelledLandmarks:
     @property
     def doubt(self) -> Reason | None:
         """Why a pose is not verified, if it is not."""
-        return Reason.NO_CONSTELLATION if self.is_lost else None
+        if not self._seen:  # all landmarks have ids
+            return None
+        seen = [n for _, n in self._recent]
+        anchored = [n for n in seen if n in self._anchored]
+        few = len({*anchored}) < MINIMAL or len(anchored) < ANCHORED * len(seen)
+        is_doubtful = self.is_lost or self._breaks > 0 or few
+        return Reason.NO_CONSTELLATION if is_doubtful else None
 
     def identify(
         self, frame: BearingFrame, here: Reckoned, turn_rate: float, chart: Chart
@@ -116,6 +135,7 @@ class UnlabelledLandmarks:
             self._together.update(combinations(together, 2))
         if not keys:
             return frame
+        self._in_frame = [self.names.get(k, "" if is_unlabelled(k) else k) for k in frame.sightings]
         name = {k: self.names.get(k, None if is_unlabelled(k) else k) for k in frame.sightings}
 
         def renamed(values: Mapping) -> dict:  # type: ignore[type-arg]
@@ -134,17 +154,17 @@ class UnlabelledLandmarks:
         tracks, keys = self._tracks.setdefault(frame.camera, Tracks()), seen.keys
         false = tracks.forget(frame.t, chart.map.landmarks.mapped)
         names, forecast = self._forecast(frame, with_id, seen, tracks, chart)
-        allowed = np.array(
-            [[n not in with_id and may_be(k, n, self._kinds.get(n, "")) for n in names]
-             for k in keys], bool,
-        ).reshape(len(keys), len(names))  # fmt: skip
+        allowed = may_be(keys, names, self._kinds) if names else np.zeros((len(keys), 0), bool)
+        allowed[:, [n in with_id for n in names]] = False
         tentative = {x.name for x in tracks.tentative()} - chart.map.landmarks.mapped.keys()
         allowed[:, [n in tentative for n in names]] = False
         self._use_hints(seen, names, tracks, allowed)
         penalty = self._penalties(names, tracks, chart)
         found = associate(forecast, seen.bearings, seen.variances, allowed, penalty)
         if self._is_broken(seen, names, found, tracks, chart):
-            return self._search_again(seen, tracks, chart)
+            again = self._search_again(seen, tracks, chart)
+            if again or seen.t - self._lost_at <= LOST_S:
+                return again
         matched = {keys[i]: names[j] for i, j in enumerate(found.landmark.tolist()) if j >= 0}
         near = self._is_near(found, names, seen, tracks)
         false += int(np.count_nonzero((found.landmark < 0) & near))
@@ -351,43 +371,66 @@ class UnlabelledLandmarks:
         chart: Chart,
     ) -> bool:
         """Return whether most landmarks in view disappeared at once: the robot may be elsewhere."""
-        mapped, width = chart.map.landmarks.mapped, tracks.clutter.width
-        if self.is_lost and seen.t - self._lost_at > LOST_S:
-            self._lost_at, self._breaks = math.inf, 0
-        matched = set(found.landmark.tolist())
-        live = [
-            j for j, n in enumerate(names)
-            if n in tracks.live and n in mapped and tracks.live[n].is_confirmed
-            and abs(found.forecast.mean[j]) < 0.5 * width
-        ]  # fmt: skip
-        hits = sum(j in matched for j in live)
-        total = sum(j >= 0 for j in found.landmark.tolist())
+        mapped = chart.map.landmarks.mapped
+        fits = [names[j] for j in found.landmark.tolist() if j >= 0]
         if self.is_lost:
-            if total > MINIMAL and total > FIT_AGAIN * len(seen.keys):
-                self._lost_at, self._breaks = math.inf, 0
-        elif len(live) >= MINIMAL and len(seen.keys) >= MINIMAL:
-            broken = hits <= (1.0 - FIT_AGAIN) * 0.5 * len(live)
-            self._breaks = self._breaks + 1 if broken else 0
+            old = sum(n in self._before_loss for n in fits)
+            if old >= MINIMAL and old > FIT_AGAIN * len(seen.keys):
+                self._end_search(chart)
+        else:
+            expected = self._expected(found, names, tracks, chart)
+            hits = sum(n in expected for n in fits) + int(np.count_nonzero(found.is_held))
+            total = sum(expected.values())
+            broken = hits <= (1.0 - FIT_AGAIN) * total
+            enough = total >= MIN_EXPECTED and len(seen.keys) >= MINIMAL
+            self._breaks = self._breaks + 1 if broken and enough else 0
             if self._breaks >= BREAKS:
-                self._lost_at = seen.t
+                self._lost_at, self._before_loss = seen.t, set(mapped)
         return self.is_lost
+
+    def _expected(
+        self, found: Association, names: list[str], tracks: Tracks, chart: Chart
+    ) -> dict[str, float]:
+        """Return the landmarks that the map expects in a frame, with their detection rates."""
+        known, mean = chart.map.landmarks, found.forecast.mean.tolist()
+        index = known.index(known.mapped.values())
+        away = dict(zip(known.mapped, chart.map.smoother.state.distances[index], strict=True))
+        is_sharp = found.forecast.covariance.diagonal() < MAX_SHARP**2
+        expected = {}
+        for j, name in enumerate(names):
+            hits, misses = self._seen.get(name, (0, 0))
+            is_live = name in tracks.live and tracks.live[name].is_confirmed
+            is_known = hits >= MIN_MISSES and away.get(name, math.inf) < 0.8 * self.reach
+            is_expected = name in away and (is_live or (is_known and is_sharp[j]))
+            if is_expected and tracks.clutter.is_in_view(mean[j]):
+                expected[name] = (hits + 1.0) / (hits + misses + 1.0)
+        return expected
+
+    def _end_search(self, chart: Chart) -> None:
+        """End the search: landmarks that began during it are mapped elsewhere than they are."""
+        if self._before_loss:
+            new = chart.map.landmarks.mapped.keys() - self._before_loss
+            self.aliases |= {n: "" for n in new if NAME in n}
+        self._lost_at, self._breaks, self._before_loss = math.inf, 0, set()
 
     def _search_again(self, seen: UnlabelledFrame, tracks: Tracks, chart: Chart) -> dict[str, str]:
         """Search for the constellation of a frame in the map; return its landmarks, if unique."""
         if seen.t - self._searched_at < SEARCH_LOST_S:
             return {}
         self._searched_at = seen.t
-        names = [n for n in chart.map.landmarks.mapped if n not in self.aliases]
+        known = self._before_loss & chart.map.landmarks.mapped.keys()
+        names = [n for n in chart.map.landmarks.mapped if n in known and n not in self.aliases]
         if len(names) < MINIMAL or len(seen.keys) <= MINIMAL:
             return {}
         points, covariances = relative_places(chart, names)
-        allowed = np.array(
-            [[may_be(k, n, self._kinds.get(n, "")) for n in names] for k in seen.keys]
-        )
-        found = search(Sky(points, covariances, seen.bearings, seen.variances, allowed, self.reach))
+        allowed = may_be(seen.keys, names, self._kinds)
+        state = chart.map.smoother.state
+        near = float(state.mean[0]), float(state.mean[1]), CLOSE * INLIER * state.scale
+        lines = seen.bearings, seen.variances, allowed
+        found = search(Sky(points, covariances, *lines, self.reach, near))
         if found is None or min(found.margin, found.best.log_evidence) < NATS_APART:
             return {}
-        self._lost_at, self._breaks = math.inf, 0
+        self._end_search(chart)
         tracks.live.clear()
         pairs = enumerate(found.best.landmark.tolist())
         matched = {seen.keys[i]: names[j] for i, j in pairs if j >= 0}
@@ -406,14 +449,41 @@ class UnlabelledLandmarks:
             if self._distances:
                 self.reach = float(np.quantile(self._distances, REACH))
             changed = self._merge(chart)
+            self._anchor(chart)
         else:
             changed = False
         mapped = chart.map.landmarks.mapped
         usable = {n: self._kinds.get(n, "") for n in mapped if n not in self.aliases}
+        self._recent.extend((t, n) for n in self._in_frame)
+        while self._recent and self._recent[0][0] < t - ANCHOR_S:
+            self._recent.popleft()
         known = chart.map.landmarks
         index = known.index([mapped[n] for n in self.names.values() if n in mapped])
         self._distances.extend(chart.map.smoother.state.distances[index].tolist())
         return self.home.update(t, chart, usable, self.reach) or changed
+
+    def _anchor(self, chart: Chart) -> None:
+        """Anchor the landmarks that are often seen together with three anchored ones.
+
+        Those of home are the first. If odometry or the robot has slipped, landmarks mapped later
+        are seen with the former ones by chance only, and are not anchored.
+        """
+        of_home = set(self.home.named()) & chart.map.landmarks.mapped.keys()
+        self._anchored = of_home if not of_home & self._anchored else self._anchored | of_home
+        self._anchored -= self.aliases.keys()
+        open_ = {n for n in chart.map.landmarks.mapped if n not in self.aliases} - self._anchored
+        grown = True
+        while grown:
+            new = {n for n in open_ if self._is_linked(n)}
+            self._anchored |= new
+            open_ -= new
+            grown = bool(new)
+
+    def _is_linked(self, name: str) -> bool:
+        """Return whether a landmark is often seen together with three anchored ones."""
+        least = max(LINK_FRAMES, LINK_SHARE * self._seen.get(name, [0, 0])[0])
+        pairs = (tuple(sorted((name, other))) for other in self._anchored)
+        return sum(self._together[a, b] >= least for a, b in pairs) >= MINIMAL
 
     def _merge(self, chart: Chart) -> bool:
         """Merge landmarks at one place that were never seen together; return whether home changes.
@@ -437,7 +507,7 @@ class UnlabelledLandmarks:
             first, second = sorted((old, new))
             if self._together[first, second] > TOGETHER:
                 continue
-            if not may_be(f"class:{self._kinds.get(new, '')}#", old, self._kinds.get(old, "")):
+            if len({self._kinds.get(n, "") for n in (old, new)} - {""}) > 1:
                 continue
             columns = state.columns(index[[i, j]]).ravel()
             joint = state.covariance[np.ix_(columns, columns)]

@@ -9,7 +9,7 @@ it.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -67,9 +67,10 @@ class HomeFinder:
         if not self.is_needed or t < self._next:
             return False
         kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
-        self._wait = min(self._wait * SEARCH_GROWTH, MAX_SEARCH_S)
+        growth = SEARCH_GROWTH ** (3.0 if self.assigned else 1.0)
+        self._wait = min(self._wait * growth, MAX_SEARCH_S)
         if len(kept) > self._mapped:
-            self._wait = FIRST_SEARCH_S if not self.assigned else 3.0 * FIRST_SEARCH_S
+            self._wait = FIRST_SEARCH_S * (5.0 if self.assigned else 1.0)
         self._next, self._mapped = t + self._wait, len(kept)
         if len(kept) < MINIMAL:
             return False
@@ -123,16 +124,21 @@ class HomeFinder:
         sigmas = np.array([self._home[k].sigma for k in keys])
         sigmas = np.where(np.isfinite(sigmas), sigmas, chart.noise.typical)
         bearings = np.array([self._home[k].bearing for k in keys])
-        allowed = np.array([[may_be(k, n, kinds[n]) for n in names] for k in keys])
+        allowed = may_be(keys, names, kinds)
         return Sky(points, covariances, bearings, sigmas**2, allowed, reach)
 
 
-def may_be(key: str, name: str, kind: str) -> bool:
-    """Return whether a sighting may be of a landmark of a class; an empty class may be any."""
-    if not is_unlabelled(key):
-        return key == name
-    own = class_of(key)
-    return not own or not kind or own == kind
+def may_be(keys: Sequence[str], names: Sequence[str], kinds: Mapping[str, str]) -> np.ndarray:
+    """Return which sightings may be of which landmarks, (m, n), bool; `kinds` has their classes.
+
+    An empty class may be any. A sighting with an id is of the landmark of that id.
+    """
+    own, of = np.array([class_of(k) for k in keys]), np.array([kinds.get(n, "") for n in names])
+    allowed = (own[:, None] == of) | (own == "")[:, None] | (of == "")
+    for i, key in enumerate(keys):
+        if not is_unlabelled(key):
+            allowed[i] = [key == name for name in names]
+    return np.asarray(allowed)
 
 
 def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
