@@ -11,7 +11,7 @@ import dataclasses
 import math
 import threading
 from collections.abc import Mapping, Sequence
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -45,12 +45,18 @@ from homeward.localizer.output.faces import EstimatedCalibration, PredictedBeari
 from homeward.localizer.output.map_snapshot import MapSnapshot
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
-from homeward.localizer.unlabelled.front import UnlabelledLandmarks
 from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import Reckoned, TwistHistory
 from homeward.reasons import Reason, Rejection
 from homeward.sighting_keys import is_unlabelled
 
+if TYPE_CHECKING:
+    from homeward.localizer.unlabelled.front import UnlabelledLandmarks
+
+WITHOUT_IDS_NOTE = (
+    "Landmarks without ids are identified by the map. This is experimental: a pose may be localised"
+    " and wrong for some seconds. Give ids or classes where you can."
+)
 SCALE_NOTE = (
     "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. To remove"
     " it, add one measured distance to landmarks.yaml in the drive folder: `distances: [{between:"
@@ -123,7 +129,7 @@ class Localizer:
         self.unlabelled: UnlabelledLandmarks | None = None
         """Landmarks without ids; None as long as all have one."""
         if any(map(is_unlabelled, self._home)):
-            self.unlabelled = UnlabelledLandmarks(self._home)
+            self.unlabelled = self._without_ids()
         self._chart = self._new_chart(self._robot, self.counts)
         if self._keeps:
             self._chart.retain_marginalised()
@@ -168,7 +174,14 @@ class Localizer:
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
         scale = (*scale, *self._range_notes())
         wheels = *self._plausibility.notes, *self._dead.notes
-        return (*scale, *noisy, *robot, *wheels, *self.chart.home.notes)
+        without_ids = () if self.unlabelled is None else (WITHOUT_IDS_NOTE,)
+        return (*without_ids, *scale, *noisy, *robot, *wheels, *self.chart.home.notes)
+
+    def _without_ids(self) -> UnlabelledLandmarks:
+        """Begin the identification of landmarks without ids, which few drives need."""
+        from homeward.localizer.unlabelled.front import UnlabelledLandmarks
+
+        return UnlabelledLandmarks(self._home)
 
     def _range_notes(self) -> tuple[str, ...]:
         """Return a note for the user on ranges, if any came."""
@@ -266,7 +279,7 @@ class Localizer:
         self._reorder.bearings(frame)
         with_ids = {n: b for n, b in usable.items() if not is_unlabelled(n)}
         if len(with_ids) < len(usable) and self.unlabelled is None:
-            self.unlabelled = UnlabelledLandmarks(self._home)
+            self.unlabelled = self._without_ids()
         tracks = frame.by_camera(with_ids), frame.by_camera(valid)
         self._dead.bearings(t, *tracks, self.chart.noise)
         innovations = self._process_due()
