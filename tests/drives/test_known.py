@@ -59,7 +59,7 @@ def test_an_estimator_for_a_drive_is_told_what_its_settings_say(name, make):
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        ({"home": [0.31]}, "home is a list"),
+        ({"home": 0.31}, "home is a float"),
         ({"home": {7: 0.31}}, "id must be text, not 7"),
         ({"home": {"door": "left"}}, "'door': 'left' is a str"),
         ({"home": {"door": None}}, "'door'"),
@@ -79,6 +79,12 @@ def test_what_cannot_be_used_is_one_clear_error(make, told, words):
     with pytest.raises(InputError, match=words) as caught:
         make(**{"home": HOME, "start": START} | told)
     assert len(str(caught.value).splitlines()) == 1
+
+
+@pytest.mark.parametrize("make", [ekf, a_ekf, pi_ekf])
+def test_filters_refuse_a_home_without_ids(make):
+    with pytest.raises(InputError, match="needs an id for each"):
+        make([0.31, 1.2, -0.4], start=START)
 
 
 @ALL

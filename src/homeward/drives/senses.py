@@ -23,6 +23,8 @@ from homeward.geometry.angles import wrap
 from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
 
 DEG = math.degrees(1.0)
+ABSURD = 1e6
+"""No robot drives or turns so fast, in any unit: nothing is decided by such numbers."""
 MIN_INTERVAL_S, MAX_INTERVAL_S, NUM_FRAMES = 1.0, 5.0, 4.0
 """Limits of the length of an interval [s], and its number of frames between them."""
 BAD_INTERVAL = 0.1
@@ -136,7 +138,8 @@ def compare_senses(
     `t` [s], `landmark`, `bearing` [rad] and optionally `camera`, (n,), are sightings in order of
     time. Bearings may be in another unit, and need not be wrapped.
     """
-    if odometry.t.size < 3:
+    twists = np.abs([odometry.v, odometry.omega])
+    if odometry.t.size < 3 or (twists > ABSURD).any():
         return UNDECIDED
     usable = (t >= odometry.t[0]) & (t <= odometry.t[-1]) & np.isfinite(bearing)
     t, landmark, bearing = t[usable], landmark[usable], bearing[usable]

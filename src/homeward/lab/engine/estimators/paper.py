@@ -45,6 +45,7 @@ from homeward.lab.filters.settings import (
     SchmidtSettings,
 )
 from homeward.lab.model import POLAR, PolarModel
+from homeward.sighting_keys import is_unlabelled
 
 Settings = TypeVar("Settings", bound=NoiseSettings, covariant=True)
 
@@ -251,7 +252,10 @@ def pi_ekf(
 def _config(
     name: str, home: Home, settings: Checked, robot: Robot, samples: int
 ) -> FilterConfig[Checked]:
-    return FilterConfig(name, known_home(home), known_robot(robot), settings, samples)
+    known = known_home(home)
+    if any(map(is_unlabelled, known)):
+        raise InputError(f"home has landmarks without ids, and {name} needs an id for each")
+    return FilterConfig(name, known, known_robot(robot), settings, samples)
 
 
 def _matrix(
