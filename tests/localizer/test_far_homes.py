@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from test_parts import problem
 
 from homeward.geometry.angles import wrap
@@ -132,5 +133,5 @@ def test_the_density_of_homes_is_one_in_all():
     r = near * np.geomspace(1e-3, 1e6, 4000)
     density = np.exp([known.log_density(np.array([x + away, y, 0.0])) for away in r])
     inside = math.pi * r[0] ** 2 * density[0]
-    in_all = math.tau * (inside + np.trapezoid(math.tau * r * density, r))  # over all headings
+    in_all = math.tau * (inside + trapezoid(math.tau * r * density, r))  # over all headings
     assert in_all == pytest.approx(1.0, abs=1e-3)
