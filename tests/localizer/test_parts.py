@@ -97,7 +97,7 @@ def test_a_pose_that_nothing_fixes_is_an_error():
 
 @pytest.mark.parametrize("sideways", [0.0, 0.4])
 def test_motion_is_linear_in_its_calibration_as_it_says(sideways):
-    at = np.array([0.02, 0.003, 0.01, 0.13, 0.15, 0.05, 0.0, 0.1, -0.1])
+    at = np.array([0.02, 0.003, 0.01, 0.13, 0.15, 0.05, 0.03, 0.0, 0.1, -0.1])
     motion = integrated(at, sideways=sideways)
 
     def change(step):
@@ -166,7 +166,7 @@ def test_bearings_have_the_derivatives_they_say():
     rng = np.random.default_rng(0)
     odometry = Wheels()
     drive(odometry)
-    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.1, 0.04, 0.02, 0.03, -0.02])
+    calibration = np.array([0.01, 0.0, 0.0, 0.1, 0.1, 0.04, 0.0, 0.02, 0.03, -0.02])
     motion = odometry.motion(1.7, calibration)
     one, mount = np.ones(1), np.array([0.2, -0.1, 0.3])
     frames = Frames()
