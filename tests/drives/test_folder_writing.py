@@ -120,7 +120,6 @@ NOTHING = Sightings(*(np.empty(0),) * 4)
 UNWRITABLE = [
     (Drive("x", Odometry(GOOD, GOOD, BAD), NOTHING, {}), "odometry.csv: omega contains a number"),
     (Drive("x", Odometry(*(np.empty(0),) * 3), NOTHING, {}), "odometry.csv: no rows"),
-    (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"": HomeBearing(0.0)}), "home.csv: landmark"),
     (Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {"a ": HomeBearing(0.0)}), "home.csv: landm"),
     (
         Drive("x", Odometry(GOOD, GOOD, GOOD), NOTHING, {}, truth=Truth(GOOD, GOOD, BAD, GOOD)),

@@ -103,7 +103,8 @@ class OdometryNoise(Strict):
     speed_sigma: NonNegative | None = None
     """Density of the speed's white noise [m/s/sqrt(Hz)]."""
     sideways_sigma: NonNegative | None = None
-    """The same of the sideways speed; None: the speed's, along the direction of motion."""
+    """Density of the sideways speed's white noise [m/s/sqrt(Hz)]; None: that of the speed, along
+    the direction of motion."""
     turn_sigma: NonNegative | None = None
     """Density of the yaw rate's white noise [rad/s/sqrt(Hz)]."""
     time_constant: NonNegative | None = None
