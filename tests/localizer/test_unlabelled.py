@@ -8,8 +8,11 @@ from homeward import InputError, Localizer
 from homeward.drives.folder import read_folder, write_folder
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
+from homeward.localizer.map import smoother
+from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.unlabelled.association import Forecast, associate
 from homeward.localizer.unlabelled.constellation import Sky, search
+from homeward.localizer.unlabelled.home import relative_places
 from homeward.registry import make_estimator
 from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
 from homeward.track import run
@@ -118,6 +121,21 @@ def test_a_drive_is_localised_without_ids(pair):
     assert figures.wrong_s == 0.0
     assert figures.inside > 0.97
     assert figures.localised > 0.2
+
+
+def test_landmarks_out_of_view_are_identified_as_those_in_the_window(pair, monkeypatch):
+    monkeypatch.setattr(smoother, "MIN_IDLE", 1)
+    settings = LocalizerSettings(window=10, longest_window=12)
+    drive = pair.without
+    localizer = Localizer(drive.home, settings=settings, **drive.settings.robot)
+    track = run(drive, localizer)
+    assert not track.failures
+    chart, known = localizer.chart, localizer.chart.map.landmarks
+    assert len(chart.map.smoother.passive)
+    names = list(known.mapped)
+    assert relative_places(chart, names)[0] == pytest.approx(known.positions(names), abs=1e-9)
+    used = [known.mapped[n].number for n in chart.home.names if n in known.mapped]
+    assert np.isin(used, chart.map.smoother.ids).all()
 
 
 def test_a_square_of_equal_posts_is_never_localised():

@@ -116,6 +116,7 @@ class Chart:
     def replace_home(self, home: Mapping[str, HomeBearing], t: float) -> None:
         """Replace the home bearings, whose landmarks are found without ids, at `t` [s]."""
         self.home.replace(home, self.drive, self._settings)
+        self.map.home = self.home.observation.bearings
         self._find_home(t)
 
     def follow(self, t: float) -> None:

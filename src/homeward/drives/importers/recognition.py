@@ -267,7 +267,7 @@ def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> str
 
 
 def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
-    """Return the advice for the kind of table of which the fewest roles are missing."""
+    """Return the advice for the kind of table that lacks the fewest roles."""
     kinds = {kind: roles for kind, roles in KINDS.items() if kind != "gyro"}
     found = {kind: recognised(roles, one.names, mine) for kind, roles in kinds.items()}
     boxes = box_columns(one.names)

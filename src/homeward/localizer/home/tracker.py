@@ -96,6 +96,7 @@ class HomeTracker:
         now, before, frame = self.hypotheses, self.names, self._surveyed
         if known.evaluated or known.smoother.p_static is not self._p_static:
             self.names = known.landmarks.shared_with_home(self.observation.bearings)
+            known.landmarks.activate_at_home(self.names)
             self._p_static = None
         self._surveyed = known.registration.has_home
         if self._surveyed is not frame:  # the frame of home has changed

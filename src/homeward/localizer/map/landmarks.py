@@ -140,11 +140,23 @@ class Landmarks:
         ids = self.ids(names)
         self.smoother.activate(ids[ids >= 0])
 
+    def activate_at_home(self, names: Collection[str]) -> None:
+        """Make landmarks active that home uses, also where they were before they moved."""
+        self.smoother.activate(numbers(self._at_home(names)))
+
     def deactivate(self, home: Collection[str]) -> None:
         """Make landmarks out of view passive, but those of `home`; see `Smoother.deactivate`."""
-        used = self.shared_with_home(home)
-        at_home = [m for known in (self.mapped, self.former) for n, m in known.items() if n in used]
-        self.smoother.deactivate(numbers(at_home))
+        self.smoother.deactivate(numbers(self._at_home(self.shared_with_home(home))))
+
+    def _at_home(self, names: Collection[str]) -> list[Landmark]:
+        """Return the landmarks with these names, at their present and former positions."""
+        return [m for of in (self.mapped, self.former) for n, m in of.items() if n in names]
+
+    def distances(self, names: Iterable[str]) -> dict[str, float]:
+        """Return the distances from the newest pose of those that are mapped, by name [m]."""
+        known = [n for n in names if n in self.mapped]
+        away = self.positions(known) - self.smoother.state.mean[:2]
+        return dict(zip(known, np.hypot(*away.T).tolist(), strict=True))
 
     def positions(self, names: Iterable[str]) -> np.ndarray:
         """Return the positions of those landmarks that are mapped, (k, 2) [m]."""

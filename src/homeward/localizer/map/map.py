@@ -76,7 +76,8 @@ class Map:
         scale: ScaleErrors,
         home: Collection[str],
     ) -> None:
-        self._home = home
+        self.home = home
+        """Landmarks that home saw."""
         self._settings, self._counts = settings, counts
         self._process_noise, self._extrinsics = process_noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
@@ -463,4 +464,4 @@ class Map:
             smoother.marginalise(count)
             self.landmarks.drop_candidates_before(smoother.first)
             if not self.registration.survey.known.is_given:
-                self.landmarks.deactivate(self._home)
+                self.landmarks.deactivate(self.home)

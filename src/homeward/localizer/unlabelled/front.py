@@ -14,6 +14,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
 from homeward.localizer.chart import Chart
 from homeward.localizer.inputs.reorder import BearingFrame
+from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     ANCHOR_S,
     ANCHORED,
@@ -227,9 +228,8 @@ class UnlabelledLandmarks:
 
     def _penalties(self, names: list[str], tracks: Tracks, chart: Chart) -> np.ndarray:
         """Return a penalty for each landmark (n,): those seen just before are seen again."""
-        known, state = chart.map.landmarks, chart.map.smoother.state
-        index = known.index(known.mapped.values())
-        away = dict(zip(known.mapped, state.distances[index].tolist(), strict=True))
+        known = chart.map.landmarks
+        away = known.distances(known.mapped)
         distance = np.array([away.get(n, 0.0) for n in names])
         beyond = np.maximum(distance / self.reach - 1.0, 0.0) / LINEAR
         penalty = np.minimum(2.0 * beyond**2, ASSOCIATION_MARGIN) + NOT_LIVE
@@ -252,8 +252,7 @@ class UnlabelledLandmarks:
     ) -> None:
         """Count hits and misses of mapped landmarks; those that are hardly ever seen are none."""
         known, hits = chart.map.landmarks, set(found.landmark.tolist())
-        index = known.index(known.mapped.values())
-        away = dict(zip(known.mapped, chart.map.smoother.state.distances[index], strict=True))
+        away = known.distances(known.mapped)
         mean, variance = found.forecast.mean.tolist(), found.forecast.covariance.diagonal()
         for j, name in enumerate(names):
             if NAME not in name or name not in away:
@@ -393,8 +392,7 @@ class UnlabelledLandmarks:
     ) -> dict[str, float]:
         """Return the landmarks that the map expects in a frame, with their detection rates."""
         known, mean = chart.map.landmarks, found.forecast.mean.tolist()
-        index = known.index(known.mapped.values())
-        away = dict(zip(known.mapped, chart.map.smoother.state.distances[index], strict=True))
+        away = known.distances(known.mapped)
         is_sharp = found.forecast.covariance.diagonal() < MAX_SHARP**2
         expected = {}
         for j, name in enumerate(names):
@@ -457,9 +455,7 @@ class UnlabelledLandmarks:
         self._recent.extend((t, n) for n in self._in_frame)
         while self._recent and self._recent[0][0] < t - ANCHOR_S:
             self._recent.popleft()
-        known = chart.map.landmarks
-        index = known.index([mapped[n] for n in self.names.values() if n in mapped])
-        self._distances.extend(chart.map.smoother.state.distances[index].tolist())
+        self._distances.extend(chart.map.landmarks.distances(self.names.values()).values())
         return self.home.update(t, chart, usable, self.reach) or changed
 
     def _anchor(self, chart: Chart) -> None:
@@ -494,8 +490,7 @@ class UnlabelledLandmarks:
         names = [n for n in mapped if n not in self.aliases]
         if len(names) <= MINIMAL:
             return False
-        index = chart.map.landmarks.index([mapped[n] for n in names])
-        places = state.positions[index]
+        places, ids = chart.map.landmarks.positions(names), chart.map.landmarks.ids(names)
         off = places[:, None] - places
         distance = np.hypot(off[..., 0], off[..., 1])
         close = np.argwhere(np.triu(distance < CLOSE * 3 * state.scale, 1))
@@ -509,8 +504,7 @@ class UnlabelledLandmarks:
                 continue
             if len({self._kinds.get(n, "") for n in (old, new)} - {""}) > 1:
                 continue
-            columns = state.columns(index[[i, j]]).ravel()
-            joint = state.covariance[np.ix_(columns, columns)]
+            joint = chart.map.smoother.all_landmarks.joint(ids[[i, j]]).covariance[HEAD:, HEAD:]
             difference = np.hstack([np.eye(2), -np.eye(2)])
             covariance = difference @ joint @ difference.T
             covariance += (CLOSE * state.scale / 10) ** 2 * np.eye(2)

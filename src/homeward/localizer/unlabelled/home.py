@@ -15,6 +15,7 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.localizer.chart import Chart
+from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     ESTABLISHED,
     FIRST_SEARCH_S,
@@ -146,10 +147,8 @@ def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndar
 
     A shift, rotation and scale that all have in common changes no bearing from a free pose.
     """
-    known, state = chart.map.landmarks, chart.map.smoother.state
-    index = known.index([known.mapped[n] for n in names])
-    points, columns = state.positions[index], state.columns(index).ravel()
-    covariance = state.covariance[np.ix_(columns, columns)]
+    state = chart.map.smoother.all_landmarks.joint(chart.map.landmarks.ids(names))
+    points, covariance = state.positions, state.covariance[HEAD:, HEAD:]
     off = points - points.mean(axis=0)
     common = np.zeros((2 * len(names), 4))
     common[0::2, 0] = common[1::2, 1] = 1.0
@@ -158,4 +157,4 @@ def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndar
     rest = np.eye(len(common)) - basis @ basis.T
     each = np.arange(2 * len(names)).reshape(-1, 2)
     covariance = (rest @ covariance @ rest.T)[each[:, :, None], each[:, None]]
-    return points, covariance + (NEGLIGIBLE * state.scale / 10) ** 2 * np.eye(2)
+    return points, covariance + (NEGLIGIBLE * chart.map.smoother.state.scale / 10) ** 2 * np.eye(2)
