@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 
 import homeward
 from homeward.cli.main import app
-from homeward.cli.settings import OTHERS, other_model
+from homeward.cli.settings import OTHERS, listed_elsewhere, other_model
 from homeward.estimator import Status
 from homeward.io.keys import keys
 from homeward.reasons import Reason, Rejection
@@ -84,7 +84,10 @@ def settings() -> str:
 
 
 def _settings(name: str, where: str, model: Any) -> str:
-    rows = (f"| `{k.name}` | `{_cell(k.default)}` | {_cell(k.meaning)} |" for k in keys(model))
+    rows = (
+        f"| `{k.name}` | {k.default and f'`{_cell(k.default)}`'} | {_cell(k.meaning)} |"
+        for k in keys(model, elsewhere=listed_elsewhere(name))
+    )
     return "\n".join((f"## {name}\n", f"{where}\n", "| key | default | |", "|---|---|---|", *rows))
 
 

@@ -102,6 +102,15 @@ def test_a_robot_needs_numpy_scipy_and_yaml_alone():
     assert done.returncode == 0, done.stderr
 
 
+def test_without_the_packages_of_commands_one_line_says_what_to_install():
+    program = "sys.argv = ['homeward', 'run', 'sample']\nimport homeward.__main__ as m\nm.main()"
+    done = alone(program, core=CORE.replace("PIL", "PIL typer"))
+    assert done.returncode == 2
+    said = "homeward: typer is not installed; the commands need: pip install typer rich"
+    assert done.stderr.startswith(said)
+    assert len(done.stderr.splitlines()) == 1
+
+
 def test_a_command_says_in_one_line_which_extra_it_needs(tmp_path):
     results = commands_alone(tmp_path, *NEEDS, *NEEDS_NONE)
     for (words, extra), (status, said, written) in zip(NEEDS.items(), results, strict=False):

@@ -187,7 +187,7 @@ BAD_INPUTS = [
     (["run", "bad"], "bearings.csv, row 3"),
     (["plan", "--drive", "bad"], "bearings.csv, row 3"),
     (["plan", "off.yaml"], "outside the outline"),
-    (["see", "a.png", "b.png"], "a.png"),
+    (["compare", "a.png", "b.png"], "a.png"),
     (["see", "short"], "images.csv"),
     (["convert", "bad", "--"], "bearings.csv, row 3"),
 ]
@@ -292,9 +292,12 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
 def test_settings_are_listed_for_all_that_has_any():
     listed = call("settings").stdout
     assert all(f"homeward settings {name}" in listed for name in OTHERS)
+    shared = [key.name for name in ("robot", "drive") for key in keys(other_model(name))]
     for name in OTHERS:
         reported = call("settings", name).stdout
-        assert all(f"{key.name}=" in reported for key in keys(other_model(name)))
+        for key in keys(other_model(name)):
+            elsewhere = key.name.removeprefix("drive.") in shared and "# as `homeward" in reported
+            assert f"{key.name}=" in reported or elsewhere
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
     assert "choose one of: robust" in refused(call("settings", "kalman"))
 

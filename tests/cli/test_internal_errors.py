@@ -125,7 +125,7 @@ def test_each_of_many_exceptions_is_counted(short, tmp_path, faults, seed):
     assert len(rows) >= 120
 
 
-@pytest.mark.parametrize("options", [["--smooth"], ["--smoothed-lag", "2"]])
+@pytest.mark.parametrize("options", [["--smooth"], ["--smooth", "2"]])
 def test_where_smoothing_fails_the_causal_track_is_written(short, tmp_path, options):
     with patch("homeward.localizer.smoothing.SolvedDrive.with_slips", side_effect=Fault("here")):
         result = call("run", short, *options, "--out", tmp_path / "out")

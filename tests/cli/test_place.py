@@ -14,8 +14,8 @@ from homeward.geometry.frames import Pose, between
 from homeward.places.files import load_place, newest, save_place
 from homeward.runs.single_run import load_run, prepare
 
-SHORT = ["run", "{short}"]
-AT = [*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 4", "--home"]
+ADD = ["place", "add", "{hall}"]
+AT = [*ADD, "{short}", "--store-home", "dock 4", "--home"]
 
 
 def another_day(folder, seconds=40.0):
@@ -34,11 +34,11 @@ def visited(tmp_path_factory):
     hall, out = folder / "hall", folder / "out"
     day = first_seconds(folder / "day", 40.0)
     when = "--when", "2026-11-01"
-    first = done(call("run", day, "--place", hall, "--update", *when, "--out", out))
+    first = done(call("place", "add", hall, day, *when, "--out", out))
     assert "hall: a new place, with 11 landmarks." in first.output
-    more = "--update", "--store-home", "dock 3", "--store-route", "round", "--when", "2026-11-02"
+    more = "--store-home", "dock 3", "--store-route", "round", "--when", "2026-11-02"
     again = another_day(folder / "another-day")
-    second = done(call("run", again, "--place", hall, *more, "--out", folder / "second"))
+    second = done(call("place", "add", hall, again, *more, "--out", folder / "second"))
     assert "hall: 11 stayed" in second.output
     assert "first after" not in second.output
     return folder
@@ -74,8 +74,8 @@ def test_a_run_answers_in_the_frame_of_any_home(hall, tmp_path):
 
 def test_a_home_is_stored_where_the_drive_was_at_any_time(hall, tmp_path):
     drive, out = another_day(tmp_path / "short", 20.0), tmp_path / "out"
-    stored = "--update", "--store-home", "dock 4", "--home", "at:12.0"
-    done(call("run", drive, "--place", hall, *stored, "--out", out))
+    stored = "--store-home", "dock 4", "--home", "at:12.0"
+    done(call("place", "add", hall, drive, *stored, "--out", out))
     there = load_place(hall).home_pose("dock 4")
     truth = open_drive(drive).truth.at(np.array([12.0]))
     assert np.hypot(there.x - truth[0], there.y - truth[1]) < 0.15
@@ -129,8 +129,7 @@ def test_a_first_drive_that_shows_little_makes_no_place_but_has_its_answer(tmp_p
     few = np.isin(drive.sightings.landmark.astype(str), sorted(drive.home)[:4])
     seen = drive.sightings
     save_drive(replace(drive, sightings=seen.rows(few)), tmp_path / "few")
-    words = "--place", tmp_path / "hall", "--update", "--out", tmp_path / "out"
-    said = call("run", tmp_path / "few", *words)
+    said = call("place", "add", tmp_path / "hall", tmp_path / "few", "--out", tmp_path / "out")
     assert said.exit_code == 1, said.output
     assert "Report: " in said.stdout
     assert "a place needs" in said.stderr
@@ -203,23 +202,21 @@ def test_view_writes_a_page(hall, tmp_path):
 @pytest.mark.parametrize(
     ("words", "refusal"),
     [
-        (["run", "sample", "--update"], "--update needs --place"),
-        (["run", "sample", "--place", "{hall}", "--update", "--smooth"], "with a smoothed track"),
-        (["run", "sample", "--place", "{hall}", "--store-home", "x"], "needs --update"),
-        (["run", "sample", "--place", "{hall}", "--store-route", "x"], "needs --update"),
+        (["run", "sample", "--update"], "`homeward place add PLACE DRIVE`"),
+        (["run", "sample", "--store-home", "x"], "`homeward place add PLACE DRIVE`"),
         (["run", "sample", "--place-home", "x"], "need --place"),
         (["run", "sample", "--place", "{hall}", "--place-home", "x"], "the place has home, dock 3"),
         (["run", "sample", "--place", "{hall}", "--when", "noon"], "not a date"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf"], "for the estimator robust"),
         (["run", "sample", "--place", "{hall}", "--estimator", "ekf,robust"], "works with one"),
         (["run", "sample", "--place", "{hall}/new"], "no such folder"),
-        (["run", "sample", "--place", "{hall}/0001", "--update"], "contains files but no place"),
-        (["run", "{day}", "--place", "{hall}", "--update"], "would count twice"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-home", "dock 3"], "'dock 3' exists"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-home", " x"], "not a valid name"),
-        ([*SHORT, "--place", "{hall}", "--update", "--store-route", "round"], "'round' exists"),
-        ([*SHORT, "--place", "{hall}-2", "--update", "--store-home", "home"], "'home' exists"),
-        ([*SHORT, "--place", "{hall}-2", "--update", "--place-home", "x"], "the place is new"),
+        (["place", "add", "{hall}/0001", "sample"], "contains files but no place"),
+        ([*ADD, "{day}"], "would count twice"),
+        ([*ADD, "{short}", "--store-home", "dock 3"], "'dock 3' exists"),
+        ([*ADD, "{short}", "--store-home", " x"], "not a valid name"),
+        ([*ADD, "{short}", "--store-route", "round"], "'round' exists"),
+        (["place", "add", "{hall}-2", "{short}", "--store-home", "home"], "'home' exists"),
+        (["place", "add", "{hall}-2", "{short}", "--place-home", "x"], "the place is new"),
         ([*AT, "at:999"], "time at home 999: must be from 0 to"),
         ([*AT, "at:nan"], "time at home nan: must be from 0 to"),
         ([*AT, "at:-1"], "time at home -1: must be from 0 to"),
@@ -235,7 +232,7 @@ def test_view_writes_a_page(hall, tmp_path):
 def test_what_cannot_be_is_refused_in_one_line(hall, visited, words, refusal, tmp_path):
     short = first_seconds(tmp_path / "short", 5.0)
     out = tmp_path / "out"
-    words = [*words, *(["--out", "{out}"] if words[0] == "run" else [])]
+    words = [*words, *(["--out", "{out}"] if "run" in words or "add" in words else [])]
     folders = {"hall": hall, "day": visited / "day", "short": short, "out": out}
     said = refused(call(*(word.format(**folders) for word in words)))
     assert refusal in said
@@ -250,8 +247,8 @@ def test_a_drive_in_another_place_is_not_merged(hall, tmp_path):
     other = dict(zip(ids, ids[4:] + ids[:4], strict=True))
     drive.sightings.landmark[:] = [other[n] for n in drive.sightings.landmark]
     save_drive(drive, tmp_path / "elsewhere")
-    words = "--place", hall, "--update", "--store-home", "dock 4", "--out", tmp_path / "out"
-    said = call("run", tmp_path / "elsewhere", *words)
+    words = "--store-home", "dock 4", "--out", tmp_path / "out"
+    said = call("place", "add", hall, tmp_path / "elsewhere", *words)
     assert said.exit_code == 1, said.output
     assert "home 'dock 4' was not stored" in said.stderr
     assert "this drive was not merged" in said.output
@@ -274,10 +271,9 @@ def test_what_cannot_be_stored_does_not_cost_the_visit(tmp_path):
     drive = open_drive(first_seconds(tmp_path / "short", 20.0))
     settings = drive.settings.model_copy(update={"start": None})
     save_drive(replace(drive, settings=settings), tmp_path / "d")
-    more = "--update", "--store-home", "early", "--home", "at:0.0", "--when", "2026-11-01"
-    result = call(
-        "run", tmp_path / "d", "--place", tmp_path / "hall", *more, "--out", tmp_path / "o"
-    )
+    more = "--store-home", "early", "--home", "at:0.0", "--when", "2026-11-01"
+    words = tmp_path / "hall", tmp_path / "d", *more, "--out", tmp_path / "o"
+    result = call("place", "add", *words)
     assert result.exit_code == 1
     assert "home 'early' cannot be stored: the robot has no pose there" in result.stderr
     assert list(load_place(tmp_path / "hall").homes) == ["home"]

@@ -87,7 +87,6 @@ REFUSED = {
     "reproduce": "is now `homeward study paper` or `homeward study layouts`",
     "observe sample": "`homeward plan --drive DRIVE`",
     "render office": "`homeward simulate ROOM --images`",
-    "compare a.png b.png": "`homeward see HOME.png NOW.png`",
 }
 """Arguments and the expected error."""
 

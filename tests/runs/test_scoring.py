@@ -73,6 +73,14 @@ def test_a_constant_offset_is_every_statistic():
     assert a.position_inside_sigma_shares == (0.0, 0.0, 0.0)
 
 
+def test_metrics_are_printed_as_a_short_table():
+    there = track(steps(10), x=0.3)
+    said = str(score(there, still(steps(10)))).splitlines()
+    assert "position error  0.300 m RMSE, 0.300 m maximum" in said
+    assert len(said) <= 7
+    assert "error" not in str(score(there, None))
+
+
 def test_rows_weigh_until_the_next_row():
     # Off by 1 m for 1 s, by 3 m for 0.5 s; the last row lasts no time.
     a = score(track([0.0, 1.0, 1.5], x=[1.0, 3.0, 99.0]), still(steps(2))).accuracy

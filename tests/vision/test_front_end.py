@@ -242,7 +242,7 @@ def test_of_images_with_one_stamp_the_first_counts(folder, tmp_path):
 
 def test_compare_writes_picture_matches_and_words(folder, tmp_path):
     result = call(
-        "see", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
+        "compare", folder / "home.png", folder / "pictures" / "12.png", "--out", tmp_path / "c"
     )
     assert result.exit_code == 0, result.output
     assert "Heading change" in result.output
@@ -256,7 +256,7 @@ def test_compare_writes_picture_matches_and_words(folder, tmp_path):
 
 def test_compare_reports_when_there_is_not_enough_in_common(folder, tmp_path):
     cv2.imwrite(str(tmp_path / "other.png"), draw(make_room(7), 3, 3, 0))
-    result = call("see", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
+    result = call("compare", folder / "home.png", tmp_path / "other.png", "--out", tmp_path / "c")
     assert result.exit_code == 1
     assert "not enough in common" in result.output
     assert (tmp_path / "c" / "comparison.png").exists()

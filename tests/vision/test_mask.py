@@ -139,8 +139,8 @@ def test_a_mask_of_a_ring_is_unwrapped_as_its_pictures_are(tmp_path):
 
 def test_compare_takes_a_mask(files, tmp_path):
     pair = files / "home.png", files / "now.png", "--out", tmp_path
-    assert "Heading change: 0.0" in call("see", *pair).output
-    result = call("see", *pair, "--mask", files / "mask.png")
+    assert "Heading change: 0.0" in call("compare", *pair).output
+    result = call("compare", *pair, "--mask", files / "mask.png")
     assert "Heading change: 68." in result.output, result.output
 
 
@@ -148,7 +148,7 @@ def test_compare_takes_the_mask_next_to_images_yaml(files, tmp_path):
     (files / "images.yaml").write_text("mask: mask.png\n")
     assert read_image_settings(files / "images.yaml").mask == files / "mask.png"
     options = "--camera", files / "images.yaml", "--out", tmp_path
-    result = call("see", files / "home.png", files / "now.png", *options)
+    result = call("compare", files / "home.png", files / "now.png", *options)
     assert "Heading change: 68." in result.output, result.output
 
 
@@ -181,7 +181,7 @@ def test_nothing_that_turns_with_the_robot_is_a_landmark_of_a_drive(tmp_path):
 def test_a_mask_that_cannot_be_used_is_named_in_one_line(files, tmp_path, make, words):
     mask = tmp_path / "deck.png"
     make(mask)
-    line = refused(call("see", files / "home.png", files / "now.png", "--mask", mask))
+    line = refused(call("compare", files / "home.png", files / "now.png", "--mask", mask))
     assert f"{mask}: {words}" in line
 
 

@@ -131,7 +131,7 @@ def test_compare_refuses_them_unless_forced(tmp_path):
     for name, shift in (("home", 0), ("now", 9)):
         discs = double_fisheye(np.roll(panorama(1), shift, axis=1), 0.0)
         cv2.imwrite(str(tmp_path / f"{name}.png"), discs)
-    given = ["see", str(tmp_path / "home.png"), str(tmp_path / "now.png")]
+    given = ["compare", str(tmp_path / "home.png"), str(tmp_path / "now.png")]
     given += ["--out", str(tmp_path / "out")]
     refused = call(*given)
     assert refused.exit_code != 0

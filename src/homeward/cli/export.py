@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 import typer
 
 from homeward.cli.options import Changes, key_values, say, table
+from homeward.errors import InputError
 
 
 def export(
-    estimator: Annotated[Literal["ekf"], typer.Argument(help="The filter.")],
+    estimator: Annotated[str, typer.Argument(help="The filter: ekf.")],
     landmarks: Annotated[int, typer.Option(help="Number of landmarks seen from home, 1 to 32.")],
     out: Annotated[Path, typer.Option(help="The folder to write.")],
-    target: Annotated[Literal["c"], typer.Option(help="The language.")] = "c",
     precision: Annotated[
         Literal["float", "double"], typer.Option(help="Type of its numbers.")
     ] = "float",
@@ -25,6 +25,8 @@ def export(
     The folder has the layout of Arduino and PlatformIO: src/ has one .c and one .h file, which need
     neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
     """
+    if estimator != "ekf":
+        raise InputError(f"only the filter ekf is exported, not {estimator}: homeward export ekf")
     from homeward.io.settings import validated
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.engine.export.source import MARKER, exported_files, max_cost

@@ -4,22 +4,14 @@ from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Annotated, Any
+from importlib import import_module
+from typing import Annotated, Any, cast
 
 import typer
 from typer.core import TyperGroup
 
-from homeward.cli.drives.convert import convert
-from homeward.cli.drives.import_ import import_
-from homeward.cli.drives.info import info
-from homeward.cli.drives.live import live
-from homeward.cli.drives.run import run
-from homeward.cli.drives.see import see
-from homeward.cli.drives.simulate import simulate
-from homeward.cli.drives.tune import tune
-from homeward.cli.export import export
 from homeward.cli.options import (
     AFTER_ERROR,
     BAD_INPUT,
@@ -28,26 +20,88 @@ from homeward.cli.options import (
     NO_ANSWER,
     refuse,
 )
-from homeward.cli.place import place
-from homeward.cli.settings import settings
-from homeward.cli.studies.plan import plan
-from homeward.cli.studies.study import study
-from homeward.cli.studio import studio
 from homeward.errors import HomewardError, InputError, missing_extra_error
 from homeward.internal_errors import REQUEST, InternalErrorWarning
 
 FORMER = {
     "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
     "in images.yaml or the topics file (camera: {file: camera.yaml})",
-    "compare": "now `homeward see HOME.png NOW.png`",
     "observe": "now `homeward plan --landmarks N` or `homeward plan --drive DRIVE`",
     "render": "now `homeward simulate ROOM --images`",
     "reproduce": "now `homeward study paper` or `homeward study layouts`",
     "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
 }
 """Commands of earlier versions, and their replacements."""
-FORMER_OPTIONS = {f"--home-{kind}": f"--home {kind}:" for kind in ("during", "spin", "at")}
+FORMER_OPTIONS = {
+    **{f"--home-{kind}": f"--home {kind}:" for kind in ("during", "spin", "at")},
+    "--smoothed-lag": "--smooth ",
+}
 """Options of earlier versions, and their replacements before the value."""
+FORMER_RUN = dict.fromkeys(("--update", "--store-home", "--store-route"), "place add PLACE DRIVE")
+"""Options that `homeward run` had, and the command that has them now."""
+
+
+GROUPS = {
+    "Your robot": {
+        "info": ("drives.info", "topics, rates, gaps and clocks of a log; what to do next"),
+        "import": ("drives.import_", "CSV files of any form to a drive folder"),
+        "see": ("drives.see", "detect tags or landmarks in images"),
+        "run": ("drives.run", "localise a robot in a recorded drive, with a report"),
+        "tune": ("drives.tune", "calibrate a robot from its drives"),
+        "place": ("place", "maps that are kept between drives"),
+        "live": ("drives.live", "localise a robot while it drives, and drive it home"),
+    },
+    "Design and research": {
+        "simulate": ("drives.simulate", "a drive, or a robot for live"),
+        "plan": ("studies.plan", "where homing can begin on a floor plan, how accurately"),
+        "study": ("studies.study", "many runs of many estimators, with statistics"),
+        "studio": ("studio", "move landmarks on a page, and compare estimators"),
+        "compare": ("drives.compare", "two panoramas: rotation of the camera, direction of home"),
+        "export": ("export", "a filter as C for microcontrollers"),
+    },
+    "Files": {
+        "convert": ("drives.convert", "a drive to a folder, an MCAP file or a ROS bag"),
+        "settings": ("settings", "the settings of an estimator, a command or a file"),
+    },
+}
+"""Commands in groups: the module of each, and its line in the help."""
+
+
+DESIGN: dict[str, Any] = {
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": None,
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+"""How every command is shown."""
+
+
+class Commands(Mapping[str, Any]):
+    """The commands by name; each is imported when it is asked for."""
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for commands in GROUPS.values() for name in commands)
+
+    def __len__(self) -> int:
+        return sum(map(len, GROUPS.values()))
+
+    def __getitem__(self, name: str) -> Any:
+        module = {key: where for rows in GROUPS.values() for key, (where, _) in rows.items()}[name]
+        imported = import_module(f"homeward.cli.{module}")
+        function = getattr(imported, module.rpartition(".")[2])
+        if isinstance(function, typer.Typer):
+            group = typer.Typer(**DESIGN)
+            group.add_typer(function, name=name, epilog=EXIT_STATUSES)
+            return typer.main.get_group(group).commands[name]
+        alone = typer.Typer(**DESIGN)
+        # The whole first paragraph: typer's own short help ends in the middle of a sentence.
+        first = (inspect.getdoc(function) or "").partition("\n\n")[0]
+        alone.command(
+            name,
+            cls=getattr(imported, "COMMAND", None),
+            short_help=" ".join(first.split()),
+            epilog=EXIT_STATUSES,
+        )(function)
+        return typer.main.get_command(alone)
 
 
 @contextmanager
@@ -75,6 +129,10 @@ def internal_errors() -> Iterator[list[str]]:
 class OneLineErrors(TyperGroup):
     """Command group that turns homeward errors and Ctrl-C into one line and an exit status."""
 
+    def __init__(self, **known: Any) -> None:
+        super().__init__(**known)
+        self.commands = cast("Any", Commands())
+
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; for a removed one, raise an error that names its replacement."""
         if cmd_name in FORMER:
@@ -83,13 +141,13 @@ class OneLineErrors(TyperGroup):
 
     def list_commands(self, ctx: Any) -> list[str]:
         """Return the names in the order of the help."""
-        return [_name(command) for commands in GROUPS.values() for command in commands]
+        return list(self.commands)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands in groups, with a line for each."""
         for title, commands in GROUPS.items():
             with formatter.section(title):
-                formatter.write_dl([(_name(each), line) for each, line in commands.items()])
+                formatter.write_dl([(name, line) for name, (_, line) in commands.items()])
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command."""
@@ -100,6 +158,8 @@ class OneLineErrors(TyperGroup):
                 if option in FORMER_OPTIONS:
                     value = value if equals else "".join(words[k + 1 : k + 2])
                     raise InputError(f"{option} is now {FORMER_OPTIONS[option]}{value}")
+                if words[0] == "run" and option in FORMER_RUN:
+                    raise InputError(f"run {option} is now `homeward {FORMER_RUN[option]}`")
             with internal_errors() as found:
                 result = super().invoke(ctx)
             if found:
@@ -124,9 +184,7 @@ app = typer.Typer(
     name="homeward",
     epilog=EXIT_STATUSES,
     no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    **DESIGN,
 )
 
 
@@ -146,42 +204,3 @@ def main(
     ] = False,
 ) -> None:
     """Localise a robot relative to home from bearings to landmarks and odometry."""
-
-
-GROUPS: dict[str, dict[Any, str]] = {
-    "Your robot": {
-        info: "topics, rates, gaps and clocks of a log; what to do next",
-        import_: "CSV files of any form to a drive folder",
-        see: "detect tags or landmarks in images",
-        run: "localise a robot in a recorded drive, with a report",
-        tune: "calibrate a robot from its drives",
-        place: "maps that are kept between drives",
-        live: "localise a robot while it drives, and drive it home",
-    },
-    "Design and research": {
-        simulate: "a drive, or a robot for live",
-        plan: "where homing can begin on a floor plan, how accurately",
-        study: "many runs of many estimators, with statistics",
-        studio: "move landmarks on a page, and compare estimators",
-        export: "a filter as C for microcontrollers",
-    },
-    "Files": {
-        convert: "a drive to a folder, an MCAP file or a ROS bag",
-        settings: "the settings of an estimator, a command or a file",
-    },
-}
-"""Commands in groups, with their lines in the help."""
-
-
-def _name(command: Any) -> str:
-    """Return the name of a command or of a group (`typer.Typer`)."""
-    return "place" if command is place else str(command.__name__).rstrip("_")
-
-
-for command in (command for commands in GROUPS.values() for command in commands):
-    if isinstance(command, typer.Typer):
-        app.add_typer(command, name=_name(command), epilog=EXIT_STATUSES)
-        continue
-    # The whole first paragraph: typer's own short help ends in the middle of a sentence.
-    first = (inspect.getdoc(command) or "").partition("\n\n")[0]
-    app.command(_name(command), short_help=" ".join(first.split()), epilog=EXIT_STATUSES)(command)

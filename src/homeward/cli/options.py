@@ -143,7 +143,22 @@ Changes = Annotated[
 ]
 KnownPlace = Annotated[
     Path | None,
-    typer.Option(help="Folder of a saved map (place); with --update, it may be new."),
+    typer.Option(help="Folder of a saved map (place), which is not changed."),
+]
+PlaceHome = Annotated[
+    str | None, typer.Option(help="Home whose frame the poses use [the first home of the place].")
+]
+When = Annotated[
+    str | None, typer.Option(help="Day of the visit, YYYY-MM-DD [the drive's, else today].")
+]
+RobotFile = Annotated[
+    Path | None, typer.Option(help="The robot.yaml of the robot, written by homeward tune.")
+]
+RunFolder = Annotated[
+    Path | None,
+    typer.Option(
+        help="The folder to write [out/NAME; out/NAME-run if that folder has other contents]."
+    ),
 ]
 Force = Annotated[
     bool, typer.Option("--force", help="Accept images that do not look like panoramas.")
@@ -219,6 +234,17 @@ def time_at_home(chosen: HomeChoice) -> HomeWhen | None:
     from homeward.drives.settings import home_when
 
     return home_when(chosen.get("home_during"), chosen.get("home_spin"), chosen.get("home_at"))
+
+
+def seconds(text: str) -> float:
+    """Parse the value of ``--smooth``."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        raise InputError(f"--smooth {text}: must be a number of seconds above 0, or nothing")
+    return value
 
 
 def _numbers(text: str, what: str, number: Literal["two", "three"]) -> tuple[float, ...]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from homeward.cli.drives.add import add
 from homeward.cli.options import AsJson, say, show
 
 if TYPE_CHECKING:
@@ -20,6 +21,9 @@ Folder = Annotated[Path, typer.Argument(metavar="PLACE", help="The folder of the
 @place.callback()
 def about() -> None:
     """Inspect or edit a saved map (place)."""
+
+
+place.command()(add)
 
 
 @place.command()

@@ -66,8 +66,15 @@ def settings(
     if json:
         answer({"keys": [asdict(key) for key in keys(model)]})
         return
-    for key in keys(model):
-        say(f"{key.name}={key.default}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
+    for key in keys(model, elsewhere=listed_elsewhere(of)):
+        value = f"={key.default}" if key.default else ""
+        say(f"{key.name}{value}" + f"  # {key.meaning}" * bool(key.meaning), "    ")
+
+
+def listed_elsewhere(of: str) -> dict[type[Strict], str]:
+    """Return the models that files share, and the commands that list them."""
+    shared = [name for name in ("drive", "robot") if name != of]
+    return {other_model(name): f"`homeward settings {name}`" for name in shared}
 
 
 def other_model(name: str) -> type[Strict]:

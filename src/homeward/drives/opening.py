@@ -159,7 +159,9 @@ def kind_of(place: Path) -> str:
         raise InputError(f"a place, not a drive: {ways}", place)
     if tables := tables_in(place):
         way = command("import", *tables, "--out", f"out/{place.stem}")
-        raise InputError(f"not a drive yet: convert its tables with `{way}`", place)
+        others = ", and add the tables of odometry, bearings and home that it lacks"
+        more = others * (tables == [place])
+        raise InputError(f"not a drive yet: convert its tables with `{way}`{more}", place)
     if logs := sorted(file.name for file in place.glob("*.bag")):
         raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
     from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in

@@ -5,10 +5,11 @@ from __future__ import annotations
 import ast
 import inspect
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from difflib import SequenceMatcher
 from functools import cache
+from types import MappingProxyType
 from typing import Any, get_args, get_origin
 
 from homeward.io.checks import REQUIRED
@@ -33,16 +34,32 @@ class Key:
     """Description with its unit; empty where the name is sufficient."""
 
 
-def keys(model: type[Strict], head: str = "", given: Any = None) -> Iterator[Key]:
+def keys(
+    model: type[Strict],
+    head: str = "",
+    given: Any = None,
+    elsewhere: Mapping[type[Strict], str] = MappingProxyType({}),
+) -> Iterator[Key]:
     """Yield the keys of a model and of nested models, each name once, with the prefix `head`.
 
-    Defaults are the values of `given` where that is an instance of the model.
+    Defaults are the values of `given` where that is an instance of the model. The keys of models
+    that are listed `elsewhere`, by the place that lists them, are one key each: all of them are
+    nested in `model` or its bases.
     """
     known, seen = meanings(model), set[str]()  # type: ignore[arg-type]
+    for base in model.__bases__:
+        if base in elsewhere:
+            yield Key(f"{head}{ANY}", "", f"as {elsewhere[base]}")
+            seen |= {key.name for key in keys(base, head)}
     for name, field in model.model_fields.items():
         own = getattr(given, name) if isinstance(given, model) else field.make_default()
         full = head + (field.alias or name)
-        inner = [k for path, m in _models(field.annotation) for k in keys(m, full + path, own)]
+        inner = list[Key]()
+        for path, part in _models(field.annotation):
+            if part in elsewhere:
+                inner.append(Key(f"{full}{path}{ANY}", "", f"as {elsewhere[part]}"))
+            else:
+                inner += keys(part, full + path, own, elsewhere)
         for key in inner or [Key(full, _as_yaml(own), known.get(name, ""))]:
             if key.name not in seen:
                 seen.add(key.name)

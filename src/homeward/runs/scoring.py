@@ -151,6 +151,24 @@ class Metrics:
     internal_errors: int = 0
     """Number of exceptions of the estimator."""
 
+    def __str__(self) -> str:
+        """Return a short table."""
+        rows = {
+            "localised": f"{_percent(self.accurate_share)} within {self.largest_sigma:g} m",
+            "with a pose": "unknown" if self.pose_share is None else _percent(self.pose_share),
+        }
+        if self.first_pose_after_s is not None:
+            rows["first pose"] = f"after {self.first_pose_after_s:.1f} s"
+        if (accuracy := self.accuracy) is not None:
+            place, heading = accuracy.position, accuracy.heading
+            rows["position error"] = f"{place.rmse:.3f} m RMSE, {place.max:.3f} m maximum"
+            degrees = math.degrees(heading.rmse), math.degrees(heading.max)
+            rows["heading error"] = "{:.2f} deg RMSE, {:.2f} deg maximum".format(*degrees)
+            inside = _percent(accuracy.position_inside_sigma_shares[2])
+            rows["inside 3 sigma"] = f"{inside} (NEES {accuracy.nees_mean:.1f}; consistent: 3)"
+        rows["sightings"] = f"{self.sightings_used} used, {sum(self.rejected.values())} rejected"
+        return "\n".join(f"{name:<16}{value}" for name, value in rows.items())
+
     def as_dict(self) -> dict[str, Any]:
         """Return plain numbers for metrics.json: units in the keys, absent where unknown."""
         accuracy = {} if self.accuracy is None else _accuracy_dict(self.accuracy)
@@ -172,6 +190,10 @@ class Metrics:
             "internal_errors": self.internal_errors,
         }
         return {k: v for k, v in plain.items() if v not in (None, math.inf) and v == v}
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.0f} %"
 
 
 def score(track: Track, truth: Truth | None, largest_sigma: float = MAX_SIGMA_M) -> Metrics:

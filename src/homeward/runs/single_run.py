@@ -21,10 +21,8 @@ from homeward.geometry.frames import Pose, to_polar
 from homeward.io.checks import Field
 from homeward.io.keys import Strict
 from homeward.io.settings import read_tree, validated
-from homeward.localizer.fixed_lag import smooth_with_lag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.smoothing import smooth
 from homeward.registry import DEFAULT, estimator_settings, make_estimator, needs_start
 from homeward.runs.scoring import Metrics, score
 from homeward.track import Track
@@ -41,7 +39,7 @@ SMOOTH_NOTE = (
     " a robot has while it drives."
 )
 LAG_NOTE = (
-    "The track is smoothed: each pose uses the data of the next {:g} s. Run without --smoothed-lag"
+    "The track is smoothed: each pose uses the data of the next {:g} s. Run without --smooth"
     " for the poses that a robot has at once."
 )
 MAX_TRUTH_GAP_S = 1.0
@@ -117,8 +115,12 @@ def finish(
     settings = estimator_settings(run.estimator, run.settings)
     if run.is_smoothed and isinstance(settings, LocalizerSettings):
         if (lag := run.smoothed_lag) is not None:
+            from homeward.localizer.fixed_lag import smooth_with_lag
+
             track, notes = smooth_with_lag(drive, lag, settings), (*notes, LAG_NOTE.format(lag))
         else:
+            from homeward.localizer.smoothing import smooth
+
             track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
     else:
         track = follow(drive, estimator, progress)

@@ -129,7 +129,7 @@ def test_a_moved_landmark_is_left_out(tmp_path, q, moved):
 
 def test_an_export(tmp_path):
     out = tmp_path / "out"
-    words = "export", "ekf", "--landmarks", 12, "--target", "c", "--out", out, "--set", "gate=null"
+    words = "export", "ekf", "--landmarks", 12, "--out", out, "--set", "gate=null"
     assert "maximum per call" in done(call(*words)).stdout
     names = {p.name for p in out.iterdir()}
     assert names == {"library.json", "library.properties", "src", "examples"}

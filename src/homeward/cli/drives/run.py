@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+from typer.core import TyperCommand
 
 from homeward.cli import options as shared
 from homeward.cli.options import table as print_rows
@@ -19,10 +20,30 @@ from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
     from homeward.drives.images import Images
-    from homeward.places.place import Place
     from homeward.runs.scoring import Metrics
     from homeward.runs.single_run import Outcome, RunSettings
+    from homeward.runs.visits import ToStore
     from homeward.track import Track
+
+
+WHOLE_DRIVE = "whole"
+"""Value of ``--smooth`` without a number."""
+
+
+class RunCommand(TyperCommand):
+    """Command whose option ``--smooth`` may have no value."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Parse the words after the name of the command."""
+        for k, word in enumerate(args):
+            follows = "".join(args[k + 1 : k + 2])
+            if word == "--smooth" and not follows[:1].isdigit():
+                args = [*args[:k], f"--smooth={WHOLE_DRIVE}", *args[k + 1 :]]
+        return super().parse_args(ctx, args)
+
+
+COMMAND = RunCommand
+"""Class of the command, instead of typer's."""
 
 
 def run(
@@ -33,12 +54,7 @@ def run(
             "the run.yaml of an earlier run, or: sample."
         ),
     ],
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="The folder to write [out/NAME; out/NAME-run if that folder has other contents]."
-        ),
-    ] = None,
+    out: shared.RunFolder = None,
     estimator: Annotated[
         str | None,
         typer.Option(
@@ -53,39 +69,18 @@ def run(
         ),
     ] = None,
     topics: shared.Topics = None,
-    robot_file: Annotated[
-        Path | None,
-        typer.Option(help="The robot.yaml of the robot, written by homeward tune."),
-    ] = None,
+    robot_file: shared.RobotFile = None,
     home: shared.Home = None,
     place: shared.KnownPlace = None,
-    update: Annotated[
-        bool, typer.Option("--update", help="Merge the drive into the place after the run.")
-    ] = False,
-    store_home: Annotated[
+    place_home: shared.PlaceHome = None,
+    when: shared.When = None,
+    smooth: Annotated[
         str | None,
         typer.Option(
-            help="With --update: store the end of the drive, or its pose at --home at:T, as a home "
-            "with this name."
+            metavar="[SECONDS]",
+            help="Smooth the track over the whole drive, or each pose with data of this many "
+            "seconds after it (not causal).",
         ),
-    ] = None,
-    store_route: Annotated[
-        str | None,
-        typer.Option(help="With --update: store the path as a route with this name."),
-    ] = None,
-    place_home: Annotated[
-        str | None,
-        typer.Option(help="Home whose frame the poses use [the first home of the place]."),
-    ] = None,
-    when: Annotated[
-        str | None, typer.Option(help="Day of the visit, YYYY-MM-DD [the drive's, else today].")
-    ] = None,
-    smooth: Annotated[
-        bool, typer.Option("--smooth", help="Smooth the track over the whole drive (not causal).")
-    ] = False,
-    smoothed_lag: Annotated[
-        float | None,
-        typer.Option(help="Smooth each pose with data of this many seconds after it."),
     ] = None,
     changes: shared.Changes = None,
     json: shared.AsJson = False,
@@ -97,48 +92,52 @@ def run(
     Several estimators get a folder each, and estimators.html with table.csv, table.md and
     table.tex. Exit status 1 if no pose was found.
     """
-    from homeward.io.settings import nested
-
-    chosen = shared.home_choice(home)
-    stored_at = chosen.pop("home_at", None) if store_home else None
-    if "home_file" in chosen:
-        chosen["home_file"] = os.path.realpath(chosen["home_file"])
     options = {
         "estimator": estimator,
         "start": _start(start),
-        **chosen,
-        "topics": None if topics is None else os.path.realpath(topics),
-        "robot_file": None if robot_file is None else os.path.realpath(robot_file),
-        "place": None if place is None else os.path.realpath(place),
-        "place_home": place_home,
-        "when": None if when is None else shared.day(when),
-        "smooth": smooth or None,
-        "smoothed_lag": smoothed_lag,
-        "settings": nested(shared.key_values(changes or [])) or None,
+        "smooth": (smooth == WHOLE_DRIVE) or None,
+        "smoothed_lag": None if smooth in (None, WHOLE_DRIVE) else shared.seconds(smooth),
+        **common_options(topics, robot_file, place, place_home, when, changes),
+        **home_options(shared.home_choice(home)),
     }
     given: dict[str, Any] = {key: value for key, value in options.items() if value is not None}
-    is_smoothed = smooth or smoothed_lag is not None
-    if smooth and smoothed_lag is not None:
-        raise InputError("--smooth and --smoothed-lag exclude each other; choose one")
-    if update and (place is None or is_smoothed):
-        raise InputError("--update needs --place, and does not work with a smoothed track")
     if place is not None:  # fail before a run of minutes
-        from homeward.places.files import check_place, newest
+        from homeward.places.files import newest
 
-        if update:
-            check_place(place)
-        else:
-            newest(place)
-    for option, name in (("--store-home", store_home), ("--store-route", store_route)):
-        if name is not None and not update:
-            raise InputError(f"{option} needs --update")
-    if place is None and (place_home is not None or when is not None):
+        newest(place)
+    elif place_home is not None or when is not None:
         raise InputError("--place-home and --when need --place")
     if estimator is not None and "," in estimator:
         _run_several(drive, given, out, json)
         return
-    names = store_home, stored_at, store_route
-    _run(run_settings(drive, given), out, update, names, json)
+    run_one(run_settings(drive, given), out, json)
+
+
+def common_options(
+    topics: Path | None,
+    robot_file: Path | None,
+    place: Path | None,
+    place_home: str | None,
+    when: str | None,
+    changes: list[str] | None,
+) -> dict[str, Any]:
+    """Return options that `run` and `place add` share, as in `RunSettings`; None: not given."""
+    from homeward.io.settings import nested
+
+    files = {"topics": topics, "robot_file": robot_file, "place": place}
+    return {
+        **{name: None if file is None else os.path.realpath(file) for name, file in files.items()},
+        "place_home": place_home,
+        "when": None if when is None else shared.day(when),
+        "settings": nested(shared.key_values(changes or [])) or None,
+    }
+
+
+def home_options(chosen: shared.HomeChoice) -> dict[str, Any]:
+    """Return the option `Home` as in `RunSettings`."""
+    if "home_file" in chosen:
+        return {"home_file": os.path.realpath(chosen["home_file"])}
+    return dict(chosen)
 
 
 def _start(text: str | None) -> str | tuple[float, float, float] | None:
@@ -162,7 +161,8 @@ def run_settings(drive: str, given: dict[str, Any]) -> RunSettings:
         confirmed = given.get("estimator") == earlier.estimator
         changed = sorted(given.keys() - ({"estimator"} if confirmed else set()))
         if changed:
-            names = {"settings": "set", **{k: "home" for k in given if k.startswith("home_")}}
+            names = {"settings": "set", "smoothed_lag": "smooth"}
+            names |= {key: "home" for key in given if key.startswith("home_")}
             option = "--" + names.get(changed[0], changed[0].replace("_", "-"))
             raise InputError(
                 f"{option} cannot be changed when a run.yaml is repeated; run the drive itself",
@@ -203,44 +203,43 @@ def _output_folder(chosen: Path | None, name: str, drive: str) -> Path:
     return folder
 
 
-def _run(
-    settings: RunSettings,
-    out: Path | None,
-    update: bool,
-    names: tuple[str | None, float | None, str | None],
-    json: bool,
+def run_one(
+    settings: RunSettings, out: Path | None, json: bool, store: ToStore | None = None
 ) -> None:
+    """Run an estimator, write the files and print the result.
+
+    With `store`, the drive is merged into the place afterwards, and its home and route are stored.
+    """
     from homeward.runs.report.folder import PAGE, missing_extra, write_run
     from homeward.runs.scoring import score
     from homeward.runs.single_run import drive_path, finish, prepare
 
     missing = missing_extra()
     lost: HomewardError | None = None
-    after: Place | None = None
+    words = list[str]()
     with shared.progress(f"{settings.drive}, {settings.estimator}") as on_progress:
         drive, estimator, complete = prepare(settings, on_progress)
-        if update:
-            from homeward.runs.visits import ToStore, check_update, save_visit
+        if store is not None:
+            from homeward.runs.visits import check_update
 
-            store = ToStore(*names)
             check_update(complete, drive, store)
         folder = _output_folder(out, drive.name, settings.drive)
         images, unread = _images(drive_path(complete))
         track = finish(drive, estimator, complete, on_progress)
-        summary = write_run(folder, drive, track, complete.model_dump(mode="json"), images)
-        if update and settings.place is not None:
+        words.append(write_run(folder, drive, track, complete.model_dump(mode="json"), images))
+        if store is not None:
+            from homeward.runs.report.place_words import route_words, visit_words
+            from homeward.runs.visits import save_visit
+
             try:
                 after, reasons = save_visit(complete, drive, estimator, track, store)
-                lost = HomewardError("; ".join(reasons)) if reasons else None
             except HomewardError as error:  # raised after the summary is printed
-                after, lost = None, error
-    words = [summary]
-    if after is not None:
-        from homeward.runs.report.place_words import route_words, visit_words
-
-        words.append(visit_words(after))
-        if store.route in after.routes:
-            words.append(route_words(after, str(store.route)))
+                lost = error
+            else:
+                lost = HomewardError("; ".join(reasons)) if reasons else None
+                words.append(visit_words(after))
+                if store.route in after.routes:
+                    words.append(route_words(after, str(store.route)))
     if json:
         facts: dict[str, Any] = {"summary": "\n".join(words), "folder": str(folder)}
         facts["report"] = str(folder / PAGE) if missing is None else None
@@ -298,9 +297,10 @@ def _run_several(drive: str, given: dict[str, Any], out: Path | None, json: bool
     from homeward.runs.report.several import PAGE, table, write_several
     from homeward.runs.single_run import run_several
 
+    names_of = {"settings": "set", "smoothed_lag": "smooth"}
     for option in ("settings", "smooth", "smoothed_lag", "place"):
         if option in given:
-            name = "set" if option == "settings" else option.replace("_", "-")
+            name = names_of.get(option, option)
             raise InputError(
                 f"--{name} works with one estimator only; a study file of homeward study takes it"
                 " for each"

@@ -1,0 +1,63 @@
+"""`homeward compare`: the rotation of a camera and the direction of home, from two panoramas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from homeward.cli import options as shared
+
+
+def compare(
+    home: Annotated[Path, typer.Argument(help="A panorama taken at home.")],
+    now: Annotated[Path, typer.Argument(help="A second panorama of the same camera.")],
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/compare"),
+    camera: Annotated[
+        Path | None,
+        typer.Option(help="An images.yaml that names the camera; default: equirectangular."),
+    ] = None,
+    mask: Annotated[
+        Path | None,
+        typer.Option(
+            help="An image of the size of the panoramas, black where the robot itself is visible; "
+            "default: the mask of images.yaml."
+        ),
+    ] = None,
+    force: shared.Force = False,
+    json: shared.AsJson = False,
+) -> None:
+    """Report the rotation of a camera since home and the direction of home, from two panoramas.
+
+    Writes comparison.png, matches.csv and comparison.json. Exit status 1 if too few points match.
+    """
+    from homeward.io.writing import check_output
+    from homeward.vision.checks import better_settings, find_self_occlusion, require_panoramas
+    from homeward.vision.comparison import compare as compare_views
+    from homeward.vision.features.detection import read_features
+    from homeward.vision.recorded.settings import read_image_settings
+    from homeward.vision.report import PICTURE, RESULT, as_dict, describe, write_comparison
+
+    settings = read_image_settings(camera)
+    home_image, home_view = read_features(home, settings.panorama, mask=mask or settings.mask)
+    now_image, now_view = read_features(now, settings.panorama, like=home_view)
+    if not (force or settings.force):
+        require_panoramas([home_image, now_image], settings.panorama)
+    check_output(out, RESULT)
+    seen = compare_views(home_view, now_view, settings.panorama)
+    images, views = (home_image, now_image), (home_view, now_view)
+    doubt = better_settings(seen, images, views, settings.panorama)
+    write_comparison(out, seen, images, views)
+    notes = [] if doubt is None else [f"{doubt[:1].upper()}{doubt[1:]}."]
+    if found := find_self_occlusion(seen, settings.panorama):
+        notes.append(f"{found.matches} {found.words} (--mask FILE).")
+    if json:
+        facts = {"summary": describe(seen), **as_dict(seen), "notes": notes}
+        shared.answer({**facts, "picture": str(out / PICTURE)})
+    else:
+        shared.say(describe(seen))
+        shared.warn(*notes)
+        shared.say(f"Picture: {out / PICTURE}")
+    if not seen.accepted:
+        raise shared.no_answer()
