@@ -25,6 +25,8 @@ from homeward.runs.report.template import GLOSSARY
 
 PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
 """Words of the glossary that are too frequent for a tooltip at each occurrence."""
+FILLED = "*Filled in when the site is built: `make docs`, then open `out/site/index.html`.*\n\n"
+"""Line above a part that is generated, for readers of the source."""
 log = logging.getLogger("mkdocs.plugins.homeward")
 
 
@@ -41,6 +43,7 @@ def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
     if _is_lesson(page.file):
         there = Path(page.file.src_uri).with_suffix(".ipynb").name
         markdown += f"\n[This page as a notebook]({there}){{ download }}\n"
+    markdown = markdown.replace(FILLED, "")
     filled = re.sub(r"<!-- (\w+) -->", lambda found: PARTS[found[1]](), markdown)
     words = (f"*[{word}]: {meaning}" for word, meaning in GLOSSARY.items() if word not in PLAIN)
     return "\n".join((filled, "", *words))

@@ -63,7 +63,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "benchmarks/fuzz.py": ("crate",),  # changes the cases of all seeds
     "benchmarks/places/": ("verdict",),
     "benchmarks/soak.py": ("said",),  # a ROS topic
-    "docs/look-up/json.md": ("verdict",),
+    "docs/look-up/files.md": ("verdict",),
     "src/homeward/vision/report.py": ("verdict",),  # a column of matches.csv
     "lab/simulation/render/": ("stood",),  # a key of scenario.yaml
 }

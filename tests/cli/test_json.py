@@ -10,7 +10,7 @@ from commands import call, first_seconds
 
 from homeward.cli.main import app
 
-PAGE = (Path(__file__).resolve().parents[2] / "docs/look-up/json.md").read_text("utf-8")
+PAGE = (Path(__file__).resolve().parents[2] / "docs/look-up/files.md").read_text("utf-8")
 
 
 def documented(command, part=0):
@@ -43,7 +43,7 @@ def test_all_commands_that_answer_do_so_for_programs():
     answers = {n for n, c in every.items() if any(p.name == "json" for p in c.params)}
     assert every.keys() - answers == WRITE
     assert answers == set(re.findall(r"^## homeward ([\w ]+) --json$", PAGE, re.MULTILINE))
-    listed = PAGE.partition("have `--json`")[0]
+    listed = PAGE.partition("Results for programs")[2].partition("have `--json`")[0]
     assert answers == set(re.findall(r"`([a-z ]+)`", listed))
 
 

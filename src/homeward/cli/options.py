@@ -37,7 +37,7 @@ def say(text: str, indent: str = "") -> None:
 
 
 def answer(facts: dict[str, Any]) -> None:
-    """Print a result as one JSON object, described in docs/look-up/json.md.
+    """Print a result as one JSON object, described in docs/look-up/files.md.
 
     Arrays become lists, paths text, and numbers that are not finite null.
     """

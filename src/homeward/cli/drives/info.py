@@ -60,7 +60,7 @@ def info(
 
 
 def _facts(found: LogInfo) -> dict[str, Any]:
-    """Return the result as plain values, described in docs/look-up/json.md."""
+    """Return the result as plain values, described in docs/look-up/files.md."""
     topics = [
         {
             "name": topic.name,

@@ -151,7 +151,7 @@ def _cells(check: Check) -> tuple[str, ...]:
 
 
 def _facts(found: Tuning) -> dict[str, object]:
-    """Return the result as plain values, described in docs/look-up/json.md."""
+    """Return the result as plain values, described in docs/look-up/files.md."""
     checks = [
         {"drive": name, "before": dataclasses.asdict(before), "after": dataclasses.asdict(after)}
         for name, before, after in zip(found.names, found.before, found.after, strict=True)
