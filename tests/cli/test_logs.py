@@ -130,3 +130,20 @@ def test_what_fits_no_log_is_refused(log, tmp_path):
     topics.write_text("clock: header\n")
     assert "topics are for logs" in refused(call("run", sample_drive(), "--topics", topics))
     assert "cannot be read" in refused(call("info", log, "--topics", tmp_path / "none.yaml"))
+
+
+def test_notes_name_the_file_that_a_log_has(tmp_path):
+    """The camera is 0.2 m ahead and was not given: the topics file has no key of drive.yaml."""
+    drive = tmp_path / "drive"
+    shutil.copytree(sample_drive(), drive)
+    (drive / "drive.yaml").write_text("odometry: {speed_sigma: 0.01}\n")
+    log = tmp_path / "sample.mcap"
+    done(call("convert", drive, log))
+    notes = [
+        done(call("run", source, "--out", tmp_path / name)).stdout.partition("Note: ")[2]
+        for source, name in ((drive, "one"), (log, "other"))
+    ]
+    assert "under `sensor:` in drive.yaml: x: 0.2" in notes[0]
+    assert "under `sensor:` of `drive:` in the topics file (--topics): x: 0.2" in notes[1]
+    # What is wrong with this robot is before what every run without a distance has.
+    assert notes[0].startswith("Camera extrinsics")

@@ -58,10 +58,8 @@ WITHOUT_IDS_NOTE = (
     " and wrong for some seconds. Give ids or classes where you can."
 )
 SCALE_NOTE = (
-    "Scale comes from wheel odometry: a 3 % speed error makes all distances 3 % wrong. To remove"
-    " it, add one measured distance to landmarks.yaml in the drive folder: `distances: [{between:"
-    " [ID, ID], distance: METRES}]` (convert a log to a drive folder first). `homeward tune` then"
-    " writes the speed scale to robot.yaml, for all drives of the robot."
+    "Distances have the error of the wheels' speed, often 3 %. One measured distance removes it: in"
+    " landmarks.yaml of the drive folder, `distances: [{between: [ID, ID], distance: METRES}]`."
 )
 NOISY_NOTE = (
     "The bearings are noisier than given; larger standard deviations were used. Increase"
@@ -158,7 +156,7 @@ class Localizer:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Assumptions, and findings about the robot; each a sentence."""
+        """Assumptions, and findings about the robot, by their usual effect on the answer."""
         if self.is_convention_wrong:
             return (*self._notes, *self._sign_checks.notes)
         noise = self.chart.noise
@@ -172,10 +170,10 @@ class Localizer:
             survey.notes(self.chart.map.smoother.state) if survey.known.is_given else self._notes
         )
         robot = *extrinsics.notes(calibration), *lag_notes(calibration)
-        scale = (*scale, *self._range_notes())
+        ranges = self._range_notes()
         wheels = *self._plausibility.notes, *self._dead.notes
         without_ids = () if self.unlabelled is None else (WITHOUT_IDS_NOTE,)
-        return (*without_ids, *scale, *noisy, *robot, *wheels, *self.chart.home.notes)
+        return (*without_ids, *wheels, *robot, *self.chart.home.notes, *ranges, *noisy, *scale)
 
     def _without_ids(self) -> UnlabelledLandmarks:
         """Begin the identification of landmarks without ids, which few drives need."""

@@ -11,7 +11,14 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.drives.folder import HOME_ADVICE
-from homeward.drives.opening import SAMPLE, is_image_folder, open_drive, sample_drive
+from homeward.drives.opening import (
+    LOG,
+    SAMPLE,
+    is_image_folder,
+    kind_of,
+    open_drive,
+    sample_drive,
+)
 from homeward.drives.ros.kinds import is_log
 from homeward.drives.senses import require_senses
 from homeward.drives.settings import Finite, NonNegative, Positive, Span, Start
@@ -124,7 +131,20 @@ def finish(
             track, notes = smooth(drive, settings), (*notes, SMOOTH_NOTE)
     else:
         track = follow(drive, estimator, progress)
-    return replace(track, notes=(*track.notes, *notes))
+    return replace(track, notes=(*_in_its_file(track.notes, drive_path(run)), *notes))
+
+
+def _in_its_file(notes: tuple[str, ...], place: Path) -> tuple[str, ...]:
+    """Return the notes of an estimator with the file that this drive has for its settings."""
+    if kind_of(place) != LOG:
+        return notes
+    of_a_log = "`drive:` in the topics file (--topics)"
+    return tuple(
+        note.replace("under `sensor:` in drive.yaml", f"under `sensor:` of {of_a_log}").replace(
+            "in drive.yaml", f"under {of_a_log}"
+        )
+        for note in notes
+    )
 
 
 def prepare(
