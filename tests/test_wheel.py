@@ -140,4 +140,4 @@ def test_without_a_compiler_the_wheel_is_pure(tmp_path):
     none = os.environ | {"CC": "/bin/false", "CXX": "/bin/false"}
     done = subprocess.run([*command, str(ROOT)], env=none, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert [file.name for file in tmp_path.iterdir()] == ["homeward-0.1.0-py3-none-any.whl"]
+    assert [file.name for file in tmp_path.iterdir()] == ["homeward-0.2.0-py3-none-any.whl"]
