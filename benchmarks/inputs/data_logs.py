@@ -9,12 +9,14 @@ import numpy as np
 
 from benchmarks.inputs.kinds import EPOCH, Files, Sample, Seen, kind, table
 from benchmarks.inputs.logs import HOME
+from benchmarks.inputs.odometry import LIST, modules
 
 Tags = Mapping[int, tuple[float, float, float]]
 """Positions ahead, left and up of a camera [m], by id."""
 MICRO = 1_000_000
 PHOTON = "photonstruct:PhotonPipelineResult:4b2ff16a964b5e2bf04be0c1454d91c4"
 LATENCY_US = 30_000
+MEASURED = "/RealOutputs/Drive/Measured"
 
 
 def header(version: int = 0x0100, extra: bytes = b"") -> bytes:
@@ -88,21 +90,33 @@ def small_log(camera: bytes = CAMERA, made: Callable[[Tags], bytes] = photon) ->
 
 
 def data_log(
-    s: Sample, seen: Seen, camera: str, type_: str, made: Callable[[Tags, int], bytes]
+    s: Sample,
+    seen: Seen,
+    camera: str,
+    type_: str,
+    made: Callable[[Tags, int], bytes],
+    odometry: tuple[str, np.ndarray] | None = None,
 ) -> bytes:
     """Return the sample drive, from 10 s on.
 
-    `made` returns the value of a camera's entry from the tags and the time [us].
+    `made` returns the value of a camera's entry from the tags and the time [us]; `odometry` is its
+    type and its values (n, k), by default speeds of the chassis.
     """
+    kind_, values = odometry or (
+        "struct:ChassisSpeeds",
+        np.stack([s.v, 0.0 * s.v, s.omega], axis=1),
+    )
     entries = [
         (1, "/DriverStation/Enabled", "boolean"),
-        (2, "/RealOutputs/Drive/Measured", "struct:ChassisSpeeds"),
+        (2, MEASURED, kind_),
         (3, "/.schema/struct:ChassisSpeeds", "structschema"),
         (4, camera, type_),
     ]
     rows = [(0, 1, b"\1"), (0, 3, b"double vx;double vy;double omega")]
-    twists = zip(s.t.tolist(), s.v.tolist(), s.omega.tolist(), strict=True)
-    rows += [(round(t * MICRO), 2, doubles(v, 0.0, omega)) for t, v, omega in twists]
+    rows += [
+        (round(t * MICRO), 2, doubles(*row))
+        for t, row in zip(s.t.tolist(), values.tolist(), strict=True)
+    ]
     for t in np.unique(seen.t).tolist():
         frame = seen[seen.t == t]
         places = zip(frame.forward.tolist(), frame.left.tolist(), strict=True)
@@ -113,12 +127,14 @@ def data_log(
     return b"".join([*begin, *records])
 
 
-def photon_log(s: Sample) -> bytes:
-    """Return the sample drive with a camera of PhotonVision."""
+def photon_log(s: Sample, odometry: tuple[str, np.ndarray] | None = None) -> bytes:
+    """Return the sample drive with a camera of PhotonVision; `odometry` as for `data_log`."""
     late = s.seen.ahead
     late = Seen(late.t + LATENCY_US / MICRO, late.id, late.bearing, late.range)
     name = "NT:/photonvision/front/rawBytes"
-    return data_log(s, late, name, PHOTON, lambda tags, t: photon(tags, t, multitag=t % 3 == 0))
+    return data_log(
+        s, late, name, PHOTON, lambda tags, t: photon(tags, t, multitag=t % 3 == 0), odometry
+    )
 
 
 def limelight_log(s: Sample) -> bytes:
@@ -138,6 +154,20 @@ def _(s: Sample) -> Files:
 @kind("WPILib data log, Limelight", "run match.wpilog --topics topics.yaml")
 def _(s: Sample) -> Files:
     return {"match.wpilog": limelight_log(s), "topics.yaml": TOPICS}
+
+
+@kind("WPILib data log, states of swerve modules", "run match.wpilog --topics topics.yaml")
+def _(s: Sample) -> Files:
+    states = np.stack(modules(s), axis=-1).transpose(1, 0, 2).reshape(s.t.size, 8)
+    odometry = f"odometry: {{topic: {MEASURED}, modules: {LIST}}}\n"
+    log = photon_log(s, ("struct:SwerveModuleState[]", states))
+    return {"match.wpilog": log, "topics.yaml": TOPICS + odometry}
+
+
+@kind("WPILib data log, poses of the drive", "run match.wpilog --topics topics.yaml")
+def _(s: Sample) -> Files:
+    log = photon_log(s, ("struct:Pose2d", np.stack(s.path, axis=1)))
+    return {"match.wpilog": log, "topics.yaml": TOPICS + f"odometry: {{topic: {MEASURED}}}\n"}
 
 
 @kind("WPILib data log, cut off", "run match.wpilog --topics topics.yaml")

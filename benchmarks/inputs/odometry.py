@@ -77,6 +77,30 @@ def _(s: Sample) -> Files:
     return {"encoders.csv": table({"t": s.t, **dict(zip(names, counts, strict=True))})}
 
 
+MODULES = np.array([[0.3, 0.25], [0.3, -0.25], [-0.3, 0.25], [-0.3, -0.25]])
+"""Positions of four swerve modules, ahead and to the left [m]."""
+LIST = str(MODULES.tolist()).replace(" ", "")
+
+
+def modules(s: Sample) -> tuple[np.ndarray, np.ndarray]:
+    """Return the speeds [m/s] and angles [rad] of swerve modules, (4, n) each."""
+    rolled = s.v + 1j * np.outer(MODULES @ [1, 1j], s.omega)
+    return np.abs(rolled), np.angle(rolled)
+
+
+@kind(
+    "states of four swerve modules, --columns",
+    f"import modules.csv bearings.csv home.csv --wheels modules={LIST} --columns '"
+    + ", ".join(f"module_{k}_speed=v{k}, module_{k}_angle=a{k}[deg]" for k in (1, 2, 3, 4))
+    + "'",
+)
+def _(s: Sample) -> Files:
+    speed, angle = modules(s)
+    columns = {f"v{k}": values for k, values in enumerate(speed, 1)}
+    columns |= {f"a{k}": np.degrees(values) for k, values in enumerate(angle, 1)}
+    return {"modules.csv": table({"t": s.t, **columns})}
+
+
 @kind("yaw rate of a gyroscope in deg/s, clockwise", OTHER.format("imu.csv"))
 def _(s: Sample) -> Files:
     wheels = {"t": s.t, "v": s.v, "omega": 1.2 * s.omega}

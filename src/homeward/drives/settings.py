@@ -162,6 +162,9 @@ class Wheels(Strict):
     omni_angle: Finite | None = None
     """Direction of the first omni wheel from the centre, anti-clockwise from ahead [rad]; None: 60
     degrees for three wheels, 45 degrees for four."""
+    modules: tuple[tuple[Finite, Finite], ...] = Field((), examples=[[[0.25, 0.25], [-0.25, 0.0]]])
+    """Positions of swerve modules from the centre, ahead and to the left, in the order of their
+    states [m]."""
 
     def missing(self, unit: str, steers: bool = False, omni: bool = False) -> list[str]:
         """Return the missing keys for wheels in a unit: ticks, rad or m, or these per second."""

@@ -69,6 +69,22 @@ def omni(t: np.ndarray, speeds: np.ndarray, wheels: Wheels, remarks: dict[str, i
     return without_implausible(Odometry(t, v, omega, vy), remarks)
 
 
+def swerve(
+    t: np.ndarray, speeds: np.ndarray, angles: np.ndarray, wheels: Wheels, remarks: dict[str, int]
+) -> Odometry:
+    """Return the odometry of swerve modules, by least squares.
+
+    `speeds` [m/s] and `angles` [rad], anti-clockwise from ahead, are (n, k), in the order of
+    `wheels.modules`.
+    """
+    x, y = np.array(wheels.modules).T
+    one, none = np.ones_like(x), np.zeros_like(x)
+    by_twist = np.concatenate([np.stack([one, none, -y]), np.stack([none, one, x])], axis=1).T
+    rolled = np.concatenate([speeds * np.cos(angles), speeds * np.sin(angles)], axis=1)
+    v, vy, omega = np.linalg.pinv(by_twist) @ rolled.T
+    return without_implausible(Odometry(t, v, omega, vy), remarks)
+
+
 def ackermann(
     t: np.ndarray, v: np.ndarray, steering: np.ndarray, wheels: Wheels, remarks: dict[str, int]
 ) -> Odometry:

@@ -139,6 +139,51 @@ def test_sideways_speeds_of_a_swerve_drive_are_read(opened):
     assert drive.odometry.vy.tolist() == [0.4] * 20
 
 
+MODULES = ((0.3, 0.25), (0.3, -0.25), (-0.3, 0.25), (-0.3, -0.25))
+POSITIONS = f"[{', '.join(f'[{x}, {y}]' for x, y in MODULES)}]"
+
+
+def swerve_log(v, vy, omega, kind="struct:SwerveModuleState[]"):
+    """Return a log of 2 s of module states."""
+    rolled = [complex(v - omega * y, vy + omega * x) for x, y in MODULES]
+    # A module is optimised: it may point backwards and drive at a negative speed.
+    states = doubles(
+        *(
+            value
+            for k, z in enumerate(rolled)
+            for value in (
+                abs(z) * (-1) ** k,
+                math.atan2(z.imag, z.real) + math.pi * (k % 2),
+            )
+        )
+    )
+    rows = [header(), start(1, "/Drive/States", kind), CAMERA]
+    for k in range(20):
+        t = k * MICRO // 10
+        rows += [record(1, t, states), record(2, t + 1, photon(TAGS))]
+    return b"".join(rows)
+
+
+@pytest.mark.parametrize("kind", ["struct:SwerveModuleState[]", "struct:SwerveModuleVelocity[]"])
+def test_states_of_swerve_modules_are_odometry(opened, tmp_path, kind):
+    data = swerve_log(0.5, -0.4, 0.3, kind)
+    topics = f"odometry: {{topic: /Drive/States, modules: {POSITIONS}}}"
+    odometry = opened(data, topics).odometry
+    found = np.stack([odometry.v, odometry.vy, odometry.omega], axis=1)
+    assert found[:-1] == pytest.approx(np.tile([0.5, -0.4, 0.3], (len(found) - 1, 1)))
+    robot = tmp_path / "robot.yaml"
+    robot.write_text(f"wheels: {{modules: {POSITIONS}, wheel_radius: 0.05}}\n")
+    drive = open_drive(tmp_path / "robot.wpilog", robot_file=robot)
+    assert drive.odometry.vy[0] == pytest.approx(-0.4)
+
+
+def test_states_of_swerve_modules_need_their_positions(opened):
+    data = swerve_log(0.5, -0.4, 0.3)
+    assert "needs modules under odometry" in refused(opened, data)
+    topics = "odometry: {topic: /Drive/States, modules: [[0.3, 0.2], [-0.3, 0.2]]}"
+    assert "states of 4 modules, but modules has 2 positions" in refused(opened, data, topics)
+
+
 def test_objects_without_an_id_and_results_without_positions_are_left_out(opened):
     tags = TAGS | {-1: (1.0, 0.0, 0.0), 9: (0.0, 0.0, 0.0)}
     drive = opened(small_log(made=lambda _: photon(tags)))

@@ -10,7 +10,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from homeward.drives.importers.wheel_columns import FOUR, OMNI, WHAT, wheel_roles
+from homeward.drives.importers.wheel_columns import FOUR, MODULES, OMNI, WHAT, wheel_roles
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
 from homeward.errors import InputError
 from homeward.io.table import Table
@@ -82,6 +82,7 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "right": ("length", "right"),
     **{role: ("wheel speed" if "speed" in role else "wheel", "") for role in sorted(WHEELS)},
     **{"left_wheel": ("wheel", "left l"), "right_wheel": ("wheel", "right r")},
+    **{role: (role.rpartition("_")[2], "") for role in MODULES},
     "steering": ("angle", "steering steer steering.angle steer.angle lenkwinkel"),
     "distance": ("length", "delta.s ds delta.distance ddist delta.d distance.step delta.dist"),
     "turn": ("angle", "delta.yaw dyaw delta.theta dtheta delta.heading dheading dphi dpsi dth"),
@@ -123,6 +124,7 @@ ODOMETRY: Mapping[tuple[str, ...], tuple[str, ...]] = {
         for some in (FOUR, OMNI, OMNI[:3])
         for what in WHAT
     },
+    ("t", *MODULES): (),
     ("t", "left_wheel", "right_wheel"): ("omega",),
     ("t", "left_speed", "right_speed"): ("omega",),
     ("t", "left_step", "right_step"): ("omega",),

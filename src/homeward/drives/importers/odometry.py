@@ -10,7 +10,14 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY, odometry_of, sorted_by_time, without_repeats
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.drives.importers.wheel_columns import FOUR, OMNI, PAIR, accumulates, base_of
+from homeward.drives.importers.wheel_columns import (
+    FOUR,
+    MODULES,
+    OMNI,
+    PAIR,
+    accumulates,
+    base_of,
+)
 from homeward.drives.importers.wheel_columns import ROLES as WHEELS
 from homeward.drives.one_clock import remark_other_units
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
@@ -21,6 +28,7 @@ from homeward.drives.wheels import (
     mecanum,
     omni,
     speeds_from_positions,
+    swerve,
 )
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
@@ -32,8 +40,8 @@ OPPOSITE = (
     "odometry rows with wheels that turn in opposite directions; if one encoder counts backwards, "
     "use --columns '{}=-{}', or the same for the left one"
 )
-EXAMPLE = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
-EXAMPLE |= {"omni_radius": 0.2}
+SIZES = {"wheel_radius": 0.033, "track_width": 0.16, "ticks_per_turn": 4096, "wheelbase": 0.33}
+EXAMPLE = SIZES | {"omni_radius": 0.2, "modules": "'[[.3,.3],[.3,-.3],[-.3,.3],[-.3,-.3]]'"}
 """Values shown in error messages."""
 
 
@@ -46,7 +54,7 @@ def imported_odometry(
     the wheels is ambiguous or too large.
     """
     by_role = {one.column.role: one for one in columns}
-    if wheels != Wheels() and not by_role.keys() & {*WHEELS, "steering"}:
+    if wheels != Wheels() and not by_role.keys() & {*WHEELS, *MODULES, "steering"}:
         raise InputError(
             "--wheels is not needed: the odometry does not come from wheels; give their columns, "
             "as in --columns 'left_wheel=A, right_wheel=B', or leave it out",
@@ -69,6 +77,10 @@ def imported_odometry(
     if "steering" in by_role:
         _require(wheels.missing("m", steers=True), by_role.values(), table)
         return ackermann(t, table["v"], table["steering"], wheels, remarks)
+    if MODULES[0] in by_role:
+        _require(["modules"] * (len(wheels.modules) != 4), by_role.values(), table)
+        speeds, angles = np.split(np.stack([table[role] for role in MODULES], axis=1), 2, axis=1)
+        return swerve(t, speeds, angles, wheels, remarks)
     if "distance" in by_role:
         steps = (np.append(np.diff(table[role]) / np.diff(t), 0.0) for role in ("distance", "turn"))
         return without_implausible(Odometry(t, *steps), remarks)

@@ -46,6 +46,8 @@ FOUR = "front_left", "front_right", "rear_left", "rear_right"
 """The wheels of a mecanum drive."""
 OMNI = "omni_1", "omni_2", "omni_3", "omni_4"
 """Three or four omni wheels, anti-clockwise; no name of a column is known to be one."""
+MODULES = tuple(f"module_{k}_{what}" for what in ("speed", "angle") for k in (1, 2, 3, 4))
+"""Roles of the states of four swerve modules; no name of a column is known to be one."""
 ROLES = {f"{side}_{what}" for side in (*PAIR, *FOUR, *OMNI) for what in WHAT}
 BASES = {
     **dict.fromkeys(("ticks", "ticks/s"), "ticks"),

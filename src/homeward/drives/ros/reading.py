@@ -96,6 +96,10 @@ def read_planned(
     robot: RobotSettings | None = None,
 ) -> Drive:
     """Read a drive from the topics of a `plan`; other parameters as `read_log`."""
+    odometry, wheels = plan.odometry, None if robot is None else robot.wheels
+    if odometry is not None and wheels is not None and wheels.modules:
+        known_wheels = {k: v for k, v in wheels if v and not getattr(odometry, k)}
+        plan = plan.model_copy(update={"odometry": odometry.model_copy(update=known_wheels)})
     with naming_file(known.log.path):
         return _Reading(known, plan, topics, detector).drive(on_progress, robot)
 

@@ -19,9 +19,21 @@ from homeward.drives.ros.measurements.contradiction import (
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
 from homeward.drives.ros.measurements.structure import values
-from homeward.drives.ros.messages.wpilib import CHASSIS_SPEEDS, POSE2D, ROBOT_ON_FIELD
+from homeward.drives.ros.messages.wpilib import (
+    CHASSIS_SPEEDS,
+    MODULE_STATES,
+    POSE2D,
+    ROBOT_ON_FIELD,
+)
 from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
-from homeward.drives.wheels import ackermann, differential, mecanum, omni, speeds_from_positions
+from homeward.drives.wheels import (
+    ackermann,
+    differential,
+    mecanum,
+    omni,
+    speeds_from_positions,
+    swerve,
+)
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import quoted
@@ -93,7 +105,7 @@ JOINT_STATE = "sensor_msgs/msg/JointState"
 ACKERMANN = ("ackermann_msgs/msg/AckermannDriveStamped", "ackermann_msgs/msg/AckermannDrive")
 """Types with a speed and a steering angle."""
 IMU = "sensor_msgs/msg/Imu"
-WHEELS = (JOINT_STATE, *ACKERMANN)
+WHEELS = (JOINT_STATE, *ACKERMANN, MODULE_STATES)
 """Types that require the geometry of the wheels."""
 TWISTS = (
     ODOMETRY,
@@ -161,6 +173,8 @@ class OdometryRows:
         )
         if kind == JOINT_STATE and given.roller_angle is not None and not given.omni:
             missing += given.missing("m", steers=True)
+        if kind == MODULE_STATES:
+            missing = ["modules"] if len(given.modules) < 2 else []
         if kind in WHEELS and missing:
             raise InputError(
                 f"{given.topic}: {quoted(kind)} needs {' and '.join(missing)} under odometry in "
@@ -181,6 +195,14 @@ class OdometryRows:
         if self._kind in ACKERMANN:
             drive = getattr(message, "drive", message)
             self._rows.append((t, float(drive.speed), float(drive.steering_angle)))
+            return
+        if self._kind == MODULE_STATES:
+            if len(message.speeds) != len(self._given.modules):
+                raise InputError(
+                    f"{self._given.topic}: states of {len(message.speeds)} modules, but modules has"
+                    f" {len(self._given.modules)} positions"
+                )
+            self._rows.append((t, *message.speeds, *message.angles))
             return
         nothing = (math.nan,) * 3
         if self._kind in TRANSFORMS:
@@ -227,6 +249,9 @@ class OdometryRows:
             rows = self._clean(rows, remarks)
             if self._joints is not None:
                 return self._joints.odometry(rows[:, 0], rows[:, 1:], remarks)
+            if self._kind == MODULE_STATES:
+                speeds, angles = np.split(rows[:, 1:], 2, axis=1)
+                return swerve(rows[:, 0], speeds, angles, self._given, remarks)
             t, v, steering = rows.T.copy()
             return ackermann(t, v, steering, self._given, remarks)
         if self._by_twist(rows, remarks):

@@ -4,6 +4,8 @@ Layouts, all little-endian and without padding, from public sources:
 
 - struct:ChassisSpeeds (struct:ChassisVelocities from 2027): vx, vy [m/s], omega [rad/s];
   struct:Pose2d: x, y [m], heading [rad] (allwpilib, wpimath, the schemas of the structs).
+- struct:SwerveModuleState[] (struct:SwerveModuleVelocity[] from 2027): speed [m/s] and angle from
+  ahead [rad] of each module (as above).
 - double[] of a Field2d robot: x, y [m], heading [deg] (allwpilib, FieldObject2d); CTRE's swerve
   telemetry publishes robotPose in the same form.
 - photonstruct:PhotonPipelineResult of PhotonVision from 2025: photon-serde/messages.yaml in
@@ -23,11 +25,12 @@ from types import SimpleNamespace
 from typing import Any
 
 CHASSIS_SPEEDS = "struct:ChassisSpeeds"
+MODULE_STATES = "struct:SwerveModuleState[]"
 POSE2D = "struct:Pose2d"
 ROBOT_ON_FIELD = "double[] (x, y, degrees)"
 PHOTON_RESULT = "photonstruct:PhotonPipelineResult"
 RAW_FIDUCIALS = "double[] (Limelight rawfiducials)"
-ON_CHANGE = (CHASSIS_SPEEDS, POSE2D, ROBOT_ON_FIELD)
+ON_CHANGE = (CHASSIS_SPEEDS, MODULE_STATES, POSE2D, ROBOT_ON_FIELD)
 """Types of odometry; NetworkTables and AdvantageKit log a value only when it changes."""
 PLAIN = ("boolean", "int64", "float", "double", "string", "json", "raw", "msgpack")
 """Types of single values; arrays of them end in []."""
@@ -40,8 +43,12 @@ _PNP_BYTES, _CORNER_BYTES, _ID_BYTES = 17 * 8, 16, 2
 
 def type_of(name: str, kind: str) -> str:
     """Return the type of an entry, as one of the types of this module where it is read."""
-    if kind == "struct:ChassisVelocities":
-        return CHASSIS_SPEEDS
+    of_2027 = {
+        "struct:ChassisVelocities": CHASSIS_SPEEDS,
+        "struct:SwerveModuleVelocity[]": MODULE_STATES,
+    }
+    if kind in of_2027:
+        return of_2027[kind]
     if kind.startswith(f"{PHOTON_RESULT}:"):
         return PHOTON_RESULT
     last = name.rpartition("/")[2]
@@ -82,6 +89,11 @@ def decode(kind: str, data: bytes) -> Any:
 def _chassis_speeds(data: bytes) -> Any:
     vx, vy, omega = struct.unpack("<3d", data)
     return SimpleNamespace(linear=SimpleNamespace(x=vx, y=vy), angular=SimpleNamespace(z=omega))
+
+
+def _module_states(data: bytes) -> Any:
+    speeds, angles = zip(*struct.iter_unpack("<2d", data), strict=True)
+    return SimpleNamespace(speeds=speeds, angles=angles)
 
 
 def _pose(data: bytes) -> Any:
@@ -141,6 +153,7 @@ def _point(x: float, y: float, z: float) -> Any:
 
 _DECODERS: dict[str, Callable[[bytes], Any]] = {
     CHASSIS_SPEEDS: _chassis_speeds,
+    MODULE_STATES: _module_states,
     POSE2D: _pose,
     ROBOT_ON_FIELD: _robot_on_field,
     PHOTON_RESULT: _photon_result,

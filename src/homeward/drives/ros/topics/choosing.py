@@ -22,6 +22,7 @@ from homeward.drives.ros.measurements.odometry import (
     TWISTS,
     WHEELS,
 )
+from homeward.drives.ros.messages.wpilib import MODULE_STATES
 from homeward.drives.ros.settings import (
     BEARINGS,
     OUR_HOME,
@@ -51,6 +52,7 @@ NO_IDS_IN_SCAN = (
 USES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
     ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
+    ((MODULE_STATES,), "odometry, with modules in the topics file or robot.yaml"),
     (ACKERMANN, "odometry, with wheelbase in the topics file"),
     ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC)"),
     (TWISTS, "odometry"),
@@ -78,7 +80,11 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     where several topics are equally suitable and none is named, or where there are no images.
     """
     odometry = given.odometry or next(
-        (OdometryTopic(topic=t.name) for t in _of_best_type(survey, "odometry", TWISTS)), None
+        (
+            OdometryTopic(topic=t.name)
+            for t in _of_best_type(survey, "odometry", (*TWISTS, MODULE_STATES))
+        ),
+        None,
     )
     odometry = odometry or only_candidate(survey, OdometryTopic)
     odometry = None if odometry is None else with_fields(survey, odometry)
