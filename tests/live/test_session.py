@@ -26,6 +26,9 @@ from homeward.live.messages import (
     SetHome,
     SetStart,
     StoreHome,
+    line_of,
+    parse,
+    parse_output,
 )
 from homeward.live.session import Session
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
@@ -59,6 +62,34 @@ def test_bearings_that_are_stamped_late_are_taken_to_be_of_before():
         session.receive(message, now=1.2)
     (answer,) = (out for out in session.process() if isinstance(out, Answer))
     assert answer.t == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("sideways", [0.2, None])
+def test_a_mecanum_robot_is_driven_home_through_json_with_a_sideways_speed(sideways):
+    """Without limits.sideways, the same robot is commanded ahead only."""
+    settings = LiveSettings(limits=Limits(sideways=sideways))
+    rig = Rig(0, settings=settings, **QUICK | {"robot.drive": "mecanum"})
+    heard = []
+
+    def through_json(message):
+        heard.append(parse(line_of(message)))
+        return heard[-1:]
+
+    rig.spoil = through_json
+    rig.until(lambda r: r.player.ending is not None)
+    assert rig.player.ending.state == "arrived"
+    assert rig.robot.distance < 0.05
+    commands = [parse_output(line_of(command)) for _, command in rig.commands]
+    measured = [m.vy for m in heard if isinstance(m, OdometryIn)]
+    if sideways is None:
+        assert {command.vy for command in commands} == {0.0}
+        return
+    assert max(abs(command.vy) for command in commands) > 0.1
+    assert all((c.v / 0.25) ** 2 + (c.vy / sideways) ** 2 < 1.0 + 1e-6 for c in commands)
+    assert max(map(abs, measured)) > 0.1
+    # Straight home, without turning first: the robot keeps its heading.
+    driven = [c for c in commands if c.state == "driving" and math.hypot(c.v, c.vy) > 0.1]
+    assert {c.omega for c in driven} == {0.0}
 
 
 def without(kind):

@@ -10,7 +10,7 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import tag_poses
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
-from homeward.live.messages import Answer
+from homeward.live.messages import Answer, Command
 from homeward.ros import conversions
 from homeward.ros.conversions import (
     StampConverter,
@@ -58,6 +58,26 @@ def test_a_number_that_is_none_is_refused_in_plain_words():
     )
     with pytest.raises(InputError, match=r"^v: must be finite, not nan$"):
         odometry_in(message, 0.0)
+
+
+def test_a_sideways_speed_is_read_from_odometry_and_published_in_commands(monkeypatch):
+    place, turn = Message(x=1.0, y=2.0, z=0.0), Message(x=0.0, y=0.0, z=0.0, w=1.0)
+    twist = Message(linear=Message(x=0.3, y=-0.2), angular=Message(z=0.1))
+    message = Message(
+        pose=Message(pose=Message(position=place, orientation=turn)), twist=Message(twist=twist)
+    )
+    heard = odometry_in(message, 1.0)
+    assert (heard.v, heard.vy, heard.omega) == (0.3, -0.2, 0.1)
+    blank = lambda: Message(linear=Message(x=0.0, y=0.0), angular=Message(z=0.0))  # noqa: E731
+    monkeypatch.setattr(conversions, "message_class", lambda _: blank)
+    said = []
+    publishers = conversions.Publishers(Message())
+    monkeypatch.setattr(publishers, "_parameter", lambda _: False)
+    monkeypatch.setattr(publishers, "_line", lambda _: None)
+    publishers._out["cmd_vel"] = Message(publish=said.append)
+    command = {"v": 0.1, "vy": 0.15, "omega": 0.2, "state": "driving", "reason": "", "hold": 0.2}
+    publishers.command(Command(**command))
+    assert (said[0].linear.x, said[0].linear.y, said[0].angular.z) == (0.1, 0.15, 0.2)
 
 
 def test_stamps_are_from_the_first_ones_second_whoever_comes_first():
