@@ -129,7 +129,8 @@ def tag_bearings(
     # Each of the eight coordinates plus and minus its standard deviation.
     moved = np.zeros((17, 4, 2))
     moved[1:] = np.concatenate([np.eye(8), -np.eye(8)]).reshape(16, 4, 2)
-    azimuth, elevation = _centre(corners + moved[:, None] * step[:, None, None], camera, shape)
+    shifted = corners + moved[:, None] * step[:, None, None]
+    azimuth, elevation = tag_directions(shifted, camera, shape)
     ahead, back = azimuth[1:9], azimuth[9:]
     variance = np.sum((wrap(ahead - back) / 2) ** 2, axis=0)
     return azimuth[0], np.sqrt(variance + camera.bearing_variance(elevation[0]))
@@ -162,7 +163,7 @@ def sizes_of(names: Sequence[str], size: TagSize | None) -> np.ndarray:
     return np.full(len(names), math.nan if size is None else size)
 
 
-def _centre(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:
+def tag_directions(corners: np.ndarray, camera: Camera, shape: Shape) -> Directions:
     """Return azimuth and elevation [rad], (...), of the centres of tags (..., 4, 2) [px]."""
     seen = camera.directions(corners[..., 0].ravel(), corners[..., 1].ravel(), shape)
     rays = unit_vectors(*seen).reshape(*corners.shape[:-1], 3)

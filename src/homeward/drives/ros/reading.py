@@ -30,7 +30,11 @@ from homeward.drives.ros.measurements.extrinsics import (
     Transforms,
     extrinsics,
 )
-from homeward.drives.ros.measurements.odometry import OdometryRows, pose_of
+from homeward.drives.ros.measurements.odometry import (
+    OdometryRows,
+    orientation_of,
+    pose_of,
+)
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.decoding import Decoder
@@ -52,6 +56,7 @@ from homeward.drives.settings import (
     RobotSettings,
     Wheels,
 )
+from homeward.drives.tilt import Tilts, roll_and_pitch
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -141,6 +146,11 @@ class _Reading:
             raise InputError(f"mount needs topics of bearings: {NAME_BEARINGS}")
         if plan.mount is not None or len(plan.bearings) > 1 or self._has_frames:
             self._subscribe_transforms()
+        self._tilts: list[tuple[float, ...]] = []
+        if plan.tilt is not None:
+            self._subscribe(
+                plan.tilt, lambda t, m: self._tilts.append((t, *roll_and_pitch(orientation_of(m))))
+            )
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
             self._subscribe(
@@ -307,6 +317,10 @@ class _Reading:
         parts = [camera.rows.columns() for camera in self._cameras]
         if not parts:
             return Sightings.of_rows(())
+        if (tilt := self._plan.tilt) is not None:
+            repeats = "orientations with the time of another, left out"
+            tilts = Tilts(*clean_rows(self._tilts, tilt, "orientations", repeats, self._remarks).T)
+            parts = [tilts.level(p, self._yaw_of(p), tilt, self._remarks) for p in parts]
         for part in parts:
             in_order(part["t"], "sightings", self._remarks)  # counted for each camera
         self._separate(parts)
@@ -314,6 +328,12 @@ class _Reading:
         order = np.argsort(columns["t"], kind="stable")
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
         return sightings_of(rows, self._remarks)
+
+    def _yaw_of(self, part: dict[str, np.ndarray]) -> float:
+        """Return the yaw of the camera of sightings on the robot [rad]."""
+        name = part["camera"][0] if part["camera"].size else ""
+        camera: Mount = self._settings.cameras[name] if name else self._settings.sensor
+        return camera.yaw
 
     def _separate(self, parts: list[dict[str, np.ndarray]]) -> None:
         """Make the frames of cameras with the same landmark at the same stamp differ by 1 ns.

@@ -186,6 +186,9 @@ class LogSettings(Strict):
     bearings: Annotated[tuple[BearingsTopic, ...], BeforeValidator(_one_or_several)] = ()
     home: HomeFrom | None = None
     truth: TruthTopic | None = None
+    tilt: str | None = None
+    """A topic of sensor_msgs/Imu or nav_msgs/Odometry whose orientation has the roll and pitch of
+    the robot, for which bearings are corrected."""
     mount: MountFrames | None = None
     """Camera extrinsics from /tf_static; None: as `drive` specifies."""
     drive: DriveSettings | None = None

@@ -152,6 +152,13 @@ def pose_of(message: Any) -> Row:
     return pose.position.x, pose.position.y, yaw(pose.orientation)
 
 
+def orientation_of(message: Any) -> Any:
+    """Return the quaternion of an Imu, or of a message with a pose."""
+    while hasattr(message, "pose"):
+        message = message.pose
+    return message.orientation
+
+
 def yaw(q: Any) -> float:
     """Return the heading [rad] of a quaternion; NaN for a zero one."""
     norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w

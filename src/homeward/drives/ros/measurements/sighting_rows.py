@@ -8,7 +8,13 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.camera import sizes_of, tag_bearings, tag_ranges, tilt_matrix
+from homeward.drives.cameras.camera import (
+    sizes_of,
+    tag_bearings,
+    tag_directions,
+    tag_ranges,
+    tilt_matrix,
+)
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.importers.positions import axes_by_spread
@@ -113,18 +119,19 @@ class SightingRows:
         self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return t [s], landmark, bearing, sigma [rad] and range [m] of all sightings, (n,) each.
+        """Return t [s], landmark, bearing, elevation, sigma [rad] and range [m], (n,) each.
 
-        Sigma and range are NaN where unknown.
+        Elevation, sigma and range are NaN where unknown.
         """
-        bearing, sigma = self._measured()
+        bearing, elevation, sigma = self._measured()
         if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
         if self.given.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
         ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
-        columns |= {"bearing": bearing, "sigma": sigma, "range": self._ranges()}
+        columns |= {"bearing": bearing, "elevation": elevation, "sigma": sigma}
+        columns["range"] = self._ranges()
         columns["camera"] = np.full(len(ids), self.camera, object)
         # A lens model has no ray for pixels beyond its valid range.
         is_valid = np.isfinite(bearing)
@@ -146,31 +153,35 @@ class SightingRows:
         if not self.has_positions:
             return np.full(len(self), np.nan)
         rows = np.array([(seen.a, seen.b, seen.up) for seen in self._kept], float).reshape(-1, 3)
-        return np.asarray(np.hypot(*self._places(*rows.T)))
+        return np.asarray(np.hypot(*self._places(*rows.T)[:2]))
 
     def _places(
         self, a: np.ndarray, b: np.ndarray, up: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return x and y [m] in the frame of the reference camera, of points in that of theirs."""
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x, y, z [m] in the frame of the reference camera, of points in that of theirs."""
         if self.given.roll or self.given.pitch:
             level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
-            a, b, _ = level @ np.array([a, b, up])
+            a, b, up = level @ np.array([a, b, up])
         x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
-        return x, y
+        return x, y, up
 
-    def _measured(self) -> tuple[np.ndarray, np.ndarray]:
-        """Return bearings and their standard deviations [rad], NaN where unknown, (n,) each."""
+    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return bearings, elevations and the standard deviations of bearings [rad], (n,) each.
+
+        NaN where unknown.
+        """
         rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
         a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
         if has_bearings(self.kind, self.given):
-            return a, sigma
+            return a, np.full_like(a, np.nan), sigma
         if self.has_positions:
-            x, y = self._places(a, b, up)
-            return np.arctan2(y, x), sigma
+            x, y, z = self._places(a, b, up)
+            return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), sigma
         camera = self._model()
         if self.kind == DETECTIONS:
-            return camera.directions(a, b)[0], sigma
-        return tag_bearings(self._corners(), self._corner_sigmas(), camera, (0, 0))
+            return *camera.directions(a, b), sigma
+        bearing, sigma = tag_bearings(self._corners(), self._corner_sigmas(), camera, (0, 0))
+        return bearing, tag_directions(self._corners(), camera, (0, 0))[1], sigma
 
     def _corner_sigmas(self) -> np.ndarray:
         """Return the standard deviations of the corners of tags, (n,) [px]."""

@@ -54,7 +54,7 @@ USES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
     ((MODULE_STATES,), "odometry, with modules in the topics file or robot.yaml"),
     (ACKERMANN, "odometry, with wheelbase in the topics file"),
-    ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC)"),
+    ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC), or the tilt of the robot"),
     (TWISTS, "odometry"),
     (POSES_OF_TAGS, "odometry, ground truth, or the bearings of one landmark"),
     (POSES, "odometry, or ground truth"),
@@ -207,6 +207,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     named += [("camera", camera, (CAMERA_INFO,)) for camera in cameras]
     if plan.odometry is not None:
         named.append(("yaw_rate", plan.odometry.yaw_rate, (IMU,)))
+    named.append(("tilt", plan.tilt, (IMU, NAV_ODOMETRY)))
     for what, name, suitable in named:
         if name is not None and (kind := survey.topic(name).type) not in suitable:
             use = use_of(kind)

@@ -242,6 +242,8 @@ class MessageTimes:
         names = [t.topic for t in (plan.odometry, *plan.bearings, plan.truth) if t is not None]
         if plan.odometry is not None and plan.odometry.yaw_rate is not None:
             names.append(plan.odometry.yaw_rate)
+        if plan.tilt is not None:
+            names.append(plan.tilt)
         topics = {name: known.topic(name) for name in names}
         self._by_header = plan.clock == "header"
         self._shift = 0
