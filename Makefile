@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: install dev demo-environment demo demo-size plan test demo-physics core-environment test-core lowest-environment test-lowest interpreter-environment test-interpreter test-sanitizer test-mcu ros-environments test-ros wheel rehearsal test-wheel lint docs paper bench figures state-log clean
 
 # What all commands use. `dev` adds what tests, linters and `make wheel` use, in the same environment.
-EXTRAS := filters,live,report,scale,vision
+EXTRAS := filters,fleet,live,report,scale,vision
 DEV_EXTRAS := $(EXTRAS),dev
 # More packages for this environment; the compiled core is in src already.
 ADD = HOMEWARD_PURE=1 $(BIN)/python -m pip install $(PIP_OPTIONS) -c constraints.txt
@@ -70,7 +70,7 @@ test: dev
 # The tests of the core, in an environment of its own that has neither vision, lab nor studio.
 core-environment: wheel
 	$(PYTHON) -m venv .venv-core$(OTHER)
-	.venv-core$(OTHER)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt "$$(echo out/wheel/*.whl)[bags,live,report]" evo hypothesis pytest pytest-xdist
+	.venv-core$(OTHER)/bin/python -m pip install $(PIP_OPTIONS) -c constraints.txt "$$(echo out/wheel/*.whl)[bags,fleet,live,report]" evo hypothesis pytest pytest-xdist
 	cd .venv-core$(OTHER)/lib/python3*/site-packages/homeward && rm -rf lab studio vision
 
 test-core: core-environment

@@ -9,7 +9,7 @@ import sys
 
 
 class Absent:
-    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 matplotlib pandas"
+    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 matplotlib paho pandas"
     NAMES = [*NAMES.split(), "rosbags", "ruamel", "shapely", "websockets", "xarray"]
 
     def find_spec(self, name, path=None, target=None):

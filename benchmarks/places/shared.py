@@ -1,10 +1,11 @@
-"""A place server with ten robots, in real time.
+"""A fleet of ten robots in one place, in real time.
 
-`python -m benchmarks.places.shared [--robots 10] [--seconds 75]`: robots drive in the warehouse of
-`benchmarks.places`, of which the server has the map of one drive on the day before; each is a
-process of `homeward live` on one core, together with the server. One robot has mirrored bearings,
-and one a wheel scale of 1.15. A landmark is pushed by 1 m at 40 % of the time, and the server is
-killed (SIGKILL) at 70 %, and started again 2 s later.
+`python -m benchmarks.places.shared [--robots 10] [--seconds 75] [--mqtt mqtt://127.0.0.1]`, with a
+broker there (`mosquitto`): robots drive in the warehouse of `benchmarks.places`, of which the
+merger has the map of one drive on the day before; each is a process of `homeward live` on one core,
+together with the merger. One robot has mirrored bearings, and one a wheel scale of 1.15. A landmark
+is pushed by 1 m at 40 % of the time, and the merger is killed (SIGKILL) at 70 %, and started again
+2 s later.
 """
 
 import argparse
@@ -28,8 +29,8 @@ from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
 from homeward.drives.folder import write_folder
 from homeward.geometry.frames import Pose, bearing, between
+from homeward.live.fleet.merging import LIVE
 from homeward.live.messages import BearingsIn, OdometryIn, line_of
-from homeward.live.shared.merging import LIVE
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DAY_S, Place
 
@@ -112,8 +113,8 @@ def cpu(process: subprocess.Popen[str]) -> float:
 class Run:
     """One run of the benchmark."""
 
-    def __init__(self, number: int, seconds: float, work: Path) -> None:
-        self.number, self.seconds, self.work = number, seconds, work
+    def __init__(self, number: int, seconds: float, mqtt: str, work: Path) -> None:
+        self.number, self.seconds, self.mqtt, self.work = number, seconds, mqtt, work
         self.core = max(os.sched_getaffinity(0))
         self.folder = work / "hall"
         hall = Warehouse(0)
@@ -131,7 +132,7 @@ class Run:
         new = tuple((self.truth[self.landmark] + PUSH).tolist())
         self.before = shape_error(place, self.truth)
         self.truth[self.landmark] = np.array(new)
-        self.server, self.port = self._serve(0)
+        self.server = self._serve()
         self.began, self.robots = time.monotonic(), list[Robot]()
         self.first_seen = math.inf
         for i, drive in enumerate(drives):
@@ -154,18 +155,18 @@ class Run:
     def _pinned(self) -> None:
         os.sched_setaffinity(0, {self.core})
 
-    def _serve(self, port: int) -> tuple["subprocess.Popen[str]", int]:
-        arguments = ["place", "serve", str(self.folder), "--tcp", str(port)]
+    def _serve(self) -> "subprocess.Popen[str]":
+        arguments = ["place", "serve", str(self.folder), "--mqtt", self.mqtt]
         server = self._start(arguments, stdout=subprocess.PIPE)
         assert server.stdout is not None
-        words = server.stdout.readline().split()
+        server.stdout.readline()
         threading.Thread(target=server.stdout.read, daemon=True).start()
-        return server, int(words[-1])
+        return server
 
     def _live(self, i: int) -> "subprocess.Popen[str]":
         robot = self.work / f"robot{i}" / "drive.yaml"
-        where = f"tcp://127.0.0.1:{self.port}"
-        arguments = ["live", "--place", where, "--update", "--robot-file", str(robot)]
+        arguments = ["live", "--place", "hall", "--update", "--robot-file", str(robot)]
+        arguments += ["--mqtt", self.mqtt, "--user", f"robot{i}"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         return self._start(arguments, **pipes)
 
@@ -253,7 +254,7 @@ class Run:
         self.server.wait()
         killed = self.now
         time.sleep(2.0)
-        self.server, _ = self._serve(self.port)
+        self.server = self._serve()
         for thread in feeding:
             thread.join()
         ends = list[str]()
@@ -284,15 +285,17 @@ class Run:
         )
         print(
             f"CPU on one core: {self.number} robots {100 * sum(robots):.0f} %, "
-            f"server {100 * server:.0f} %"
+            f"merger {100 * server:.0f} %"
         )
         back = [
-            min((t for t, text in r.events if t > killed and "again" in text), default=math.inf)
+            min(
+                (t for t, text in r.events if t > killed and "merged again" in text), default=killed
+            )
             for r in self.robots
         ]
         localised = sum(r.status == "localised" for r in good)
         print(
-            f"server killed at {killed:.0f} s, started 2 s later: all robots connected again "
+            f"merger killed at {killed:.0f} s, started 2 s later: all visits acknowledged again "
             f"{max(back) - killed:.1f} s after the kill; {localised} of"
             f" {len(good)} localised at the end"
         )
@@ -315,10 +318,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=10)
     parser.add_argument("--seconds", type=float, default=75.0)
+    parser.add_argument("--mqtt", default="mqtt://127.0.0.1")
     given = parser.parse_args()
     work = Path(tempfile.mkdtemp())
     try:
-        Run(given.robots, given.seconds, work).run()
+        Run(given.robots, given.seconds, given.mqtt, work).run()
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

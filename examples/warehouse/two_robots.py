@@ -1,11 +1,12 @@
 """Two robots in one hall share a place live, while boxes are moved.
 
-`python -m examples.warehouse.two_robots [--seed 0] [--seconds 180] [--moves 3]`. One robot has
-mapped the hall on the day before. Then `homeward place serve` serves the place, and two robots that
-stand elsewhere (kidnapped robots) join it over TCP and patrol the outer aisles, half a round apart.
+`python -m examples.warehouse.two_robots [--seed 0] [--seconds 180] [--moves 3] [--mqtt URL]`, with
+an MQTT broker there (`mosquitto`). One robot has mapped the hall on the day before. Then `homeward
+place serve` merges the visits, and two robots that stand elsewhere (kidnapped robots) join the
+place and patrol the outer aisles, half a round apart.
 Every 30 s a box is moved that neither has in view. Printed are the figures of each robot, and the
 times from the first sighting of each moved box until the own map of a robot has its new position,
-and until both robots have it, in their own map or in the place of the server. The server runs on
+and until both robots have it, in their own map or in the place of the fleet. The merger runs on
 the wall clock, so the simulation is at most as fast as it, and runs with the same seed differ.
 """
 
@@ -35,9 +36,11 @@ from homeward.errors import HomewardError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose, inverse
 from homeward.live import messages as msg
+from homeward.live.fleet.connection import Broker
+from homeward.live.fleet.robot import join_place
 from homeward.live.place_session import PlaceSession
-from homeward.live.shared.client import SCHEME, join_place
 from homeward.places.place import DAY_S
+from homeward.registry import DEFAULT
 
 ROUND = ("w", "nw", "n", "ne", "e", "se", "s", "sw")
 """Goals of a round, clockwise, so that the robots do not meet."""
@@ -94,7 +97,7 @@ def map_hall(robot: Robot) -> None:
 
 
 class Patrol:
-    """The two robots in the place of a server."""
+    """The two robots in the place of a fleet."""
 
     def __init__(self, world: World, seed: int, where: str, seconds: float) -> None:
         self.world, self.began, self.seconds = world, world.t, seconds
@@ -104,7 +107,8 @@ class Patrol:
         self.places: list[PlaceSession] = []
         for k, node in enumerate(("w", "e")):
             world.robots[k].carry(*NODES[node], float(rng.uniform(-math.pi, math.pi)))
-            self.places.append(join_place(where, update=True))
+            broker = Broker(where, f"robot{k + 1}")
+            self.places.append(join_place("warehouse", True, DEFAULT, broker))
             self.robots.append(
                 Robot(
                     world, Simulated(world, seed, k), goals(node, 100), HOME, settings,
@@ -220,6 +224,7 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=180.0)
     parser.add_argument("--moves", type=int, default=3)
+    parser.add_argument("--mqtt", default="mqtt://127.0.0.1")
     given = parser.parse_args()
     world = World(given.seed, starts=(HOME, Pose(11.2, 7.4, math.pi)))
     settings = SETTINGS.model_copy(update={"together": world.together})
@@ -228,16 +233,17 @@ def main() -> None:
         yesterday = PlaceSession("warehouse", time.time() / DAY_S - 1.0, True, folder)
         tasks = [msg.TurnHome(), *goals("w", 8)]
         map_hall(Robot(world, Simulated(world, given.seed), tasks, HOME, settings, yesterday))
+        arguments = ["place", "serve", str(folder), "--mqtt", given.mqtt]
         server = subprocess.Popen(
-            [sys.executable, "-u", "-m", "homeward", "place", "serve", str(folder), "--tcp", "0"],
+            [sys.executable, "-u", "-m", "homeward", *arguments],
             stdout=subprocess.PIPE,
             text=True,
             env=os.environ | {"XDG_STATE_HOME": scratch},
         )
         try:
             assert server.stdout is not None
-            port = server.stdout.readline().split()[-1]
-            patrol = Patrol(world, given.seed, f"{SCHEME}127.0.0.1:{port}", given.seconds)
+            server.stdout.readline()
+            patrol = Patrol(world, given.seed, given.mqtt, given.seconds)
             patrol.drive(given.moves)
             print(patrol.report(), flush=True)
             for k, robot in enumerate(patrol.robots, start=1):

@@ -65,6 +65,7 @@ _EXTRAS = {
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
     **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),
     **dict.fromkeys(("dask", "distributed", "h5netcdf", "xarray"), ("studies", "scale")),
+    "paho": ("places shared over MQTT", "fleet"),
     "websockets": ("WebSockets", "live"),
 }
 """By package: its purpose, as a plural, and the extra that installs it."""

@@ -275,11 +275,11 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
     extras = pyproject["project"]["optional-dependencies"]
     sources = "\n".join(file.read_text() for file in (ROOT / "src").rglob("*.py"))
     named = set(re.findall(r'needs_extra\("[^"]+", "(\w+)"\)', sources))
-    for package in ("bokeh.plotting", "casadi", "dask", "rosbags.typesys", "websockets"):
+    for package in ("bokeh.plotting", "casadi", "dask", "rosbags.typesys", "paho", "websockets"):
         reported = missing_extra_error(ModuleNotFoundError(name=package))
         named |= set(re.findall(r"the extra (\w+)", str(reported)))
     assert missing_extra_error(ModuleNotFoundError(name="nobody")) is None
-    reported = {"bags", "filters", "live", "report", "scale", "vision"}
+    reported = {"bags", "filters", "fleet", "live", "report", "scale", "vision"}
     assert named == reported == set(extras) - {"bench", "demo-physics", "dev", "docs"}
     line = str(needs_extra("images", "vision"))
     assert "pip install -c constraints.txt -e '.[vision]'" in line

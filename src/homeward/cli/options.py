@@ -167,6 +167,21 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON."
 Scheduler = Annotated[
     str | None, typer.Option(help="Address of a Dask scheduler, for example tcp://HOST:8786.")
 ]
+Mqtt = Annotated[
+    str | None,
+    typer.Option(
+        metavar="mqtt[s]://HOST[:PORT]",
+        help="MQTT broker of a fleet, mqtts with TLS (needs extra fleet).",
+    ),
+]
+PasswordFile = Annotated[
+    Path | None,
+    typer.Option(help="File with the broker's password [$HOMEWARD_MQTT_PASSWORD]."),
+]
+Authority = Annotated[
+    Path | None,
+    typer.Option(help="Certificate of the authority of the broker's certificate [the system's]."),
+]
 Workers = Annotated[
     int | None, typer.Option(min=1, help="Number of processes on this machine [all processors].")
 ]

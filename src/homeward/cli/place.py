@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from homeward.cli.drives.add import add
-from homeward.cli.options import AsJson, say, show
+from homeward.cli.options import AsJson, Authority, Mqtt, PasswordFile, say, show
+from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.places.place import Place
@@ -29,11 +30,13 @@ place.command()(add)
 @place.command()
 def info(folder: Folder, json: AsJson = False) -> None:
     """Print the landmarks, homes, routes and visits of a place."""
+    from homeward.live.fleet.merging import records, robot_lines
     from homeward.places.files import load_place
     from homeward.runs.report.place_words import info_lines
 
-    found = load_place(folder)
-    show(json, _facts(found), *info_lines(found))
+    found, robots = load_place(folder), records(folder)
+    facts = _facts(found) | {"robots": {n: r.model_dump() for n, r in robots.items()}}
+    show(json, facts, *info_lines(found), *robot_lines(robots))
 
 
 def _facts(place: Place) -> dict[str, Any]:
@@ -148,22 +151,58 @@ def undo(folder: Folder) -> None:
 @place.command()
 def serve(
     folder: Folder,
-    tcp: Annotated[
-        str, typer.Option(metavar="[HOST:]PORT", help="TCP port for sessions; 0: any port.")
-    ] = "7710",
+    mqtt: Mqtt = None,
+    user: Annotated[str, typer.Option(metavar="NAME", help="Account at the broker.")] = "merger",
+    password_file: PasswordFile = None,
+    ca: Authority = None,
+    ignore: Annotated[
+        list[str] | None, typer.Option(metavar="ROBOT", help="Ignore a robot; repeatable.")
+    ] = None,
+    tcp: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Share a place between live sessions, and merge their visits while they drive.
 
-    They join with homeward live --place tcp://HOST:PORT. Without HOST, only this machine can
-    connect; with HOST, sessions need the same token in the environment variable HOMEWARD_TOKEN.
-    Ends with Ctrl-C or SIGTERM.
+    They meet at an MQTT broker, whose configuration homeward place broker-config prints. Sessions
+    join with homeward live --place NAME --mqtt URL. Ends with Ctrl-C or SIGTERM.
     """
-    import asyncio
+    import signal
+    import threading
 
-    from homeward.live.server import address, given_token
-    from homeward.live.shared.merging import SharedPlace
-    from homeward.live.shared.server import PlaceServer
+    from homeward.live.fleet.connection import given_broker
+    from homeward.live.fleet.merger import Merger
+    from homeward.live.fleet.merging import SharedPlace
 
-    where = address(tcp)
-    server = PlaceServer(SharedPlace(folder), given_token(), say)
-    asyncio.run(server.serve(where, lambda port: say(f"listening on port {port}")))
+    broker = given_broker(mqtt, user, password_file, ca) if mqtt is not None else None
+    if broker is None or tcp is not None:
+        raise InputError(
+            "a place is shared by an MQTT broker: homeward place serve PLACE --mqtt mqtt://HOST;"
+            " homeward place broker-config PLACE --robots A,B prints the broker's configuration"
+        )
+    ended = threading.Event()
+    for sign in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sign, lambda *_: ended.set())
+    merger = Merger(SharedPlace(folder, tuple(ignore or ())), broker, say)
+    merger.run(ended, lambda: say(f"the place is at {broker.url}"))
+
+
+@place.command()
+def broker_config(
+    name: Annotated[str, typer.Argument(metavar="PLACE", help="The name of the place.")],
+    robots: Annotated[str, typer.Option(metavar="A,B,...", help="The names of the robots.")],
+    merger: Annotated[str, typer.Option(metavar="NAME", help="Account of the merger.")] = "merger",
+    out: Annotated[
+        Path | None, typer.Option(metavar="FOLDER", help="Write its files into this folder.")
+    ] = None,
+) -> None:
+    """Print a configuration of the broker mosquitto for a fleet: TLS, accounts, access control."""
+    from homeward.io.writing import write_whole
+    from homeward.live.fleet.broker_config import broker_files, commands
+
+    folder = Path("/etc/mosquitto/homeward") if out is None else out.absolute()
+    accounts = robots.split(",")
+    for file, text in broker_files(name, merger, accounts, folder).items():
+        if out is None:
+            typer.echo(f"# --- {folder / file}\n{text}")
+        else:
+            write_whole(out / file, text.encode())
+    typer.echo(commands(name, merger, accounts, folder))

@@ -220,9 +220,11 @@ class Localisation:
 
         `HomewardError` where nothing of the whole session was merged.
         """
-        if self.place is None or not self.place.update:
+        if self.place is None:
             return None
         try:
+            if not self.place.update:
+                return None
             if not self.place.has_poses:
                 raise HomewardError("the robot was never localised")
             return self._merge(is_last=True)
@@ -231,6 +233,8 @@ class Localisation:
             if self.place.saved:
                 return text
             raise type(error)(text) from error
+        finally:
+            self.place.close()
 
     def landmarks(self) -> msg.LandmarksOut:
         """Return the estimates of all landmarks."""

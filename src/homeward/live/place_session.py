@@ -191,7 +191,10 @@ class PlaceSession:
         return self.place
 
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
-        """Send the visit so far to the server of the place, if there is one and it is time."""
+        """Send the visit so far to the merger of the place, if there is one and it is time."""
+
+    def close(self) -> None:
+        """End the connection to the other robots, if there is one."""
 
     def _with_stored(self, visit: VisitData) -> VisitData:
         """Return a visit with the homes and routes that were stored on it."""

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import zipfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import Field, astuple, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -70,6 +71,13 @@ class PlaceSettings(Strict):
 
 def write_version(place: Place, folder: Path) -> None:
     """Write the files of a version into an empty folder."""
+    write_tables(place, folder)
+    with (folder / COVARIANCE).open("wb") as out:
+        np.savez_compressed(out, covariance=place.map.covariance)
+
+
+def write_tables(place: Place, folder: Path) -> None:
+    """Write the files of a version but its covariance."""
     joint = place.map
     settings = PlaceSettings(
         format=FORMAT,
@@ -117,12 +125,15 @@ def write_version(place: Place, folder: Path) -> None:
         ["route", "taught", *(f.name for f in fields(Node))],
         ([n, repr(r.taught), *astuple(node)] for n, r in place.routes.items() for node in r.nodes),
     )
-    with (folder / COVARIANCE).open("wb") as out:
-        np.savez_compressed(out, covariance=joint.covariance)
 
 
 def read_version(folder: Path) -> Place:
     """Read the files of a version; `InputError` if one is missing, damaged or inconsistent."""
+    return read_tables(folder, partial(_covariance, folder / COVARIANCE))
+
+
+def read_tables(folder: Path, covariance: Callable[[int], np.ndarray]) -> Place:
+    """Read the files of `write_tables`; `covariance` returns that of this number of coordinates."""
     settings = read_settings(folder / SETTINGS, PlaceSettings)
     if settings.format != FORMAT:
         raise InputError(
@@ -150,7 +161,7 @@ def read_version(folder: Path) -> Place:
             np.column_stack([homes["x"], homes["y"], homes["heading"]]).ravel(),
         ]
     )
-    joint = JointMap(names, stored, mean, _covariance(folder / COVARIANCE, mean.size))
+    joint = JointMap(names, stored, mean, covariance(mean.size))
     visits, events = (
         read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
     )

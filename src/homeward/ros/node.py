@@ -27,10 +27,11 @@ from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.settings import read_settings, validated
 from homeward.live import messages as msg
+from homeward.live.fleet.connection import given_broker
+from homeward.live.fleet.robot import join_place
 from homeward.live.recording import Recorder
 from homeward.live.session import Session
 from homeward.live.settings import LiveSettings, read_live_settings
-from homeward.live.shared.client import join_place
 from homeward.ros import conversions as convert
 from homeward.ros.camera import FrameOrder, MessageCameras, Newest
 from homeward.ros.conversions import JSON, TFS, Publishers
@@ -64,6 +65,10 @@ PARAMETERS: dict[str, Any] = {
     "home": "",
     "place": "",
     "place_update": False,
+    "mqtt": "",
+    "mqtt_user": "",
+    "mqtt_password_file": "",
+    "mqtt_ca": "",
     "robot_file": "",
     "session": "",
     "smoothed_lag": 0.0,
@@ -72,6 +77,8 @@ PARAMETERS: dict[str, Any] = {
     "autostart": True,
 }
 """Parameters and their defaults, described in ros/homeward_ros/config/homeward.yaml."""
+MQTT = "", "_user", "_password_file", "_ca"
+"""Ends of the names of the parameters of a broker."""
 NAMED: dict[str, Any] = {
     "store_home": msg.StoreHome,
     "turn_home": msg.TurnHome,
@@ -124,9 +131,10 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
             if parameter("place_update") and not parameter("place"):
                 raise InputError("place_update needs the parameter place")
             if parameter("place"):
-                place = join_place(
-                    parameter("place"), parameter("place_update"), settings.estimator
-                )
+                url, user, *paths = (parameter(f"mqtt{n}") or None for n in MQTT)
+                broker = given_broker(url, user, *(path and Path(path) for path in paths))
+                update = parameter("place_update")
+                place = join_place(parameter("place"), update, settings.estimator, broker)
             self._session = Session(settings, robot, homes, place)
             self._session.watch(self._publish.keep)
             if parameter("record"):

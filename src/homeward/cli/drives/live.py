@@ -9,7 +9,16 @@ from typing import Annotated
 
 import typer
 
-from homeward.cli.options import Changes, key_values, no_answer, refuse, say
+from homeward.cli.options import (
+    Authority,
+    Changes,
+    Mqtt,
+    PasswordFile,
+    key_values,
+    no_answer,
+    refuse,
+    say,
+)
 from homeward.errors import InputError
 
 
@@ -29,10 +38,17 @@ def live(
     place: Annotated[
         str | None,
         typer.Option(
-            metavar="FOLDER|tcp://HOST:PORT",
-            help="Saved map (place), which may be new with --update, or its place server.",
+            metavar="FOLDER|NAME",
+            help="Saved map (place), which may be new with --update; with --mqtt, its name.",
         ),
     ] = None,
+    mqtt: Mqtt = None,
+    user: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="Account at the broker, the name of the robot [$HOST]."),
+    ] = None,
+    password_file: PasswordFile = None,
+    ca: Authority = None,
     update: Annotated[
         bool, typer.Option("--update", help="Merge the session into the place at its end.")
     ] = False,
@@ -57,13 +73,14 @@ def live(
     from homeward.drives.folder import read_home
     from homeward.drives.settings import DriveSettings
     from homeward.io.settings import nested, read_settings, validated
+    from homeward.live.fleet.connection import given_broker
+    from homeward.live.fleet.robot import join_place
     from homeward.live.messages import schema as everything
     from homeward.live.recording import Recorder
     from homeward.live.recording import replay as repeat
     from homeward.live.server import Server, address, given_token
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
-    from homeward.live.shared.client import join_place
 
     if schema:
         typer.echo(json.dumps(everything(), indent=1))
@@ -82,7 +99,10 @@ def live(
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
     if update and place is None:
         raise InputError("--update needs --place")
-    visited = None if place is None else join_place(place, update, settings.estimator)
+    broker = given_broker(mqtt, user, password_file, ca)
+    if broker is not None and place is None:
+        raise InputError("--mqtt needs --place")
+    visited = None if place is None else join_place(place, update, settings.estimator, broker)
     session = Session(settings, known, homes, visited)
     # After the session: a session that cannot begin must leave no folder.
     recorder = None if record is None else Recorder(record, settings, known, homes, visited)

@@ -1,18 +1,18 @@
-"""Messages between live sessions and the place server: one JSON object per line.
+"""Content of the messages between robots and the merger of a place: JSON.
 
-A session joins, and sends its visit as a whole every few seconds. The server confirms each visit
-that is on disk, and sends the place, without that visit, when the visits of others changed it.
+A robot sends its visit as a whole every few seconds. The merger acknowledges each version that is
+on its disk, and sends the map of the place, and what the visits in progress change in it.
 """
 
 from __future__ import annotations
 
 import base64
-import io
 import math
 import tempfile
-import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import astuple
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -24,19 +24,22 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
+from homeward.io.table import quoted
 from homeward.io.validation_messages import parsed
-from homeward.live.messages import Bearings, Bounded, EventOut, Id, Name, Sigmas
+from homeward.live.messages import Bearings, Bounded, Id, Name, Sigmas, line_of
 from homeward.places.joint_map import JointMap
 from homeward.places.place import Place, StoredHome
 from homeward.places.route import Node, Route
-from homeward.places.version import read_version, write_version
+from homeward.places.version import read_tables, write_tables
 from homeward.places.visit_data import VisitCounts, VisitData
 
-MAX_LINE = 2**25
-"""Maximum length of a message [byte]: a visit of 1,000 landmarks."""
 MAX_LANDMARKS = 1000
-MAX_FILES, MAX_FILE = 20, 2**27
-"""Maximum number and size [byte] of the files of a place."""
+"""Maximum number of landmarks of a visit."""
+MAX_HOMES = 100
+"""Maximum number of homes, and of routes, that a visit stores."""
+MAX_FILES = 20
+MIN_VARIANCE = 1e-10
+"""Variance that is added to coordinates, as the covariance of a free network is singular [m^2]."""
 
 
 def _visit_id(text: str) -> str:
@@ -50,20 +53,11 @@ Number = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
 
 
-class Join(Strict):
-    """First message of a session."""
-
-    type: Literal["join"] = "join"
-    version: Literal[1] = 1
-    token: str | None = None
-    place: str | None = None
-    """Name of the place that the session uses; None: any."""
-    visit: VisitId | None = None
-    """Visit of the session, which the place that it receives must not contain."""
-
-
 class MapData(Strict):
-    """A `JointMap` without homes; doubles in base64, of the covariance the upper triangle."""
+    """A `JointMap` without homes, in base64: its mean as doubles, and its covariance as a factor.
+
+    It is the Cholesky factor, so that the covariance is positive definite in single precision, too.
+    """
 
     names: Annotated[tuple[Id, ...], Field(max_length=MAX_LANDMARKS)]
     mean: str
@@ -92,8 +86,9 @@ class RouteData(Strict):
 class VisitMessage(Strict):
     """A visit so far; it replaces earlier versions of the same visit."""
 
-    type: Literal["visit"] = "visit"
     visit: VisitId
+    number: Count = 0
+    """Number of this version."""
     ended: bool = False
     """Whether this is the last version; the visit then becomes a part of the place."""
     evidence: VisitId
@@ -103,71 +98,75 @@ class VisitMessage(Strict):
     """Number of frames with each landmark in view, and with it seen."""
     ages: dict[Id, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Time since each landmark was last seen where `map` has it [s]."""
-    homes: dict[Name, HomeData] = {}
-    routes: dict[Name, RouteData] = {}
+    homes: Annotated[dict[Name, HomeData], Field(max_length=MAX_HOMES)] = {}
+    routes: Annotated[dict[Name, RouteData], Field(max_length=MAX_HOMES)] = {}
     together: tuple[tuple[Id, ...], ...] = ()
 
 
-class Kept(Strict):
-    """The newest version of a visit is on the server's disk; `text` is the result of its end."""
+class Ack(Strict):
+    """The version of a visit that is on the merger's disk; `text` is news of it."""
 
-    type: Literal["kept"] = "kept"
+    epoch: int
     visit: VisitId
+    number: Count
     ended: bool = False
-    unconfirmed: bool = False
-    """Whether it changes the place in a way that the next version has to confirm."""
+    """Whether the visit needs no further version: it has ended, or is refused."""
     text: str = ""
+    is_error: bool = False
 
 
-class PlaceMessage(Strict):
-    """The place with all visits but the receiver's."""
-
-    type: Literal["place"] = "place"
-    data: str
-    """A zip file of one version of the folder of a place, in base64."""
+Placed = tuple[Number, Number, Number, Number, Number]
+"""Position of a landmark in the place, x, y [m], and its covariance xx, xy, yy [m^2]."""
 
 
-ToServer = Join | VisitMessage
-FromServer = PlaceMessage | Kept | EventOut
-_TO = Annotated[ToServer, Field(discriminator="type")]
-_FROM = Annotated[FromServer, Field(discriminator="type")]
+class Change(Strict):
+    """What visits found about a landmark since the map was published."""
+
+    landmark: Id
+    what: Literal["new", "moved", "gone", "returned"]
+    confirmed: bool
+    """Whether it is used; otherwise the landmark is suspected, and has a large uncertainty."""
+    by: dict[Id, Placed | None]
+    """Its position from each robot that found this; None where that is not certain."""
 
 
-def parse_request(line: bytes | str) -> ToServer:
-    """Return a message of a session; `InputError` with a one-line text where it is invalid."""
-    message: ToServer = parsed(_TO, line)
-    return message
+class Changes(Strict):
+    """All changes since the map was published."""
+
+    changes: tuple[Change, ...] = ()
 
 
-def parse_reply(line: bytes | str) -> FromServer:
-    """Return a message of the server; errors as `parse_request`."""
-    message: FromServer = parsed(_FROM, line)
-    return message
+class PlaceData(Strict):
+    """A place: its files but the covariance, and the covariance as in `MapData`."""
+
+    files: Annotated[dict[str, str], Field(max_length=MAX_FILES)]
+    covariance: str
 
 
-def place_message(place: Place) -> PlaceMessage:
-    """Return the message with a place."""
-    packed = io.BytesIO()
-    with tempfile.TemporaryDirectory() as folder, zipfile.ZipFile(packed, "w") as archive:
-        write_version(place, Path(folder))
-        for file in sorted(Path(folder).iterdir()):
-            archive.write(file, file.name, zipfile.ZIP_DEFLATED)
-    return PlaceMessage(data=base64.b64encode(packed.getvalue()).decode())
-
-
-def place_of(message: PlaceMessage) -> Place:
-    """Return the place in a message; `InputError` where it is damaged."""
+def place_content(place: Place) -> bytes:
+    """Return the content that sends a place."""
     with tempfile.TemporaryDirectory() as folder:
-        try:
-            packed = io.BytesIO(base64.b64decode(message.data, validate=True))
-            with zipfile.ZipFile(packed) as archive:
-                entries = archive.infolist()
-                if len(entries) > MAX_FILES or any(e.file_size > MAX_FILE for e in entries):
-                    raise InputError("the place in a message is too large")
-                archive.extractall(folder)
-        except (ValueError, OSError, zipfile.BadZipFile, NotImplementedError) as error:
-            raise InputError(f"the place in a message is damaged: {error}") from error
-        return read_version(Path(folder))
+        write_tables(place, Path(folder))
+        files = {file.name: file.read_text("utf-8") for file in Path(folder).iterdir()}
+    data = PlaceData(files=files, covariance=_factor(place.map.covariance))
+    return line_of(data).encode()
+
+
+def place_of(content: bytes) -> Place:
+    """Return the place in content; `InputError` where it is damaged."""
+    data: PlaceData = parsed(PlaceData, content)
+    with tempfile.TemporaryDirectory() as folder:
+        for name, text in data.files.items():
+            if Path(name).name != name or name.startswith("."):
+                raise InputError(f"the place in a message has a file {quoted(name)}")
+            (Path(folder) / name).write_text(text, "utf-8")
+        return read_tables(Path(folder), partial(_covariance, data.covariance))
+
+
+def parse_visit(content: bytes | str) -> VisitMessage:
+    """Return a visit; `InputError` with a one-line text where it is invalid."""
+    message: VisitMessage = parsed(VisitMessage, content)
+    return message
 
 
 def visit_message(
@@ -214,7 +213,10 @@ def visit_of(message: VisitMessage, when: float) -> VisitData:
             n: HomeBearing(b, home.sigmas.get(n, math.nan), home.cameras.get(n, ""))
             for n, b in home.bearings.items()
         }
-        answer = Estimate(0.0, Status.LOCALISED, "", Pose(*home.pose), _square(home.covariance, 3))
+        spread = _square(home.covariance, 3)
+        if np.linalg.eigvalsh(spread)[0] < 0.0:
+            raise InputError(f"home {quoted(name)}: the covariance is not positive")
+        answer = Estimate(0.0, Status.LOCALISED, "", Pose(*home.pose), spread)
         homes[name] = StoredHome(home.stored, seen), answer
     routes = {
         name: (Route(route.taught, tuple(Node(*n) for n in route.nodes)), _joint_map(route.map))
@@ -234,31 +236,42 @@ def visit_of(message: VisitMessage, when: float) -> VisitData:
 
 
 def _map_data(joint: JointMap) -> MapData:
-    upper = joint.covariance[np.triu_indices(joint.mean.size)]
-    return MapData(names=joint.names, mean=_packed(joint.mean), covariance=_packed(upper))
+    mean = base64.b64encode(np.ascontiguousarray(joint.mean, "<f8").tobytes()).decode()
+    return MapData(names=joint.names, mean=mean, covariance=_factor(joint.covariance))
 
 
 def _joint_map(data: MapData) -> JointMap:
-    size = 2 * len(data.names)
-    mean = _unpacked(data.mean, size)
-    covariance = _square(_unpacked(data.covariance, size * (size + 1) // 2), size)
     if len(set(data.names)) < len(data.names):
         raise InputError("map: a landmark occurs twice")
-    if size and np.linalg.eigvalsh(covariance)[0] < -1e-6 * np.abs(covariance).max():
-        raise InputError("map: the covariance is not positive")
-    return JointMap(data.names, (), mean, covariance)
+    size = 2 * len(data.names)
+    mean = _unpacked(data.mean, "<f8", size)
+    return JointMap(data.names, (), mean, _covariance(data.covariance, size))
 
 
-def _packed(values: np.ndarray) -> str:
-    return base64.b64encode(np.ascontiguousarray(values, "<f8").tobytes()).decode()
+def _factor(covariance: np.ndarray) -> str:
+    """Return the Cholesky factor of a covariance; `InputError` if it is not positive."""
+    variances, add = np.diag(covariance), MIN_VARIANCE
+    while add < 1e-4 * (1.0 + variances.max(initial=0.0)):
+        with suppress(np.linalg.LinAlgError):
+            lower = np.linalg.cholesky(covariance + add * np.eye(len(covariance)))
+            rows = lower[np.tril_indices(len(lower))]
+            return base64.b64encode(rows.astype("<f4").tobytes()).decode()
+        add *= 10.0
+    raise InputError("map: the covariance is not positive")
 
 
-def _unpacked(text: str, size: int) -> np.ndarray:
+def _covariance(text: str, size: int) -> np.ndarray:
+    lower = np.zeros((size, size))
+    lower[np.tril_indices(size)] = _unpacked(text, "<f4", size * (size + 1) // 2)
+    return lower @ lower.T
+
+
+def _unpacked(text: str, kind: str, size: int) -> np.ndarray:
     try:
-        values = np.frombuffer(base64.b64decode(text, validate=True), "<f8").astype(float)
+        values = np.frombuffer(base64.b64decode(text, validate=True), kind).astype(float)
     except ValueError as error:
-        raise InputError(f"map: not doubles in base64: {error}") from None
-    if values.size != size or not np.isfinite(values).all():
+        raise InputError(f"map: not numbers in base64: {error}") from None
+    if values.size != size or not (np.abs(values) < 1e9).all():
         raise InputError(f"map: must have {size} finite numbers")
     return values
 

@@ -1,0 +1,97 @@
+"""A place as a robot uses it: the published map, with what other robots found since then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from homeward.live.fleet.messages import Change, Placed
+from homeward.places.joint_map import JointMap
+from homeward.places.persistence import LandmarkPersistence
+from homeward.places.place import Place
+
+SUSPECTED, LEFT = 0.5, 0.1
+"""Probability that a landmark is in place while one robot found otherwise, and two robots."""
+
+
+def spread(at: Placed) -> np.ndarray:
+    """Return the covariance of a position, (2, 2)."""
+    return np.array([[at[2], at[3]], [at[3], at[4]]])
+
+
+def with_changes(place: Place, changes: Sequence[Change], robot: str, when: float) -> Place:
+    """Return a place with the changes that others than `robot` found, at `when` [days since 1970].
+
+    A landmark that moved has its new position. A suspected one remains, with an uncertainty that
+    includes the position where one robot saw it. What the robot itself found is in its visit.
+    """
+    persistence = dict(place.persistence)
+    moved, suspected, new = dict[str, Placed](), dict[str, Placed](), dict[str, Placed]()
+    for change in changes:
+        others = [at for name, at in change.by.items() if name != robot]
+        if not others:
+            continue
+        at = min(filter(None, others), key=lambda at: at[2] + at[4], default=None)
+        name, was = change.landmark, persistence.get(change.landmark)
+        if was is None:
+            if at is not None and change.what == "new":
+                new[name] = at
+                in_place = 1.0 if change.confirmed else SUSPECTED
+                persistence[name] = LandmarkPersistence(when, when, in_place)
+        elif change.what == "returned":
+            persistence[name] = was.seen_in_place(when) if change.confirmed else was
+        elif change.confirmed and at is not None:
+            moved[name], persistence[name] = at, was.seen_elsewhere(when)
+        else:
+            if at is not None:
+                suspected[name] = at
+            left = LEFT if change.confirmed else SUSPECTED
+            persistence[name] = replace(was, stands=min(was.stands, left))
+    return replace(place, map=_changed(place.map, moved, suspected, new), persistence=persistence)
+
+
+def _changed(
+    joint: JointMap,
+    moved: Mapping[str, Placed],
+    suspected: Mapping[str, Placed],
+    new: Mapping[str, Placed],
+) -> JointMap:
+    """Return a map with changed landmarks, whose errors are independent of all others."""
+    mean, covariance = joint.mean.copy(), joint.covariance.copy()
+    for name, at in moved.items():
+        rows = joint.columns([name])
+        mean[rows] = at[:2]
+        covariance[rows] = covariance[:, rows] = 0.0
+        covariance[np.ix_(rows, rows)] = spread(at)
+    for name, at in suspected.items():
+        rows = joint.columns([name])
+        off = np.subtract(at[:2], mean[rows])
+        covariance[np.ix_(rows, rows)] += np.outer(off, off)
+    n, k = 2 * len(joint.names), 2 * len(new)
+    both = np.zeros((mean.size + k, mean.size + k))
+    stay = np.concatenate([np.arange(n), np.arange(n, mean.size) + k]).astype(int)
+    both[np.ix_(stay, stay)] = covariance
+    for i, at in enumerate(new.values()):
+        rows = n + 2 * i + np.arange(2)
+        both[np.ix_(rows, rows)] = spread(at)
+    added = np.array([at[:2] for at in new.values()]).ravel()
+    mean = np.concatenate([mean[:n], added, mean[n:]])
+    return JointMap((*joint.names, *new), joint.homes, mean, both)
+
+
+def is_same(before: Place, now: Place) -> bool:
+    """Return whether two places have the same landmarks at the same positions, homes and routes."""
+    if before.map.names != now.map.names or {*before.homes} != {*now.homes}:
+        return False
+    if {*before.routes} != {*now.routes}:
+        return False
+    off = np.hypot(*(now.map.positions - before.map.positions).T)
+    sigmas = before.map.sigmas, now.map.sigmas
+    is_near = (off <= sigmas[0]) & (sigmas[1] < 2.0 * sigmas[0]) & (sigmas[0] < 2.0 * sigmas[1])
+    return bool(is_near.all()) and _left(before) == _left(now)
+
+
+def _left(place: Place) -> dict[str, bool]:
+    return {name: p.stands <= SUSPECTED for name, p in place.persistence.items()}

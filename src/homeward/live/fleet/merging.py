@@ -1,0 +1,449 @@
+"""The place of a fleet: visits on disk, and the decisions from them.
+
+The folder of the place contains all visits that were merged. Each other visit is a file in its
+subfolder `live`, and is compared with the place whenever it grows, so that nothing counts twice.
+A finding of a visit is a claim. One robot may be wrong: a claim changes the place for the others when
+a second robot finds the same, or when no robot saw the landmark in place for `CONFIRM_S`.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from homeward.errors import HomewardError, InputError
+from homeward.geometry.frames import position_sigma
+from homeward.io.keys import Strict
+from homeward.io.reading import naming, read_small
+from homeward.io.table import quoted
+from homeward.io.validation_messages import parsed
+from homeward.io.writing import remove_abandoned, write_whole
+from homeward.live.fleet.changes import spread
+from homeward.live.fleet.messages import Change, Placed, VisitMessage, parse_visit, visit_of
+from homeward.live.fleet.parcels import MAX_VISIT_PARTS, PART
+from homeward.live.messages import line_of
+from homeward.localizer.tunables import INLIER
+from homeward.places import files
+from homeward.places.joint_map import JointMap, datum
+from homeward.places.place import Place
+from homeward.places.visit_data import VisitCounts, VisitData
+from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
+from homeward.runs.report.place_words import visit_words
+from homeward.runs.report.words import count, listing
+
+LIVE = "live"
+"""Subfolder of a place with the visits that are not merged yet."""
+CONFIRM_S = 60.0
+"""A claim of one robot is used if no other robot sees the landmark in place for this time [s]."""
+MIN_GROUP, MIN_REFUTED = 3, 3
+"""Minimum number of landmarks of a group, and of refuted claims of a doubtful robot."""
+MAX_WAITING = 8
+"""Maximum number of ended visits of a robot that wait for a confirmation."""
+MAX_LANDMARKS = 3000
+"""Maximum number of landmarks of a shared place."""
+SCALE_SIGMA = 0.3
+"""Standard deviation of the scale of a visit, large enough to ignore it: one robot with a wrong
+wheel radius would scale the place of all [1]."""
+SAME_M = 0.02
+"""Positions this close agree, however certain they are [m]."""
+ROBOTS = "robots.txt"
+"""File in that folder with the records of the robots, as JSON."""
+QUARANTINED = "this visit contradicts the place and is not merged: other robots do not use it"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """What a visit finds about a landmark, in contrast to the place."""
+
+    what: str
+    """new, moved, gone or returned."""
+    at: Placed | None
+    """Its position in the frame of the place, if it is certain."""
+    since: float
+    """When the visit first found this [s]."""
+    is_grouped: bool = False
+    """Whether it moved rigidly with others: one wrong map explains that, too."""
+
+
+@dataclass(frozen=True)
+class LiveVisit:
+    """Newest version of a visit. Times are on the merger's monotonic clock [s]."""
+
+    robot: str
+    message: VisitMessage
+    data: VisitData
+    seen: Mapping[str, float]
+    """When each landmark of its own map was last seen there: a robot that saw a landmark from one
+    place only has no position."""
+    claims: Mapping[str, Claim] | None
+    """By landmark; None if the visit contradicts the place."""
+
+
+class RobotRecord(Strict):
+    """What became of the visits of a robot."""
+
+    decided: int = 0
+    """Number of claims ..."""
+    refuted: int = 0
+    """... and of those that other robots refuted."""
+    apart: int = 0
+    """Number of visits that contradict the place."""
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the robot disagrees repeatedly with the others."""
+        return self.apart > 1 or (self.refuted >= MIN_REFUTED and 2 * self.refuted > self.decided)
+
+
+@dataclass
+class SharedPlace:
+    """A place in a folder, and the visits in progress; `InputError` where there is no place.
+
+    Visits of `ignored` robots are kept, and neither compared nor merged. `now` is on the merger's
+    monotonic clock [s], `when` in days since 1970.
+    """
+
+    folder: Path
+    ignored: Collection[str] = ()
+    place: Place = field(init=False)
+    visits: dict[tuple[str, str], LiveVisit] = field(init=False, default_factory=dict)
+    """By robot and visit, in order of their begin."""
+    records: dict[str, RobotRecord] = field(init=False, default_factory=dict)
+    """By robot."""
+    problems: list[str] = field(init=False, default_factory=list)
+    """Files that cannot be used."""
+    _in_place: defaultdict[str, dict[str, float]] = field(
+        init=False, default_factory=lambda: defaultdict(dict)
+    )
+    """When robots saw landmarks in place, on visits that are merged [s]."""
+
+    def load(self, now: float, when: float) -> None:
+        """Read the place, and the visits of an earlier merger; damaged ones are named and left."""
+        self.place = files.load_place(self.folder)
+        live = self.folder / LIVE
+        with naming(live, "cannot be read"):
+            live.mkdir(exist_ok=True)
+            for written in (self.folder, live):
+                remove_abandoned(written)  # of a merger that was killed
+            saved = sorted(live.glob("*.json"), key=lambda file: file.lstat().st_mtime)
+        try:
+            self.records = records(self.folder)
+        except HomewardError as error:
+            self.problems.append(f"{live / ROBOTS}: is skipped: {error}")
+        for file in saved:
+            try:
+                message = parse_visit(read_small(file, MAX_VISIT_PARTS * PART, "a visit"))
+                robot = file.name.removesuffix(f".{message.visit}.json")
+                if self.is_merged(
+                    robot, message.visit
+                ):  # the merger was killed before it deleted it
+                    file.unlink()
+                else:
+                    self._set(robot, message, now, when)
+            except (HomewardError, OSError, UnicodeDecodeError) as error:
+                self.problems.append(f"{file}: is skipped: {error}")
+
+    def add(self, robot: str, message: VisitMessage, now: float, when: float) -> None:
+        """Replace the version of a visit, on disk, too.
+
+        `InputError` where the visit is damaged, or with the name of a file where it cannot be
+        written.
+        """
+        if not self.is_merged(robot, message.visit):
+            data = visit_of(message, when)
+            write_whole(self._file(robot, message.visit), line_of(message).encode())
+            self._set(robot, message, now, when, data)
+
+    def is_merged(self, robot: str, visit: str) -> bool:
+        """Return whether a visit is a part of the place, or listed there."""
+        return any(v.drive == f"{robot} {visit}" for v in self.place.visits)
+
+    def settle(self, now: float) -> Iterator[tuple[str, str, str]]:
+        """Merge visits that ended and whose claims are decided; yield robot, visit and result.
+
+        A visit ends with its last version, or when its robot begins another one. `HomewardError`
+        where the place cannot be written; the visit is kept then.
+        """
+        for key in list(self.visits):
+            robot, name = key
+            later = [k for k in self.visits if k[0] == robot]
+            later = later[later.index(key) + 1 :]
+            if robot in self.ignored or not (later or self.visits[key].message.ended):
+                continue
+            claims = self.visits[key].claims or {}
+            open_claims = [n for n in claims if self._outcome(robot, n, now) is None]
+            if not open_claims or len(later) >= MAX_WAITING:
+                yield robot, name, self._merge(key, now)
+
+    def waiting_words(self, robot: str, visit: str, now: float) -> str:
+        """Describe what the end of a visit waits for."""
+        claims = self.visits[robot, visit].claims or {}
+        names = [n for n in claims if self._outcome(robot, n, now) is None]
+        return (
+            f"the visit is kept, and merged when another robot confirms {len(names)} of its changes"
+            f" ({listing(names, 8)}), or no robot contradicts them"
+        )
+
+    def changes(self, now: float) -> tuple[Change, ...]:
+        """Return what the visits change in the place, for robots other than their own."""
+        names = dict.fromkeys(
+            n for (robot, _), v in self.visits.items() for n in self._used(robot, v)
+        )
+        return tuple(c for n in names if (c := self._decide(n, now)) is not None)
+
+    def _used(self, robot: str, visit: LiveVisit) -> Mapping[str, Claim]:
+        return {} if robot in self.ignored else visit.claims or {}
+
+    def _statements(self, name: str) -> tuple[dict[str, tuple[Claim, float]], dict[str, float]]:
+        """Return the claims on a landmark by robot, and when other robots saw it in place [s]."""
+        claims, in_place = dict[str, tuple[Claim, float]](), dict(self._in_place.get(name, {}))
+        for (robot, _), visit in self.visits.items():
+            if robot in self.ignored or visit.claims is None:
+                continue
+            if name in visit.claims:
+                in_place.pop(robot, None)
+                claims[robot] = visit.claims[name], visit.seen.get(name, visit.claims[name].since)
+            elif name in visit.seen:
+                claims.pop(robot, None)
+                in_place[robot] = visit.seen[name]
+        return claims, in_place
+
+    def _decide(self, name: str, now: float) -> Change | None:
+        """Return the change of a landmark by all claims; None if there is none, or it is refuted.
+
+        Of claims that differ, the one of most robots counts, else the one of the last sighting.
+        """
+        claims, in_place = self._statements(name)
+        agreeing = {
+            robot: [r for r, (other, _) in claims.items() if _support(other, claim)]
+            for robot, (claim, _) in claims.items()
+        }
+        best = max(
+            claims,
+            key=lambda r: (claims[r][0].at is not None, len(agreeing[r]), claims[r][1]),
+            default=None,
+        )
+        if best is None:
+            return None
+        claim, by = claims[best][0], agreeing[best]
+        since, last = min(claims[r][0].since for r in by), max(claims[r][1] for r in by)
+        opposed = in_place | {r: t for r, (c, t) in claims.items() if r not in by and c.at}
+        against = [t for t in opposed.values() if t > since]
+        if len(against) > len(by) or (len(by) < 2 and max(against, default=-math.inf) > last):
+            return None
+        if len(by) > 1:
+            confirmed = len(by) > len(against)
+        else:
+            quiet = now - max(since, *opposed.values()) if opposed else now - since
+            confirmed = quiet >= CONFIRM_S and not claim.is_grouped
+        found = {robot: claims[robot][0].at for robot in by}
+        return Change(landmark=name, what=claim.what, confirmed=confirmed, by=found)
+
+    def _outcome(self, robot: str, name: str, now: float) -> bool | None:
+        """Return whether a robot's claim is right; None if that is not decided."""
+        change = self._decide(name, now)
+        if change is None or robot not in change.by:
+            return False
+        return True if change.confirmed else None
+
+    def _merge(self, key: tuple[str, str], now: float) -> str:
+        """Merge a visit into the place, on disk; return the result in words."""
+        visit, robot = self.visits[key], key[0]
+        outcomes = {n: self._outcome(robot, n, now) for n in visit.claims or ()}
+        refuted = sorted(n for n, right in outcomes.items() if right is False)
+        room = MAX_LANDMARKS - len(self.place.persistence)
+        new = [n for n in visit.data.map.names if n not in self.place.persistence]
+        unused = {n for n, right in outcomes.items() if not right}
+        data = _without(visit.data, {*unused, *new[max(room, 0) :]})
+        try:
+            self.place, _ = files.update_place(self.folder, lambda place: _with(place, data))
+        except (InputError, np.linalg.LinAlgError) as error:
+            if isinstance(error, InputError) and error.file is not None:
+                raise  # the disk
+            result = f"the visit was not merged into the place: {error}"
+        else:
+            result = visit_words(self.place)
+            lost = {**data.homes, **data.routes}.keys() - {*self.place.homes, *self.place.routes}
+            result += "".join(f" {n} was not stored." for n in sorted(lost))
+        if refuted:
+            result += f" Refuted by other robots: {listing(refuted, 8)}."
+        self._record(robot, len(outcomes), len(refuted), visit.claims is None)
+        del self.visits[key]
+        self._file(*key).unlink(missing_ok=True)
+        for name in outcomes.keys() - unused:
+            self._in_place.pop(name, None)
+        if visit.claims is not None:
+            for name in visit.seen.keys() - outcomes.keys():
+                self._in_place[name][robot] = visit.seen[name]
+        self.visits = {k: self._compared(v, now) for k, v in self.visits.items()}
+        return result
+
+    def _record(self, robot: str, decided: int, refuted: int, is_apart: bool) -> None:
+        before = self.records.get(robot, RobotRecord())
+        self.records[robot] = RobotRecord(
+            decided=before.decided + decided,
+            refuted=before.refuted + refuted,
+            apart=before.apart + is_apart,
+        )
+        lines = {name: record.model_dump(mode="json") for name, record in self.records.items()}
+        write_whole(self.folder / LIVE / ROBOTS, json.dumps(lines).encode())
+
+    def _set(
+        self,
+        robot: str,
+        message: VisitMessage,
+        now: float,
+        when: float,
+        data: VisitData | None = None,
+    ) -> None:
+        """Replace the version of a visit, and compare it with the place."""
+        data = replace(
+            data or visit_of(message, when),
+            drive=f"{robot} {message.visit}",
+            scale_sigma=SCALE_SIGMA,
+        )
+        seen = {n: now - message.ages[n] for n in data.map.names if n in message.ages}
+        before = self.visits.get((robot, message.visit))
+        claims = before.claims if before is not None else None
+        visit = LiveVisit(robot, message, data, seen, claims)
+        self.visits[robot, message.visit] = self._compared(visit, now)
+
+    def _compared(self, visit: LiveVisit, now: float) -> LiveVisit:
+        """Return a visit with its claims; those that it had before, at the same position, stay."""
+        before, claims = visit.claims or {}, None
+        if visit.robot not in self.ignored:
+            with suppress(HomewardError, np.linalg.LinAlgError):
+                claims = _claims(self.place, visit.data, now)
+        for name, claim in (claims or {}).items():
+            was = before.get(name)
+            if was is not None and was.what == claim.what and _support(was, claim):
+                claims[name] = replace(claim, since=was.since)  # type: ignore[index]
+        return replace(visit, claims=claims)
+
+    def _file(self, robot: str, visit: str) -> Path:
+        return self.folder / LIVE / f"{robot}.{visit}.json"
+
+
+def records(folder: Path) -> dict[str, RobotRecord]:
+    """Return the records of the robots of a shared place; none where it was never shared."""
+    file = folder / LIVE / ROBOTS
+    if not file.exists():
+        return {}
+    found: dict[str, RobotRecord] = parsed(
+        dict[str, RobotRecord], read_small(file, 2**20, "records")
+    )
+    return found
+
+
+def robot_lines(found: Mapping[str, RobotRecord]) -> list[str]:
+    """Describe the robots that disagree repeatedly with the others."""
+    return [
+        f"Robot {quoted(robot)} disagrees with the others: they refuted {record.refuted} of"
+        f" {count(record.decided, 'change')} that it reported, and the place contradicts"
+        f" {count(record.apart, 'visit')}. Check its camera and wheels; homeward place serve"
+        f" --ignore {robot} leaves it out."
+        for robot, record in found.items()
+        if record.is_doubtful
+    ]
+
+
+def _claims(place: Place, data: VisitData, now: float) -> dict[str, Claim] | None:
+    """Return the claims of a visit by landmark; None if it contradicts the place."""
+    frames = data.frames.by_landmark if isinstance(data.frames, VisitCounts) else {}
+    local = _part(place, {*data.map.names, *frames})
+    after = _with(local, replace(data, homes={}, routes={}))
+    if after.visits[-1].verdict == "apart":
+        return None
+    events = (e for e in after.events if e.visit >= local.next_visit)
+    what = {e.landmark: "gone" if e.what == "forgotten" else e.what for e in events}
+    stayed = [n for n in local.map.names if n in after.persistence and n not in what]
+    placed = [n for n in what if n in data.map.names and n in after.persistence]
+    pose = datum(local.map.marginal(stayed, ()), after.map.marginal(stayed, ()), stayed)
+    there = after.map.marginal(placed, ()).in_frame_of(pose, np.zeros((3, 3)))
+    at = _positions(there)
+    was = _positions(local.map.marginal([n for n in placed if what[n] == "moved"], ()))
+    grouped = _moved_rigidly(was, at, (*place.together, *data.together))
+    return {
+        n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
+    }
+
+
+def _part(place: Place, names: Collection[str]) -> Place:
+    """Return a place with some of its landmarks."""
+    kept = [n for n in place.map.names if n in names]
+    persistence = {n: place.persistence[n] for n in kept}
+    return replace(place, map=place.map.marginal(kept), persistence=persistence)
+
+
+def _positions(joint: JointMap) -> dict[str, Placed]:
+    """Return the positions of the landmarks of a map and their covariances."""
+    found = {}
+    for k, (name, (x, y)) in enumerate(zip(joint.names, joint.positions.tolist(), strict=True)):
+        (xx, xy), (_, yy) = joint.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2].tolist()
+        found[name] = x, y, xx, xy, yy
+    return found
+
+
+def _moved_rigidly(
+    was: Mapping[str, Placed], now: Mapping[str, Placed], together: Sequence[Sequence[str]]
+) -> set[str]:
+    """Return landmarks that moved rigidly with two others which are not known to move with them.
+
+    The distances of such landmarks are the same before and after.
+    """
+    names = list(was)
+    if len(names) < MIN_GROUP:
+        return set()
+    before, after = (np.array([some[n][:2] for n in names]) for some in (was, now))
+    sigmas = np.array([position_sigma(spread(was[n]) + spread(now[n])) for n in names])
+    distances = [np.hypot(*(p[:, None] - p[None]).transpose(2, 0, 1)) for p in (before, after)]
+    limit = SAME_M + INLIER * np.hypot(sigmas[:, None], sigmas[None])
+    same = np.abs(distances[1] - distances[0]) < limit
+    body = {n: k for k, group in enumerate(together) for n in group}
+    bodies = np.array([body.get(n, -1 - k) for k, n in enumerate(names)])
+    same &= bodies[:, None] != bodies[None]
+    triangles = np.einsum("ij,jk,ki->i", *3 * [same.astype(float)], optimize=True)
+    return {n for n, number in zip(names, triangles.tolist(), strict=True) if number > 0}
+
+
+def _support(one: Claim, other: Claim) -> bool:
+    """Return whether a claim supports another one: "gone" supports that it moved."""
+    if one.at is None or other.at is None:
+        return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
+    off = math.dist(one.at[:2], other.at[:2])
+    limit = INLIER * float(position_sigma(spread(one.at) + spread(other.at)))
+    return one.what == other.what and off <= max(limit, SAME_M)
+
+
+def _without(data: VisitData, names: Collection[str]) -> VisitData:
+    """Return a visit without all that it found about some landmarks."""
+    kept = data.map.marginal([n for n in data.map.names if n not in names])
+    if isinstance(data.frames, VisitCounts):
+        frames = {n: f for n, f in data.frames.by_landmark.items() if n not in names}
+        data = replace(data, frames=VisitCounts(frames))
+    return replace(data, map=kept)
+
+
+def _with(place: Place, data: VisitData) -> Place:
+    """Return a place with a visit, without its homes and routes whose names are taken.
+
+    A visit that distorts the place is kept apart: it moves most of the landmarks that stayed by
+    more than their standard deviation explains. A robot's own map may be distorted for a moment.
+    """
+    homes = {n: home for n, home in data.homes.items() if n not in place.homes}
+    routes = {n: route for n, route in data.routes.items() if n not in place.routes}
+    after = merged(place, replace(data, homes=homes, routes=routes))
+    changed = {e.landmark for e in after.events if e.visit >= place.next_visit}
+    was, now = _positions(place.map), _positions(after.map)
+    agree = [
+        _support(*(Claim("", p[n], 0.0) for p in (was, now)))
+        for n in was.keys() & now.keys() - changed
+    ]
+    return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)

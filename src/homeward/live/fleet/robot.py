@@ -1,0 +1,373 @@
+"""Session of a robot in the place of a fleet: the connection, and the visit that is shared."""
+
+from __future__ import annotations
+
+import math
+import os
+import secrets
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from homeward.drives.drive import Drive
+from homeward.errors import HomewardError, InputError
+from homeward.estimator import Estimate, Status
+from homeward.geometry.frames import Pose
+from homeward.geometry.se2 import compose
+from homeward.io.table import quoted
+from homeward.io.validation_messages import parsed
+from homeward.io.writing import write_whole
+from homeward.live.fleet.changes import is_same, with_changes
+from homeward.live.fleet.connection import Broker, Connection
+from homeward.live.fleet.fits import Fits
+from homeward.live.fleet.messages import (
+    Ack,
+    Changes,
+    VisitMessage,
+    parse_visit,
+    place_of,
+    visit_message,
+)
+from homeward.live.fleet.parcels import (
+    ACK,
+    CHANGE,
+    MANIFEST,
+    MAP,
+    MAX_MAP_PARTS,
+    MAX_VISIT_PARTS,
+    VISIT,
+    Mailbox,
+    PlaceManifest,
+    VisitManifest,
+)
+from homeward.live.messages import BearingsIn, PlaceChanged, line_of
+from homeward.live.place_session import (
+    READ_ONLY,
+    PlaceSession,
+    open_place,
+    require_default,
+    require_enough,
+)
+from homeward.localizer.localizer import Localizer
+from homeward.places.place import DAY_S, Place
+from homeward.places.visit_data import VisitCounts, VisitData, VisitFrames, fingerprint, own_map
+from homeward.runs.report.words import count, listing
+
+SHARE_S = 3.0
+"""Interval at which the visit is sent [s] ..."""
+CHANGE_S = 1.0
+"""... during that time after a change of the robot's map."""
+TIMEOUT_S = 20.0
+"""Timeout for the place at the start, and for the acknowledgement of a version [s]."""
+FINISH_S = 30.0
+"""Timeout for the merge of the last version of a visit [s]."""
+FRAME_S, MAX_FRAMES = 0.5, 4000
+"""Interval of the frames that are kept [s]; with more than the maximum number it is doubled."""
+
+
+def undelivered() -> Path:
+    """Return the folder of visits that are not acknowledged yet."""
+    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
+    return Path(state) / "homeward" / "undelivered"
+
+
+class RobotLink:
+    """Exchange of a robot with the merger of a place; `InputError` where the broker refuses.
+
+    Every visit is in an outbox until the merger has it on its disk: the newest version of the
+    visit in progress, and each visit that ended, also in a file.
+    """
+
+    def __init__(self, broker: Broker, place: str) -> None:
+        self.name, self._robot = place, broker.user
+        self.visit = secrets.token_hex(8)
+        self.on_place: Callable[[Place], None] = lambda _: None
+        self.on_event: Callable[[str, bool], None] = lambda *_: None
+        self._news = threading.Condition(threading.RLock())
+        self._outbox: dict[str, VisitMessage] = {}
+        """By visit, the oldest first; only that one is at the broker."""
+        self._sent: VisitMessage | None = None
+        self._sent_at, self._num_parts = math.inf, MAX_VISIT_PARTS
+        self._number, self._results = int(time.time()), dict[str, str]()
+        self._manifest: PlaceManifest | None = None
+        self._maps = defaultdict[str, Mailbox](lambda: Mailbox(MAX_MAP_PARTS))
+        self._changed = Mailbox(MAX_MAP_PARTS)
+        self._map: tuple[str, Place] | None = None
+        self._assembled: tuple[str, tuple[str, ...]] | None = None
+        self._place: Place | None = None
+        self._is_lost = False
+        for file in sorted(self._folder.glob("*.json"), key=lambda f: f.stat().st_mtime):
+            visit = parse_visit(file.read_bytes())
+            self._outbox[visit.visit] = visit
+        topics = MANIFEST, f"{MAP}/+/+", f"{CHANGE}/+", f"{ACK}/{self._robot}"
+        self._connection = Connection(
+            broker, place, topics, self._receive, self._connected, self._lost
+        )
+        with self._news:
+            if not self._news.wait_for(lambda: self._place is not None, TIMEOUT_S):
+                self._connection.close()
+                raise InputError(f"nobody merges the place {quoted(place)} at {broker.url}")
+            assert self._place is not None
+            self.first: Place = self._place
+            self._send()
+
+    def share(self, visit: VisitMessage) -> None:
+        """Send a visit in place of its earlier version."""
+        with self._news:
+            self._number += 1
+            visit = visit.model_copy(update={"number": self._number})
+            self._outbox[visit.visit] = visit
+            self._send()
+            is_late = time.monotonic() - self._sent_at > TIMEOUT_S
+            if visit.ended:
+                write_whole(self._file(visit.visit), line_of(visit).encode())
+        if is_late:
+            self._lost("no acknowledgement")
+
+    def finish(self, visit: VisitMessage) -> str:
+        """Send the last version of a visit; return the result in words.
+
+        Without an answer in time, the next session of this robot in this place sends it.
+        """
+        self.share(visit)
+        with self._news:
+            if self._news.wait_for(lambda: visit.visit in self._results, FINISH_S):
+                return self._results.pop(visit.visit)
+        file = self._file(visit.visit)
+        return f"the place did not answer: the visit is saved in {file} until it does"
+
+    def close(self) -> None:
+        """End the connection."""
+        self._connection.close()
+
+    @property
+    def _folder(self) -> Path:
+        return undelivered() / self.name / self._robot
+
+    def _file(self, visit: str) -> Path:
+        return self._folder / f"{visit}.json"
+
+    def _connected(self) -> None:
+        with self._news:
+            self._sent = None
+            self._send()
+
+    def _lost(self, why: str) -> None:
+        if not self._is_lost:
+            self._is_lost = True
+            self.on_event(f"nobody merges the visit, which is kept here: {why}", True)
+
+    def _send(self) -> None:
+        """Publish the oldest visit of the outbox, unless its newest version is at the broker."""
+        visit = next(iter(self._outbox.values()), None)
+        if visit is None or visit is self._sent or self._place is None:
+            return
+        content, self._sent = line_of(visit).encode(), visit
+        self._sent_at = min(self._sent_at, time.monotonic())
+        topic = f"{VISIT}/{self._robot}"
+        parts = self._connection.send(topic, content, self._num_parts)
+        self._num_parts = len(parts)
+        manifest = VisitManifest(visit=visit.visit, number=visit.number, parts=parts)
+        self._connection.publish(f"{topic}/{MANIFEST}", line_of(manifest).encode())
+
+    def _receive(self, topic: Sequence[str], payload: bytes) -> None:
+        """Process a message, on the thread of the connection."""
+        try:
+            match topic:
+                case ["ack", _]:
+                    self._acknowledge(parsed(Ack, payload))
+                case ["map", version, _] if not payload:  # deleted
+                    self._maps.pop(version, None)
+                case ["map", version, number]:
+                    self._maps[version].put(number, payload)
+                case ["change", number]:
+                    self._changed.put(number, payload)
+                case ["manifest"]:
+                    manifest = parsed(PlaceManifest, payload)
+                    if self._manifest is None or manifest.epoch >= self._manifest.epoch:
+                        self._manifest = manifest
+            self._assemble()
+        except HomewardError as error:
+            self.on_event(f"a message of the merger is ignored: {error}", True)
+
+    def _assemble(self) -> None:
+        """Update the place, if all parts of its newest version have arrived."""
+        manifest = self._manifest
+        if manifest is None:
+            return
+        if self._map is None or self._map[0] != manifest.map:
+            content = self._maps[manifest.map].whole(manifest.map_parts)
+            if content is None:
+                return
+            self._map = manifest.map, place_of(content)
+        changes = self._changed.whole(manifest.change_parts)
+        if changes is None or self._assembled == (manifest.map, manifest.change_parts):
+            return
+        self._assembled = manifest.map, manifest.change_parts
+        found: Changes = parsed(Changes, changes)
+        when = time.time() / DAY_S
+        place = with_changes(self._map[1], found.changes, self._robot, when)
+        with self._news:
+            before, self._place = self._place, place
+            self._news.notify_all()
+        if before is not None and not is_same(before, place):
+            self.on_place(place)
+
+    def _acknowledge(self, ack: Ack) -> None:
+        with self._news:
+            visit, epoch = self._outbox.get(ack.visit), self._manifest and self._manifest.epoch
+            if visit is None or ack.number < visit.number or ack.epoch < (epoch or 0):
+                return
+            self._sent_at = math.inf
+            if ack.ended:
+                del self._outbox[ack.visit]
+                self._file(ack.visit).unlink(missing_ok=True)
+                self._results[ack.visit] = ack.text
+            self._news.notify_all()
+            self._send()
+        if self._is_lost:
+            self._is_lost = False
+            self.on_event("the visit is merged again", False)
+        if ack.text:
+            self.on_event(ack.text, ack.is_error)
+
+
+class SharedPlaceSession(PlaceSession):
+    """Session in the place of a fleet, whose visit is merged while it is in progress."""
+
+    def __init__(self, link: RobotLink, update: bool) -> None:
+        self._link, self._latest = link, link.first
+        self._last: VisitMessage | None = None
+        self._subscriber: Callable[[PlaceChanged], None] = lambda _: None
+        super().__init__(link.first, time.time() / DAY_S, update)
+        link.on_place = self._receive
+        link.on_event = lambda text, is_error: self._notify(text, is_error)
+
+    def begin(self) -> None:
+        """Begin a new visit; the last one ends as it was sent last."""
+        super().begin()
+        if self._last is not None:
+            self._link.share(self._last.model_copy(update={"ended": True}))
+            self._link.visit, self._last = secrets.token_hex(8), None
+        self._frames: list[tuple[Pose, list[str]]] = []
+        self._frame_s, self._frame_at, self._newest = FRAME_S, -1e300, 0.0
+        self._fits, self._shared_at, self._began = Fits(), -1e300, math.nan
+
+    def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
+        """Call `on_change`, on any thread, when the place changed."""
+        self._subscriber = on_change
+        if self._latest is not self.place:
+            self._notify(_change_words(self._link.first, self._latest), False)
+
+    def adopt(self) -> Place:
+        """Use the newest place of the fleet from now on, and return it."""
+        self.place = self._after = self._latest
+        return self.place
+
+    def see(self, message: BearingsIn, estimate: Estimate) -> None:
+        """Add bearings and the answer to them."""
+        super().see(message, estimate)
+        self._newest = message.t
+        self._fits.add(message, estimate)
+        if estimate.pose is None or abs(message.t - self._frame_at) < self._frame_s:
+            return
+        self._frame_at = message.t
+        self._frames.append((estimate.pose, list(message.bearings)))
+        if len(self._frames) > MAX_FRAMES:
+            del self._frames[::2]
+            self._frame_s *= 2.0
+
+    def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
+        """Send the visit while localised, every `CHANGE_S` after a change, else `SHARE_S`."""
+        is_changing = estimate.t - self._fits.changed_at < SHARE_S
+        interval = CHANGE_S if is_changing else SHARE_S
+        if not self.update or abs(estimate.t - self._shared_at) < interval:
+            return
+        if estimate.status is Status.LOCALISED:
+            self._shared_at = estimate.t
+            try:
+                self._last = self._message(localizer, drive, home)
+            except HomewardError:  # too little so far
+                return
+            self._link.share(self._last)
+
+    def merge(self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False) -> str:
+        """Send the current visit; return the result in words if it `is_last`."""
+        if not self.update:
+            raise InputError(READ_ONLY)
+        self._last = message = self._message(localizer, drive, home, is_last)
+        self.saved = True
+        if is_last:
+            return self._link.finish(message)
+        self._link.share(message)
+        return f"the visit is sent to the merger of the place {quoted(self.name)}"
+
+    def close(self) -> None:
+        """End the connection."""
+        self._link.close()
+
+    def _message(
+        self, localizer: Localizer, drive: Drive, home: str, is_last: bool = False
+    ) -> VisitMessage:
+        assert self.place is not None
+        own, together = own_map(localizer), drive.settings.together
+        require_enough(own := own.marginal({*own.names} - self._fits.outdated(together)))
+        sensor = drive.settings.sensor
+        poses = np.array([pose for pose, _ in self._frames]).reshape(-1, 3)
+        cameras = compose(poses, np.broadcast_to(np.array(sensor.pose), poses.shape))
+        frames = VisitFrames(cameras, [names for _, names in self._frames], sensor.field_of_view)
+        in_view, seen = frames.counts(self.place.map, self.place.home_pose(home))
+        both = zip(in_view.tolist(), seen.tolist(), strict=True)
+        counts = VisitCounts(dict(zip(self.place.map.names, both, strict=True)))
+        evidence = self._link.visit
+        if is_last:  # a recording of this session is then recognised
+            evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
+        about = self._link.visit, evidence, self.when, own, None, home
+        visit = self._with_stored(VisitData(*about, together=together))
+        ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
+        return visit_message(visit, counts, ages, home, is_last)
+
+    def _receive(self, place: Place) -> None:
+        before, self._latest = self._latest, place
+        self._notify(_change_words(before, place), False)
+
+    def _notify(self, text: str, is_error: bool) -> None:
+        self._subscriber(PlaceChanged(text=text, is_error=is_error))
+
+
+def _change_words(before: Place, now: Place) -> str:
+    """Describe what other robots changed in a place."""
+    was = dict(zip(before.map.names, before.map.positions, strict=True))
+    sigmas = dict(zip(before.map.names, before.map.sigmas.tolist(), strict=True))
+    is_at = dict(zip(now.map.names, now.map.positions, strict=True))
+    off = {n: float(np.hypot(*(is_at[n] - was[n]))) for n in was if n in is_at}
+    changes = {
+        "moved": [n for n, by in off.items() if by > max(5.0 * sigmas[n], 0.05)],
+        "new": [n for n in is_at if n not in was],
+        "removed": [n for n in was if n not in is_at],
+    }
+    words = [
+        f"{len(names)} {what} ({listing(names, 8)})" for what, names in changes.items() if names
+    ]
+    counted = count(len(is_at), "landmark")
+    return f"place {quoted(now.name)} updated: {listing([*words, counted])}"
+
+
+def join_place(where: str, update: bool, estimator: str, broker: Broker | None) -> PlaceSession:
+    """Return the place in a folder, or the place of that name at a broker, for a session.
+
+    `InputError` as `open_place`, or where the broker refuses.
+    """
+    if where.startswith("tcp://"):
+        raise InputError(
+            f"{where}: a place is shared by an MQTT broker now: --place NAME --mqtt mqtt://HOST"
+        )
+    if broker is None:
+        return open_place(Path(where), update, estimator)
+    require_default(estimator)
+    return SharedPlaceSession(RobotLink(broker, where), update)

@@ -1,1 +1,0 @@
-"""Place server: one place that several live sessions use and extend at the same time."""

@@ -1,0 +1,375 @@
+"""A place that several robots share through an MQTT broker while they drive."""
+
+import contextlib
+import json
+import math
+import shutil
+import subprocess
+import threading
+import time
+
+import numpy as np
+import pytest
+from brokers import LocalBroker, needs_broker, wait
+from live_rig import Rig, texts
+from test_fleet_merging import PUSH, at, pushed, visited
+from test_live_place import LANDMARKS, hall, localised  # noqa: F401
+from typer.testing import CliRunner
+from visited import new_place, room
+
+from homeward.cli.main import app
+from homeward.errors import InputError
+from homeward.geometry.frames import bearing
+from homeward.live.fleet import connection, merger
+from homeward.live.fleet import robot as fleet_robot
+from homeward.live.fleet.broker_config import broker_files
+from homeward.live.fleet.connection import Broker, Connection, given_broker
+from homeward.live.fleet.merger import Merger
+from homeward.live.fleet.merging import QUARANTINED, SharedPlace
+from homeward.live.fleet.parcels import MAX_NAME, PART, Mailbox, digest, require_topic_name, split
+from homeward.live.fleet.robot import RobotLink, join_place
+from homeward.live.messages import BearingsIn, Reset
+from homeward.places.files import load_place, save_place
+from homeward.places.place import DAY_S
+
+pytest.importorskip("paho", reason="needs the extra `fleet`")
+pytestmark = needs_broker
+
+
+@pytest.fixture(autouse=True)
+def quick(monkeypatch, tmp_path):
+    """Short intervals, and an outbox of its own."""
+    monkeypatch.setattr(fleet_robot, "SHARE_S", 0.1)
+    monkeypatch.setattr(fleet_robot, "FINISH_S", 5.0)
+    monkeypatch.setattr(connection, "MIN_BACKOFF_S", 0.1)
+    monkeypatch.setattr(connection, "MAX_BACKOFF_S", 0.4)
+    monkeypatch.setattr(merger, "RETRY_S", 0.2)
+    monkeypatch.setattr(merger, "IDLE_S", 0.1)
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+
+
+@pytest.fixture
+def broker(tmp_path):
+    local = LocalBroker(tmp_path / "broker")
+    yield local
+    local.kill()
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A place of 20 landmarks, of the day before."""
+    place = new_place(room(), np.random.default_rng(0), time.time() / DAY_S - 1.0)
+    save_place(place, tmp_path / "hall")
+    return tmp_path / "hall"
+
+
+class Merging:
+    """A merger in a thread."""
+
+    def __init__(self, url, folder):
+        self.log, self.error = [], None
+        self._ended, ready = threading.Event(), threading.Event()
+        merger = Merger(SharedPlace(folder), Broker(url, "merger"), self.log.append)
+
+        def run():
+            try:
+                merger.run(self._ended, ready.set)
+            except InputError as error:
+                self.error = error
+                ready.set()
+
+        self.thread = threading.Thread(target=run, daemon=True)
+        self.thread.start()
+        assert ready.wait(20.0)
+
+    def end(self):
+        self._ended.set()
+        self.thread.join(20.0)
+
+
+@contextlib.contextmanager
+def merging(url, folder):
+    running = Merging(url, folder)
+    try:
+        yield running
+    finally:
+        running.end()
+
+
+@contextlib.contextmanager
+def linked(url, *robots):
+    """Links of robots, which keep the events and places that they receive."""
+    links = []
+    try:
+        for robot in robots:
+            link = RobotLink(Broker(url, robot), "hall")
+            links.append(link)
+            link.events, link.places = [], []
+            link.on_event = lambda text, _, link=link: link.events.append(text)
+            link.on_place = link.places.append
+        yield links
+    finally:
+        for link in links:
+            link.close()
+
+
+def kept(link):
+    """Whether the merger has everything on its disk."""
+    return link._sent_at == math.inf and link._sent is not None
+
+
+def test_a_move_goes_from_two_robots_to_a_third(broker, folder):
+    with merging(broker.url, folder), linked(broker.url, "a", "b", "c") as (a, b, c):
+        before = time.monotonic()
+        a.share(visited("a1", pushed(room(), "L3")))
+        wait(lambda: c.places)
+        assert c.places[-1].map.sigmas[3] > 0.7  # suspected
+        b.share(visited("b1", pushed(room(), "L3"), 2))
+        wait(lambda: math.dist(at(c.places[-1], "L3"), room()["L3"] + PUSH) < 0.1)
+        assert time.monotonic() - before < 5.0
+        ended = visited("a1", pushed(room(), "L3"), 3, ended=True)
+        assert "1 moved (L3)" in a.finish(ended)
+        wait(lambda: len(c.places[-1].visits) == 2)
+    assert load_place(folder).visits[-1].drive == "a a1"
+
+
+def test_parts_are_whole_in_any_order(broker, folder):
+    content = bytes(range(256)) * 3000
+    parts, box = split(content), Mailbox(8)
+    digests = [digest(part) for part in parts]
+    assert max(map(len, parts)) <= PART
+    for number in (2, 0, 0, 3, 1):
+        assert box.whole(digests) is None
+        box.put(str(number), parts[number])
+    assert box.whole(digests) == content
+    for number in ("9", "x", "-1", "", "0000000000", "²"):
+        box.put(number, b"")
+    box.put("1", b"x" * (PART + 1))
+    assert box.whole(digests) == content
+
+
+@pytest.mark.parametrize(
+    "name", ["", "#", "+", "a/b", "a ", ".", "$SYS", "ä", "x" * (MAX_NAME + 1)]
+)
+def test_names_that_are_no_topics_are_refused(name):
+    with pytest.raises(InputError, match="not a valid name for a robot"):
+        require_topic_name("robot", name)
+
+
+def drive(url, name, moved=None, **start):
+    """A robot that joins; landmark L03 is `moved` to a position in the frame of home."""
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0} | LANDMARKS | start
+    rig = Rig(0, place=join_place("hall", True, "robust", Broker(url, name)), **start)
+
+    def spoil(message):
+        if moved is not None and isinstance(message, BearingsIn) and "L03" in message.bearings:
+            seen = message.bearings | {"L03": float(bearing(rig.robot.pose, *moved))}
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+    return rig
+
+
+def test_a_moved_landmark_is_known_to_a_robot_that_did_not_see_it(broker, hall, tmp_path):  # noqa: F811
+    folder = shutil.copytree(hall, tmp_path / "hall")
+    there = at(load_place(folder), "L03")
+    with merging(broker.url, folder):
+        starts = {"a": 2.0, "b": 1.9}
+        robots = [
+            drive(broker.url, name, there + PUSH, **{"start.theta": theta}).until(localised, 3.0)
+            for name, theta in starts.items()
+        ]
+        third = drive(broker.url, "c", there + PUSH, **{"start.R": 1.2, "start.theta": -2.0})
+        third.until(localised, 3.0)
+        for _ in range(120):
+            for rig in robots:
+                rig.step()
+            time.sleep(0.005)
+
+        def known():
+            for rig in robots:
+                rig.step()
+            third.session.receive(BearingsIn(t=third.robot.t, bearings={}), third.robot.t)
+            third.answers += third.session.process()
+            now = third.session.localisation.place.landmark("L03")
+            return now is not None and math.dist(now, there + PUSH) < 0.1
+
+        wait(known)
+        assert "1 moved (L03)" in robots[0].session.localisation.finalise()
+        third.until(lambda r: r.player.ending)
+        assert third.robot.distance < 0.05
+        assert any("updated: " in text and "(L03)" in text for text in texts(third))
+        for rig in (robots[1], third):
+            assert "stayed" in rig.session.localisation.finalise()
+    assert [v.verdict for v in load_place(folder).visits] == ["first", *3 * ["merged"]]
+
+
+def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path):  # noqa: F811
+    folder = shutil.copytree(hall, tmp_path / "hall")
+    first = Merging(broker.url, folder)
+    rig = drive(broker.url, "a").until(localised, 3.0)
+    place = rig.session.localisation.place
+    wait(lambda: rig.step() or kept(place._link))
+    first.end()
+    broker.kill()
+    for _ in range(60):
+        rig.step()
+        time.sleep(0.01)
+    assert any("kept here" in text for text in texts(rig))
+    assert localised(rig)
+    broker.start()
+    with merging(broker.url, folder):
+        wait(lambda: rig.step() or any("merged again" in text for text in texts(rig)))
+        rig.until(lambda r: r.player.ending)
+        rig.session.receive(Reset(), rig.robot.t)  # ends this visit
+        list(rig.session.process())
+        wait(lambda: len(load_place(folder).visits) == 2)
+    late = visited("late", {n: np.array([3.0, i]) for i, n in enumerate(place.place.map.names)})
+    place._link.on_event = lambda *_: None
+    assert "is saved in" in place._link.finish(late.model_copy(update={"ended": True}))
+    place.close()
+    with merging(broker.url, folder), linked(broker.url, "a"):
+        wait(lambda: not list(fleet_robot.undelivered().rglob("*.json")))
+    assert load_place(folder).visits[-1].drive == "a late"
+
+
+def test_of_two_mergers_the_one_that_started_later_stays(broker, folder, monkeypatch):
+    monkeypatch.setattr(merger, "TAKEOVER_S", 1.0)
+    other = shutil.copytree(folder, folder.parent / "other")
+    first = Merging(broker.url, folder)
+    time.sleep(1.1)
+    with merging(broker.url, other) as second:
+        first.thread.join(20.0)
+        assert "another merger" in str(first.error)
+        with linked(broker.url, "a") as (a,):
+            assert "20 stayed" in a.finish(visited("a1", room(), ended=True))
+        assert second.error is None
+    assert len(load_place(other).visits) == 2
+    locked = Merging(broker.url, other)
+    again = Merging(broker.url, other)
+    assert "another merger has this place" in str(again.error)
+    locked.end()
+
+
+def test_a_wrong_message_is_refused_in_one_line_and_the_others_continue(broker, folder):
+    with merging(broker.url, folder) as running, linked(broker.url, "a", "b") as (a, b):
+        stranger = Connection(Broker(broker.url, "x"), "hall", ["manifest"], lambda *_: None)
+        for topic in ("visit/x/0", "visit/x/manifest", "visit/x/y/z", "visit/+", "manifest"):
+            with contextlib.suppress(ValueError):  # a wildcard
+                stranger.publish(topic, bytes(range(128, 256)))
+        for content in (b"[" * 100_000, b"{}", b"\xff", b'{"visit": 1}'):
+            parts = stranger.send("visit/x", content)
+            sent = {"visit": "v", "number": len(content), "parts": parts}
+            stranger.publish("visit/x/manifest", json.dumps(sent).encode())
+            wait(lambda: any("refused" in line for line in running.log))
+            running.log.clear()
+        good = visited("a1", room())
+        a.share(good.model_copy(update={"map": good.map.model_copy(update={"mean": "AAAA"})}))
+        wait(lambda: "the visit is refused: map: not numbers in base64" in "".join(a.events))
+        assert "20 stayed" in b.finish(visited("b1", room(), ended=True))
+        stranger.close()
+
+
+def test_a_quarantined_robot_is_informed(broker, folder):
+    rng = np.random.default_rng(0)
+    scattered = {n: rng.uniform(-2, 2, 2) for n in room()}
+    with merging(broker.url, folder), linked(broker.url, "a") as (a,):
+        a.share(visited("wrong", scattered))
+        wait(lambda: QUARANTINED in a.events)
+
+
+def test_a_place_that_nobody_serves_is_refused(broker, folder, monkeypatch):
+    monkeypatch.setattr(fleet_robot, "TIMEOUT_S", 0.2)
+    with pytest.raises(InputError, match="nobody merges the place 'hall'"):
+        RobotLink(Broker(broker.url, "a"), "hall")
+    broker.kill()
+    with pytest.raises(InputError, match="no MQTT broker at"):
+        join_place("hall", True, "robust", Broker(broker.url, "a"))
+    broker.start()
+
+
+@pytest.mark.parametrize(
+    "url", ["tcp://h", "mqtt://", "mqtt://u@h", "mqtt://h/x", "h:1883", "mqtt://h:x"]
+)
+def test_addresses_that_are_not_valid_are_refused(url):
+    with pytest.raises(InputError, match="must be mqtt://HOST:PORT"):
+        given_broker(url, "a")
+
+
+def test_old_options_name_the_new_ones(folder):
+    for arguments, words in (
+        (["place", "serve", str(folder), "--tcp", "7710"], "--mqtt mqtt://HOST"),
+        (["place", "serve", str(folder)], "broker-config"),
+        (["live", "--place", "tcp://127.0.0.1:7710"], "--place NAME --mqtt mqtt://HOST"),
+        (["live", "--mqtt", "mqtt://127.0.0.1"], "--mqtt needs --place"),
+        (["live", "--place", str(folder), "--user", "a"], "need --mqtt"),
+    ):
+        result = CliRunner().invoke(app, arguments)
+        assert result.exit_code == 2
+        assert words in result.output.replace("\n", " ")
+
+
+def openssl(folder, *arguments):
+    subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
+
+
+# paho does not close the socket of a failed handshake.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no openssl on the PATH")
+def test_the_configuration_of_the_broker_admits_each_only_to_its_own_topics(folder, tmp_path):
+    there = tmp_path / "tls"
+    arguments = ["place", "broker-config", "hall", "--robots", "a,b", "--out", str(there)]
+    result = CliRunner().invoke(app, arguments)
+    assert "mosquitto_passwd passwords 'merger'" in result.output
+    assert {file.name for file in there.iterdir()} == {"mosquitto.conf", "acl"}
+    key = "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes", "-keyout"
+    openssl(there, "req", "-x509", *key, "ca.key", "-subj", "/CN=fleet", "-out", "ca.crt")
+    openssl(there, "req", *key, "server.key", "-subj", "/CN=localhost", "-out", "server.csr")
+    (there / "names").write_text("subjectAltName=IP:127.0.0.1")
+    signed = "-CA", "ca.crt", "-CAkey", "ca.key", "-CAcreateserial", "-extfile", "names"
+    openssl(there, "x509", "-req", "-in", "server.csr", *signed, "-out", "server.crt")
+    passwords = there / "passwords"
+    passwords.touch(mode=0o600)
+    for name in ("merger", "a", "b"):
+        command = ["mosquitto_passwd", "-b", str(passwords), name, f"secret {name}"]
+        subprocess.run(command, check=True, capture_output=True)
+    listener, config = (there / "mosquitto.conf").read_text().split("listener 8883\n")
+    broker = LocalBroker(there, listener + config)
+    url, ca = broker.url.replace("mqtt:", "mqtts:"), there / "ca.crt"
+
+    def account(name, password=None):
+        return Broker(url, name, password or f"secret {name}", ca)
+
+    try:
+        with pytest.raises(InputError, match="refuses a: Not authorized"):
+            Connection(account("a", "wrong"), "hall", ["manifest"], lambda *_: None)
+        with pytest.raises(InputError, match="certificate verify failed"):
+            Connection(Broker(url, "a", "secret a"), "hall", ["manifest"], lambda *_: None)
+        said, ended, ready = [], threading.Event(), threading.Event()
+        running = Merger(SharedPlace(folder), account("merger"), said.append)
+        thread = threading.Thread(target=running.run, args=(ended, ready.set))
+        thread.start()
+        assert ready.wait(20.0)
+        a, b = (RobotLink(account(name), "hall") for name in "ab")
+        a.share(visited("a1", room()))
+        wait(lambda: kept(a))
+        b._connection.publish("manifest", b"{}")
+        b._connection.publish("visit/a/manifest", b"")
+        b._connection.publish(
+            "ack/a", b'{"epoch":99,"visit":"a1","number":9999999999,"ended":true}'
+        )
+        assert "20 stayed" in b.finish(visited("b1", room(), 2, ended=True))
+        assert "20 stayed" in a.finish(visited("a1", room(), 3, ended=True))
+        a.close()
+        b.close()
+        ended.set()
+        thread.join(20.0)
+    finally:
+        broker.kill()
+
+
+def test_the_configuration_is_refused_for_names_that_are_not_valid(tmp_path):
+    for names in (["a#"], ["merger"], ["a", "a"]):
+        with pytest.raises(InputError):
+            broker_files("hall", "merger", names, tmp_path)

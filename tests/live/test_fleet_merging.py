@@ -1,0 +1,427 @@
+"""What is decided from the visits of several robots, without a broker."""
+
+import itertools
+import math
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from live_rig import Rig
+from test_live_place import LANDMARKS, hall, localised  # noqa: F401
+from visited import mapped, new_place, room
+
+from homeward.drives.drive import HomeBearing
+from homeward.errors import InputError
+from homeward.estimator import Estimate, Innovation, Status
+from homeward.geometry.frames import Pose, bearing
+from homeward.live.fleet import robot as fleet_robot
+from homeward.live.fleet.changes import with_changes
+from homeward.live.fleet.fits import Fits
+from homeward.live.fleet.merging import (
+    CONFIRM_S,
+    LIVE,
+    MAX_WAITING,
+    SharedPlace,
+    records,
+    robot_lines,
+)
+from homeward.live.fleet.messages import (
+    parse_visit,
+    place_content,
+    place_of,
+    visit_message,
+    visit_of,
+)
+from homeward.live.messages import BearingsIn, line_of
+from homeward.places.files import load_place, newest, save_place
+from homeward.places.place import StoredHome
+from homeward.places.visit_data import VisitCounts, VisitData
+
+PUSH = np.array([0.6, -0.5])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A place of 20 landmarks, of the day before."""
+    save_place(new_place(room(), np.random.default_rng(0)), tmp_path / "hall")
+    return tmp_path / "hall"
+
+
+@pytest.fixture
+def shared(folder):
+    return opened(folder)
+
+
+def opened(folder, **options):
+    shared = SharedPlace(folder, **options)
+    shared.load(0.0, 1.0)
+    return shared
+
+
+def visited(visit, places, seed=1, ages=(), ended=False, vague=(), frames=()):
+    """The message of a visit that maps landmarks; some were seen `ages` ago [s], some `vague`."""
+    rng = np.random.default_rng(seed)
+    own = mapped(places, rng, (1.0, -2.0, 2.5))
+    more = np.diag([1.0 if n in vague else 0.0 for n in places for _ in range(2)])
+    own = replace(own, covariance=own.covariance + more)
+    data = VisitData(visit, f"{visit}-{seed}", 0.0, own)
+    seen = dict.fromkeys(places, 1.0) | dict(ages)
+    return visit_message(data, VisitCounts(dict(frames)), seen, "home", ended)
+
+
+def pushed(places, *names, by=PUSH):
+    return places | {n: places[n] + by for n in names}
+
+
+def add(shared, robot, places, now, **options):
+    message = visited(options.pop("visit", "v1"), places, **options)
+    shared.add(robot, message, now, 1.0)
+
+
+def found(shared, now):
+    """By landmark: what was found, whether it is confirmed, and by whom."""
+    return {c.landmark: (c.what, c.confirmed, sorted(c.by)) for c in shared.changes(now)}
+
+
+def seen_by(shared, robot, now):
+    """The place as a robot has it."""
+    return with_changes(shared.place, shared.changes(now), robot, 1.0)
+
+
+def at(place, name):
+    return place.map.in_home_frame("home").positions[place.map.names.index(name)]
+
+
+ROOM = room()
+
+
+def off(place, name, names=ROOM):
+    """The distance of a landmark from its true position, and its standard deviation [m]."""
+    k = place.map.names.index(name)
+    return math.dist(at(place, name), names[name]), place.map.sigmas[k]
+
+
+def test_a_visit_that_grows_counts_once(folder, shared):
+    for seed in (1, 2, 3):
+        add(shared, "a", room(), seed, seed=seed)
+    add(shared, "a", room(), 4.0, seed=4, ended=True)
+    ((robot, visit, text),) = shared.settle(4.0)
+    assert (robot, visit) == ("a", "v1")
+    assert "20 stayed" in text
+    now = load_place(folder)
+    save_place(new_place(room(), np.random.default_rng(0)), other := folder.parent / "other")
+    once = opened(other)
+    add(once, "a", room(), 4.0, seed=4, ended=True)
+    list(once.settle(4.0))
+    assert len(now.visits) == 2
+    assert now.map.covariance == pytest.approx(load_place(other).map.covariance, abs=1e-9)
+    add(shared, "a", room(), 5.0, seed=5)
+    assert not shared.visits
+    assert newest(folder) == 2
+
+
+def test_a_visit_ends_when_its_robot_begins_another_one(folder, shared):
+    add(shared, "a", room(), 1.0)
+    assert not list(shared.settle(1e6))  # silence ends nothing
+    add(shared, "a", room(), 1e6, visit="v2", seed=2)
+    assert [visit for _, visit, _ in shared.settle(1e6)] == ["v1"]
+    assert {*shared.visits} == {("a", "v2")}
+
+
+def test_a_moved_landmark_is_suspected_until_a_second_robot_finds_it_there(shared):
+    add(shared, "a", pushed(room(), "L3"), 1.0)
+    assert found(shared, 1.0) == {"L3": ("moved", False, ["a"])}
+    distance, sigma = off(seen_by(shared, "b", 1.0), "L3")
+    assert distance < 0.1  # not moved, but this uncertain
+    assert sigma > 0.7
+    assert off(seen_by(shared, "a", 1.0), "L3")[1] < 0.1  # its own measurements are in its visit
+    add(shared, "b", pushed(room(), "L3"), 2.0, seed=2)
+    assert found(shared, 2.0) == {"L3": ("moved", True, ["a", "b"])}
+    for robot in "abc":
+        assert off(seen_by(shared, robot, 2.0), "L3", pushed(room(), "L3"))[0] < 0.1
+    positions = [at(seen_by(shared, robot, 2.0), "L3") for robot in "ab"]
+    assert math.dist(*positions) > 1e-3  # each has that of the other
+
+
+def test_a_moved_landmark_counts_when_nobody_saw_it_in_place_for_a_minute(shared):
+    add(shared, "a", pushed(room(), "L3"), 10.0)
+    add(shared, "b", room(), 11.0, seed=2, ages={"L3": 20.0})
+    assert not found(shared, 9.0 + CONFIRM_S)["L3"][1]
+    assert found(shared, 11.0 + CONFIRM_S) == {"L3": ("moved", True, ["a"])}
+
+
+def test_a_robot_that_sees_the_landmark_in_place_later_refutes_that_it_moved(shared):
+    add(shared, "a", pushed(room(), "L3"), 10.0)
+    add(shared, "b", room(), 30.0, seed=2, ages={"L3": 5.0})
+    assert found(shared, 1000.0) == {}
+    add(shared, "a", pushed(room(), "L3"), 50.0, seed=3)  # and it says so again
+    assert found(shared, 25.0 + CONFIRM_S - 1.0) == {"L3": ("moved", False, ["a"])}
+
+
+def test_a_claim_begins_again_with_another_position(shared):
+    add(shared, "a", pushed(room(), "L3"), 0.0)
+    add(shared, "a", pushed(room(), "L3", by=-PUSH), 50.0)
+    assert not found(shared, 70.0)["L3"][1]
+    assert found(shared, 110.0)["L3"][1]
+
+
+def test_a_robot_that_only_misses_a_moved_landmark_supports_the_one_that_found_it(shared):
+    far = pushed(room(), "L3", by=6.0 * PUSH)
+    add(shared, "vague", far, 1.0, seed=2, vague=["L3"])
+    assert found(shared, 1.0) == {"L3": ("gone", False, ["vague"])}
+    add(shared, "mapping", pushed(room(), "L3"), 2.0)
+    assert found(shared, 2.0) == {"L3": ("moved", True, ["mapping", "vague"])}
+    assert off(seen_by(shared, "vague", 2.0), "L3", pushed(room(), "L3"))[0] < 0.1
+
+
+def test_new_landmarks_are_used_with_less_confidence_until_another_robot_has_them(shared):
+    add(shared, "a", room(22), 1.0)
+    place = seen_by(shared, "b", 1.0)
+    assert place.persistence["L20"].stands == 0.5
+    assert "L20" not in seen_by(shared, "a", 1.0).map.names
+    add(shared, "b", room(22), 2.0, seed=2)
+    assert seen_by(shared, "c", 2.0).persistence["L20"].stands == 1.0
+    assert off(seen_by(shared, "c", 2.0), "L20", room(22))[0] < 0.1
+    both = np.linalg.eigvalsh(seen_by(shared, "c", 2.0).map.covariance)
+    assert both[0] > -1e-9
+
+
+@pytest.mark.parametrize("number", [3, 8, 9])
+def test_a_group_that_moves_rigidly_waits_for_another_robot(folder, shared, number):
+    names = [f"L{i}" for i in range(number)]
+    wrong = pushed(room(), *names, by=np.array([1.0, 0.5]))
+    add(shared, "liar", wrong, 1.0, ages=dict.fromkeys(names, 0.0), ended=True)
+    assert list(shared.settle(1.0)) == []
+    for now in (1.0, 10.0 * CONFIRM_S):
+        assert {n for n, (_, confirmed, _) in found(shared, now).items() if confirmed} == set()
+    place = seen_by(shared, "b", 10.0 * CONFIRM_S)
+    assert max(off(place, name)[0] for name in names) < 0.1
+    assert "when another robot confirms" in shared.waiting_words("liar", "v1", 1.0)
+    add(shared, "b", wrong, 1000.0, seed=2)
+    assert "moved" in "".join(text for *_, text in shared.settle(1000.0))
+
+
+def test_tags_of_one_box_move_without_another_robot(folder):
+    place = replace(load_place(folder), together=(("L1", "L2", "L3"),))
+    save_place(place, folder, 1)
+    shared = opened(folder)
+    add(shared, "a", pushed(room(), "L1", "L2", "L3"), 1.0)
+    assert {confirmed for _, confirmed, _ in found(shared, 1.0 + CONFIRM_S).values()} == {True}
+
+
+def test_a_robot_that_lies_again_and_again_does_not_win_against_three(folder, shared):
+    for k in range(8):
+        now = 10.0 * k
+        for robot in "bcd":
+            add(shared, robot, room(), now, seed=k, ages={"L3": 0.1})
+        add(shared, "liar", pushed(room(), "L3"), now + 0.5, seed=k, ages={"L3": 0.0})
+        assert not found(shared, now + 0.5).get("L3", ("", False))[1]
+    for visit in range(4):
+        now = 100.0 + 10.0 * visit
+        add(shared, "liar", pushed(room(), "L3", "L7"), now, visit=f"w{visit}", ended=True)
+        add(shared, "b", room(), now + 5.0)
+        assert "Refuted by other robots: L3" in "".join(t for *_, t in shared.settle(now + 5.0))
+    assert off(shared.place, "L3")[0] < 0.1
+    assert "Robot 'liar' disagrees" in "".join(robot_lines(records(folder)))
+    ignoring = opened(folder, ignored=("liar",))
+    add(ignoring, "liar", pushed(room(), "L3"), 0.0, visit="v9")
+    assert found(ignoring, 1000.0) == {}
+
+
+def test_ended_visits_that_wait_are_bounded(shared):
+    wrong = pushed(room(), "L1", "L2", "L3")
+    for k in range(MAX_WAITING + 3):
+        add(shared, "a", wrong, k, visit=f"v{k}", seed=k, ended=True)
+        list(shared.settle(k))
+    assert len(shared.visits) <= MAX_WAITING + 1
+    assert off(shared.place, "L1")[0] < 0.1
+
+
+def test_a_wrong_robot_does_not_change_the_place_of_the_others(folder, shared):
+    mirrored = {n: p * (1.0, -1.0) for n, p in room().items()}
+    stretched = {n: p * (1.4, 1.0) for n, p in room().items()}
+    add(shared, "mirrored", mirrored, 1.0)
+    add(shared, "stretched", stretched, 1.0)
+    larger = {n: 1.2 * p for n, p in pushed(room(), "L3").items()}  # wrong wheels
+    add(shared, "larger", larger, 1.0)
+    assert shared.visits["mirrored", "v1"].claims is None
+    assert shared.visits["stretched", "v1"].claims is None
+    assert found(shared, 1.0) == {"L3": ("moved", False, ["larger"])}
+    add(shared, "larger", larger, 100.0, ended=True)
+    list(shared.settle(100.0))
+    assert max(off(shared.place, n)[0] for n in room() if n != "L3") < 0.05
+    for visit in ("v2", "v3"):
+        add(shared, "mirrored", mirrored, 2.0, visit=visit, seed=int(visit[1]), ended=True)
+        ((*_, text),) = [r for r in shared.settle(2.0) if r[1] == visit]
+        assert "contradicts the place" in text
+    assert load_place(folder).visits[-1].verdict == "apart"
+    assert "mirrored" in "".join(robot_lines(records(folder)))
+
+
+def test_a_robot_with_a_distorted_map_does_not_bend_the_place_of_the_others(folder):
+    """All landmarks are shifted together: each alone by little more than chance."""
+    place = load_place(folder)
+    bend = np.zeros_like(place.map.mean)
+    bend[1:40:2] = 0.03 * (place.map.positions[:, 0] / 5.0) ** 2
+    variances = np.where(np.arange(bend.size) < 40, 1e-4, 1e-6)
+    bent = replace(place.map, covariance=np.diag(variances) + np.outer(bend, bend))
+    save_place(replace(place, map=bent), folder, 1)
+    shared, true = opened(folder), dict(zip(bent.names, bent.positions, strict=True))
+    add(shared, "right", true, 1.0)
+    shifts = 12.0 * bend[:40].reshape(-1, 2)
+    add(shared, "bent", {n: true[n] + s for n, s in zip(true, shifts, strict=True)}, 1.0)
+    assert shared.visits["right", "v1"].claims is not None
+    assert shared.visits["bent", "v1"].claims is None
+
+
+def test_a_restarted_merger_has_all_visits_and_names_damaged_files(folder, shared):
+    add(shared, "a", pushed(room(), "L3"), 1.0)
+    add(shared, "b", room(30), 1.0, seed=2)
+    left = [folder / f".writing-{'0' * 16}", folder / LIVE / f".writing-{'1' * 16}"]
+    for scratch in left:
+        scratch.mkdir(parents=True)
+    for name, text in {"x.json": '{"type": "join"}', "y.json": '{"visit": "', "z.json": ""}.items():
+        (folder / LIVE / name).write_text(text)
+    again = opened(folder)
+    assert {*again.visits} == {("a", "v1"), ("b", "v1")}
+    assert [p.split(": ")[0].rpartition("/")[2] for p in again.problems] == [
+        "x.json", "y.json", "z.json",
+    ]  # fmt: skip
+    assert found(again, 1.0) == found(shared, 1.0)
+    assert not any(scratch.exists() for scratch in left)
+
+
+def test_a_full_disk_keeps_everything_until_it_has_room(folder, shared, monkeypatch):
+    add(shared, "a", room(), 1.0, ended=True)
+
+    def full(*_):
+        raise InputError("cannot be written: No space left on device", folder)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("homeward.places.files.update_place", full)
+        with pytest.raises(InputError, match="No space"):
+            list(shared.settle(2.0))
+    assert [visit for _, visit, _ in shared.settle(3.0)] == ["v1"]
+
+
+def test_homes_and_places_are_equal_after_the_way_through_a_message(folder, shared):
+    rng = np.random.default_rng(2)
+    seen = {"L1": HomeBearing(0.2), "L2": HomeBearing(1.0, 0.01, "rear")}
+    pose, spread = Pose(1.0, 2.0, 0.5), np.diag([1e-4, 2e-4, 1e-5])
+    home = StoredHome(1.5, seen), Estimate(0.0, Status.LOCALISED, "", pose, spread)
+    data = VisitData("one", "1f", 2.0, mapped(room(), rng), None, "home", {"dock": home})
+    message = visit_message(data, VisitCounts({"L1": (9, 4)}), {}, "home", True)
+    there = visit_of(parse_visit(line_of(message)), 2.0)
+    assert there.map.covariance == pytest.approx(data.map.covariance, abs=1e-7)
+    assert np.array_equal(there.map.mean, data.map.mean)
+    assert there.homes["dock"][1].pose == pose
+    assert np.array_equal(there.homes["dock"][1].covariance, spread)
+    assert there.homes["dock"][0].seen["L2"] == seen["L2"]
+    shared.add("a", message, 1.0, 1.0)
+    list(shared.settle(1.0))
+    assert load_place(folder).home_pose("dock") == pytest.approx(pose, abs=0.05)
+    place = load_place(folder)
+    again = place_of(place_content(place))
+    assert np.array_equal(again.map.mean, place.map.mean)
+    assert again.map.covariance == pytest.approx(place.map.covariance, abs=1e-7)
+    assert np.linalg.eigvalsh(again.map.covariance)[0] > 0.0
+    assert again.visits == place.visits
+    with pytest.raises(InputError, match="map: not numbers in base64"):
+        place_of(place_content(place).replace(b'"covariance":"', b'"covariance":"AAAA'))
+    bad = message.model_dump(mode="json")
+    bad["homes"]["dock"]["covariance"][0] = -1.0
+    with pytest.raises(InputError, match="home 'dock': the covariance is not positive"):
+        visit_of(type(message)(**bad), 2.0)
+
+
+class DirectLink:
+    """Connection of a session to a shared place in the same process, on the clock of a rig."""
+
+    def __init__(self, shared):
+        self.shared, self.first, self.visit = shared, shared.place, "one"
+        self.clock, self.versions = lambda: 0.0, []
+
+    def share(self, message):
+        self.shared.add("me", message, self.clock(), self.shared.place.visits[-1].when)
+        self.versions.append((self.clock(), message))
+
+
+def test_a_moved_landmark_is_in_the_place_two_seconds_after_the_robot_has_mapped_it(
+    hall,  # noqa: F811
+    tmp_path,
+):
+    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
+    there = at(link.shared.place, "L03") + PUSH
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
+    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS | start)
+    link.clock = lambda: rig.robot.t
+    rig.until(localised, 3.0)
+
+    def spoil(message):
+        if isinstance(message, BearingsIn) and "L03" in message.bearings:
+            seen = message.bearings | {"L03": float(bearing(rig.robot.pose, *there))}
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+
+    def has(position):
+        return position is not None and math.dist(position, there) < 0.1
+
+    def own(_):
+        own = {m.landmark: (m.x, m.y) for m in rig.session.localisation.estimator.landmarks()}
+        return has(own.get("L03"))
+
+    rig.until(own)
+    mapped_at = rig.robot.t
+
+    def suspected(_):
+        return has(dict(seen(link.shared)).get("L03"))
+
+    def seen(shared):
+        for change in shared.changes(rig.robot.t):
+            yield change.landmark, change.by["me"] and change.by["me"][:2]
+
+    rig.until(suspected)
+    assert rig.robot.t - mapped_at < 2.0
+    rig.until(lambda _: rig.robot.t > mapped_at + 8.0)
+    intervals = np.diff([t for t, _ in link.versions])
+    assert intervals.min() > fleet_robot.CHANGE_S - 0.1
+    assert intervals.max() > fleet_robot.SHARE_S - 0.1  # while nothing changes
+
+
+def test_a_robot_reports_since_when_it_has_not_seen_a_landmark_where_its_map_has_it(
+    hall,  # noqa: F811
+    tmp_path,
+):
+    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
+    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS)
+    link.clock = lambda: rig.robot.t
+    rig.until(localised, 3.0).until(lambda _: link.versions and "L03" in link.versions[-1][1].ages)
+    since, off = rig.robot.t, itertools.cycle([1.2, -1.5])
+
+    def spoil(message):
+        if isinstance(message, BearingsIn) and "L03" in message.bearings:
+            seen = message.bearings | {"L03": message.bearings["L03"] + next(off)}
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+    rig.until(lambda _: link.versions[-1][0] > since + 2.0)
+    t, message = link.versions[-1]
+    assert message.ages["L03"] == pytest.approx(t - since, abs=0.3)
+    assert max(age for name, age in message.ages.items() if name != "L03") < 1.0
+
+
+@pytest.mark.parametrize(("fit", "outdated"), [(False, {"left"}), (True, set())])
+def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdated):
+    fits = Fits()
+    for k in range(30):
+        seen = ("front", "left") if k < 10 else ("front",)
+        accepted = {"front": fit or not 10 <= k < 20, "left": True}
+        innovations = [Innovation(name, 0.0, 0.01, accepted[name]) for name in seen]
+        estimate = Estimate(0.1 * k, Status.LOCALISED, "", innovations=tuple(innovations))
+        fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(seen, 0.0)), estimate)
+    assert fits.outdated([("front", "left"), ("other",)]) == outdated
+    assert fits.last == pytest.approx({"front": 2.9, "left": 0.9})
