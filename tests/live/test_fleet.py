@@ -5,117 +5,33 @@ import json
 import math
 import shutil
 import subprocess
-import threading
 import time
 
 import numpy as np
 import pytest
 from brokers import LocalBroker, needs_broker, wait
+from fleet_rig import Merging, kept, linked, merging
 from live_rig import Rig, texts
 from test_fleet_merging import PUSH, at, pushed, visited
 from test_live_place import LANDMARKS, hall, localised  # noqa: F401
 from typer.testing import CliRunner
-from visited import new_place, room
+from visited import room
 
 from homeward.cli.main import app
 from homeward.errors import InputError
 from homeward.geometry.frames import bearing
-from homeward.live.fleet import connection, merger
+from homeward.live.fleet import merger
 from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.broker_config import broker_files
 from homeward.live.fleet.connection import Broker, Connection, given_broker
-from homeward.live.fleet.merger import Merger
-from homeward.live.fleet.merging import QUARANTINED, SharedPlace
+from homeward.live.fleet.merging import QUARANTINED
 from homeward.live.fleet.parcels import MAX_NAME, PART, Mailbox, digest, require_topic_name, split
 from homeward.live.fleet.robot import RobotLink, join_place
 from homeward.live.messages import BearingsIn, Reset
-from homeward.places.files import load_place, save_place
-from homeward.places.place import DAY_S
+from homeward.places.files import load_place
 
 pytest.importorskip("paho", reason="needs the extra `fleet`")
-pytestmark = needs_broker
-
-
-@pytest.fixture(autouse=True)
-def quick(monkeypatch, tmp_path):
-    """Short intervals, and an outbox of its own."""
-    monkeypatch.setattr(fleet_robot, "SHARE_S", 0.1)
-    monkeypatch.setattr(fleet_robot, "FINISH_S", 5.0)
-    monkeypatch.setattr(connection, "MIN_BACKOFF_S", 0.1)
-    monkeypatch.setattr(connection, "MAX_BACKOFF_S", 0.4)
-    monkeypatch.setattr(merger, "RETRY_S", 0.2)
-    monkeypatch.setattr(merger, "IDLE_S", 0.1)
-    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
-
-
-@pytest.fixture
-def broker(tmp_path):
-    local = LocalBroker(tmp_path / "broker")
-    yield local
-    local.kill()
-
-
-@pytest.fixture
-def folder(tmp_path):
-    """A place of 20 landmarks, of the day before."""
-    place = new_place(room(), np.random.default_rng(0), time.time() / DAY_S - 1.0)
-    save_place(place, tmp_path / "hall")
-    return tmp_path / "hall"
-
-
-class Merging:
-    """A merger in a thread."""
-
-    def __init__(self, url, folder):
-        self.log, self.error = [], None
-        self._ended, ready = threading.Event(), threading.Event()
-        merger = Merger(SharedPlace(folder), Broker(url, "merger"), self.log.append)
-
-        def run():
-            try:
-                merger.run(self._ended, ready.set)
-            except InputError as error:
-                self.error = error
-                ready.set()
-
-        self.thread = threading.Thread(target=run, daemon=True)
-        self.thread.start()
-        assert ready.wait(20.0)
-
-    def end(self):
-        self._ended.set()
-        self.thread.join(20.0)
-
-
-@contextlib.contextmanager
-def merging(url, folder):
-    running = Merging(url, folder)
-    try:
-        yield running
-    finally:
-        running.end()
-
-
-@contextlib.contextmanager
-def linked(url, *robots):
-    """Links of robots, which keep the events and places that they receive."""
-    links = []
-    try:
-        for robot in robots:
-            link = RobotLink(Broker(url, robot), "hall")
-            links.append(link)
-            link.events, link.places = [], []
-            link.on_event = lambda text, _, link=link: link.events.append(text)
-            link.on_place = link.places.append
-        yield links
-    finally:
-        for link in links:
-            link.close()
-
-
-def kept(link):
-    """Whether the merger has everything on its disk."""
-    return link._sent_at == math.inf and link._sent is not None
+pytestmark = [needs_broker, pytest.mark.usefixtures("quick")]
 
 
 def test_a_move_goes_from_two_robots_to_a_third(broker, folder):
@@ -207,7 +123,7 @@ def test_a_moved_landmark_is_known_to_a_robot_that_did_not_see_it(broker, hall, 
 
 def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path):  # noqa: F811
     folder = shutil.copytree(hall, tmp_path / "hall")
-    first = Merging(broker.url, folder)
+    first = Merging(Broker(broker.url, "merger"), folder)
     rig = drive(broker.url, "a").until(localised, 3.0)
     place = rig.session.localisation.place
     wait(lambda: rig.step() or kept(place._link))
@@ -237,7 +153,7 @@ def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path):  # noq
 def test_of_two_mergers_the_one_that_started_later_stays(broker, folder, monkeypatch):
     monkeypatch.setattr(merger, "TAKEOVER_S", 1.0)
     other = shutil.copytree(folder, folder.parent / "other")
-    first = Merging(broker.url, folder)
+    first = Merging(Broker(broker.url, "merger"), folder)
     time.sleep(1.1)
     with merging(broker.url, other) as second:
         first.thread.join(20.0)
@@ -246,8 +162,8 @@ def test_of_two_mergers_the_one_that_started_later_stays(broker, folder, monkeyp
             assert "20 stayed" in a.finish(visited("a1", room(), ended=True))
         assert second.error is None
     assert len(load_place(other).visits) == 2
-    locked = Merging(broker.url, other)
-    again = Merging(broker.url, other)
+    locked = Merging(Broker(broker.url, "merger"), other)
+    again = Merging(Broker(broker.url, "merger"), other)
     assert "another merger has this place" in str(again.error)
     locked.end()
 
@@ -346,11 +262,7 @@ def test_the_configuration_of_the_broker_admits_each_only_to_its_own_topics(fold
             Connection(account("a", "wrong"), "hall", ["manifest"], lambda *_: None)
         with pytest.raises(InputError, match="certificate verify failed"):
             Connection(Broker(url, "a", "secret a"), "hall", ["manifest"], lambda *_: None)
-        said, ended, ready = [], threading.Event(), threading.Event()
-        running = Merger(SharedPlace(folder), account("merger"), said.append)
-        thread = threading.Thread(target=running.run, args=(ended, ready.set))
-        thread.start()
-        assert ready.wait(20.0)
+        running = Merging(account("merger"), folder)
         a, b = (RobotLink(account(name), "hall") for name in "ab")
         a.share(visited("a1", room()))
         wait(lambda: kept(a))
@@ -363,8 +275,7 @@ def test_the_configuration_of_the_broker_admits_each_only_to_its_own_topics(fold
         assert "20 stayed" in a.finish(visited("a1", room(), 3, ended=True))
         a.close()
         b.close()
-        ended.set()
-        thread.join(20.0)
+        running.end()
     finally:
         broker.kill()
 

@@ -425,3 +425,31 @@ def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdat
         fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(seen, 0.0)), estimate)
     assert fits.outdated([("front", "left"), ("other",)]) == outdated
     assert fits.last == pytest.approx({"front": 2.9, "left": 0.9})
+
+
+@pytest.mark.parametrize("number", [2, 4, 6])
+def test_an_honest_robot_is_not_misled_by_a_lie(hall, tmp_path, number):  # noqa: F811
+    """A liar, and nobody else, shifts landmarks by 1.1 m, and a robot then starts there."""
+    shared = opened(shutil.copytree(hall, tmp_path / "hall"))
+    when = shared.place.visits[-1].when
+    there = shared.place.map.in_home_frame("home")
+    places = dict(zip(there.names, there.positions, strict=True))
+    wrong = pushed(places, *sorted(places)[:number], by=np.array([1.0, 0.5]))
+    message = visited("lie", wrong, ages=dict.fromkeys(wrong, 0.0), ended=True)
+    shared.add("liar", message, 0.0, when)
+    list(shared.settle(10.0 * CONFIRM_S))
+    link = DirectLink(shared)
+    link.first = with_changes(shared.place, shared.changes(10.0 * CONFIRM_S), "me", when)
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0}
+    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=False), **LANDMARKS | start)
+    errors = []
+
+    def arrived(rig):
+        estimate = rig.session.localisation.fix.estimate
+        if estimate.status is Status.LOCALISED:
+            errors.append(math.dist(estimate.pose[:2], rig.robot.pose[:2]))
+        return rig.robot.t > 12.0
+
+    rig.until(arrived)
+    assert max(errors) < 0.3
+    assert len(errors) > 20

@@ -55,7 +55,7 @@ class Merger:
     def __init__(
         self, shared: SharedPlace, broker: Broker, log: Callable[[str], None] = lambda _: None
     ) -> None:
-        self._shared, self._broker, self._log = shared, broker, log
+        self._shared, self._broker, self._write = shared, broker, log
         self._lock, self._news = threading.Lock(), threading.Event()
         self._boxes = dict[str, Mailbox]()
         self._manifests = dict[str, VisitManifest]()
@@ -98,7 +98,10 @@ class Merger:
                     self._news.wait(IDLE_S)
                     self._news.clear()
                     cost = time.thread_time()
-                    self._update()
+                    try:
+                        self._update()
+                    except Exception as error:  # an update that fails ends nothing
+                        self._delay(f"internal error: {type(error).__name__}: {error}")
                     cost = time.thread_time() - cost
                     ended.wait(min(cost * (1.0 / MAX_LOAD - 1.0), MAX_PAUSE_S))
             finally:
@@ -133,6 +136,10 @@ class Merger:
             write_whole(self._shared.folder / LIVE / "epoch", str(epoch).encode())
         except InputError as error:
             self._report(str(error))
+
+    def _log(self, text: str) -> None:
+        with contextlib.suppress(OSError):  # nobody reads the output any more
+            self._write(text)
 
     def _connected(self) -> None:
         self._is_stale, self._problem = True, ""

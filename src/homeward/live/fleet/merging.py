@@ -2,8 +2,8 @@
 
 The folder of the place contains all visits that were merged. Each other visit is a file in its
 subfolder `live`, and is compared with the place whenever it grows, so that nothing counts twice.
-A finding of a visit is a claim. One robot may be wrong: a claim changes the place for the others when
-a second robot finds the same, or when no robot saw the landmark in place for `CONFIRM_S`.
+A finding of a visit is a claim. One robot may be wrong: a claim changes the place for the others
+when a second robot finds the same, or when no robot saw the landmark in place for `CONFIRM_S`.
 """
 
 from __future__ import annotations
@@ -186,6 +186,8 @@ class SharedPlace:
         """Describe what the end of a visit waits for."""
         claims = self.visits[robot, visit].claims or {}
         names = [n for n in claims if self._outcome(robot, n, now) is None]
+        if not names:
+            return "the visit is kept, and merged when the disk has room"
         return (
             f"the visit is kept, and merged when another robot confirms {len(names)} of its changes"
             f" ({listing(names, 8)}), or no robot contradicts them"

@@ -1,0 +1,66 @@
+"""Mergers and robots of a fleet at a broker of their own, with short intervals."""
+
+import contextlib
+import math
+import threading
+
+from homeward.errors import InputError
+from homeward.live.fleet.connection import Broker
+from homeward.live.fleet.merger import Merger
+from homeward.live.fleet.merging import SharedPlace
+from homeward.live.fleet.robot import RobotLink
+
+
+class Merging:
+    """A merger in a thread."""
+
+    def __init__(self, broker, folder, shared=None):
+        self.log, self.error = [], None
+        self._ended, ready = threading.Event(), threading.Event()
+        self.merger = Merger(shared or SharedPlace(folder), broker, self.log.append)
+
+        def run():
+            try:
+                self.merger.run(self._ended, ready.set)
+            except InputError as error:
+                self.error = error
+                ready.set()
+
+        self.thread = threading.Thread(target=run, daemon=True)
+        self.thread.start()
+        assert ready.wait(60.0)
+
+    def end(self):
+        self._ended.set()
+        self.thread.join(20.0)
+
+
+@contextlib.contextmanager
+def merging(url, folder, shared=None):
+    running = Merging(Broker(url, "merger"), folder, shared)
+    try:
+        yield running
+    finally:
+        running.end()
+
+
+@contextlib.contextmanager
+def linked(url, *robots, kind=RobotLink):
+    """Links of robots, which keep the events and places that they receive."""
+    links = []
+    try:
+        for robot in robots:
+            link = kind(Broker(url, robot), "hall")
+            links.append(link)
+            link.events, link.places = [], []
+            link.on_event = lambda text, _, link=link: link.events.append(text)
+            link.on_place = link.places.append
+        yield links
+    finally:
+        for link in links:
+            link.close()
+
+
+def kept(link):
+    """Whether the merger has everything on its disk."""
+    return link._sent_at == math.inf and link._sent is not None
