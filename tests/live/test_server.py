@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 
 import pytest
 from live_rig import SCENARIO
@@ -85,6 +86,43 @@ def test_who_does_not_say_hello_as_he_must_is_let_go(first, words):
                 assert await reader.read() == b""
             writer.close()
             assert server.session.waiting == 0
+
+    asyncio.run(whole())
+
+
+def test_wrong_tokens_wait_one_after_the_other_and_the_right_one_does_not(monkeypatch):
+    monkeypatch.setattr("homeward.live.server.WRONG_TOKEN_S", 0.2)
+
+    async def whole():
+        async with serving(token="secret", tcp=ANY) as (ports, _):
+            began, right = time.monotonic(), line_of(Hello(token="secret")).encode()
+            guesses = [asyncio.create_task(answers(ports[0], HELLO)) for _ in range(4)]
+            (said,), _, writer = await answers(ports[0], right)
+            assert said["type"] == "hello"
+            assert time.monotonic() - began < 0.2
+            writer.close()
+            for (said,), _, writer in await asyncio.gather(*guesses):
+                assert said["text"] == "wrong token"
+                writer.close()
+            assert time.monotonic() - began >= 0.8
+
+    asyncio.run(whole())
+
+
+def test_an_observer_may_only_read():
+    async def whole():
+        async with serving(token="secret", tcp=ANY) as (ports, server):
+            server.observe_token = "glass"
+            hello = line_of(Hello(token="glass")).encode()
+            stop = b'{"type":"estop","engaged":true}\n'
+            go = b'{"type":"go_home"}\n'
+            out, reader, writer = await answers(ports[0], hello, stop, go, count=3)
+            assert [x["type"] for x in out] == ["hello", "error", "error"]
+            assert "only permits to read" in out[1]["text"]
+            while json.loads(await reader.readline())["type"] != "diagnostics":
+                pass
+            assert not server.session._stopped
+            writer.close()
 
     asyncio.run(whole())
 
@@ -226,10 +264,14 @@ def test_websockets_take_the_same_messages_and_no_pages_of_other_sites():
                 said = {"faults": ["no odometry yet"]}
                 while "no odometry yet" in said.get("faults", ["no odometry yet"]):
                     said = json.loads(await socket.recv())
-            async with connect(url, origin="http://localhost:8000"):
-                pass
-            with pytest.raises(InvalidStatus):
-                await connect(url, origin="https://example.org")
+            for page in ("http://localhost:8000", "https://example.org"):
+                with pytest.raises(InvalidStatus):
+                    await connect(url, origin=page)
+        async with serving(token="secret", websocket=ANY) as (ports, _):
+            url = f"ws://127.0.0.1:{ports[0]}"
+            async with connect(url, origin="http://localhost:8000") as socket:
+                await socket.send('{"type":"hello","token":"secret"}')
+                assert json.loads(await socket.recv())["type"] == "hello"
 
     asyncio.run(whole())
 

@@ -45,7 +45,9 @@ CLOSE_S = 1.0
 """Timeout for the close of a WebSocket [s]."""
 SWITCH_S = 0.001
 """Thread switch interval [s]; Python's default of 5 ms would delay the loop's thread."""
-WRONG_TOKEN = "wrong token"
+WRONG_TOKEN, READ_ONLY = "wrong token", "the token of this client only permits to read"
+WRONG_TOKEN_S = 1.0
+"""Time until a wrong token is refused, one client after the other [s]."""
 
 
 def given_token() -> str | None:
@@ -83,23 +85,27 @@ class _Client:
     send: Callable[[str], None]
     unread: Callable[[], int]
     close: Callable[[], None]
+    is_observer: bool = False
+    """Whether it may only read."""
 
 
 @dataclass
 class Server:
     """Server of a new session, until it is stopped or stdin, if it is read, ends.
 
-    Every client must send hello with the `token`, which is required if other machines can connect.
-    `watch` receives all output of the session.
+    Every client must send hello with the `token`, which is required if other machines can connect;
+    with the `observe_token` it may only read. `watch` receives all output of the session.
     """
 
     session: Session
     token: str | None = None
+    observe_token: str | None = None
     watch: Callable[[Output], None] | None = None
     ports: list[int] = field(default_factory=list)
     """Ports of TCP and WebSocket that `serve` opened."""
     _clients: set[_Client] = field(default_factory=set)
     _work: threading.Event = field(default_factory=threading.Event)
+    _guess: asyncio.Lock = field(default_factory=asyncio.Lock)
     _done: bool = False
     _failure: BaseException | None = None
     _end: Callable[[], object] = lambda: None
@@ -212,6 +218,8 @@ class Server:
 
     def _receive_line(self, line: Line, client: _Client) -> bool:
         """Process a line; return whether it is a valid message."""
+        if client.is_observer:
+            return self._refuse(READ_ONLY, client)
         try:
             self._receive(parse(line), client)
         except HomewardError as error:
@@ -230,7 +238,7 @@ class Server:
         processing = asyncio.create_task(self._process_inbox(inbox, client, is_file))
         try:
             async for line in lines:
-                if (stop := stop_in(line)) is not None:
+                if not client.is_observer and (stop := stop_in(line)) is not None:
                     self._receive(stop, client)
                 elif line.strip():
                     await inbox.put(line)
@@ -256,7 +264,7 @@ class Server:
                 return
             await turn.end()
 
-    def _welcome(self, line: Line, client: _Client) -> bool:
+    async def _welcome(self, line: Line, client: _Client) -> bool:
         """Answer the first line; return whether it is a valid hello."""
         try:
             hello = parse(line)
@@ -265,7 +273,14 @@ class Server:
         if not isinstance(hello, Hello):
             return self._refuse("the first message must be hello", client)
         token = (hello.token or "").encode()
-        if self.token is not None and not hmac.compare_digest(token, self.token.encode()):
+        known = (self.token, self.observe_token)
+        is_own, is_observers = (
+            text is not None and hmac.compare_digest(token, text.encode()) for text in known
+        )
+        client.is_observer = is_observers and not is_own
+        if self.token is not None and not (is_own or is_observers):
+            async with self._guess:
+                await asyncio.sleep(WRONG_TOKEN_S)
             return self._refuse(WRONG_TOKEN, client)
         if len(self._clients) >= MAX_CLIENTS:
             return self._refuse(f"too many connections: at most {MAX_CLIENTS}", client)
@@ -307,7 +322,7 @@ class Server:
             client = _Client(send, writer.transport.get_write_buffer_size, writer.close)
             try:
                 first = await asyncio.wait_for(anext(lines, b""), HELLO_S)
-                if self._welcome(first, client):
+                if await self._welcome(first, client):
                     await self._converse(lines, client)
             except (OSError, TimeoutError):  # disconnected, or silent
                 pass
@@ -331,16 +346,13 @@ class Server:
     async def _websocket(self, where: Address) -> AsyncIterator[int]:
         """Listen for WebSockets, one message per line.
 
-        Any page in a browser can connect to this machine, so without a token the Origin must be a
-        page of this machine.
+        Any page in a browser can connect to this machine, also one that another program serves on
+        another port, so without a token no page is accepted.
         """
-        import re
-
         from websockets.asyncio.server import serve
         from websockets.exceptions import ConnectionClosed
 
-        own = re.compile(r"https?://(localhost|127\.0\.0\.1|\[::1\])(:\d+)?")
-        origins = None if self.token is not None else [None, own]
+        origins = None if self.token is not None else [None]
 
         async def talk(socket: Any) -> None:
             socket.transport.max_size = WEBSOCKET_CHUNK  # asyncio reads 256 kB by default
@@ -360,7 +372,7 @@ class Server:
             client = _Client(enqueue, lambda: unread[0], socket.transport.abort)
             sending = asyncio.create_task(send())
             try:
-                if not self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), client):
+                if not await self._welcome(await asyncio.wait_for(socket.recv(), HELLO_S), client):
                     await asyncio.sleep(0.01)  # send the reason
                     return
                 await self._converse(aiter(socket), client)

@@ -59,6 +59,10 @@ def live(
         Path | None,
         typer.Option(help="Repeat the session.jsonl of a recording, and compare all answers."),
     ] = None,
+    observe_token: Annotated[
+        str | None,
+        typer.Option(envvar="HOMEWARD_OBSERVE_TOKEN", help="Token of clients that may only read."),
+    ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of all messages and exit.")
     ] = False,
@@ -97,6 +101,8 @@ def live(
     known = DriveSettings() if robot_file is None else read_settings(robot_file, DriveSettings)
     homes = {} if home is None else {"home": read_home(home, {})}
     at_tcp, at_websocket = (None if text is None else address(text) for text in (tcp, websocket))
+    if observe_token is not None and given_token() is None:
+        raise InputError("--observe-token needs the token of the other clients in HOMEWARD_TOKEN")
     if update and place is None:
         raise InputError("--update needs --place")
     broker = given_broker(mqtt, user, password_file, ca)
@@ -108,7 +114,7 @@ def live(
     recorder = None if record is None else Recorder(record, settings, known, homes, visited)
     if recorder is not None:
         session.watch(recorder.keep)
-    server = Server(session, given_token())
+    server = Server(session, given_token(), observe_token)
 
     def opened(ports: list[int]) -> None:
         typer.echo(f"listening on port {' and '.join(map(str, ports))}", err=True)
