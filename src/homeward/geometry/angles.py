@@ -41,6 +41,14 @@ def guarded_inverse(x: Any, guard: float) -> Any:
     return x / (x * x + guard * guard)
 
 
+def clipped_inverse(x: Any, guard: float) -> Any:
+    """Return ``1/x`` with the size of CasADi symbols `x` kept at `guard` or more.
+
+    It is exact outside and discontinuous at 0. The `guard` is in the unit of `x`.
+    """
+    return 1 / (apply("fmax", x, guard) * (x >= 0) + apply("fmin", x, -guard) * (x < 0))
+
+
 def interpolate(t: Any, stamps: np.ndarray, angles: np.ndarray) -> np.ndarray:
     """Interpolate angles (n,) [rad] linearly along their shorter arcs; return them wrapped, (m,).
 

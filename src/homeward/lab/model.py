@@ -9,17 +9,19 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import casadi as ca
 
-from homeward.geometry.angles import apply, guarded_inverse, wrap
+from homeward.geometry.angles import apply, clipped_inverse, guarded_inverse, wrap
 from homeward.geometry.frames import Integration, Pose, bearing
 
 POLAR = 3
 """Number of states before the bearings: R, theta, alpha."""
 INPUTS = 2
 """Number of inputs: v, omega."""
+Inverse = Literal["smooth", "clipped"]
+"""Form of 1/x near a singularity: x / (x^2 + guard^2), or with the size of x at least the guard."""
 
 
 def landmark_distance(polar: Any, beta: Any, stored: Any, guard: float = 0.0) -> Any:
@@ -51,7 +53,7 @@ class PolarModel:
     It is singular where R = 0 and where landmark, home and robot are in line. `guard` keeps it
     finite there: 1/R and 1/(R sin(beta* - theta)), both 1/x, become x / (x^2 + guard^2). Bearing
     rates are then too small by the fraction guard^2 / (x^2 + guard^2): 4 % at x = 5 cm with a guard
-    of 1 cm.
+    of 1 cm. The `inverse` "clipped" is exact beyond the guard, and constant within it.
     """
 
     q: int
@@ -60,6 +62,7 @@ class PolarModel:
     """Indices of the home bearings that are states."""
     guard: float = 0.01
     """[m]"""
+    inverse: Inverse = "smooth"
 
     @property
     def n(self) -> int:
@@ -89,12 +92,11 @@ class PolarModel:
         beta = state[self.bearing_slice]
         home = self.home_bearings(state, stored)
         phi = beta + alpha
-        inverse_distance = ca.sin(home - phi) * guarded_inverse(
-            R * ca.sin(home - theta), self.guard
-        )
+        inverse = guarded_inverse if self.inverse == "smooth" else clipped_inverse
+        inverse_distance = ca.sin(home - phi) * inverse(R * ca.sin(home - theta), self.guard)
         return ca.vertcat(
             v * ca.cos(alpha - theta),
-            v * ca.sin(alpha - theta) * guarded_inverse(R, self.guard),
+            v * ca.sin(alpha - theta) * inverse(R, self.guard),
             omega,
             -(active * v) * (ca.sin(beta) * inverse_distance) - active * omega,
             ca.SX.zeros(len(self.estimated)),

@@ -59,9 +59,9 @@ def study(
     """Run a Monte Carlo study: every estimator in every scenario, many times.
 
     The folder gets results.nc (netCDF: errors of every run, also over time), study.html, its table
-    as CSV, Markdown and LaTeX, every figure as PNG, study.yaml, and the finished blocks. After an
-    interruption, the same command continues from them. Uses all processors by default. Exit status
-    1 if every run failed. Needs the extra scale.
+    as CSV, Markdown and LaTeX, every figure as PNG and PDF, study.yaml, and the finished blocks.
+    After an interruption, the same command continues from them. Uses all processors by default.
+    Exit status 1 if every run failed. Needs the extra scale.
 
     `paper` runs the paper's Cases 1 to 4 with its printed parameters and writes paper.html with
     both RMSE tables next to the printed ones. `layouts` runs Cases 1, 2 and 4 over thousands of
@@ -148,7 +148,7 @@ def paper(out: Path, where: Where, values: dict[str, Any], json: bool) -> None:
         for case, requested, obtained in page.fault_rows(result):
             shared.say(f"Case {case}: {requested} moved landmarks requested, {obtained} obtained.")
     for sentence in page.sentences(result):
-        shared.say(sentence)
+        shared.say(f"- {sentence}")
     shared.say(
         f"RMSE of R in cm, theta and alpha in rad; medians over {settings.runs} random layouts. "
         f"Page: {out / page.PAGE}"

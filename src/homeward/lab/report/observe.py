@@ -259,7 +259,7 @@ def _write(
             package="homeward.lab.report",
             **values,
             words=words,
-            figure=drawn(scratch, FIGURE, label, figure, vector=True)[1],
+            figure=drawn(scratch, FIGURE, label, figure, vector="svg")[1],
             table=rank_table(),
             motions=observe_motions(),
             entries=printed_matrix(),

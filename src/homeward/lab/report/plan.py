@@ -321,7 +321,7 @@ def write_plan(directory: Path, view: PlanView) -> None:
         figures["hidden"] = (draw_hidden(view), "Cost of hiding one landmark")
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         drawings = {
-            key: drawn(scratch, key, label, figure, vector=True)[1]
+            key: drawn(scratch, key, label, figure, vector="svg")[1]
             for key, (figure, label) in figures.items()
         }
         _write_floor(scratch / "floor.csv", view)

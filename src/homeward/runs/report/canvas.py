@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import matplotlib
 import numpy as np
@@ -96,9 +96,13 @@ def png(figure: Figure, dpi: float = 150) -> bytes:
 
 
 def drawn(
-    folder: Path, name: str, caption: str, figure: Figure, vector: bool = False
+    folder: Path,
+    name: str,
+    caption: str,
+    figure: Figure,
+    vector: Literal["svg", "pdf"] | None = None,
 ) -> tuple[str, Markup]:
-    """Write a figure into a folder as PNG, and with `vector` as SVG.
+    """Write a figure into a folder as PNG, and as a file of a `vector` format.
 
     Returns its caption, which must need no escaping, and its SVG for a page.
     """
@@ -106,7 +110,9 @@ def drawn(
     # The PNG has the layout of the SVG: computing it again takes the most time.
     figure.set_layout_engine("none")
     (folder / f"{name}.png").write_bytes(png(figure))
-    if vector:
+    if vector == "pdf":
+        figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
+    elif vector == "svg":
         (folder / f"{name}.svg").write_text(svg_file(drawing), encoding="utf-8")
     return caption, Markup(drawing)  # matplotlib has escaped every text
 

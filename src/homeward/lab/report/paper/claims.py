@@ -127,7 +127,9 @@ def rivals(M: float | str) -> dict[str, str]:
 
 
 def conclusions(readings: Readings, M: float | str) -> list[str]:
-    """Return in a few sentences what holds, under which reading, and why.
+    """Return in three sentences what holds, under which reading, and why.
+
+    With fewer than `MIN_LAYOUTS` layouts they have errors, and no shares of layouts.
 
     `readings` are one or more of Cases 2 and 4, that of the settings first; `M` that of "PI-EKF".
     """
@@ -141,9 +143,15 @@ def conclusions(readings: Readings, M: float | str) -> list[str]:
         ((r, n) for r in moved for n in ("PI-EKF", PI_HT)), key=lambda k: shares[k].min()
     )
     counts = [f"{words} under {wins[n]} of {len(moved)}" for n, words in called.items()]
-    warning = (
-        f"Only {count(few, 'layout')}: use --runs {MIN_LAYOUTS} or more for shares of layouts."
-    )
+    if few < MIN_LAYOUTS:
+        reading, outcome = next(iter(moved.items()))
+        errors = listing([f"{median(outcome, n)[0]:.2g} cm ({n})" for n in ("EKF", *called)])
+        return [
+            f"Only {count(few, 'layout')}: use --runs {MIN_LAYOUTS} or more for shares of layouts.",
+            f"Median error of R in Case 2 (landmarks moved), {reading_words(reading, '2')}: "
+            + f"{errors}.",
+            _why(readings, reading, PI_HT, called[PI_HT]),
+        ]
     what = (
         "What holds: in Case 2 (moved landmarks), errors of R, theta and alpha are smaller than "
         f"the EKF's in most layouts with {listing(counts)} "
@@ -156,8 +164,7 @@ def conclusions(readings: Readings, M: float | str) -> list[str]:
         f"{reading_words(printed, '2')} in {triple(shares[printed, 'PI-EKF'])} and in "
         f"{percent(beats_printed(moved[printed], '2', 'PI-EKF'))}."
     )
-    found = [what, which, _why(readings, best, name, called[name])]
-    return [warning, *found] if few < MIN_LAYOUTS else found
+    return [what, which, _why(readings, best, name, called[name])]
 
 
 def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
@@ -181,13 +188,15 @@ def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
     if same:
         there = readings["4", same[0]]
         alone, ours, ekf = (median(there, n) for n in (DEAD_RECKONING, name, "EKF"))
-        share = better_shares(there, name, "EKF")
+        enough = there.rmse.shape[1] >= MIN_LAYOUTS
+        share = triple(better_shares(there, name, "EKF"))
         words += (
             ". With disturbed motion ({:g} m/s and {:g} rad/s a sample, Case 4) it is ".format(
                 *same[0].disturbance
             )
             + f"{alone[0]:.2g} cm for dead reckoning, {ekf[0]:.2g} cm for the EKF and "
-            f"{ours[0]:.2g} cm for {called}, which is better than the EKF in {triple(share)}"
+            f"{ours[0]:.2g} cm for {called}"
+            + (f", which is better than the EKF in {share}" if enough else "")
         )
     return words + "."
 

@@ -195,7 +195,8 @@ def write_layouts(directory: Path, study: LayoutStudy) -> None:
     """Write the page, PNGs, and layouts.csv with every run; errors as `whole_folder`."""
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
-            drawn(scratch, name, caption, draw(study)) for name, (caption, draw) in FIGURES.items()
+            drawn(scratch, name, caption, draw(study), vector="pdf")
+            for name, (caption, draw) in FIGURES.items()
         ]
         write_csv(scratch / DATA, RUNS, _every_run(study))
         (scratch / PAGE).write_text(_page(study, pictures), encoding="utf-8")

@@ -29,7 +29,7 @@ from homeward.lab.studies.paper.reproduction import (
 )
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
 from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
-from homeward.runs.report.files import write_settings
+from homeward.runs.report.files import write_settings, write_tables
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
 from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
@@ -287,13 +287,17 @@ PAGE = "paper.html"
 
 
 def write_reproduction(directory: Path, result: Reproduction) -> None:
-    """Write the page, PNGs, rmse.csv with every run, reproduce.yaml; errors as `whole_folder`."""
+    """Write the page, figures as PNG and PDF, the tables, rmse.csv with every run, reproduce.yaml.
+
+    Errors are those of `whole_folder`.
+    """
     with whole_folder(directory, SETTINGS_FILE) as scratch:
         figures = [
-            drawn(scratch, name, caption, draw())
+            drawn(scratch, name, caption, draw(), vector="pdf")
             for name, (caption, draw) in figures_of(result).items()
         ]
         write_csv(scratch / "rmse.csv", RUNS, _every_run(result))
+        write_tables(scratch, *_tables(result), left=2)
         (scratch / PAGE).write_text(_page(result, figures), encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, result.settings.model_dump(mode="json"))
 
@@ -317,6 +321,18 @@ def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
         seed=settings.seed,
         settings=yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False),
     )
+
+
+def _tables(result: Reproduction) -> tuple[list[list[str]], list[list[object]]]:
+    """Return the table of errors, with four digits and exact: ours, and the printed ones."""
+    head = ["case", "filter", *QUANTITIES, *(f"printed {quantity}" for quantity in QUANTITIES)]
+    exact = [
+        [r.case, r.filter, *r.median.tolist(), *(r.printed or [None] * 3)] for r in rows(result)
+    ]
+    shown = [
+        ["" if v is None else v if isinstance(v, str) else f"{v:.4f}" for v in r] for r in exact
+    ]
+    return [head, *shown], [list[object](head), *exact]
 
 
 def sentences(result: Reproduction) -> list[str]:

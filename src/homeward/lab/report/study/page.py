@@ -278,7 +278,7 @@ def write_study(directory: Path, results: Results) -> list[list[str]]:
     """
     with whole_folder(directory, MARKER) as scratch:
         pictures = [
-            (name, *drawn(scratch, re.sub(r"[^\w-]", "_", name), caption, figure))
+            (name, *drawn(scratch, re.sub(r"[^\w-]", "_", name), caption, figure, vector="pdf"))
             for name, caption, figure in figures(results)
         ]
         write_netcdf(results, scratch / DATA)

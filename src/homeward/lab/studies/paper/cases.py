@@ -16,7 +16,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist
 from homeward.lab.engine.batch.homing import Law, homing_program, run_homing
 from homeward.lab.engine.program.stages import Machine, allocate
-from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel
 from homeward.lab.studies.paper.settings import PaperSettings
@@ -112,12 +112,12 @@ def filter_settings(name: str, settings: PaperSettings) -> PaperSettings:
 def filter_kind(name: str, world: PaperWorld, settings: PaperSettings) -> ExtendedKalmanFilter:
     """Return one of `FILTERS` for a world, whose faults determine the parameters."""
     q, assumed = settings.printed.landmarks, settings.assumed
+    estimated: tuple[int, ...] = ()
     if name.startswith("A-EKF"):
         wrong = np.flatnonzero(world.moved)
         one = (int(wrong[0]) if wrong.size else 0,)
-        estimated = one if name == "A-EKF (one)" else None
-        return augmented_ekf(q, estimated, assumed.integration, assumed.guard)
-    model = PolarModel(q, guard=assumed.guard)
+        estimated = one if name == "A-EKF (one)" else tuple(range(q))
+    model = PolarModel(q, estimated, assumed.guard, assumed.inverse)
     kind = ProportionalIntegralFilter if name.startswith("PI-EKF") else ExtendedKalmanFilter
     return kind(model, assumed.integration)
 

@@ -68,6 +68,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "Pi 0.005": {"printed": {"Pi": 0.005}},
     "faults up to 0.2 rad": {"assumed": {"fault": (0.05, 0.2)}},
     "all landmarks in sight": {"assumed": {"visibility": 1.0}},
+    "1/x clipped at the guard": {"assumed": {"inverse": "clipped"}},
     "samples every 0.1 s": {"printed": {"sample_time": 0.1}},
     "samples every 0.025 s": {"printed": {"sample_time": 0.025}},
     LONG: {"assumed": {"circle_time": 200.0}},

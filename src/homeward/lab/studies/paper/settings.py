@@ -10,6 +10,7 @@ from homeward.geometry.frames import Integration
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
 from homeward.io.models import model_validator
+from homeward.lab.model import Inverse
 from homeward.lab.simulation.scenario import ascending
 
 Interval = Annotated[tuple[Positive, Positive], AfterValidator(ascending)]
@@ -87,6 +88,8 @@ class Assumed(Strict):
     """Number of wrong home bearings in Case 4, with errors as in Case 2."""
     guard: NonNegative = 0.01
     """Keeps the model finite at home and on the line through home and a landmark [m]."""
+    inverse: Inverse = "smooth"
+    """Form of 1/x there: x / (x^2 + guard^2), or 1/x with the size of x at least the guard."""
     integration: Integration = "rk4"
 
 
