@@ -125,8 +125,7 @@ $(SANITIZED)/installed: $(PINS) $(shell find src -name '*.py')
 
 # On an emulated Cortex-M4F: gcc-arm-none-eabi, libnewlib-arm-none-eabi and qemu-system-arm of Debian.
 test-mcu: dev
-	$(BIN)/python -m pytest -n 0 -rs tests/lab/engine/test_export.py -k CortexM4F
-	$(BIN)/python -m benchmarks.mcu
+	$(BIN)/python -m pytest -n 0 -rs tests/lab/engine/test_export.py -k cortex_m4f
 
 # Real nodes of ROS 2, Jazzy and Kilted, from PyPI's wheels, in environments of their own.
 ros-environments: dev
@@ -181,8 +180,6 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.cost $(if $(QUICK),--part steady)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.consistency --sabotage $(if $(QUICK),--quick)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.leaderboard $(if $(QUICK),--quick --out /dev/null)
-	$(BIN)/python -m benchmarks.mcu
-	$(BIN)/python -m benchmarks.mcu --moved $(if $(QUICK),--runs 3)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
 	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)

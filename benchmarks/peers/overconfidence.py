@@ -51,7 +51,7 @@ class TrueJacobians(FilterRunner):
     def __init__(self, other: FilterRunner, at: Callable[[float], np.ndarray], t: float) -> None:
         super().__init__(other.kind, other.tuning)
         self.at, self.first = at, t
-        self.jacobians = propagate_function(other.kind)
+        self.jacobians = propagate_function(other.kind.model, other.kind.integration)
 
     def start(self) -> Aged:
         return Aged(super().start(), self.first)
@@ -62,8 +62,7 @@ class TrueJacobians(FilterRunner):
         for dt in in_steps(interval):
             given = {"state": self.at(t), "control": twist, "dt": dt}
             given |= {"stored": self.stored, "active": belief.active}
-            names = self.jacobians.name_in()
-            found = self.jacobians(**{k: v for k, v in given.items() if k in names})
+            found = self.jacobians(**given)
             G, by_input = (np.asarray(found[f"{k}_out"]) for k in ("by_state", "by_input"))
             noise = np.diag(self.tuning.input_density / dt)
             P = G @ belief.covariance @ G.T + by_input @ noise @ by_input.T

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from homeward.cli.options import Changes, key_values, say, table
+from homeward.cli.options import Changes, key_values, say
 from homeward.errors import InputError
 
 
@@ -20,16 +20,16 @@ def export(
     ] = "float",
     changes: Changes = None,
 ) -> None:
-    """Export a filter as a C library for microcontrollers.
+    """Export a filter as C for microcontrollers.
 
-    The folder has the layout of Arduino and PlatformIO: src/ has one .c and one .h file, which need
-    neither heap nor homeward; examples/ has a main for a Cortex-M4F and a sketch.
+    The folder gets homeward_ekf.c and homeward_ekf.h, which need neither heap nor homeward, and
+    main.c, an example with data that compares its result with that of Python.
     """
     if estimator != "ekf":
         raise InputError(f"only the filter ekf is exported, not {estimator}: homeward export ekf")
     from homeward.io.settings import validated
     from homeward.io.writing import check_output, whole_folder
-    from homeward.lab.engine.export.source import MARKER, exported_files, max_cost
+    from homeward.lab.engine.export.source import MARKER, exported_files
     from homeward.lab.filters.settings import FilterSettings
 
     settings = validated(FilterSettings, key_values(changes or []))
@@ -37,11 +37,5 @@ def export(
     check_output(out, MARKER)
     with whole_folder(out, MARKER, merge=True) as scratch:
         for name, text in files.items():
-            (scratch / name).parent.mkdir(parents=True, exist_ok=True)
             (scratch / name).write_text(text, encoding="utf-8")
-    say(f"{estimator} of {landmarks} landmarks in {precision}s: {out / 'src'}")
-    rows = [
-        (k, f"{w.arithmetic:,}", f"{w.functions:,}")
-        for k, w in max_cost(landmarks, settings).items()
-    ]
-    table([("maximum per call", "+ - * /", "libm calls"), *rows], left=1)
+    say(f"{estimator} of {landmarks} landmarks in {precision}s: {out}")

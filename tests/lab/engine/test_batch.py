@@ -8,8 +8,7 @@ from homeward.control.laws import homing
 from homeward.geometry.frames import from_polar
 from homeward.lab.engine.batch import execution as noise
 from homeward.lab.engine.batch.execution import run_recorded
-from homeward.lab.engine.batch.homing import homing_program, run_homing
-from homeward.lab.engine.program import stages
+from homeward.lab.engine.batch.homing import run_homing
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter, augmented_ekf
 from homeward.lab.model import PolarModel
 from homeward.native.compiler import NativeError, find_compiler
@@ -127,25 +126,6 @@ def test_a_filter_over_recorded_runs_agrees_with_the_interpreter():
         engine="native",
     )
     assert np.allclose(alone.final["state"][0], native.final["state"][3], rtol=1e-9, atol=1e-9)
-
-
-def test_loops_for_many_landmarks_agree_with_the_symbolic_steps(monkeypatch):
-    kind = augmented_ekf(3, [1], guard=0.02)
-    asked = {"steps": 60, "history": ("covariance",)}
-    symbolic = run_homing(kind, loop(kind), runs=RUNS, **asked, engine="interpreter")
-    homing_program.cache_clear()
-    monkeypatch.setattr(stages, "MAX_COMPILED_STATES", 0)
-    native = run_homing(kind, loop(kind), runs=RUNS, **asked, engine="native")
-    alone = run_homing(kind, loop(kind, 1), runs=1, **asked, engine="native")
-    homing_program.cache_clear()
-    assert native.engine == alone.engine == "native"
-    for batch in (native, alone):
-        runs = len(batch.state)
-        assert np.allclose(batch.state, symbolic.state[:runs], rtol=1e-9, atol=1e-9)
-        for found, wanted in zip(
-            batch.history["covariance"], symbolic.history["covariance"], strict=False
-        ):
-            assert np.allclose(found, wanted, rtol=1e-9, atol=1e-9, equal_nan=True)
 
 
 def test_nan_is_a_bearing_that_was_not_seen():

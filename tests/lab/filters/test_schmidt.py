@@ -4,7 +4,7 @@ import numpy as np
 from lab.model_by_hand import scene
 from test_steps import DT, drive
 
-from homeward.lab.engine.program.stages import BELIEF, Machine, filter_program
+from homeward.lab.engine.program import BELIEF, Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, SchmidtFilter
 from homeward.lab.model import PolarModel
 

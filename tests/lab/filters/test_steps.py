@@ -8,14 +8,14 @@ from numpy_oracle import Oracle
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, from_polar
 from homeward.lab.engine.estimators.runner import filter_machine
-from homeward.lab.engine.program import stages
-from homeward.lab.engine.program.stages import BELIEF, Machine, Program, filter_parts
+from homeward.lab.engine.program import BELIEF, Machine, Program
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,
     SchmidtFilter,
     UnscentedFilter,
     augmented_ekf,
+    steps,
 )
 from homeward.lab.model import PolarModel
 
@@ -56,8 +56,8 @@ def start(kind, q, seed):
     return x, P, stored
 
 
-def machine(kind, max_unrolled=48):
-    return Machine(Program(filter_parts(kind, max_unrolled)))
+def machine(kind, max_unrolled=None):
+    return Machine(Program(steps(kind, max_unrolled)))
 
 
 def run(kind, steps_of, q, steps, seed, gate, minimum):
@@ -104,7 +104,7 @@ def test_steps_agree_with_the_oracle(name, q, steps, seed):
     assert run(kind, machine(kind), q, steps, seed, np.inf, 1) < 1e-9
 
 
-@pytest.mark.parametrize("max_unrolled", [0, 48])
+@pytest.mark.parametrize("max_unrolled", [0, 20])
 @pytest.mark.parametrize("name", kinds(3))
 def test_steps_with_gate_and_minimum_agree_with_the_oracle(name, max_unrolled):
     kind = kinds(7)[name]
@@ -114,30 +114,32 @@ def test_steps_with_gate_and_minimum_agree_with_the_oracle(name, max_unrolled):
 @pytest.mark.parametrize(
     "kind", [UnscentedFilter(PolarModel(7)), SchmidtFilter(PolarModel(7, (1, 4)))]
 )
-def test_generic_steps_of_the_peers_agree_with_their_symbolic_steps(kind):
-    symbolic, generic = machine(kind), machine(kind, 0)
+def test_steps_of_the_peers_with_loops_agree_with_unrolled_ones(kind):
+    unrolled, loops = machine(kind), machine(kind, 0)
     x, P, stored = start(kind, 7, 5)
     given = {"state": x, "covariance": P, "dt": DT, "stored": stored, "state_variance": 1e-6}
     given |= {"input_covariance": np.diag([0.01**2, 0.02**2])}
     given |= {"variance": 1e-3, "gate": 9.0, "minimum_visible": 1.0}
     for u, y, mask in drive(7, 300, 5):
         given |= {"control": u, "bearings": y, "mask": mask}
-        for steps in (symbolic, generic):
+        for made in (unrolled, loops):
             for name, value in given.items():
-                steps.variables[name][...] = value
-            steps.do()
-        for name, found in symbolic.variables.items():
-            np.testing.assert_allclose(generic.variables[name], found, atol=1e-9)
-        given = {name: symbolic.variables[name].copy() for name in BELIEF}
+                made.variables[name][...] = value
+            made.do()
+        for name, found in unrolled.variables.items():
+            np.testing.assert_allclose(loops.variables[name], found, atol=1e-9)
+        given = {name: unrolled.variables[name].copy() for name in BELIEF}
 
 
 @pytest.mark.parametrize(
     "kind", [UnscentedFilter(PolarModel(60)), SchmidtFilter(PolarModel(60, (1, 4)))]
 )
-def test_peers_with_many_landmarks_run_by_the_generic_steps(kind, monkeypatch):
+def test_filters_with_many_landmarks_run_with_loops_and_say_why_not_compiled(kind):
     """Unrolled, their steps would take minutes to build, and with hundreds all memory."""
-    monkeypatch.setattr(stages, "predict_function", None)
-    filter_machine(kind).do()
+    made = filter_machine(kind, "native")
+    made.do()
+    assert made.engine == "interpreter"
+    assert "too many landmarks" in made.notes[0]
 
 
 def test_augmented_filter_refuses_parameters_that_are_no_landmarks():

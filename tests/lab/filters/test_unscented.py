@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from lab.model_by_hand import scene
 
-from homeward.lab.engine.program.stages import Machine, filter_program
+from homeward.lab.engine.program import Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, UnscentedFilter, cholesky
 from homeward.lab.model import PolarModel
 

@@ -8,7 +8,7 @@ from homeward.control.laws import homing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, advance, bearing, from_polar
 from homeward.lab.engine.batch.homing import homing_program
-from homeward.lab.engine.program.stages import BELIEF, Machine, filter_program
+from homeward.lab.engine.program import BELIEF, Machine, filter_program
 from homeward.lab.filters.ekf import (
     ExtendedKalmanFilter,
     ProportionalIntegralFilter,

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
-from typing import ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import casadi as ca
 
@@ -18,13 +18,13 @@ from homeward.lab.model import INPUTS, POLAR, PolarModel, Step, discretise
 class Belief:
     """Variables that a filter carries from step to step."""
 
-    state: ca.SX
+    state: ca.MX
     """(n,), state of `homeward.lab.model.PolarModel`."""
-    covariance: ca.SX
+    covariance: ca.MX
     """(n, n), exactly symmetric."""
-    active: ca.SX
+    active: ca.MX
     """(q,), 1 once a landmark has been seen, otherwise 0."""
-    integral: ca.SX
+    integral: ca.MX
     """(n,), kappa of the PI-EKF; empty in the other filters."""
 
 
@@ -32,17 +32,17 @@ class Belief:
 class Prediction:
     """Parameters of a prediction."""
 
-    control: ca.SX
+    control: ca.MX
     """(2,), v [m/s] and omega [rad/s] over the step."""
-    dt: ca.SX
+    dt: ca.MX
     """(1,) [s]"""
-    stored: ca.SX
+    stored: ca.MX
     """(q,), beta* [rad]."""
-    input_covariance: ca.SX
+    input_covariance: ca.MX
     """(2, 2), Q of the input over this step."""
-    state_variance: ca.SX
+    state_variance: ca.MX
     """(n,), added to the diagonal over this step, for example Qd of the A-EKF's parameters."""
-    proportional: ca.SX
+    proportional: ca.MX
     """(n, n), Pi of the PI-EKF over this step; empty in the other filters."""
 
 
@@ -50,17 +50,17 @@ class Prediction:
 class Measurement:
     """Parameters of an update."""
 
-    bearings: ca.SX
+    bearings: ca.MX
     """(q,) [rad]; any finite number for a landmark out of view."""
-    mask: ca.SX
+    mask: ca.MX
     """(q,), 1 where a landmark is seen, otherwise 0."""
-    variance: ca.SX
+    variance: ca.MX
     """(q,) [rad^2]"""
-    gate: ca.SX
+    gate: ca.MX
     """(1,), largest accepted innovation^2 / variance; infinity accepts everything."""
-    minimum_visible: ca.SX
+    minimum_visible: ca.MX
     """(1,), with fewer landmarks in view the step does nothing (the paper's p)."""
-    integral_gain: ca.SX
+    integral_gain: ca.MX
     """(n, q), M of the PI-EKF; empty in the other filters."""
 
 
@@ -69,11 +69,11 @@ class Updated:
     """Result of an update."""
 
     belief: Belief
-    innovation: ca.SX
+    innovation: ca.MX
     """(q,), measured minus predicted before the update [rad], wrapped; 0 where not compared."""
-    innovation_variance: ca.SX
+    innovation_variance: ca.MX
     """(q,) [rad^2]"""
-    accepted: ca.SX
+    accepted: ca.MX
     """(q,), 1 where the innovation passed the gate and was used, otherwise 0."""
 
 
@@ -93,7 +93,7 @@ def shapes(model: PolarModel, integral: bool) -> dict[str, tuple[int, ...]]:
 def symbols(part: type[Part], model: PolarModel, integral: bool) -> Part:
     """Return new symbols for some inputs of a step."""
     sizes = shapes(model, integral)
-    return part(*(ca.SX.sym(f.name, *sizes[f.name]) for f in fields(part)))
+    return part(*(ca.MX.sym(f.name, *sizes[f.name]) for f in fields(part)))
 
 
 @dataclass(frozen=True)
@@ -108,75 +108,97 @@ class ExtendedKalmanFilter:
     integration: Integration = "rk4"
     integral: ClassVar[bool] = False
     """Whether the belief has an integral of innovations."""
-    separable: ClassVar[bool] = True
-    """Whether loops over single landmarks can replace the symbols of all."""
 
     @property
     def considered(self) -> slice:
         """States that are uncertain but never updated; none here."""
         return slice(self.model.n, self.model.n)
 
-    def propagate(self, belief: Belief, prediction: Prediction) -> Step:
-        """Return the state after a step and its Jacobians: F, G and Gu."""
-
-        def rates(state: ca.SX, control: ca.SX) -> ca.SX:
-            return self.model.rates(state, control, prediction.stored, belief.active)
-
-        return discretise(rates, belief.state, prediction.control, prediction.dt, self.integration)
-
     def predict(self, belief: Belief, prediction: Prediction) -> Belief:
         """Predict over one step: P <- G P G' + Gu Q Gu' + diag(state_variance)."""
-        step = self.propagate(belief, prediction)
+        propagate = propagate_function(self.model, self.integration)
+        given = belief.state, prediction.control, prediction.dt, prediction.stored, belief.active
+        state, by_state, by_input = propagate(*given)
         # Reading one triangle of the symmetric matrix halves the loads of compiled code.
         covariance = (
-            step.by_state @ mirror(belief.covariance) @ step.by_state.T
-            + step.by_input @ prediction.input_covariance @ step.by_input.T
+            by_state @ mirror(belief.covariance) @ by_state.T
+            + by_input @ prediction.input_covariance @ by_input.T
             + ca.diag(prediction.state_variance)
         )
-        return replace(belief, state=step.state, covariance=mirror(covariance))
+        return replace(belief, state=state, covariance=mirror(covariance))
 
-    def update(self, belief: Belief, seen: Measurement) -> Updated:
-        """Update with the visible bearings, one after the other.
+    def update(self, belief: Belief, seen: Measurement, lazy: bool) -> Updated:
+        """Update with the visible bearings, one after the other; `lazy` skips those not accepted.
 
         Innovations and gate use the belief before any update of this stamp. A landmark seen for the
         first time enters with beta = y and the variance of y.
         """
-        q = self.model.q
+        n, rows = self.model.n, self.model.bearing_slice
+        unit = ca.densify(ca.DM.eye(n)[:, rows])
         state, covariance = belief.state, mirror(belief.covariance)
         visible = seen.mask * (ca.sum1(seen.mask) >= seen.minimum_visible)
         entering = visible * (1 - belief.active)
         compared = visible * belief.active
 
-        innovation = compared * wrap(seen.bearings - state[self.model.bearing_slice])
-        variance = ca.diag(covariance)[self.model.bearing_slice] + seen.variance
+        innovation = compared * wrap(seen.bearings - state[rows])
+        variance = ca.diag(covariance)[rows] + seen.variance
         accepted = compared * (innovation**2 <= seen.gate * variance)
 
         state, covariance = self._enter(state, covariance, entering, seen)
-        before = state
-        for i in range(q):
-            j = POLAR + i
-            # H only selects rows, so this is the remainder of the joint innovation.
-            remainder = innovation[i] - (state[j] - before[j])
-            gain = covariance[:, j] * (accepted[i] / (covariance[j, j] + seen.variance[i]))
-            loss = gain @ covariance[j, :]
-            gain[self.considered], loss[self.considered, self.considered] = 0, 0
-            state = state + gain * remainder
-            covariance = mirror(covariance - loss)
-        after = replace(belief, state=state, covariance=covariance, active=belief.active + entering)
+        before, found = state[rows], ca.horzcat(state, covariance)
+        correct = self._correction(lazy)
+        for i in range(self.model.q):
+            each = ca.vertcat(innovation[i], before[i], accepted[i], seen.variance[i])
+            found = correct(found, unit[:, i], each)
+        after = Belief(found[:, 0], found[:, 1:], belief.active + entering, belief.integral)
         return Updated(after, innovation, variance, accepted)
 
+    def _correction(self, lazy: bool) -> ca.Function:
+        """Return the update with one bearing, of state and covariance side by side (n, 1 + n).
+
+        Further inputs are the unit vector of the bearing's state (n,) and, of this bearing,
+        innovation, state before the stamp, whether it is accepted, and variance: (4,).
+        """
+        n = self.model.n
+        belief, unit, each = (
+            ca.MX.sym("belief", n, 1 + n),
+            ca.MX.sym("unit", n),
+            ca.MX.sym("each", 4),
+        )
+        innovation, before, accepted, variance = ca.vertsplit(each)
+        state, covariance = belief[:, 0], belief[:, 1:]
+        # H only selects rows, so this is the remainder of the joint innovation.
+        remainder = innovation - (ca.dot(unit, state) - before)
+        column = covariance @ unit
+        gain = column * (accepted / (ca.dot(unit, column) + variance))
+        loss = gain @ column.T
+        gain[self.considered], loss[self.considered, self.considered] = 0, 0
+        after = ca.horzcat(state + gain * remainder, mirror(covariance - loss))
+        given = [belief, unit, each]
+        correct = ca.Function("correct", given, [after])
+        if not lazy:
+            return correct
+        chosen = ca.Function.if_else("chosen", correct, ca.Function("kept", given, [belief]))
+        return ca.Function("perhaps", given, [chosen(accepted, *given)])
+
     def _enter(
-        self, state: ca.SX, covariance: ca.SX, entering: ca.SX, seen: Measurement
-    ) -> tuple[ca.SX, ca.SX]:
+        self, state: ca.MX, covariance: ca.MX, entering: ca.MX, seen: Measurement
+    ) -> tuple[ca.MX, ca.MX]:
         """Insert landmarks seen for the first time, uncorrelated with the other states."""
-        rest = self.model.n - POLAR - self.model.q
-        keep = 1 - ca.vertcat(ca.SX.zeros(POLAR), entering, ca.SX.zeros(rest))
-        fresh = ca.vertcat(ca.SX.zeros(POLAR), entering * seen.bearings, ca.SX.zeros(rest))
-        noise = ca.vertcat(ca.SX.zeros(POLAR), entering * seen.variance, ca.SX.zeros(rest))
-        return keep * state + fresh, covariance * (keep @ keep.T) + ca.diag(noise)
+
+        def spread(values: ca.MX) -> ca.MX:
+            rest = self.model.n - POLAR - self.model.q
+            return ca.vertcat(ca.MX.zeros(POLAR), values, ca.MX.zeros(rest))
+
+        keep = 1 - spread(entering)
+        noise = ca.diag(spread(entering * seen.variance))
+        return (
+            keep * state + spread(entering * seen.bearings),
+            covariance * (keep @ keep.T) + noise,
+        )
 
 
-def mirror(matrix: ca.SX) -> ca.SX:
+def mirror(matrix: ca.MX) -> ca.MX:
     """Return the matrix with its lower triangle mirrored: symmetric to the last bit."""
     return ca.tril2symm(ca.tril(matrix))
 
@@ -209,14 +231,14 @@ class ProportionalIntegralFilter(ExtendedKalmanFilter):
 
     integral: ClassVar[bool] = True
 
-    def propagate(self, belief: Belief, prediction: Prediction) -> Step:
-        """Return the state after a step, corrected by Pi kappa, and its Jacobians."""
-        step = super().propagate(belief, prediction)
-        return step._replace(state=step.state + prediction.proportional @ belief.integral)
+    def predict(self, belief: Belief, prediction: Prediction) -> Belief:
+        """Predict as the EKF does, and correct the state by Pi kappa."""
+        after = super().predict(belief, prediction)
+        return replace(after, state=after.state + prediction.proportional @ belief.integral)
 
-    def update(self, belief: Belief, seen: Measurement) -> Updated:
+    def update(self, belief: Belief, seen: Measurement, lazy: bool) -> Updated:
         """Update as the EKF does, and add M e to the integral."""
-        updated = super().update(belief, seen)
+        updated = super().update(belief, seen, lazy)
         used = updated.innovation * updated.accepted
         integral = belief.integral + seen.integral_gain @ used
         return replace(updated, belief=replace(updated.belief, integral=integral))
@@ -236,8 +258,6 @@ class SchmidtFilter(ExtendedKalmanFilter):
     "Stochastic Processes and Filtering Theory", 1970, section 8.4.
     """
 
-    separable: ClassVar[bool] = False
-
     @property
     def considered(self) -> slice:
         """The home bearings in the state."""
@@ -247,35 +267,48 @@ class SchmidtFilter(ExtendedKalmanFilter):
 UPDATE_OUTPUTS = ("innovation", "innovation_variance", "accepted")
 
 
+MAX_UNROLLED_STATES = 20
+"""Up to here unrolled code compiles within seconds; with 23 states it takes 20 s."""
+
+
 @lru_cache(maxsize=64)
-def predict_function(kind: ExtendedKalmanFilter) -> ca.Function:
-    """Return belief x prediction -> belief, with the field names as names."""
+def steps(kind: ExtendedKalmanFilter, max_unrolled: int | None = None) -> dict[str, ca.Function]:
+    """Return ``predict`` and ``update`` as functions of the fields of their arguments, by name.
+
+    Up to a number of states (`MAX_UNROLLED_STATES`) they are unrolled: SX functions, whose size
+    grows with n^3. Those of larger filters have loops and products of matrices.
+    """
+    limit = MAX_UNROLLED_STATES if max_unrolled is None else max_unrolled
+    unrolled = kind.model.n <= limit
     belief = symbols(Belief, kind.model, kind.integral)
     prediction = symbols(Prediction, kind.model, kind.integral)
-    after = vars(kind.predict(belief, prediction))
-    return named_function("predict", vars(belief) | vars(prediction), after)
-
-
-@lru_cache(maxsize=64)
-def update_function(kind: ExtendedKalmanFilter) -> ca.Function:
-    """Return belief x measurement -> belief, innovation, innovation_variance, accepted."""
-    belief = symbols(Belief, kind.model, kind.integral)
     seen = symbols(Measurement, kind.model, kind.integral)
-    updated = kind.update(belief, seen)
-    outputs = vars(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
-    return named_function("update", vars(belief) | vars(seen), outputs)
+    updated = kind.update(belief, seen, lazy=not unrolled)
+    after = vars(updated.belief) | {k: getattr(updated, k) for k in UPDATE_OUTPUTS}
+    predicted = vars(kind.predict(belief, prediction))
+    found = {
+        "predict": named_function("predict", vars(belief) | vars(prediction), predicted),
+        "update": named_function("update", vars(belief) | vars(seen), after),
+    }
+    return {k: f.expand() if unrolled else f for k, f in found.items()}
 
 
 @lru_cache(maxsize=64)
-def propagate_function(kind: ExtendedKalmanFilter) -> ca.Function:
-    """Return belief x prediction -> state, by_state, by_input; its size is linear in q."""
-    belief = symbols(Belief, kind.model, kind.integral)
-    prediction = symbols(Prediction, kind.model, kind.integral)
-    step = kind.propagate(belief, prediction)
-    return named_function("propagate", vars(belief) | vars(prediction), step._asdict())
+def propagate_function(model: PolarModel, integration: Integration) -> ca.Function:
+    """Return state, control, dt, stored, active -> state after a step, by_state, by_input."""
+    sizes = shapes(model, False)
+    names = ["state", "control", "dt", "stored", "active"]
+    given = [ca.SX.sym(name, *sizes[name]) for name in names]
+    state, control, dt, stored, active = given
+
+    def rates(x: ca.SX, u: ca.SX) -> ca.SX:
+        return model.rates(x, u, stored, active)
+
+    step = discretise(rates, state, control, dt, integration)
+    return ca.Function("propagate", given, list(step), names, [f"{k}_out" for k in Step._fields])
 
 
-def named_function(name: str, inputs: dict[str, ca.SX], outputs: dict[str, ca.SX]) -> ca.Function:
+def named_function(name: str, inputs: Mapping[str, Any], outputs: Mapping[str, Any]) -> ca.Function:
     """Return a dense function of named symbols; its outputs' names get the suffix ``_out``."""
     dense = [ca.densify(v) for v in outputs.values()]
     # An output may have the name of an input, which CasADi does not allow.
@@ -300,31 +333,30 @@ class UnscentedFilter(ExtendedKalmanFilter):
     Julier, Uhlmann, "Unscented Filtering and Nonlinear Estimation", Proc. IEEE 92(3), 2004.
     """
 
-    separable: ClassVar[bool] = False
-
     def predict(self, belief: Belief, prediction: Prediction) -> Belief:
         """Propagate the sigma points over one step, and add state_variance to their covariance."""
         n = self.model.n
-        size = n + INPUTS
-        spread = ca.sqrt(size) * ca.diagcat(
-            cholesky(belief.covariance), cholesky(prediction.input_covariance)
+        size, points = n + INPUTS, 2 * (n + INPUTS)
+        spread = ca.diagcat(*map(_root, (belief.covariance, prediction.input_covariance)))
+        shifts = ca.sqrt(size) * ca.densify(ca.horzcat(spread, -spread))
+        every = propagate_function(self.model, self.integration)
+        given = every.sx_in()
+        step = ca.Function("step", given, [every(*given)[0]])  # without Jacobians
+        # dt, stored and active are the same for all points.
+        moved = step.map("points", "serial", points, [2, 3, 4], [])(
+            ca.repmat(belief.state, 1, points) + shifts[:n, :],
+            ca.repmat(prediction.control, 1, points) + shifts[n:, :],
+            *(prediction.dt, prediction.stored, belief.active),
         )
-        step, points = self.step(), []
-        for shift in ca.horzsplit(ca.horzcat(spread, -spread)):
-            state, control = belief.state + shift[:n], prediction.control + shift[n:]
-            points.append(step(state, control, prediction.dt, prediction.stored, belief.active))
-        mean = sum(points, ca.SX(n, 1)) / (2 * size)
-        off = ca.horzcat(*(point - mean for point in points))
-        covariance = off @ off.T / (2 * size) + ca.diag(prediction.state_variance)
+        mean = ca.sum2(moved) / points
+        off = moved - ca.repmat(mean, 1, points)
+        covariance = off @ off.T / points + ca.diag(prediction.state_variance)
         return replace(belief, state=mean, covariance=mirror(covariance))
 
-    def step(self) -> ca.Function:
-        """Return state, control, dt, stored, active -> state after a step."""
-        belief = symbols(Belief, self.model, self.integral)
-        prediction = symbols(Prediction, self.model, self.integral)
-        state = self.propagate(belief, prediction).state
-        by = prediction.control, prediction.dt, prediction.stored, belief.active
-        return ca.Function("step", [belief.state, *by], [state])
+
+def _root(matrix: ca.MX) -> ca.MX:
+    symbol = ca.SX.sym("matrix", *matrix.shape)
+    return ca.Function("root", [symbol], [cholesky(symbol)])(matrix)
 
 
 def cholesky(matrix: ca.SX) -> ca.SX:

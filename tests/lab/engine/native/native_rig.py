@@ -4,7 +4,7 @@ import casadi as ca
 import pytest
 
 from homeward.lab.engine.native.source import NativeProgram
-from homeward.lab.engine.program.stages import Program, Symbolic
+from homeward.lab.engine.program import Program
 from homeward.native.compiler import NativeError, find_compiler
 
 try:
@@ -16,7 +16,7 @@ except NativeError as error:
 def toy(value=2.0):
     """A program that takes no time to compile: y = value * sin(x)."""
     x = ca.SX.sym("x")
-    return Program({"part": (Symbolic(ca.Function("f", [x], [value * ca.sin(x)], ["x"], ["y"])),)})
+    return Program({"part": ca.Function("f", [x], [value * ca.sin(x)], ["x"], ["y"])})
 
 
 def answer(program):

@@ -30,7 +30,7 @@ from homeward.lab.engine.batch.job import (
     shaped,
 )
 from homeward.lab.engine.native.source import Source, choose, source_of
-from homeward.lab.engine.program.stages import OBSERVE, Machine, filter_program
+from homeward.lab.engine.program import OBSERVE, Machine, filter_program
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
 from homeward.native.library import load

@@ -14,8 +14,8 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Twist
 from homeward.lab.engine.batch.execution import execute
 from homeward.lab.engine.batch.job import Draw, Given, Job, Result, given_values
-from homeward.lab.engine.program.stages import OBSERVE, Program, Symbolic, filter_parts
-from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
+from homeward.lab.engine.program import OBSERVE, Program
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function, steps
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, discretise, true_bearings, unicycle_rates
 
@@ -91,9 +91,7 @@ def score_function(n: int) -> ca.Function:
 def homing_program(kind: ExtendedKalmanFilter, law: Law) -> Program:
     """Return one sample of a closed loop."""
     n, q = kind.model.n, kind.model.q
-    world = {"world": (Symbolic(world_function(n, q, law)),)}
-    parts = world | filter_parts(kind) | {OBSERVE: (Symbolic(score_function(n)),)}
-    return Program(parts)
+    return Program({"world": world_function(n, q, law), **steps(kind), OBSERVE: score_function(n)})
 
 
 class HomingResult(Result):

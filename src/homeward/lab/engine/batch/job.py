@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike
 
-from homeward.lab.engine.program.stages import Program
+from homeward.lab.engine.program import Program
 
 MAX_BELIEF = 1e9
 """A run has diverged when the absolute values in its belief (m, rad, squares) sum to more."""

@@ -11,14 +11,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, from_polar, polar_covariance_to_pose
 from homeward.lab.engine.batch.job import MAX_BELIEF
 from homeward.lab.engine.native.source import NativeProgram, Source, choose, source_of
-from homeward.lab.engine.program.stages import (
-    BELIEF,
-    MAX_COMPILED_STATES,
-    Machine,
-    Program,
-    filter_parts,
-    filter_program,
-)
+from homeward.lab.engine.program import BELIEF, Machine, filter_program
 from homeward.lab.filters.backend import LOST_SIGMA, Angles, LandmarkBelief, MaybeTwist, Outputs
 from homeward.lab.filters.ekf import ExtendedKalmanFilter
 from homeward.lab.filters.settings import Engine
@@ -28,12 +21,8 @@ MAX_STEP_S = 0.1
 """A longer interval is predicted in several steps."""
 MAX_STEPS = 1000
 """Largest number of steps, however long the gap."""
-MAX_UNROLLED_STATES = 48
-"""Up to here an unrolled step is built within half a second and runs faster."""
 SAVED_S = 20e-6
 """What compiled code saves in each step [s]."""
-WRITING_S = 60.0
-"""For more states than that, `auto` compiles only to save as much [s]: writing the C takes long."""
 SLOWER = "which takes up to twice as long"
 
 
@@ -48,13 +37,8 @@ def filter_machine(
     def source() -> Source:
         return source_of(filter_program(kind), single=True)
 
-    saved = SAVED_S * steps
-    if not kind.separable and kind.model.n > MAX_COMPILED_STATES:
-        engine = "interpreter"  # there are no loops in C for it
-    if engine == "auto" and kind.model.n > MAX_UNROLLED_STATES and saved < WRITING_S:
-        engine = "interpreter"
-    program, notes = choose(engine, saved, source, native, SLOWER)
-    return program or Machine(Program(filter_parts(kind, MAX_UNROLLED_STATES)), notes=notes)
+    program, notes = choose(engine, SAVED_S * steps, source, native, SLOWER)
+    return program or Machine(filter_program(kind), notes=notes)
 
 
 class Numbers:

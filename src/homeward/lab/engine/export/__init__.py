@@ -1,1 +1,1 @@
-"""C for microcontrollers, from the symbolic source: a library folder that needs no homeward."""
+"""The EKF as C for microcontrollers."""

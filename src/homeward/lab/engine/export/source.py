@@ -1,296 +1,161 @@
-"""Export of a filter as a C library: templates filled with the symbolic source, and its cost.
-
-The folder has the layout of an Arduino or PlatformIO library. The formulas for the largest number
-of operations of a call follow templates/homeward_ekf.c; a test compiles that with a number type
-that counts operations.
-"""
+"""Export of the EKF as C: CasADi's own code of its two steps, functions around it, an example."""
 
 from __future__ import annotations
 
 import math
 import re
-import textwrap
-from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from importlib.resources import files
-from math import comb
-from statistics import NormalDist
 from string import Template
-from typing import NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from homeward.errors import InputError
-from homeward.estimator import MIN_AGREEING
-from homeward.geometry.frames import Polar, Pose, between, from_polar, to_polar
+from homeward.geometry.frames import Polar, Pose, Twist, advance, bearing, from_polar, to_polar
 from homeward.lab.engine.batch.job import MAX_BELIEF
-from homeward.lab.engine.native.emit import Split, emit_split, split_step
-from homeward.lab.filters.backend import LOST_SIGMA
-from homeward.lab.filters.ekf import ExtendedKalmanFilter, named_function
+from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
+from homeward.lab.filters.ekf import ExtendedKalmanFilter, steps
 from homeward.lab.filters.settings import (
     DEFAULT_BEARING_SIGMA,
     DEFAULT_SPEED_SIGMA,
     DEFAULT_TURN_SIGMA,
     FilterSettings,
 )
-from homeward.lab.model import INPUTS, POLAR, PolarModel, discretise, true_bearings, unicycle_rates
+from homeward.lab.model import POLAR, PolarModel
 
-MARKER = "library.properties"
+SOURCE = "homeward_ekf.c"
+MARKER = "homeward_ekf.h"
 """The file that marks an earlier export."""
 MAX_LANDMARKS = 32
-"""Number of bits of the word for the landmarks seen so far."""
-_FILES = {
-    "examples/cortex_m4f/main.c": "main.c",
-    "examples/cortex_m4f/startup.c": "startup.c",
-    "examples/cortex_m4f/mps2_an386.ld": "mps2_an386.ld",
-    "examples/homing/homing.ino": "homing.ino",
-    "library.json": "library.json",
-    MARKER: MARKER,
-}
-FUNCTIONS = ("sin", "cos", "atan2", "sqrt", "ceil")
-"""Functions used from libm, without the suffix of floats."""
-STRETCHES = 16
-"""Number of short stretches of the drive whose sightings the resection uses. Each is a twelfth of
-the distance to home, so together they are longer than that distance."""
-GATE = 0.999
-"""Fraction of correct home bearings that agree with the correct place of home."""
-CHANCE = 0.1
-"""A home bearing is evidence only where a wrong one agrees with at most this probability."""
+SAMPLES, DT = 60, 0.05
+"""Of the example, and their interval [s]."""
+EXAMPLE_SIGMAS = (0.05, 0.1, 0.1)
+"""Of the example's start prior: R [m], theta, alpha [rad]."""
 
 
 def exported_files(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
-    """Return all files of an exported EKF of q landmarks by their path in the folder.
+    """Return the files of an exported EKF of q landmarks by name.
 
-    The settings become its defaults; numbers are floats (`single`) or doubles. Raises `InputError`
-    when q is out of range.
+    Settings are compiled in; numbers are floats (`single`) or doubles. Raises `InputError` when q
+    is out of range.
     """
     if not 1 <= q <= MAX_LANDMARKS:
         raise InputError(f"an exported filter has 1 to {MAX_LANDMARKS} landmarks, not {q}")
-    values = {"version": version("homeward"), "landmarks": q}
-    texts = {f"src/{k}": text for k, text in sources(q, settings, single).items()}
-    return texts | {place: filled_template(name, values) for place, name in _FILES.items()}
-
-
-def filled_template(name: str, values: Mapping[str, object]) -> str:
-    """Return a template with each ``$name`` replaced."""
-    text = (
-        files("homeward.lab.engine.export").joinpath("templates", name).read_text(encoding="utf-8")
-    )
-    return Template(text).substitute(values)
-
-
-def sources(q: int, settings: FilterSettings, single: bool) -> dict[str, str]:
-    """Return the header and the source of an EKF of q landmarks, by file name.
-
-    The settings guard and integration are compiled in; the others become defaults in C. Numbers are
-    floats (`single`) or doubles.
-    """
     kind = ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
-    step = step_lines(kind)
-    f, gate = "f" if single else "", NormalDist().inv_cdf((1 + GATE) / 2)
-    values = {
-        "version": version("homeward"),
-        "landmarks": q,
-        "real": "float" if single else "double",
-        "f": f,
-        "functions": ", ".join(k + f for k in FUNCTIONS),
-        "lost_variance": LOST_SIGMA**2,
-        "largest": MAX_BELIEF,
-        "shared": _indented(step.shared, 2),
-        "own": _indented(step.own, 4),
-        "defaults": _indented(_defaults(settings), 2),
-        "stretches": STRETCHES,
-        "agreeing": MIN_AGREEING,
-        "resection_gate": gate**2,
-        "chance": CHANCE,
-        "largest_misfit": math.pi * CHANCE / gate,
-        "largest_determinant": 1e30,
+    real = "float" if single else "double"
+    values = {"version": version("homeward"), "landmarks": q, "real": real}
+    texts = {
+        MARKER: values,
+        SOURCE: values | _step_values(kind, settings),
+        "main.c": values | _example(kind, settings, single),
     }
-    values |= {k: _indented(block_lines(k), 4 if k == "restart" else 2) for k in BLOCKS}
-    return {k: filled_template(k, values) for k in ("homeward_ekf.h", "homeward_ekf.c")}
-
-
-def step_lines(kind: ExtendedKalmanFilter) -> Split:
-    """Return the propagation of one landmark, split into shared and own lines."""
-    return split_step(kind, lambda name, entry: "dt" if name == "dt" else f"{name}[{entry}]")
-
-
-def _pose() -> ca.Function:
-    """Return the pose and its covariance to first order, from those of the polar state."""
-    x, covariance = ca.SX.sym("x", POLAR), ca.SX.sym("covariance", 6)
-    pose = ca.vertcat(*from_polar(Polar(*ca.vertsplit(x))))
-    out = {"pose": pose, "pose_covariance": _propagated(pose, x, covariance)}
-    return named_function("block", {"x": x, "state_covariance": covariance}, out)
-
-
-def _restart() -> ca.Function:
-    """Return the polar state and its covariance to first order, from those of the pose."""
-    pose, covariance = ca.SX.sym("pose", 3), ca.SX.sym("covariance", 6)
-    polar = ca.vertcat(*to_polar(Pose(*ca.vertsplit(pose))))
-    out = {"x": polar, "state_covariance": _propagated(polar, pose, covariance)}
-    return named_function("block", {"pose": pose, "pose_covariance": covariance}, out)
-
-
-def _bearing() -> ca.Function:
-    pose, mark = ca.SX.sym("pose", 3), ca.SX.sym("mark", 2)
-    seen = true_bearings(pose, mark.T)
-    return named_function(
-        "block",
-        {"pose": pose, "mark": mark},
-        {"seen": seen, "by_pose": ca.gradient(seen, pose), "by_mark": ca.gradient(seen, mark)},
-    )
-
-
-def _relative_pose() -> ca.Function:
-    home, place = ca.SX.sym("home", 3), ca.SX.sym("place", 3)
-    pose = ca.vertcat(*between(Pose(*ca.vertsplit(home)), Pose(*ca.vertsplit(place))))
-    return named_function(
-        "block", {"home": home, "place": place}, {"pose": pose, "by_home": ca.jacobian(pose, home)}
-    )
-
-
-def _dead_reckoning() -> ca.Function:
-    x, control, dt = ca.SX.sym("x", 3), ca.SX.sym("control", INPUTS), ca.SX.sym("dt")
-    covariance, density = ca.SX.sym("covariance", 6), ca.SX.sym("density", INPUTS)
-    step = discretise(unicycle_rates, x, control, dt)
-    carried = step.by_state @ _full(covariance) @ step.by_state.T
-    carried += step.by_input @ ca.diag(density / dt) @ step.by_input.T
-    return named_function(
-        "block",
-        {"x": x, "covariance": covariance, "control": control, "density": density, "dt": dt},
-        {"ahead": step.state, "carried": _lower(carried)},
-    )
-
-
-BLOCKS: dict[str, Callable[[], ca.Function]] = {
-    "pose": _pose,
-    "restart": _restart,
-    "look": _bearing,
-    "relative": _relative_pose,
-    "reckon": _dead_reckoning,
-}
-"""Blocks of the template that belong to no landmark; their variables have the names in C."""
-
-
-def block_lines(name: str) -> list[str]:
-    """Return a block of `BLOCKS` as lines of C."""
-
-    def entry(variable: str, k: int) -> str:
-        if name in ("pose", "restart") and variable == "pose":
-            return f"pose->{['x', 'y', 'heading'][k]}"
-        named = {"state_covariance": "belief->covariance", "pose_covariance": "pose->covariance"}
-        pointer = {"seen": "*seen", "dt": "dt"}
-        return pointer.get(variable) or f"{named.get(variable, variable)}[{k}]"
-
-    return emit_split(BLOCKS[name](), "o", entry, (), entry).shared
-
-
-def _full(lower: ca.SX) -> ca.SX:
-    """Return a symmetric matrix of three rows from its lower triangle, row by row (6,)."""
-    return ca.triu2symm(ca.SX(ca.Sparsity.upper(3), lower))  # column by column, the upper one
-
-
-def _lower(full: ca.SX) -> ca.SX:
-    return ca.vertcat(*(full[i, j] for i in range(3) for j in range(i + 1)))
-
-
-def _propagated(out: ca.SX, by: ca.SX, covariance: ca.SX) -> ca.SX:
-    """Return a covariance propagated through a function, to first order."""
-    jacobian = ca.jacobian(out, by)
-    return _lower(jacobian @ _full(covariance) @ jacobian.T)
-
-
-def _defaults(settings: FilterSettings) -> list[str]:
-    values = {
-        "bearing_sigma": settings.bearing_sigma or DEFAULT_BEARING_SIGMA,
-        "speed_sigma": settings.speed_sigma or DEFAULT_SPEED_SIGMA,
-        "turn_sigma": settings.turn_sigma or DEFAULT_TURN_SIGMA,
-        "bearing_walk": settings.bearing_walk,
-        "gate": settings.gate_threshold,
+    folder = files("homeward.lab.engine.export")
+    found = {
+        name: Template(folder.joinpath(name).read_text(encoding="utf-8")).substitute(known)
+        for name, known in texts.items()
     }
-    values["home_sigma"] = values["bearing_sigma"]
-    lines = [f"settings->{k} = {c_number(v)};" for k, v in values.items()]
-    return [*lines, f"settings->minimum_visible = {settings.minimum_visible}U;"]
+    return found | {SOURCE: _generated(kind, real) + found[SOURCE]}
+
+
+def _generated(kind: ExtendedKalmanFilter, real: str) -> str:
+    """Return CasADi's C of both steps, with loops: unrolled, they would fill the flash."""
+    options = {"casadi_real": real, "casadi_int": "int"}
+    generator = ca.CodeGenerator("homeward_steps", options)
+    for f in steps(kind, 0).values():
+        generator.add(f)
+    own = r"(?m)^CASADI_SYMBOL_EXPORT int (predict|update)\("
+    text = re.sub(own, r"static int \1(", generator.dump())
+    return text if real == "double" else _in_floats(text)
+
+
+def _in_floats(text: str) -> str:
+    """Return C without arithmetic in doubles."""
+    text = re.sub(r"\b(\d+\.\d*(?:e[-+]?\d+)?)(?![\w.])", r"\1f", text)
+    return re.sub(r"\b(sin|cos|atan2|sqrt|ceil|fabs)\(", r"\1f(", text)
+
+
+def _step_values(kind: ExtendedKalmanFilter, settings: FilterSettings) -> dict[str, object]:
+    functions = steps(kind, 0)
+    bearing_sigma, speed_sigma, turn_sigma = _sigmas(settings)
+    values: dict[str, object] = {
+        "work": max(f.sz_w() for f in functions.values()),
+        "indices": max(f.sz_iw() for f in functions.values()) + 1,
+        "largest": f"{MAX_BELIEF:g}",
+        "speed_variance": c_number(speed_sigma**2),
+        "turn_variance": c_number(turn_sigma**2),
+        "walk_variance": c_number(settings.bearing_walk**2),
+        "bearing_variance": c_number(bearing_sigma**2),
+        "gate": c_number(settings.gate_threshold),
+        "minimum_visible": settings.minimum_visible,
+    }
+    own = {name: f"belief->{name}" for name in ("state", "covariance", "active")}
+    own |= {name: f"&{name}" for name in ("dt", "gate", "minimum_visible")}
+    own |= {"mask": "seen"}
+    for step, f in functions.items():
+        given = [own.get(k, k) if f.numel_in(i) else "0" for i, k in enumerate(f.name_in())]
+        names = [name.removesuffix("_out") for name in f.name_out()]
+        kept = [f"next.{k}" if k in ("state", "covariance", "active") else "0" for k in names]
+        values[f"{step}_given"], values[f"{step}_found"] = ", ".join(given), ", ".join(kept)
+        values[f"{step}_args"], values[f"{step}_results"] = f.sz_arg(), f.sz_res()
+    return values
+
+
+def _sigmas(settings: FilterSettings) -> tuple[float, float, float]:
+    """Return the standard deviations of bearings, speed and turn rate."""
+    return (
+        settings.bearing_sigma or DEFAULT_BEARING_SIGMA,
+        settings.speed_sigma or DEFAULT_SPEED_SIGMA,
+        settings.turn_sigma or DEFAULT_TURN_SIGMA,
+    )
 
 
 def c_number(value: float) -> str:
     """Return a number as C."""
-    return "INFINITY" if math.isinf(value) else f"(REAL){value!r}"
+    return "(homeward_real)INFINITY" if math.isinf(value) else f"(homeward_real){value!r}"
 
 
-def _indented(lines: list[str], width: int) -> str:
-    return textwrap.indent("\n".join(lines), " " * width)
-
-
-MAX_STEPS = 11
-"""Largest number of steps of a call: one second in steps of 0.1 s, and the rest in one step."""
-
-
-class Cost(NamedTuple):
-    """Operations of one call."""
-
-    arithmetic: int
-    """+, -, * and /."""
-    functions: int
-    """Calls of libm."""
-
-    def __add__(self, other: Cost) -> Cost:  # type: ignore[override]
-        """Return the sum of two costs."""
-        return Cost(self[0] + other[0], self[1] + other[1])
-
-    def __rmul__(self, times: int) -> Cost:  # type: ignore[override]
-        """Return a multiple of a cost."""
-        return Cost(times * self[0], times * self[1])
-
-
-WRAP = Cost(4, 1)
-
-
-def cost_of(lines: Iterable[str]) -> Cost:
-    """Return the cost of generated lines."""
-    text = "\n".join(lines)
-    arithmetic = len(re.findall(r" [-+*/] |v_inverse", text))
-    return Cost(
-        arithmetic, len(re.findall("v_(?:ceil|sqrt|atan2)", text)) + 2 * text.count("turn(")
+def _example(
+    kind: ExtendedKalmanFilter, settings: FilterSettings, single: bool
+) -> dict[str, object]:
+    """Return the data of a drive on an arc with exact bearings, and Python's pose at its end."""
+    q, rng = kind.model.q, np.random.default_rng(0)
+    angles = 2 * np.pi * np.arange(q) / q
+    away = rng.uniform(1.0, 2.0, q)
+    bearing_sigma, *input_sigmas = _sigmas(settings)
+    pose, twist = from_polar(Polar(0.75, -0.872, 0.349)), Twist(0.125, 0.4)
+    tuning = Tuning(
+        polar=to_polar(pose),
+        variance=np.concatenate([np.square(EXAMPLE_SIGMAS), np.ones(q)]),
+        stored=angles,
+        bearing_sigma=bearing_sigma,
+        input_density=np.square(input_sigmas),
+        state_density=np.concatenate([np.zeros(POLAR), np.full(q, settings.bearing_walk**2)]),
+        gate=settings.gate_threshold,
+        minimum_visible=settings.minimum_visible,
+        proportional=np.zeros((0, 0)),
+        integral_gain=np.zeros((0, 0)),
     )
-
-
-def max_cost(q: int, settings: FilterSettings) -> dict[str, Cost]:
-    """Return the largest cost of each function of an exported EKF of `q` landmarks.
-
-    ``odometry`` and ``bearings`` are for one prediction step, as at rates of 10 Hz and more;
-    ``odometry, longest`` is for any gap; ``solve`` is the resection.
-    """
-    step = step_lines(
-        ExtendedKalmanFilter(PolarModel(q, guard=settings.guard), settings.integration)
-    )
-    n, clock = q + 3, Cost(5, 0)
-    predict = (
-        cost_of(step.shared) + q * cost_of(step.own) + Cost(124 + 51 * q + 9 * q * n - 18 * q, 0)
-    )
-    update = q * (Cost(12, 0) + 2 * WRAP + Cost(n * n + 4 * n, 0))
+    runner = FilterRunner(kind, tuning, "interpreter")
+    belief, seen = runner.start(), []
+    for _ in range(SAMPLES):
+        pose = Pose(*advance(pose, twist, DT))
+        seen.append(bearing(pose, away * np.cos(angles), away * np.sin(angles)))
+        belief = runner.predict(belief, DT, twist)
+        belief, _ = runner.update(belief, dict(enumerate(seen[-1].tolist())), {})
+    end, _ = runner.pose(belief)
     return {
-        "odometry": clock + predict,
-        "odometry, longest": clock + MAX_STEPS * predict,
-        "bearings": clock + predict + update,
-        "solve": _solve(q),
+        "samples": SAMPLES,
+        "dt": DT,
+        "tolerance": 1e-4 if single else 1e-9,
+        "polar": _row(tuning.polar),
+        "sigma": _row(EXAMPLE_SIGMAS),
+        "stored": _row(angles),
+        "twists": ",\n".join(f"  {{{_row(twist)}}}" for _ in seen),
+        "bearings": ",\n".join(f"  {{{_row(row)}}}" for row in seen),
+        "expected": _row(end),
     }
 
 
-def _solve(q: int) -> Cost:
-    look, relative = (cost_of(block_lines(k)) for k in ("look", "relative"))
-    misfit = look + Cost(11, 0) + WRAP
-    astray = relative + Cost(3, 0) + WRAP
-    tested = astray + Cost(27, 0) + q * (misfit + Cost(3, 0))
-    inverted, solved = Cost(29, 0), Cost(14, 0)
-
-    def refined(marks: int) -> Cost:
-        return astray + Cost(108 + 18, 0) + inverted + marks * (misfit + Cost(27, 0))
-
-    meeting = STRETCHES * Cost(21, 2) + solved + Cost(12, 0)
-    nearer = STRETCHES * (look + Cost(15, 0) + WRAP) + solved + Cost(2, 0)
-    located = meeting + 9 * nearer + Cost(6, 0)
-    search = tested + comb(q, 3) * (3 * refined(3) + tested)
-    rounds = 4 * (tested + 4 * refined(q)) + tested
-    answer = relative + Cost(94, 0) + q * (misfit + Cost(1, 0))
-    return inverted + q * located + search + rounds + answer
+def _row(values: object) -> str:
+    return ", ".join(c_number(float(v)) for v in np.asarray(values, float))

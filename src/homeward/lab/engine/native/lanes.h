@@ -127,7 +127,6 @@ typedef double V;
 #define v_eq(a, b) ((double)((a) == (b)))
 #define v_ne(a, b) ((double)((a) != (b)))
 #define v_if(c, x) ((c) != 0.0 ? (x) : 0.0)
-#define v_any(c) ((c) != 0.0)
 #define v_abs fabs
 #define v_sqrt sqrt
 #define v_ceil ceil
@@ -149,7 +148,6 @@ typedef W V;
 #define v_eq(a, b) w_flag((a) == (b))
 #define v_ne(a, b) w_flag((a) != (b))
 #define v_if(c, x) ((W)(((c) != 0.0) & (WI)(x)))
-#define v_any(c) w_any((c) != 0.0)
 #define v_abs w_abs
 #define v_sqrt w_sqrt
 #define v_ceil w_ceil

@@ -8,12 +8,10 @@ from functools import lru_cache
 from importlib.resources import files
 from typing import Any, TypeVar
 
-import casadi as ca
 import numpy as np
 
-from homeward.lab.engine.native.emit import Code, emit
-from homeward.lab.engine.program.stages import OBSERVE, Program, Stage, Symbolic
-from homeward.lab.filters.ekf import ExtendedKalmanFilter
+from homeward.lab.engine.native.emit import emit
+from homeward.lab.engine.program import OBSERVE, Program
 from homeward.lab.filters.settings import Engine
 from homeward.native.cache import default_folder
 from homeward.native.compiler import NativeError
@@ -29,10 +27,13 @@ def source_of(program: Program, single: bool, extra: tuple[tuple[str, int], ...]
 class Source:
     """A program in C: for one run on doubles (`single`), or for one run per lane.
 
-    `extra` are variables that no stage has, with their sizes.
+    `extra` are variables that no function has, with their sizes. Raises `NativeError` for a program
+    that is too large to be unrolled.
     """
 
     def __init__(self, program: Program, single: bool, extra: dict[str, int]) -> None:
+        if not program.is_unrolled:
+            raise NativeError("the filter has too many landmarks")
         self.places: dict[str, int] = {}
         """Start of each variable in the pool."""
         self.size = 0
@@ -41,71 +42,21 @@ class Source:
             self._place(name, program.size(name))
         for name, size in extra.items():
             self._place(name, size)
-        functions, calls = self._stages(program)
-        kept = [f"#define POOL {max(self.size, 1)}", *functions]
-        for part, body in calls.items():
-            kept.append(f"static void {part}(V *p) {{ {body} }}")
-            if single:
-                kept.append(f"void homeward_{part}(double *p) {{ {part}(p); }}")
-        text = "#define SINGLE\n" if single else ""
-        self.text = text + "\n".join([_template("lanes.h"), _template("noise.h"), *kept])
-        self.text += "\n" + _template("loop.c")
+        lines = [emit(f"part_{name}", f, self.places) for name, f in program.parts.items()]
+        calls = {name: f"part_{name}(p);" for name in program.parts}
+        observe = calls.pop(OBSERVE, "(void)p;")
+        calls |= {"advance": " ".join(calls.values()), OBSERVE: observe}
+        lines += [f"static void {part}(V *p) {{ {calls[part]} }}" for part in ("advance", OBSERVE)]
+        if single:
+            lines += [f"void homeward_{k}(double *p) {{ {call} }}" for k, call in calls.items()]
+        texts = ["#define SINGLE"] if single else []
+        texts += [_template("lanes.h"), _template("noise.h"), f"#define POOL {max(self.size, 1)}"]
+        self.text = "\n".join([*texts, *lines, _template("loop.c")])
 
     def _place(self, name: str, size: int) -> None:
         if name not in self.places:
             self.places[name] = self.size
             self.size += size
-
-    def _stages(self, program: Program) -> tuple[list[str], dict[str, str]]:
-        """Return the C functions of the stages, and the body of each part."""
-        functions: list[str] = []
-        calls: dict[str, str] = {}
-        for part, stages in program.parts.items():
-            names = [self._stage(f"{part}_{k}", s, functions) for k, s in enumerate(stages)]
-            calls[part] = " ".join(f"{name}(p);" for name in names)
-        observe = calls.pop(OBSERVE, "(void)p;")
-        return functions, {**calls, "advance": " ".join(calls.values()), OBSERVE: observe}
-
-    def _stage(self, name: str, stage: Stage, functions: list[str]) -> str:
-        """Add a stage's C function and return its name."""
-        if isinstance(stage, Symbolic):
-            functions.append(emit(name, stage.function, self.places))
-            return name
-        if stage.predicts:
-            functions.append(self._generic(stage.kind, stage.propagate))
-            return "generic_predict_all"
-        return "generic_update"
-
-    def _generic(self, kind: ExtendedKalmanFilter, propagate: ca.Function) -> str:
-        """Return the generic functions for a filter, after its propagation."""
-        n, q = kind.model.n, kind.model.q
-        for name, size in (("by_state", n * n), ("by_input", 2 * n), ("scratch", 2 * n * n)):
-            self._place(name, size)
-        defined = {"N": n, "Q": q} | {k.upper(): v for k, v in self.places.items()}
-        if not kind.integral:
-            del defined["INTEGRAL"], defined["INTEGRAL_GAIN"]
-        rows = _pattern(propagate, n)
-        starts = [sum(map(len, rows[:i])) for i in range(n + 1)]
-        entries = [k for row in rows for k in row]
-        lines = [f"#define {key} {value}" for key, value in defined.items()]
-        lines.append(f"static const int row_start[] = {{{', '.join(map(str, starts))}}};")
-        lines.append(f"static const int row_entry[] = {{{', '.join(map(str, entries))}}};")
-        lines.append(_template("generic.c"))
-        lines.append(emit("propagate", propagate, self.places))
-        lines += [f"#undef {key}" for key in defined]
-        lines.append("static void generic_predict_all(V *p) { propagate(p); generic_predict(p); }")
-        return "\n".join(lines)
-
-
-def _pattern(propagate: ca.Function, n: int) -> list[list[int]]:
-    """Return for each row of G the columns that are not always zero."""
-    code = Code(propagate)
-    which = propagate.name_out().index("by_state_out")
-    rows: list[list[int]] = [[] for _ in range(n)]
-    for output, entry, node in code.outputs:
-        if output == which and not code.is_zero(node):
-            rows[entry % n].append(entry // n)
-    return rows
 
 
 def _template(name: str) -> str:

@@ -15,7 +15,7 @@ from homeward.drives.drive import Columns
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Twist
 from homeward.lab.engine.batch.homing import Law, homing_program, run_homing
-from homeward.lab.engine.program.stages import Machine, allocate
+from homeward.lab.engine.program import Machine, allocate
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, ProportionalIntegralFilter
 from homeward.lab.filters.settings import Engine
 from homeward.lab.model import POLAR, PolarModel

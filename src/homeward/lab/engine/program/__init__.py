@@ -1,1 +1,0 @@
-"""Programs: stages on named variables, and their interpreter."""
