@@ -1,6 +1,7 @@
 """All numbers that affect estimates stand in tunables.py, each with a reason."""
 
 import ast
+from collections import Counter
 from pathlib import Path
 
 import homeward.localizer
@@ -54,3 +55,15 @@ def test_every_tunable_has_a_reason():
         and not (isinstance(after, ast.Expr) and isinstance(after.value, ast.Constant))
     ]
     assert without == []
+
+
+def test_no_tunable_is_set_twice():
+    names = [
+        node.id
+        for statement in ast.parse(Path(tunables.__file__).read_text()).body
+        if isinstance(statement, ast.Assign)
+        for target in statement.targets
+        for node in ast.walk(target)
+        if isinstance(node, ast.Name)
+    ]
+    assert [name for name, count in Counter(names).items() if count > 1] == []

@@ -377,7 +377,7 @@ that odometry denies is the camera's [1]."""
 NUM_JUMPS = 10
 """Motions whose turns odometry denies most, at each of which the camera may have been knocked: a
 bump also moves the robot, and a wheel may slip now and then."""
-NUM_CHANGES = 24
+NUM_SCALE_CHANGES = 24
 """Motions at which odometry may have changed: it is tested every few keyframes."""
 MIN_CHANGED = 3
 """Motions after a change before it is tested: a slip is a change in one or two."""
@@ -527,7 +527,7 @@ CONFIRMED_MEMORY = 3.0
 """One that is confirmed lasts longer by this factor [1]."""
 TRACK_DRIFT = 0.005
 """Error of dead-reckoned directions at standstill [rad/s], ..."""
-TURN_ERROR = 0.05
+TRACK_TURN_ERROR = 0.05
 """... by the scale of yaw rates [1] ..."""
 TURN_LAG_S = 0.15
 """... and by the delay and time constant of the odometry, while the yaw rate changes [s] ..."""

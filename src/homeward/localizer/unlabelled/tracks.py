@@ -30,7 +30,7 @@ from homeward.localizer.tunables import (
     REFUTED,
     TRACK_DRIFT,
     TRACK_MEMORY_S,
-    TURN_ERROR,
+    TRACK_TURN_ERROR,
 )
 
 
@@ -109,7 +109,7 @@ class BearingTrack:
     def _drift(self, now: Instant) -> float:
         """Return the error of dead-reckoned directions since the last hit [rad]."""
         elapsed, turned = now.t - self.last.t, now.turned - self.last.turned
-        return TRACK_DRIFT * elapsed + TURN_ERROR * turned
+        return TRACK_DRIFT * elapsed + TRACK_TURN_ERROR * turned
 
     def _predict(self, now: Instant) -> tuple[float, float, tuple[float, float]]:
         """Return bearing, its variance, and its Jacobian by the state."""

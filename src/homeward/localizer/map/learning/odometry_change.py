@@ -16,7 +16,13 @@ from homeward.localizer import kernels
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motions import SPEED_SCALE
 from homeward.localizer.reference.extension import Unknown
-from homeward.localizer.tunables import FINAL_GATE, MIN_CHANGE, MIN_CHANGED, MIN_SCALE, NUM_CHANGES
+from homeward.localizer.tunables import (
+    FINAL_GATE,
+    MIN_CHANGE,
+    MIN_CHANGED,
+    MIN_SCALE,
+    NUM_SCALE_CHANGES,
+)
 
 
 class OdometryChange(NamedTuple):
@@ -74,7 +80,7 @@ def find_change(smoother: Smoother) -> OdometryChange | None:
     `numpy.linalg.LinAlgError` when the normal equations are singular.
     """
     num_motions = len(smoother.stamps) - 1
-    at = np.arange(max(1, num_motions - NUM_CHANGES), num_motions - MIN_CHANGED + 1)
+    at = np.arange(max(1, num_motions - NUM_SCALE_CHANGES), num_motions - MIN_CHANGED + 1)
     if not at.size or not len(smoother.ids):
         return None
     given = smoother.linearised()
