@@ -132,8 +132,8 @@ MECHANISMS = {
         "motion.extrinsics:Extrinsics.assumed_covariance",
         np.zeros((2, 2)),
     ),
-    "odometry-change": off("wheels that spin", "map.learning.odometry_change:find_change"),
-    "camera-jump": off("knocked camera", "map.learning.camera_jump:JumpTest.add_solution"),
+    "odometry-change": off("wheels that spin", "map.learning.changes:scale_change"),
+    "camera-jump": off("knocked camera", "map.learning.changes:yaw_change"),
     # Noise
     "variance-components": off(
         "noise of odometry from residuals", "map.learning.learner:Learner.learn_odometry"

@@ -7,7 +7,7 @@ import pytest
 from localizer.rig import Rig, eight, ring
 
 from homeward.estimator import Status
-from homeward.localizer.map.learning.odometry_change import find_change
+from homeward.localizer.map.learning.changes import scale_change
 from homeward.reasons import Reason
 
 
@@ -70,11 +70,11 @@ def test_the_change_and_its_onset_are_those_of_the_wheels():
     rig = Rig(ring(12), promise=None)
     rig.drive(40.0)
     began, smoother = rig.t, rig.localizer.chart.map.smoother
-    assert find_change(smoother).square < 20.0
+    assert scale_change(smoother).square < 20.0
     spinning(rig, lambda v, omega: (v / 0.8, omega))
     rig.drive(2.0, eight)
     smoother = rig.localizer.chart.map.smoother
-    found = find_change(smoother)
+    found = scale_change(smoother)
     onset = smoother.stamps[found.keyframe - smoother.first]
     assert onset == pytest.approx(began, abs=1.0)
     assert found.size == pytest.approx(-0.2, abs=3.0 * found.sigma + 0.05)
@@ -82,4 +82,4 @@ def test_the_change_and_its_onset_are_those_of_the_wheels():
 
 def test_nothing_is_tested_in_a_window_without_landmarks_or_motions():
     rig = Rig(ring(8), promise=None)
-    assert find_change(rig.localizer.chart.map.smoother) is None
+    assert scale_change(rig.localizer.chart.map.smoother) is None

@@ -16,9 +16,8 @@ from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.by_id import ById
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.learning.camera_jump import CameraJump, JumpTest
+from homeward.localizer.map.learning.changes import Change, ChangeTest
 from homeward.localizer.map.learning.learner import Learner
-from homeward.localizer.map.learning.odometry_change import ChangeTest, OdometryChange
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
@@ -98,9 +97,8 @@ class Map:
         self.landmarks = Landmarks(self.smoother, settings.parallax)
         survey = Survey(known, settings, drive.together)
         self.registration = Registration(survey, self.landmarks)
-        self.camera_jump = JumpTest()
-        self.odometry_change = ChangeTest()
-        """Test for a knocked camera."""
+        self.camera_jump, self.odometry_change = ChangeTest(), ChangeTest()
+        """Tests for a knocked camera, and for another scale of the odometry."""
         self.denied_at = -settings.window
         """Newest keyframe at which bearings denied a motion: then the window is solved often."""
         self.begun = t
@@ -190,9 +188,10 @@ class Map:
         self._count_ranges()
         if self.smoother.converged and self._learner.is_noise_confirmed:
             widest = self._extrinsics.widest(self.smoother.state.scale)
-            self.camera_jump.add_solution(self.smoother, widest)
-            if self.odometry_change.add_solution(self.smoother, self.camera_jump.square):
-                self.camera_jump = JumpTest()
+            self.camera_jump.add_yaw(self.smoother, widest)
+            self.odometry_change.add_scale(self.smoother, self.camera_jump.square)
+            if self.odometry_change.is_suspected:
+                self.camera_jump = ChangeTest()
             if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
                 self.denied_at = self.smoother.newest
         if self._learner.free_contradicted(self.smoother):
@@ -204,16 +203,16 @@ class Map:
         if self.landmarks.mapped:
             self._learner.learn_odometry(self.smoother)
 
-    def turn_camera(self, jump: CameraJump) -> None:
+    def turn_camera(self, jump: Change) -> None:
         """Turn the camera on the robot; see `Smoother.turn_camera`."""
         self._mount[2] += jump.size
         self.smoother.mount_sigmas = self._extrinsics.sigmas
         self.smoother.turn_camera(jump.keyframe, jump.size)
         self.landmarks.drop_candidates_before(self.smoother.first)
-        self.camera_jump = JumpTest()
+        self.camera_jump = ChangeTest()
         self._solve()
 
-    def change_odometry(self, change: OdometryChange) -> None:
+    def change_odometry(self, change: Change) -> None:
         """Free the scale of the speed; see `Smoother.change_odometry`."""
         self.smoother.change_odometry(change.keyframe)
         self.landmarks.drop_candidates_before(self.smoother.first)
