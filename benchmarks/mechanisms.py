@@ -96,14 +96,12 @@ MECHANISMS = {
     # Inputs
     "sign-check": off("wrong sense or yaw of bearings", "inputs.sign_check:SignChecks.bearings"),
     "frozen-camera": off(
-        "repeated bearings of a camera", "inputs.frozen_camera:FrozenCamera.add_bearings", _NO_SET
+        "repeated bearings of a camera", "inputs.agreement:FrozenCamera.add_bearings", _NO_SET
     ),
-    "dead-odometry": off(
-        "odometry that repeats zero", "inputs.dead_odometry:DeadOdometry.bearings"
-    ),
+    "dead-odometry": off("odometry that repeats zero", "inputs.agreement:DeadOdometry.bearings"),
     "plausibility": changed(
         "implausible twists",
-        "inputs.plausibility:Plausibility.accepts",
+        "inputs.agreement:Plausibility.accepts",
         lambda _: lambda self, t, v, omega, vy: bool(np.isfinite([v, omega, vy]).all()),
     ),
     "contradiction": off(
@@ -111,7 +109,7 @@ MECHANISMS = {
         "output.contradiction:Contradiction.add_bearings",
     ),
     "correlated-errors": off(
-        "time-correlated bearing errors", "inputs.correlated_errors:CorrelatedErrors.update"
+        "time-correlated bearing errors", "inputs.bearing_noise:CorrelatedErrors.update"
     ),
     # Calibration
     "slip-in-bends": Mechanism(
@@ -140,14 +138,14 @@ MECHANISMS = {
     ),
     "bearing-component": off(
         "share of bearings in residuals of odometry",
-        "map.learning.variance_components:bearing_variance",
+        "map.learning.learner:bearing_variance",
         1.0,
     ),
     "noise-prior-scale": off(
         "prior of odometry noise by the scene", "map.learning.learner:Learner.scale_noise_prior"
     ),
     "common-slip": off(
-        "slip common to motions", "motion.process_noise:ProcessNoise.common_slip_variance", 0.0
+        "slip common to motions", "motion.odometry:ProcessNoise.common_slip_variance", 0.0
     ),
     "motion-tails": changed(
         "heavy tails of motions", "reference.factors:cauchy_weights", lambda _: np.ones_like

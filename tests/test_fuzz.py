@@ -4,7 +4,7 @@ import pytest
 
 from benchmarks.fuzz import ONCE_FAILED, PARTS, spoilt, try_case, valid
 from homeward.control.driver import Driver
-from homeward.localizer.inputs.frozen_camera import FrozenCamera
+from homeward.localizer.inputs.agreement import FrozenCamera
 from homeward.localizer.localizer import Localizer
 
 CASES = 30

@@ -17,8 +17,8 @@ from homeward.internal_errors import InternalErrorWarning
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.tracker import HomeTracker
+from homeward.localizer.inputs.agreement import Plausibility
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.inputs.reorder import ReorderBuffer
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.map import Map

@@ -15,8 +15,7 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, advance, bearing, compose
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motion.odometry import OdometryIntegrator
-from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.odometry import OdometryIntegrator, ProcessNoise
 from homeward.odometry.history import TwistHistory
 
 BEARING_SIGMA = 0.01

@@ -9,7 +9,7 @@ from homeward.estimator import Status
 from homeward.geometry.frames import Twist
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.bodies import find_bodies
-from homeward.localizer.output.map_snapshot import moved_probabilities
+from homeward.localizer.output.faces import moved_probabilities
 from homeward.localizer.tunables import MAX_TESTED
 
 PRIOR, SIZE = 0.1, 8.0

@@ -11,8 +11,12 @@ from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.recovery.common_motion import Displaced, carried_at, moved_together
-from homeward.localizer.recovery.monitor import SceneChangeDetector
+from homeward.localizer.recovery.monitor import (
+    Displaced,
+    SceneChangeDetector,
+    carried_at,
+    moved_together,
+)
 from homeward.localizer.smoothing import smooth
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from benchmarks.lasting import drive_of, figures
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 

@@ -13,10 +13,9 @@ from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNo
 from homeward.estimator import Status
 from homeward.geometry.covariance import ROUNDING
 from homeward.localizer import kernels
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.problem import HomeProblem, home_from_start
-from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import BearingNoise, CorrelatedErrors, WeighedFrame
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
@@ -24,8 +23,7 @@ from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.map.triangulation import triangulate
 from homeward.localizer.motion.extrinsics import Extrinsics
 from homeward.localizer.motions import HEAD, NC, TURN_SLIP, Motion
-from homeward.localizer.output.pose import OtherHypotheses, centre, combined_estimate
-from homeward.localizer.output.tails import missing_tails
+from homeward.localizer.output.pose import OtherHypotheses, centre, combined_estimate, missing_tails
 from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.recovery.survey_fix import Resection
 from homeward.localizer.reference import motion

@@ -10,7 +10,7 @@ from test_parts import problem
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, update
 from homeward.localizer.home.problem import HomeProblem
 from homeward.localizer.output.pose import uncheckable_outliers

@@ -8,7 +8,7 @@ from rig import START, Rig, eight, ring, still
 
 from homeward.estimator import Status
 from homeward.geometry.frames import Twist, advance, bearing
-from homeward.localizer.inputs.frozen_camera import FrozenCamera
+from homeward.localizer.inputs.agreement import FrozenCamera
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason, Rejection
 

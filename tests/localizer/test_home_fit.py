@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from homeward.geometry.angles import wrap
-from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import HomeFit, fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import Assumption, HomeProblem
 from homeward.localizer.reference.labels import log_odds, log_outlier, log_set_prior, moved_share

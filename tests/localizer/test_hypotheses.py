@@ -13,10 +13,10 @@ from test_parts import problem
 from homeward.estimator import Status
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.frames import Pose, between
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.hypotheses import Hypotheses, search, seeds, seeds_for
 from homeward.localizer.home.problem import USUAL, HomeProblem
-from homeward.localizer.map.range_mixture import range_mixture
+from homeward.localizer.map.triangulation import range_mixture
 from homeward.localizer.output.pose import (
     PoseEstimate,
     centre,

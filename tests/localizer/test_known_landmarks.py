@@ -14,8 +14,8 @@ from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist
 from homeward.geometry.se2 import rotation
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.map.sightings import step_row
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.steps import step_row
 from homeward.localizer.map.survey.factors import (
     SurveyFactors,
     align,

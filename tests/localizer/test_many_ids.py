@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.inputs.bearing_noise import ById
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.tunables import MAX_IDS, MAX_IN_VIEW
 from homeward.reasons import Rejection

@@ -9,11 +9,10 @@ from rig import Wheels
 from homeward.estimator import Innovation
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.hypotheses import search
 from homeward.localizer.home.problem import HomeProblem
-from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors, WeighedFrame
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.sightings import Frames
 from homeward.localizer.map.smoother import Smoother

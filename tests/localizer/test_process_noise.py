@@ -8,9 +8,9 @@ import pytest
 from benchmarks.odometry_noise import drive_of, row
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.learning.variance_components import misfit
-from homeward.localizer.map.steps import scale_steps, step_row
-from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.map.learning.learner import misfit
+from homeward.localizer.map.sightings import scale_steps, step_row
+from homeward.localizer.motion.odometry import ProcessNoise
 from homeward.localizer.motions import NC, Motion
 from homeward.localizer.reference import window as elimination
 from homeward.localizer.reference.factors import (

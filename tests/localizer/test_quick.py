@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from rig import Rig, Wheels, ring
 
-from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors, WeighedFrame
 from homeward.localizer.map.sightings import LANDMARK
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal

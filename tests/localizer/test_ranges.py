@@ -14,9 +14,8 @@ from homeward.drives.settings import DriveSettings
 from homeward.estimator import Status
 from homeward.geometry.frames import compose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.ranges import ScaleErrors, place_by_ranges, range_residuals
+from homeward.localizer.map.ranges import RangeInput, ScaleErrors, place_by_ranges, range_residuals
 from homeward.localizer.map.sightings import Frames
 from homeward.localizer.motions import NC, SPEED_SCALE, camera_after
 from homeward.localizer.settings import LocalizerSettings

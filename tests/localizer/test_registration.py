@@ -5,11 +5,10 @@ import math
 import numpy as np
 
 from homeward.drives.landmarks import KnownLandmarks
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.survey.registration import Registration
-from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.map.survey.survey import Registration, Survey
 from homeward.localizer.motions import NC
 from homeward.localizer.settings import LocalizerSettings
 

@@ -7,14 +7,12 @@ import pytest
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between, compose
-from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors, WeighedFrame
 from homeward.localizer.map.landmarks import Landmark, Landmarks
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD, NC, Motion
-from homeward.localizer.recovery.relocalise import relocalise
-from homeward.localizer.recovery.search import Search
+from homeward.localizer.recovery.relocalise import Search, relocalise
 from homeward.localizer.resection import SightLines
 
 LOST = Pose(0.4, 0.8, 2.1)

@@ -8,8 +8,7 @@ import pytest
 
 from homeward import open_drive, smooth
 from homeward.drives.settings import Mount, OdometryNoise, Sensor
-from homeward.localizer.inputs.dead_odometry import DeadOdometry
-from homeward.localizer.inputs.plausibility import Plausibility
+from homeward.localizer.inputs.agreement import DeadOdometry, Plausibility
 from homeward.localizer.localizer import Localizer
 from homeward.track import run
 

@@ -7,10 +7,10 @@ import pytest
 from test_parts import problem
 
 from homeward.estimator import Status
-from homeward.localizer.home.gauss_newton import fit
+from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.hypotheses import Hypotheses
+from homeward.localizer.output.pose import missing_tails
 from homeward.localizer.output.status import IntegrityMonitor
-from homeward.localizer.output.tails import missing_tails
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import FALSE_ALARM, INLIER
 

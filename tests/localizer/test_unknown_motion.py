@@ -13,9 +13,8 @@ from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.settings import Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
+from homeward.localizer.inputs.agreement import DeadOdometry, Plausibility
 from homeward.localizer.inputs.bearing_noise import BearingNoise
-from homeward.localizer.inputs.dead_odometry import DeadOdometry
-from homeward.localizer.inputs.plausibility import Plausibility
 from homeward.localizer.localizer import Localizer
 from homeward.odometry.dead_reckoning import dead_reckoning
 from homeward.odometry.history import TwistHistory

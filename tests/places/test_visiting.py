@@ -14,7 +14,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.output.map_snapshot import MapSnapshot
+from homeward.localizer.output.faces import MapSnapshot
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DRIFT
 from homeward.places.visit_data import VisitFrames, collect_visit, last_frame

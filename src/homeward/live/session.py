@@ -24,10 +24,10 @@ from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
-from homeward.live.frozen_cameras import FrozenCameras
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.place_session import PlaceSession
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
+from homeward.localizer.inputs.agreement import FrozenCameras
 from homeward.odometry.clock import Clock
 from homeward.odometry.history import TwistHistory
 from homeward.reasons import Reason
@@ -370,7 +370,8 @@ class Session:
         if isinstance(sample, msg.BearingsIn):
             t = self._bearings.record(sample.t, now)
             reckoned = self._twists.at(t)
-            if self._frozen.add_frame(t, sample.bearings, sample.camera, reckoned):
+            frozen = self._frozen.add_frame(t, sample.bearings, sample.camera, reckoned)
+            if frozen is not None and len(frozen) < len(sample.bearings):
                 self._unseen = DrivingTime(0.0)
                 if self._twists:
                     self._heading_seen = self._odometry_pose(t).heading

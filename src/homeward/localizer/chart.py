@@ -24,8 +24,7 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.odometry import OdometryIntegrator, calibration_sigmas
-from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.odometry import OdometryIntegrator, ProcessNoise, calibration_sigmas
 from homeward.localizer.motions import HEAD, Motion
 from homeward.localizer.output.contradiction import Contradiction
 from homeward.localizer.output.faces import (
@@ -36,9 +35,8 @@ from homeward.localizer.output.faces import (
 )
 from homeward.localizer.output.landmark_report import LandmarkReport
 from homeward.localizer.output.status import IntegrityMonitor, why_home_is_not_found
-from homeward.localizer.recovery.common_motion import carried_since
-from homeward.localizer.recovery.monitor import Health, Monitor, odometry_lost
-from homeward.localizer.recovery.search import find_by_frame, pose_reset
+from homeward.localizer.recovery.monitor import Health, Monitor, carried_since, odometry_lost
+from homeward.localizer.recovery.relocalise import find_by_frame, pose_reset
 from homeward.localizer.recovery.survey_fix import FirstFix, Resected, Resection
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (

@@ -32,17 +32,14 @@ from homeward.estimator import (
 from homeward.geometry.frames import Pose
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
+from homeward.localizer.inputs.agreement import DeadOdometry, FrozenCameras, Plausibility
 from homeward.localizer.inputs.bearing_noise import valid_sigma
-from homeward.localizer.inputs.dead_odometry import DeadOdometry
-from homeward.localizer.inputs.frozen_camera import FrozenCamera
-from homeward.localizer.inputs.plausibility import Plausibility
-from homeward.localizer.inputs.range_input import RangeInput
 from homeward.localizer.inputs.reorder import BearingFrame, ReorderBuffer
 from homeward.localizer.inputs.sign_check import SignChecks
+from homeward.localizer.map.ranges import RangeInput
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.motions import HEAD
-from homeward.localizer.output.faces import EstimatedCalibration, PredictedBearings
-from homeward.localizer.output.map_snapshot import MapSnapshot
+from homeward.localizer.output.faces import EstimatedCalibration, MapSnapshot, PredictedBearings
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
@@ -138,7 +135,7 @@ class Localizer:
         self._reorder = ReorderBuffer()
         self._sign_checks = SignChecks(self._robot)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
-        self._frozen: dict[str, FrozenCamera] = {}
+        self._frozen = FrozenCameras(self._robot)
         self._at_newest: set[tuple[str, float]] = set()
         """Sightings of the newest stamp of bearings."""
         self._t = -math.inf
@@ -305,6 +302,7 @@ class Localizer:
         if name in self._robot.cameras or name in ("", self._cameras.first):
             return False
         self._robot = self._sign_checks.robot = with_camera(self._robot, name, camera)
+        self._frozen.set_extrinsics(name, camera)
         self._cameras = Cameras(self._robot, [self._cameras.first])
         for chart in self.charts:
             chart.drive = with_camera(chart.drive, name, camera)
@@ -451,10 +449,7 @@ class Localizer:
             frame = self.unlabelled.identify(frame, here, turn_rate, self.chart)
             if not frame.sightings:
                 return []
-        if frame.camera not in self._frozen:
-            yaw = self._robot.sensor.yaw + (0.0 if frame.offset is None else frame.offset[2])
-            self._frozen[frame.camera] = FrozenCamera(float(yaw))
-        frozen = self._frozen[frame.camera].add_bearings(frame.t, frame.sightings, here)
+        frozen = self._frozen.add_frame(frame.t, frame.sightings, frame.camera, here)
         if frozen:
             self._reject(Rejection.FROZEN, len(frozen))
             seen = {n: b for n, b in frame.sightings.items() if n not in frozen}
@@ -531,7 +526,7 @@ class Localizer:
         complaint = self._reorder.complaint or dead
         found = self.chart.estimate(t, innovations, complaint)
         found = self._with_doubt(found)
-        if self._frozen and all(camera.is_frozen for camera in self._frozen.values()):
+        if self._frozen.are_all_frozen:
             coasts = found.status is Status.LOCALISED
             status = Status.COASTING if coasts else found.status
             found = dataclasses.replace(found, status=status, reason=Reason.FROZEN.words)

@@ -23,10 +23,9 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.sightings import KEYFRAME
+from homeward.localizer.map.sightings import KEYFRAME, MIN_COVARIANCE
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.steps import MIN_COVARIANCE
 from homeward.localizer.motion.odometry import OdometryIntegrator
 from homeward.localizer.motions import Motion
 from homeward.localizer.output.status import IntegrityMonitor

@@ -16,7 +16,7 @@ from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import position_sigma
 from homeward.geometry.se2 import between, compose, lever, rotation, sight
-from homeward.localizer.output.map_snapshot import align, rotated
+from homeward.localizer.output.faces import align, rotated
 
 DATUM_DOF = 3
 """Degrees of freedom of a rigid motion."""

@@ -11,7 +11,7 @@ import numpy as np
 from homeward.errors import HomewardError
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.output.map_snapshot import moved_probabilities
+from homeward.localizer.output.faces import moved_probabilities
 from homeward.localizer.tunables import CLOSE, GIVEN_WRONG, INLIER, MIN_SIGHTINGS, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import (

@@ -16,8 +16,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import between, compose
-from homeward.localizer.home.estimate import HomeFit
-from homeward.localizer.home.gauss_newton import fit, propagated, solved
+from homeward.localizer.home.estimate import HomeFit, fit, propagated, solved
 from homeward.localizer.home.problem import USUAL, Assumption, HomeProblem
 from homeward.localizer.reference.sets import POSE_AND_YAW
 from homeward.localizer.resection import SightLines, mixture_scores, poses_from_triples

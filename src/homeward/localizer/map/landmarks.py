@@ -12,8 +12,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import sight
-from homeward.localizer.inputs.by_id import ById
-from homeward.localizer.map.range_mixture import RangeMixture, range_mixture
+from homeward.localizer.inputs.bearing_noise import ById
 from homeward.localizer.map.ranges import place_by_ranges
 from homeward.localizer.map.sightings import (
     BEARING,
@@ -25,7 +24,12 @@ from homeward.localizer.map.sightings import (
     scale_noise,
 )
 from homeward.localizer.map.smoother import Smoother
-from homeward.localizer.map.triangulation import triangulate, unexplained
+from homeward.localizer.map.triangulation import (
+    RangeMixture,
+    range_mixture,
+    triangulate,
+    unexplained,
+)
 from homeward.localizer.tunables import (
     BASELINE,
     CANDIDATE_MEMORY_S,

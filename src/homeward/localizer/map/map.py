@@ -12,21 +12,17 @@ from homeward.drives.settings import DriveSettings
 from homeward.estimator import Counts
 from homeward.geometry.se2 import compose
 from homeward.localizer import kernels
-from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
-from homeward.localizer.inputs.by_id import ById
+from homeward.localizer.inputs.bearing_noise import BearingNoise, ById, WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.changes import Change, ChangeTest
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
-from homeward.localizer.map.sightings import GAP, LANDMARK, SIGMA
+from homeward.localizer.map.sightings import GAP, LANDMARK, MIN_COVARIANCE, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
-from homeward.localizer.map.steps import MIN_COVARIANCE
-from homeward.localizer.map.survey.registration import Registration
-from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.map.survey.survey import Registration, Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.odometry import calibration_sigmas
-from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.odometry import ProcessNoise, calibration_sigmas
 from homeward.localizer.motions import (
     CAMERA_X,
     CAMERA_Y,

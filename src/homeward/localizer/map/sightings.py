@@ -1,4 +1,4 @@
-"""Table of sightings, and table of frames: where the camera was at each stamp.
+"""Tables of sightings, of frames (where the camera was at each stamp), and of motions.
 
 The camera's pose at a stamp is its keyframe's pose, composed with odometry and extrinsics, linear
 in the calibration; all sightings of a stamp share it.
@@ -6,12 +6,20 @@ in the calibration; all sightings of a stamp share it.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors, WeighedFrame
 from homeward.localizer.motions import NC, Motion
-from homeward.localizer.reference.factors import cameras
+from homeward.localizer.reference.factors import (
+    BY_CALIBRATION,
+    FREE,
+    INFORMATION,
+    IS_ODOMETRY,
+    STEP,
+    cameras,
+)
 from homeward.table import GrowingTable
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
@@ -137,3 +145,24 @@ def scale_noise(rows: np.ndarray, factor: float) -> None:
     added = rows[:, SIGMA] ** 2 - rows[:, OWN] ** 2
     rows[:, OWN] *= factor
     rows[:, SIGMA] = np.sqrt(added + rows[:, OWN] ** 2)
+
+
+MIN_COVARIANCE = 1e-10 * np.eye(3)
+"""Smallest covariance of a motion [m^2, rad^2]."""
+
+
+def step_row(motion: Motion) -> np.ndarray:
+    """Return a motion as a row (1, STEP) of the table."""
+    row = np.empty((1, STEP))
+    row[0, FREE] = motion.uncalibrated
+    row[0, INFORMATION] = np.linalg.inv(motion.covariance + MIN_COVARIANCE).ravel()
+    row[0, BY_CALIBRATION] = motion.jacobian.ravel()
+    row[0, IS_ODOMETRY] = motion.is_odometry
+    return row
+
+
+def scale_steps(steps: np.ndarray, factors: np.ndarray) -> None:
+    """Scale the variances of shift and turn by factors (2,), in rows of the table."""
+    shift, turn = factors.tolist()
+    both = math.sqrt(shift * turn)
+    steps[:, INFORMATION] /= [shift, shift, both, shift, shift, both, both, both, turn]

@@ -21,7 +21,7 @@ import numpy as np
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_DISTANCE, sight
 from homeward.localizer import kernels
-from homeward.localizer.inputs.correlated_errors import CorrelatedErrors
+from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.all_landmarks import AllLandmarks
 from homeward.localizer.map.passive import PassiveLandmarks
 from homeward.localizer.map.prior import Prior
@@ -37,9 +37,10 @@ from homeward.localizer.map.sightings import (
     Frames,
     effective_sigmas,
     scale_noise,
+    scale_steps,
+    step_row,
 )
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.steps import scale_steps, step_row
 from homeward.localizer.map.survey.factors import SurveyFactors
 from homeward.localizer.motions import (
     CAMERA_YAW,

@@ -1,18 +1,24 @@
-"""Estimates beyond the pose: the calibration, and the bearings of mapped landmarks."""
+"""What others use of a localiser beyond the pose: calibration, predicted bearings, the map."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
+from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.bodies import find_bodies, given_bodies
 from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.smoother import Smoother
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.map.survey.evidence import tested
+from homeward.localizer.map.survey.factors import SurveyFactors, align, rotated
 from homeward.localizer.motion.extrinsics import Extrinsics
-from homeward.localizer.motion.process_noise import ProcessNoise
+from homeward.localizer.motion.odometry import ProcessNoise
 from homeward.localizer.motions import (
     CAMERA_X,
     CAMERA_Y,
@@ -28,6 +34,17 @@ from homeward.localizer.motions import (
 from homeward.localizer.reference.factors import cameras
 from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
+
+__all__ = [
+    "EstimatedCalibration",
+    "MapSnapshot",
+    "PredictedBearings",
+    "align",
+    "estimated_calibration",
+    "moved_probabilities",
+    "predicted_bearings",
+    "rotated",
+]
 
 
 @dataclass(frozen=True)
@@ -110,3 +127,54 @@ def predicted_bearings(
     zero = np.zeros(len(names))
     seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, np.arange(len(names)))
     return PredictedBearings(names, np.asarray(wrap(-seen.residual)), seen.covariance)
+
+
+@dataclass(frozen=True)
+class MapSnapshot:
+    """Map of one drive by its own measurements, in the frame of the robot's pose at the start."""
+
+    names: tuple[str, ...]
+    """Names of the n present landmarks."""
+    positions: np.ndarray
+    """(n, 2) [m]"""
+    covariance: np.ndarray
+    """(2 n, 2 n): covariance of their coordinates in order [m^2]."""
+    home: np.ndarray | None
+    """(3,): pose of the robot at home; None unless found by home bearings."""
+    home_bearings: Mapping[str, HomeBearing]
+    """The home bearings with their present standard deviations."""
+    home_mounts: Mapping[str, np.ndarray]
+    """Poses (3,) of their cameras on the robot at home."""
+
+
+def moved_probabilities(
+    before: tuple[np.ndarray, np.ndarray],
+    now: tuple[np.ndarray, np.ndarray],
+    prior: np.ndarray,
+    size: float,
+    names: Sequence[str],
+    together: Iterable[Sequence[str]],
+) -> np.ndarray:
+    """Return the probability of each of k landmarks to have moved between two maps, (k,).
+
+    Parameters
+    ----------
+    before, now : tuple of ndarray, shapes (k, 2) and (2 k, 2 k)
+        Positions [m] and covariances [m^2], each map in a frame of its own.
+    prior : ndarray, shape (k,)
+        Prior probability of each to have moved.
+    size : float
+        Size of the site [m].
+    names : sequence of str
+        The landmarks.
+    together : iterable of sequences of str
+        Groups of landmarks that move together, as given.
+    """
+    (places, surveyed), (positions, mapped) = before, now
+    k, none = len(places), (np.zeros((0, 2), int), np.zeros(0), np.zeros(0))
+    factors = SurveyFactors(np.arange(k), places, surveyed, *none)
+    covariance = np.zeros((HEAD + 2 * k, HEAD + 2 * k))
+    covariance[HEAD:, HEAD:] = mapped
+    free = Marginal(np.concatenate([np.zeros(HEAD), positions.ravel()]), covariance)
+    bodies = find_bodies(names, places, given_bodies(together, names), size)
+    return tested(factors, free, np.arange(k), prior, size, bodies).wrong

@@ -14,8 +14,8 @@ from homeward.geometry.angles import wrap
 from homeward.io.naming import natural
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.map.landmarks import Landmark, Landmarks
-from homeward.localizer.map.range_mixture import RangeMixture
 from homeward.localizer.map.survey.survey import Survey
+from homeward.localizer.map.triangulation import RangeMixture
 
 
 @dataclass(frozen=True)

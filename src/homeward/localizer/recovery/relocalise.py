@@ -1,5 +1,7 @@
 """Relocalisation: the pose of a lost robot in its map, by resection along a short path.
 
+Recent bearings are connected by odometry, or those of one frame are used alone.
+
 A pose has to be much more probable than all its rivals together: other poses, that no landmark is
 where it is mapped, that only a carried body fits, and that the robot is where odometry has it.
 """
@@ -7,13 +9,31 @@ where it is mapped, that only a carried body fits, and that the robot is where o
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
+from typing import TypeAlias
 
 import numpy as np
 
+from homeward.geometry.angles import wrap
+from homeward.geometry.covariance import positive
+from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.bodies import find_bodies
+from homeward.localizer.map.landmarks import Landmarks
+from homeward.localizer.map.state import Marginal
+from homeward.localizer.motions import HEAD, NC, Motion
 from homeward.localizer.resection import SightLines, located, resect
-from homeward.localizer.tunables import CLOSE, MIN_LOG_ODDS, MINIMAL, RESECTION_STEPS, UPHEAVAL
+from homeward.localizer.tunables import (
+    CLOSE,
+    LINEAR,
+    MIN_LOG_ODDS,
+    MINIMAL,
+    NEGLIGIBLE,
+    RECENT,
+    RESECTION_STEPS,
+    UPHEAVAL,
+)
+from homeward.odometry.history import Driven
 
 
 def relocalise(
@@ -82,3 +102,146 @@ def _log_evidence_of(pose: np.ndarray, covariance: np.ndarray, lines: SightLines
         return there.log_likelihood
     prior = near.log_density(pose, covariance + 1e-12 * np.eye(3))
     return max(there.log_likelihood, near.log_evidence(prior))
+
+
+Sighting: TypeAlias = tuple[str, float, float, Motion]
+"""Landmark, bearing and standard deviation [rad], and the motion to the camera."""
+
+
+class Search:
+    """Relocalisation search in the map, by bearings since the search began.
+
+    `begin` is the motion from the newest keyframe to there; None if unknown.
+    """
+
+    def __init__(self, begin: Motion | None = None) -> None:
+        self._lost = begin is None
+        self._to_newest = Motion.identity() if begin is None else begin.inverse()
+        self._seen: deque[Sighting] = deque(maxlen=RECENT)
+
+    def motion_since(self, motion: Motion) -> Motion:
+        """Return the motion since the search began, by that since the newest keyframe."""
+        return self._to_newest.compose(motion)
+
+    def add_keyframe(self, motion: Motion) -> None:
+        """Register a new keyframe, reached by a motion."""
+        self._to_newest = self.motion_since(motion)
+
+    def add_bearings(self, frame: WeighedFrame, camera: Motion, landmarks: Landmarks) -> None:
+        """Add bearings of mapped landmarks; `camera` is the motion from the start of the search.
+
+        One almost parallel to the landmark's last sight line replaces it.
+        """
+        each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
+        for name, bearing, sigma in each:
+            if name in landmarks.mapped:
+                last = max((i for i, seen in enumerate(self._seen) if seen[0] == name), default=-1)
+                if last >= 0 and abs(_parallax(self._seen[last], bearing, camera)) < CLOSE:
+                    del self._seen[last]
+                self._seen.append((name, bearing, sigma, camera))
+
+    def find(self, landmarks: Landmarks, state: Marginal) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return the pose in the map where the search began, (3,), and its covariance, (3, 3).
+
+        None if it is undetermined, or if the robot may be where `state` of the map has it.
+        """
+        lines = _sight_lines(list(self._seen), landmarks, state)
+        if lines is None:
+            return None
+        if self._lost:
+            return relocalise(lines)
+        began, by_head = state.pose_after(self._to_newest.inverse())
+        expected = began, by_head @ state.covariance[:HEAD, :HEAD] @ by_head.T
+        found = relocalise(lines, expected)
+        return None if found is None else _displaced(found, expected, lines)
+
+
+def find_by_frame(
+    frame: WeighedFrame, camera: Motion, landmarks: Landmarks, state: Marginal, driven: Driven
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Return the pose in the map at one frame, (3,), and its covariance, (3, 3), without odometry.
+
+    Where wheels slip, odometry connects frames wrongly, and no pose fits several of them. The robot
+    is probably stationary, or moved less than its wheels. `camera` is the camera's pose on the
+    robot; the frame has at least four mapped landmarks, of which any three fit some pose; the
+    newest keyframe of `state` is before the robot was lost, and `driven` is the motion of the
+    wheels since then. None if the frame alone does not determine the pose.
+    """
+    each = zip(frame.names, frame.bearings.tolist(), frame.sigmas.tolist(), strict=True)
+    lines = _sight_lines([(*seen, camera) for seen in each], landmarks, state)
+    if lines is None:
+        return None
+    distance = float(lines.distances(state.mean[None, :3])[0])
+    stationary = np.array([LINEAR * distance, LINEAR * distance, LINEAR])
+    moved = stationary + np.array([driven.path, driven.path, driven.turned])
+    last, covariance = state.mean[:3], state.covariance[:3, :3]
+    near = [(last, covariance + np.diag(sigmas**2)) for sigmas in (stationary, moved)]
+    return relocalise(lines, near=near)
+
+
+def _displaced(
+    found: tuple[np.ndarray, np.ndarray],
+    expected: tuple[np.ndarray, np.ndarray],
+    lines: SightLines,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pose (3,) of a robot that slipped, and its covariance, (3, 3).
+
+    The first two arguments are such: `found` by sight lines, and `expected` without the slip, of
+    unknown size: it may be a mere rotation, where the position by a few lines would be far worse
+    than the expected one. The sizes tried are equally probable before the lines; the result has the
+    mean and the covariance of their mixture.
+    """
+    off, (mean, known) = found[0] - expected[0], expected
+    off[2], distance = wrap(off[2]), float(lines.distances(mean[None])[0])
+    log, steps, spreads = [], [], []
+    for shift in distance * np.array([0.0, NEGLIGIBLE, CLOSE, LINEAR]):
+        prior = known + np.diag([shift, shift, LINEAR]) ** 2
+        innovation = prior + found[1]
+        gain = np.linalg.solve(innovation, prior).T
+        log.append(
+            -0.5 * (off @ np.linalg.solve(innovation, off) + np.linalg.slogdet(innovation)[1])
+        )
+        steps.append(gain @ off)
+        spreads.append(prior - gain @ prior)
+    weights = np.exp(np.array(log) - max(log))
+    weights /= weights.sum()
+    step = weights @ steps
+    between = np.array(steps) - step
+    spread = np.einsum("i,ijk->jk", weights, spreads) + (between.T * weights) @ between
+    largest = float(known.trace()) + 2.0 * distance**2 + 1.0  # posteriors are differences of priors
+    return mean + step, positive(spread, "the covariance of a displaced pose", largest)
+
+
+def _sight_lines(seen: list[Sighting], landmarks: Landmarks, state: Marginal) -> SightLines | None:
+    """Return the sight lines to mapped landmarks; None if there are none."""
+    known = [each for each in seen if each[0] in landmarks.mapped]
+    if not known:
+        return None
+    names, bearings, sigmas, cameras = zip(*known, strict=True)
+    mapped = [landmarks.mapped[n] for n in names]
+    positions, covariances = landmarks.places(mapped)
+    return SightLines(
+        cameras=np.array([c.uncalibrated + c.jacobian @ state.calibration for c in cameras]),
+        bearings=np.array(bearings),
+        sigmas=np.array(sigmas),
+        names=np.array([m.number for m in mapped]),
+        positions=positions,
+        covariances=covariances,
+    )
+
+
+def _parallax(last: Sighting, bearing: float, camera: Motion) -> float:
+    """Return the angle between a sighting's line and another bearing's, from `camera` [rad]."""
+    _, before, _, then = last
+    return float(wrap(camera.delta[2] + bearing - then.delta[2] - before))
+
+
+def pose_reset(last: np.ndarray, pose: np.ndarray, covariance: np.ndarray) -> Motion:
+    """Pose reset: return the motion from a keyframe's pose to the relocalised one, in one map.
+
+    The latter contains the errors of landmarks that will be used again, so its covariance is
+    doubled.
+    """
+    nothing = np.zeros((3, NC))
+    back = Motion(last, np.zeros((3, 3)), nothing).inverse()
+    return back.compose(Motion(pose, 2.0 * covariance, nothing))

@@ -17,7 +17,7 @@ from scipy.special import bdtr, bdtrc
 
 from homeward.geometry.se2 import between
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
-from homeward.localizer.map.steps import MIN_COVARIANCE
+from homeward.localizer.map.sightings import MIN_COVARIANCE
 from homeward.localizer.map.survey.survey import Survey
 from homeward.localizer.recovery.relocalise import relocalise
 from homeward.localizer.resection import SightLines
