@@ -19,7 +19,7 @@ from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
 from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.smoothing import SolvedDrive, seen_from_keyframes, solve_whole, within
-from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, MIN_P_STATIC, NUM_NEAREST
+from homeward.localizer.tunables import MAX_PREDICTED_SIGMA, NUM_NEAREST
 
 
 @single_threaded_blas()
@@ -62,7 +62,7 @@ def _predicted(solved: SolvedDrive, drive: Drive, t: float) -> JointHome:
     expected = predict_bearings(state.mean, state.covariance, zeros, sigmas, camera, index)
     joint = expected.covariance
     kept = joint.diagonal() <= MAX_PREDICTED_SIGMA**2
-    kept &= whole.p_static[index] >= MIN_P_STATIC
+    kept &= whole.p_static[index] >= 0.5
     kept &= ~np.isin(list(ids), _moved(solved, drive, state_at, t))
     bearings = np.asarray(wrap(-expected.residual))
     chosen = [name for name, is_kept in zip(ids, kept.tolist(), strict=True) if is_kept]

@@ -195,7 +195,7 @@ between searches."""
 
 # Checks and noise of the inputs
 MIN_RESIDUALS = 40
-"""Residuals needed for an estimate from the map ..."""
+"""Residuals, or pairs of them for a lag, needed for an estimate from the map ..."""
 NUM_DIFFERENCES = 20, 200
 """... second differences needed for one without it, and how many of the latest are used."""
 MAX_SPAN_S = 1.05
@@ -219,8 +219,6 @@ CORRELATION_TIMES_S = np.geomspace(0.1, 20.0, 24)
 """Correlation times that are tried [s]."""
 PAIR_STEPS = (1, 2, 3, 5, 8, 13, 21, 34, 55)
 """Each sighting is paired with the k-th one after it of the same landmark."""
-MIN_PAIRS = 40
-"""Pairs needed to estimate the correlation of a lag class."""
 NOTABLE_GAP_S = 0.5
 """A note reports where a sighting this long after the last one counts for half [s]."""
 MIN_GAP_S = 1e-3
@@ -236,14 +234,15 @@ MIN_DISTANCE_M, MAX_DISTANCE_M = 0.1, 100.0
 """Distances between which landmarks may be [m]: from a farther one a robot has no parallax."""
 MAX_RESOLUTION, BEARING_ROUNDING = 0.1, 1e-9
 """Resolution of bearings until a smaller step was seen; a still smaller one is rounding [rad]."""
-TURN_ERROR, HEADING_RATE = 0.1, 0.02
-"""Error of odometry that is not a motion: share of the rotation [1], and a heading error that grows
-with the square root of time [rad/sqrt(s)]; twice what uncalibrated wheels have."""
+ODOMETRY_ERROR, HEADING_RATE = 0.1, 0.02
+"""Systematic error of odometry as a share of shift and rotation [1], and a heading error that grows
+with the square root of time [rad/sqrt(s)]: twice what uncalibrated wheels have."""
 REPEAT_MEMORY_S = 5.0
 """A landmark not seen for this long is forgotten [s]."""
 FROZEN_S = 0.5
-"""A camera is frozen once its bearings have repeated for this long [s]: odometry may lag that much
-behind a camera when the robot stops."""
+"""A camera is frozen, or odometry contradicted, once bearings have stayed for this long [s]:
+odometry may lag that much behind a camera when the robot stops. A shorter change may be an outlier.
+"""
 NUM_CHANGES = 9
 """Latest changes between twists: their median is by noise, even if four are wrong."""
 MIN_INTERVAL_S = 0.1
@@ -289,8 +288,8 @@ SIGN_TURN_SCALES = 2.0 ** np.linspace(-1.0, 1.0, 15)
 Half a step is an error of 0.05 rad in a window that turns by `SIGN_MAX_TURN`, of which 0.014 rad
 remain about its mean: less than `SIGN_NOISE`."""
 TURN_SCALE_OTHER = 0.1
-"""Prior probability that the scale is not 1 but for `TURN_ERROR`, and may be any of these: that of
-one in eleven real drives is 0.62, where odometry is the commanded twist [1]."""
+"""Prior probability that the scale is not 1 but for the usual error, and may be any of these: that
+of one in eleven real drives is 0.62, where odometry is the commanded twist [1]."""
 SIGN_FALSE_ALARM = 1e-4
 """The convention is rejected once its posterior probability is below this [1]."""
 SIGN_DOUBTFUL = 0.1
@@ -358,7 +357,7 @@ MIN_STEADY_SPEED = 1e-9
 MIN_SIDEWAYS_SHARE = 0.1
 """Smallest mean speed sideways of a robot that strafes, as a share of that ahead [1]."""
 MIN_CALIBRATION_SIGMA = 1e-6
-"""Smallest prior standard deviation of the odometry's calibration."""
+"""Smallest prior standard deviation of the calibration of odometry and of the camera's yaw."""
 NEGLIGIBLE_CALIBRATION = 1e-4
 """Negative slip [m], time constant and delay [s] that are negligible."""
 STALE_S = 0.02
@@ -400,8 +399,8 @@ TRIANGULATION_STEPS = 6
 """Gauss-Newton steps of a triangulation: it starts from lines that agree."""
 
 # Motion
-MIN_EXTRINSICS_RAD, FIXED_EXTRINSICS_M = 1e-6, 1e-4
-"""Prior standard deviations of fixed extrinsics [rad, m]."""
+FIXED_EXTRINSICS_M = 1e-4
+"""Prior standard deviation of the position of fixed extrinsics [m]."""
 ADVANCE_S = 0.5
 """TwistHistory are integrated at least this often [s]."""
 STRAIGHTEST_SHARE = 0.2
@@ -436,11 +435,6 @@ NOTABLE_RATIO = 2.0
 """Ratio of standard deviations that a note reports [1]."""
 
 # Output
-ODOMETRY_ERROR = 0.1
-"""Systematic error of an uncalibrated odometry: share of shift and rotation [1]."""
-CONTRADICTION_S = 0.5
-"""A contradiction that lasts for less may be a lag between odometry and camera; a shorter change of
-the bearings, on the other hand, may be an outlier [s]."""
 UNSEEN_S = 2.0
 """A reference frame of which no landmark is in sight is kept for this long [s]."""
 MAX_CENTRE_STEPS = 20
@@ -480,8 +474,6 @@ CONTRADICTED = float(chdtri(3, FALSE_ALARM / 5000))
 MAX_PREDICTED_SIGMA = 0.5
 """Largest standard deviation of a predicted home bearing [rad]; a larger one is not linear, and of
 no use."""
-MIN_P_STATIC = 0.5
-"""Smallest probability of a landmark to be static: more likely than not."""
 NUM_NEAREST = 5
 """Sightings before and after a time by which a landmark was in place then: two wrong ones do not
 decide."""

@@ -34,9 +34,9 @@ from homeward.localizer.tunables import (
     MIN_SIGHTINGS,
     MINIMAL,
     NUM_CHANGES,
+    ODOMETRY_ERROR,
     REPEAT_MEMORY_S,
     START_S,
-    TURN_ERROR,
 )
 from homeward.odometry.history import STEADY_S, Reckoned
 from homeward.odometry.limits import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
@@ -265,7 +265,7 @@ class FrozenCamera:
         t, x, y, heading = here
         for first in repeated:
             turned = heading - first.heading
-            error = TURN_ERROR * abs(turned) + HEADING_RATE * math.sqrt(t - first.t)
+            error = ODOMETRY_ERROR * abs(turned) + HEADING_RATE * math.sqrt(t - first.t)
             sight = first.heading + self._yaw + first.bearing
             ends = [
                 math.remainder(

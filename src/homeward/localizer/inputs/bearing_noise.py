@@ -34,7 +34,6 @@ from homeward.localizer.tunables import (
     MAX_SPAN_S,
     MIN_BEARING_SIGMA,
     MIN_GAP_S,
-    MIN_PAIRS,
     MIN_RESIDUALS,
     NOISE_KEPT,
     NOTABLE_GAP_S,
@@ -294,7 +293,7 @@ class CorrelatedErrors:
         of_class, product = of_class[use], product[use]
         pairs = np.bincount(of_class, minlength=len(LAG_BOUNDS_S) - 1)
         sums = np.bincount(of_class, product, minlength=len(LAG_BOUNDS_S) - 1)
-        enough = pairs >= MIN_PAIRS
+        enough = pairs >= MIN_RESIDUALS
         before = np.nan_to_num(self._correlations[enough])
         self._correlations[enough] = before + weight * (sums[enough] / pairs[enough] - before)
         self._fit()

@@ -23,7 +23,7 @@ from homeward.localizer.tunables import (
     FIXED_EXTRINSICS_M,
     GIVEN_WRONG,
     LINEAR,
-    MIN_EXTRINSICS_RAD,
+    MIN_CALIBRATION_SIGMA,
     NEGLIGIBLE,
     STANDSTILL,
 )
@@ -48,7 +48,7 @@ class Extrinsics:
         self._usual = usual
         self.sigmas = np.array(
             [
-                max(usual if camera.yaw_sigma is None else camera.yaw_sigma, MIN_EXTRINSICS_RAD),
+                max(usual if camera.yaw_sigma is None else camera.yaw_sigma, MIN_CALIBRATION_SIGMA),
                 max(camera.x_sigma or 0.0, FIXED_EXTRINSICS_M),
                 max(camera.y_sigma or 0.0, FIXED_EXTRINSICS_M),
             ]

@@ -21,7 +21,7 @@ from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import Motion
 from homeward.localizer.tunables import (
-    CONTRADICTION_S,
+    FROZEN_S,
     INLIER,
     MAJORITY,
     MIN_LOG_ODDS,
@@ -93,9 +93,7 @@ class Contradiction:
             if log_odds is not None:
                 self.is_proved |= log_odds > MIN_LOG_ODDS
                 self._stayed = frame.t
-            if log_odds is not None or (
-                self.is_proved and frame.t - self._stayed < CONTRADICTION_S
-            ):
+            if log_odds is not None or (self.is_proved and frame.t - self._stayed < FROZEN_S):
                 return
         ids, smoother = known.landmarks.ids(frame.names), known.smoother
         state = smoother.state, smoother.ids, motion, known.camera_at(motion, frame.offset)
@@ -165,7 +163,7 @@ class Contradiction:
         off = off @ rotation(found.pose.heading - float(pose[2])).T
         spread = off.T @ off + _systematic_covariance(moved)
         found = dataclasses.replace(found, covariance=found.covariance + spread)
-        if self._newest - reference.frame.t < CONTRADICTION_S:
+        if self._newest - reference.frame.t < FROZEN_S:
             return found
         why = Reason.CONTRADICTED.words
         return dataclasses.replace(found, status=Status.UNVERIFIED, reason=why)
