@@ -16,6 +16,7 @@ from homeward.geometry.frames import Pose
 from homeward.live.home_capture import HomeCapture
 from homeward.live.messages import Answer, BearingsIn, EventOut, OdometryIn, SetExtrinsics, parse
 from homeward.live.session import Session
+from homeward.odometry.clock import Clock
 from homeward.reasons import Reason, Rejection
 
 SEEN = {"a": 0.1, "b": 1.5, "c": -2.0}
@@ -175,20 +176,20 @@ def test_an_answer_to_a_late_frame_is_not_a_lag_of_the_estimator():
 def test_a_home_of_a_place_has_the_bearings_of_the_newest_stamp():
     capture = HomeCapture()
     for t, bearing in ((1.0, 0.1), (1.2, 0.3), (1.1, 0.2)):
-        capture.bearings(BearingsIn(t=t, bearings={"a": bearing}))
+        capture.bearings(t, BearingsIn(t=t, bearings={"a": bearing}))
     assert capture.newest.bearings == {"a": 0.3}
 
 
 def test_a_clock_that_is_set_back_during_a_turn_at_home_does_not_turn_home():
     """The stamps before and after overlap."""
-    capture = HomeCapture()
+    capture, clock = HomeCapture(), Clock()
     capture.begin(DriveSettings())
     for k in range(360):
         now = 0.05 * k
         t = now if now < 7.0 else now - 3.0
-        capture.odometry(OdometryIn(t=t, v=0.0, omega=0.5))
+        capture.odometry(clock.read(t), OdometryIn(t=t, v=0.0, omega=0.5))
         seen = {n: math.remainder(b - 0.5 * now, math.tau) for n, b in SEEN.items()}
-        capture.bearings(BearingsIn(t=t, bearings=seen))
+        capture.bearings(clock.read(t), BearingsIn(t=t, bearings=seen))
     home = capture.captured().seen
     assert {n: seen.bearing for n, seen in home.items()} == pytest.approx(SEEN, abs=0.05)
 

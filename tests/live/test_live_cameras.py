@@ -99,7 +99,7 @@ def test_extrinsics_that_arrive_during_a_turn_at_home_count_for_it():
         capture.set_robot(drive.settings)
         for sample in samples_of(drive):
             is_odometry = isinstance(sample, msg.OdometryIn)
-            (capture.odometry if is_odometry else capture.bearings)(sample)
+            (capture.odometry if is_odometry else capture.bearings)(sample.t, sample)
         homes.append(capture.captured().seen)
     assert homes[0] == homes[1]
     assert len(homes[0]) == 14
@@ -108,5 +108,5 @@ def test_extrinsics_that_arrive_during_a_turn_at_home_count_for_it():
 def test_a_further_home_has_the_newest_bearings_of_any_camera():
     capture = HomeCapture()
     for t, camera in enumerate(("", "rear")):
-        capture.bearings(msg.BearingsIn(t=t, bearings={"a": 0.1}, camera=camera))
+        capture.bearings(t, msg.BearingsIn(t=t, bearings={"a": 0.1}, camera=camera))
         assert capture.newest.camera == camera

@@ -16,7 +16,7 @@ from homeward.drives.settings import Start as StartPrior
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn
-from homeward.odometry.clock import MAX_DELAY_S, Clock
+from homeward.odometry.clock import MAX_DELAY_S
 from homeward.odometry.history import TwistHistory
 
 CAPTURE_S, MAX_SPEED_AT_REST = 1.0, 0.01
@@ -41,11 +41,14 @@ class CapturedHome(NamedTuple):
 
 
 class HomeCapture:
-    """Recent bearings, and after `begin` those of a turn at home."""
+    """Recent bearings, and after `begin` those of a turn at home.
+
+    Samples come with their time `t` on a clock that is never set back [s].
+    """
 
     def __init__(self) -> None:
-        self._clock, self._newest = Clock(), -math.inf
-        """Clock of all samples, and the newest time on it [s]."""
+        self._newest = -math.inf
+        """Newest time of all samples [s]."""
         self._lately: deque[tuple[float, BearingsIn]] = deque(maxlen=400)
         self._twists = TwistHistory()
         self._scan: HomeScan | None = None
@@ -55,30 +58,23 @@ class HomeCapture:
         """The bearings of the newest stamp, if there were any; the last of equal stamps."""
         return max(reversed(self._lately), key=itemgetter(0))[1] if self._lately else None
 
-    def odometry(self, message: OdometryIn) -> None:
+    def odometry(self, t: float, message: OdometryIn) -> None:
         """Add a twist."""
-        t = self._time(message.t)
-        if self._scan is not None and not self._is_too_late(t):
+        if not self._is_too_late(t) and self._scan is not None:
             self._scan.odometry(t, message.v, message.omega, message.vy)
         if t >= self._twists.newest:
             self._twists.add(t, message.v, message.omega, vy=message.vy)
             self._twists.forget(t - 2.0 * CAPTURE_S)
 
-    def bearings(self, message: BearingsIn) -> None:
+    def bearings(self, t: float, message: BearingsIn) -> None:
         """Add bearings."""
-        t = self._time(message.t)
         self._lately.append((t, message))
-        if self._scan is not None and not self._is_too_late(t):
+        if not self._is_too_late(t) and self._scan is not None:
             self._scan.bearings(t, message.bearings, message.sigmas, message.camera)
 
-    def _time(self, stamp: float) -> float:
-        """Return the time of a sample's stamp on a clock that is never set back [s]."""
-        t = self._clock.read(stamp)
-        self._newest = max(self._newest, t)
-        return t
-
     def _is_too_late(self, t: float) -> bool:
-        """Return whether a sample of the time `t` [s] is as late as if its clock was set back."""
+        """Return whether a new sample is as late as if its clock was set back."""
+        self._newest = max(self._newest, t)
         return t < self._newest - MAX_DELAY_S
 
     def begin(self, robot: DriveSettings) -> None:

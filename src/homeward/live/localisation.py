@@ -153,8 +153,7 @@ class Localisation:
             self._capture.end()
         match message:
             case msg.OdometryIn():
-                self._clock.read(message.t)
-                self._capture.odometry(message)
+                self._capture.odometry(self._clock.read(message.t), message)
                 if self.estimator is not None:
                     add_twist(self.estimator, message.t, message.v, message.omega, message.vy)
             case msg.BearingsIn():
@@ -252,7 +251,7 @@ class Localisation:
 
     def _answer(self, message: msg.BearingsIn, odom: Pose | None) -> msg.Answer:
         t = self._clock.read(message.t)
-        self._capture.bearings(message)
+        self._capture.bearings(t, message)
         if self.estimator is None:
             return _as_message(Estimate(message.t, Status.WAITING, NO_HOME), msg.Answer)
         sample = message.t, message.bearings, message.sigmas or None
