@@ -19,7 +19,7 @@ from homeward.localizer.home.tracker import HomeTracker
 from homeward.localizer.inputs.bearing_noise import BearingNoise, WeighedFrame
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.map.gating import Gated
-from homeward.localizer.map.learning.changes import Change
+from homeward.localizer.map.learning.changes import ModelChange
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.smoother import Smoother
@@ -200,7 +200,7 @@ class Chart:
             return True
         return False
 
-    def _turn_camera(self, jump: Change) -> None:
+    def _turn_camera(self, jump: ModelChange) -> None:
         """Turn the camera on the robot, but not at home, where it saw the home bearings."""
         self.home.observation.fix_camera(self.map.smoother.state.calibration)
         x, y, yaw = self.home.observation.mount.tolist()

@@ -15,7 +15,7 @@ from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import BearingNoise, ById, WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
-from homeward.localizer.map.learning.changes import Change, ChangeTest
+from homeward.localizer.map.learning.changes import ChangeTest, ModelChange
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
 from homeward.localizer.map.sightings import GAP, LANDMARK, MIN_COVARIANCE, SIGMA
@@ -199,7 +199,7 @@ class Map:
         if self.landmarks.mapped:
             self._learner.learn_odometry(self.smoother)
 
-    def turn_camera(self, jump: Change) -> None:
+    def turn_camera(self, jump: ModelChange) -> None:
         """Turn the camera on the robot; see `Smoother.turn_camera`."""
         self._mount[2] += jump.size
         self.smoother.mount_sigmas = self._extrinsics.sigmas
@@ -208,7 +208,7 @@ class Map:
         self.camera_jump = ChangeTest()
         self._solve()
 
-    def change_odometry(self, change: Change) -> None:
+    def change_odometry(self, change: ModelChange) -> None:
         """Free the scale of the speed; see `Smoother.change_odometry`."""
         self.landmarks.drop_candidates_before(change.keyframe)
         self.smoother.change_odometry(change.keyframe)

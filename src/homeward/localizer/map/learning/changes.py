@@ -39,7 +39,7 @@ from homeward.localizer.tunables import (
 )
 
 
-class Change(NamedTuple):
+class ModelChange(NamedTuple):
     """Change of the camera's yaw [rad], or of the scale of the speed [1]."""
 
     keyframe: int
@@ -61,11 +61,11 @@ class ChangeTest:
     """Test of the solutions of one map for one kind of change."""
 
     def __init__(self) -> None:
-        self.possible: Change | None = None
+        self.possible: ModelChange | None = None
         """Change by the last solution, if more evidence is worth some effort ..."""
         self.is_suspected = False
         """... and whether the status reports it."""
-        self.proved: Change | None = None
+        self.proved: ModelChange | None = None
         """The change if it was suspected before, and is proved now: so the status reports it before
         it is applied."""
 
@@ -74,7 +74,9 @@ class ChangeTest:
         """Squared Mahalanobis distance from no change, if one is possible."""
         return 0.0 if self.possible is None else self.possible.square
 
-    def _add(self, found: Change | None, possible: bool, suspected: bool, proved: bool) -> None:
+    def _add(
+        self, found: ModelChange | None, possible: bool, suspected: bool, proved: bool
+    ) -> None:
         """Add what a solution shows."""
         self.possible = found if possible else None
         self.proved = found if self.is_suspected and proved else None
@@ -116,7 +118,7 @@ class ChangeTest:
         self._add(found, suspected, suspected, proved)
 
 
-def yaw_change(smoother: Smoother, mount_sigmas: np.ndarray) -> Change | None:
+def yaw_change(smoother: Smoother, mount_sigmas: np.ndarray) -> ModelChange | None:
     """Return the most probable change of the camera's yaw; None if none is observable.
 
     `mount_sigmas` (3,) are prior standard deviations of the extrinsics that allow for wrong ones,
@@ -154,7 +156,7 @@ def yaw_change(smoother: Smoother, mount_sigmas: np.ndarray) -> Change | None:
     return found._replace(log_bayes_factor=evidence)
 
 
-def scale_change(smoother: Smoother) -> Change | None:
+def scale_change(smoother: Smoother) -> ModelChange | None:
     """Return the most probable change of the scale; None if the window has too few motions.
 
     `numpy.linalg.LinAlgError` when the normal equations are singular.
@@ -174,7 +176,7 @@ def scale_change(smoother: Smoother) -> Change | None:
 
 def _best_fit(
     keyframes: np.ndarray, slope: np.ndarray, information: np.ndarray, least: float
-) -> Change | None:
+) -> ModelChange | None:
     """Return the most probable of changes at k keyframes; None if none has the `least` information.
 
     `information` and `slope` (k,) are of each, all else being marginalised.
@@ -184,6 +186,6 @@ def _best_fit(
     k = int(square.argmax())
     if not observable[k]:
         return None
-    return Change(
+    return ModelChange(
         int(keyframes[k]), float(slope[k] / information[k]), float(information[k] ** -0.5)
     )
