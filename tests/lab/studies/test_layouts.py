@@ -217,7 +217,7 @@ def test_the_study_writes_its_page_and_goes_on_from_its_blocks(tmp_path, here, m
     monkeypatch.setattr("homeward.lab.studies.paper.layouts.VARIANTS", short_ones)
     answer = done(call(*words, *sizes))
     page = (tmp_path / "out" / "layouts.html").read_text()
-    for text in ("4 random layouts", "What holds: ", "as printed"):
+    for text in ("4 random layouts", "Only four layouts: ", "Median error of R"):
         assert text in page
     # Every link of the contents leads somewhere.
     links = re.findall(r'<a href="#([^"]+)">', page)
