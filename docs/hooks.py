@@ -21,7 +21,7 @@ from homeward.estimator import Status
 from homeward.io.keys import keys
 from homeward.reasons import Reason, Rejection
 from homeward.registry import estimator_names, settings_model
-from homeward.runs.report.template import GLOSSARY
+from homeward.runs.report.html import GLOSSARY
 
 PLAIN = ("home", "bearing", "gate", "mapping", "waiting", "localised")
 """Words of the glossary that are too frequent for a tooltip at each occurrence."""

@@ -58,7 +58,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "homeward/places/persistence.py": ("stands",),  # a column of landmarks.csv
     "docs/do/live.md": ("said",),  # a ROS topic
     "src/homeward/ros/": ("said",),
-    "runs/report/templates/place.html.j2": ("verdict",),  # a column of visits.csv
+    "runs/report/place_page.py": ("verdict",),  # a column of visits.csv
     "docs/do/rooms.md": ("stood",),  # a key of rooms
     "benchmarks/fuzz.py": ("crate",),  # changes the cases of all seeds
     "benchmarks/places/": ("verdict",),

@@ -21,7 +21,7 @@ MAX_ERROR = 0.15
 """Maximum position error at the median time [m]; that of the plain tables is 0.05 m."""
 MAX_ERROR_95 = 0.6
 """The same for 95 % of the time; plain tables have 0.34 m, in the first 30 s."""
-WRITERS = ("page.write_page", "mcap.write_recording")
+WRITERS = ("run_page.write_page", "mcap.write_recording")
 """What a run writes for people; without it a short run takes less time."""
 
 

@@ -61,7 +61,7 @@ def naming_file(file: Path) -> Iterator[None]:
 
 _EXTRAS = {
     "casadi": ("the paper's filters, and symbolic models,", "filters"),
-    **dict.fromkeys(("bokeh", "jinja2", "matplotlib"), ("pages and pictures", "report")),
+    **dict.fromkeys(("bokeh", "markupsafe", "matplotlib"), ("pages and pictures", "report")),
     **dict.fromkeys(("backports", "lz4", "rosbags"), ("ROS logs", "bags")),
     **dict.fromkeys(("PIL", "shapely"), ("images and rendered rooms", "vision")),
     **dict.fromkeys(("dask", "distributed", "h5netcdf", "xarray"), ("studies", "scale")),

@@ -13,7 +13,7 @@ from homeward.drives.opening import sample_drive
 def call(*words, page=False, **options):
     """Call a command in this process; page and recording of a run are empty but with `page`."""
     with ExitStack() as patches:
-        for name in () if page else ("page.write_page", "mcap.write_recording"):
+        for name in () if page else ("run_page.write_page", "mcap.write_recording"):
             empty = patch(f"homeward.runs.report.{name}", lambda file, *rest: file.touch())
             patches.enter_context(empty)
         return CliRunner().invoke(app, [str(word) for word in words], **options)

@@ -40,7 +40,7 @@ def open_page(file, script, scratch, width=1000, height=900, dark=False, address
     that has files of its own is opened `beside` them.
     """
     html = file.read_text(encoding="utf-8")
-    if 'id="plots"' not in html:  # no script that reports when all is drawn
+    if 'id="data"' not in html:  # no script that reports when all is drawn
         html = html.replace("<html", '<html data-drawn=""', 1)
         html = html.replace(
             "default-src 'none';", "default-src 'none'; script-src 'unsafe-inline';"

@@ -80,7 +80,7 @@ def test_page_fetches_nothing(html):
     read = Page(html)
     assert all(a.startswith(("#", "data:")) for a in read.addresses)
     assert "default-src 'none'" in html, "the browser refuses all requests of scripts"
-    assert len(read.scripts) == 4
+    assert len(read.scripts) == 3
     assert len(html) < 2_000_000
 
 
@@ -88,8 +88,9 @@ def test_data_in_the_page_are_strict_json(html):
     def refuse(word):
         raise AssertionError(word)
 
-    plots, seen = (json.loads(s, parse_constant=refuse) for s in Page(html).scripts[:2])
-    assert sorted(plots["roots"].values()) == ["consistency", "errors", "map", "timeline"]
+    data = json.loads(Page(html).scripts[0], parse_constant=refuse)
+    seen = data["moments"]
+    assert sorted(data["roots"].values()) == ["consistency", "errors", "map", "timeline"]
     assert len(seen["t"]) == len(seen["pose"]) == 200
 
 
@@ -115,8 +116,8 @@ def test_hostile_names_survive_every_file(tmp_path):
     assert written == [f"'{name}" if name[:1] in {*"=@-"} else name for name in HOSTILE]
     html = (tmp_path / "report.html").read_text(encoding="utf-8")
     read = Page(html)
-    assert len(read.scripts) == 4
-    assert [json.loads(text) for text in read.scripts[:2]]
+    assert len(read.scripts) == 3
+    names = json.loads(read.scripts[0])["moments"]["names"]
     for shown in (
         "</script><script>x()</script>",
         "$x^2$",
@@ -126,7 +127,7 @@ def test_hostile_names_survive_every_file(tmp_path):
         "棚🚚",
     ):
         assert shown in read.text
-        assert shown in json.loads(read.scripts[1])["names"]
+        assert shown in names
 
 
 @pytest.mark.parametrize("truth", [True, False])

@@ -12,7 +12,7 @@ from made_up_run import FILES, SETTINGS, made_up
 
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
-from homeward.runs.report import page
+from homeward.runs.report import run_page
 from homeward.runs.report.folder import write_run
 
 
@@ -31,7 +31,7 @@ def folder(tmp_path_factory):
 @pytest.fixture
 def unplotted(monkeypatch):
     """Spare a test the time that plots take."""
-    monkeypatch.setattr(page, "_plots", lambda drive, track: {})
+    monkeypatch.setattr(run_page, "_plots", lambda drive, track: {})
 
 
 def test_estimate_reads_back(folder):

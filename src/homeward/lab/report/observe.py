@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.colors import LogNorm
@@ -15,11 +17,10 @@ from homeward.io.writing import whole_folder
 from homeward.lab.observability.lie import printed_matrix, rank_table
 from homeward.lab.observability.study import ModelView, Trace, observe_motions
 from homeward.lab.studies.observing import DriveView
-from homeward.runs.report import words
+from homeward.runs.report import html, words
 from homeward.runs.report.canvas import drawn, name_mark, new_figure, style
 from homeward.runs.report.files import write_settings
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, SKY
-from homeward.runs.report.template import render
 from homeward.runs.report.words import name
 
 GHOSTS = 7
@@ -30,6 +31,7 @@ BEST_M = 0.03
 MAP_IN = 5.3
 """Width of the map of a drive without scale and colour bar [inch]."""
 COLOURS = "viridis_r"
+TEXTS = html.texts("homeward.lab.report")["observe"]
 
 
 def draw_family(view: ModelView) -> Figure:
@@ -170,29 +172,49 @@ FIGURE = "observe"
 
 def write_model_view(directory: Path, view: ModelView, settings: dict[str, Any]) -> None:
     """Write observe.html, observe.png, observe.svg and observe.yaml; errors as `whole_folder`."""
-    values = {
-        "title": f"Observability: {view.drive.title}",
-        "summary": model_summary(view),
-        "view": view,
-        "drive": None,
-        "members": sum(len(t.unknowns) - 1 for t in view.family),
-        "difference": same_to(view),
-    }
+    members = sum(len(t.unknowns) - 1 for t in view.family)
+    text = TEXTS["family"].format(members, same_to(view))
     label = "Worlds with equal bearings"
-    _write(directory, draw_family(view), label, values, settings)
+
+    def own(figure: Markup) -> Markup:
+        heading = label if view.family else "The drive"
+        return html.section(heading, html.figure(figure), html.note(text if view.family else ""))
+
+    title = f"Observability: {view.drive.title}"
+    _write(directory, title, model_summary(view), (label, draw_family(view)), own, settings)
 
 
 def write_drive_view(directory: Path, view: DriveView, settings: dict[str, Any]) -> None:
     """Write the same files for a drive."""
-    values = {
-        "title": f"Observability of {words.name(view.name, 60)}",
-        "summary": drive_summary(view),
-        "view": None,
-        "drive": view,
-        "window": settings["window"],
-    }
+    sigmas = map(words.degrees, (view.bearing_sigma, view.home_sigma))
+    text = TEXTS["windows"].format(settings["window"], view.path_from, *sigmas)
+    missing = view.unplaced
+    unplaced = TEXTS["unplaced"].format(words.listing(missing, 20)) if missing else ""
+
+    def own(figure: Markup) -> Markup:
+        table = html.table("rrrrrrw", _window_rows(view))
+        heading = "Observability of the pose in each window"
+        return html.section(heading, html.figure(figure), html.note(text, unplaced), table)
+
+    title = f"Observability of {words.name(view.name, 60)}"
     label = "The path, coloured by the minimum position error"
-    _write(directory, draw_drive_view(view), label, values, settings)
+    _write(directory, title, drive_summary(view), (label, draw_drive_view(view)), own, settings)
+
+
+def _window_rows(view: DriveView) -> list[list[object]]:
+    head = ["from [s]", "to", "landmarks", "rank", "position", "heading"]
+    rows: list[list[object]] = [[*head, "unobservable or weakest direction"]]
+    for w in view.windows:
+        position, heading = w.position_sigma, w.heading_sigma
+        rows.append(
+            [
+                *(f"{w.begin:.0f}", f"{w.end:.0f}", len(w.landmarks), f"{w.rank} of {w.unknowns}"),
+                words.quantity(position, "m") if position < 1e6 else "",
+                words.degrees(heading) if heading < 3 else "",
+                "; ".join(w.weakest),
+            ]
+        )
+    return rows
 
 
 def model_summary(view: ModelView) -> str:
@@ -251,18 +273,58 @@ def same_to(view: ModelView) -> float:
 
 
 def _write(
-    directory: Path, figure: Figure, label: str, values: dict[str, Any], settings: dict[str, Any]
+    directory: Path,
+    title: str,
+    summary: str,
+    drawing: tuple[str, Figure],
+    own: Callable[[Markup], Markup],
+    settings: dict[str, Any],
 ) -> None:
+    """Write a page with a section of its `own`, made of the figure, and those of all pages."""
     with whole_folder(directory, SETTINGS_FILE) as scratch:
-        page = render(
-            "observe.html.j2",
-            package="homeward.lab.report",
-            **values,
-            words=words,
-            figure=drawn(scratch, FIGURE, label, figure, vector="svg")[1],
-            table=rank_table(),
-            motions=observe_motions(),
-            entries=printed_matrix(),
-        )
-        (scratch / PAGE).write_text(page, encoding="utf-8")
+        _, figure = drawn(scratch, FIGURE, *drawing, vector="svg")
+        head = html.header(title, html.summary(summary))
+        text = html.page(title, head, own(figure), _landmark_numbers(), _motions(), _matrix())
+        (scratch / PAGE).write_text(text, encoding="utf-8")
         write_settings(scratch / SETTINGS_FILE, settings)
+
+
+def _landmark_numbers() -> Markup:
+    head = "landmarks q", "state n", "rank, bearings", "and a compass", "and known distances"
+    rows: list[Sequence[object]] = [head]
+    for row in rank_table():
+        ranks = (row.bearings, row.compass, row.distances)
+        found = (f"{r} of {row.n}, all" if r == row.n else f"{r} of {row.n}" for r in ranks)
+        rows.append([row.landmarks, row.n, *found])
+    table = html.table("rrrrr", rows)
+    return html.section("Required number of landmarks", table, html.note(TEXTS["numbers"]))
+
+
+def _motions() -> Markup:
+    rows = [["Drive", "rank", "Unobservable"]]
+    for view in observe_motions():
+        free = "; ".join(freedom.words for freedom in view.freedoms) or "nothing"
+        rows.append([view.title, f"{view.found.value} of {view.unknowns}", free])
+    table = html.table("lrw", rows)
+    return html.section("Observability by motion", table, html.note(TEXTS["motions"]))
+
+
+def _matrix() -> Markup:
+    entries = printed_matrix()
+    rows = [
+        [
+            "Entry",
+            "derivative by",
+            "correct formula",
+            "at the paper's start",
+            "the model",
+            "printed",
+        ]
+    ]
+    for e in entries:
+        result = "correct" if e.right else "wrong sign"
+        rows.append([e.name, e.by, e.formula, f"{e.value:.6f}", f"{e.exact:.6f}", result])
+    wrong = [k for k, e in enumerate(entries) if not e.right]
+    table, rows_text = html.table("llwrrl", rows, wrong), html.paragraph(TEXTS["matrix"])
+    note = html.note(TEXTS["model"])
+    return html.section("The printed observability matrix", rows_text, table, note)

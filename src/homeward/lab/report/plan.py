@@ -20,7 +20,7 @@ from homeward.io.table import write_csv
 from homeward.io.writing import whole_folder
 from homeward.lab.planning.accuracy import Arcs
 from homeward.lab.planning.analysis import PlanView, StartView
-from homeward.runs.report import words
+from homeward.runs.report import html, words
 from homeward.runs.report.canvas import (
     WIDTH_IN,
     drawn,
@@ -32,7 +32,6 @@ from homeward.runs.report.canvas import (
 )
 from homeward.runs.report.files import number
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, SKY, VERMILLION
-from homeward.runs.report.template import render
 
 NOWHERE = "#d5d9dd"
 WEAK = "#f3d9a4"
@@ -306,6 +305,7 @@ def worst_pairs(view: PlanView, most: int) -> list[tuple[int, int, float]]:
 
 SETTINGS_FILE = "plan.yaml"
 """The plan; written last, so that it marks the folder as complete output."""
+TEXTS = html.texts("homeward.lab.report")["plan"]
 PAGE = "plan.html"
 PAIRS = 8
 """Number of pairs in the table."""
@@ -330,38 +330,69 @@ def write_plan(directory: Path, view: PlanView) -> None:
 
 
 def _page(view: PlanView, drawings: dict[str, Markup]) -> str:
-    common, begins = view.common, view.begins
-    q = len(view.names)
-    order = sorted(range(q), key=lambda i: float((view.hidden[:, i] <= 1).mean()))
-    return render(
-        "plan.html.j2",
-        package="homeward.lab.report",
-        words=words,
-        view=view,
-        plan=view.plan,
-        title=words.name(view.plan.name, 60),
-        summary=plan_summary(view),
-        figures=drawings,
-        headline=[
-            ("homing can begin", words.percent(float(begins.mean()))),
-            ("with any one hidden", words.percent(float(view.safe.mean()))),
-            ("with any two hidden", words.percent(float(view.pair_safe.mean()))),
-            ("a moved one is detected", words.percent(float((begins & (common >= 4)).mean()))),
-            ("and identified", words.percent(float((begins & (common >= 5)).mean()))),
-        ],
-        landmarks=[
-            (
-                view.names[i],
-                bool(view.stored[i]),
-                # Both from the same places, so that they are comparable.
-                float((view.hidden[view.sample, i] <= 1).mean()),
-                float((view.moved[:, i] <= 1).mean()),
-            )
-            for i in order
-        ],
-        pairs=[(view.names[j], view.names[i], share) for i, j, share in worst_pairs(view, PAIRS)],
+    title = words.name(view.plan.name, 60)
+    hidden = html.figure(drawings["hidden"]) if "hidden" in drawings else html.EMPTY
+    return html.page(
+        f"{title}: where homing can begin",
+        html.header(
+            f"{title}: where homing can begin",
+            html.figure(drawings["begin"]),
+            html.summary(plan_summary(view)),
+            html.facts(_headline(view)),
+        ),
+        html.section(
+            "Minimum pose error",
+            html.figure(drawings["accuracy"]),
+            html.note(TEXTS["accuracy"]),
+        ),
+        html.section("Importance of each landmark", hidden, *_importance(view)),
+        html.section(
+            "Assumptions",
+            html.note(_assumptions(view)),
+            html.details("The plan (homeward plan plan.yaml repeats it)", _settings(view)),
+        ),
+    )
+
+
+def _headline(view: PlanView) -> dict[str, str]:
+    """Return the main shares of the floor."""
+    begins, common = view.begins, view.common
+    return {
+        "homing can begin": words.percent(float(begins.mean())),
+        "with any one hidden": words.percent(float(view.safe.mean())),
+        "with any two hidden": words.percent(float(view.pair_safe.mean())),
+        "a moved one is detected": words.percent(float((begins & (common >= 4)).mean())),
+        "and identified": words.percent(float((begins & (common >= 5)).mean())),
+    }
+
+
+def _importance(view: PlanView) -> list[Markup]:
+    """Return the tables of what hidden and moved landmarks cost; nothing without landmarks."""
+    if not view.names:
+        return []
+    head = ["Landmark", "hidden: homing can begin from", "moved since home was stored", ""]
+    rows = [head]
+    for i in sorted(range(len(view.names)), key=lambda i: float((view.hidden[:, i] <= 1).mean())):
+        # Both from the same places, so that they are comparable.
+        shares = view.hidden[view.sample, i], view.moved[:, i]
+        cells = (f"{100 * float((share <= 1).mean()):.1f} %" for share in shares)
+        seen = "" if view.stored[i] else "not visible from home"
+        rows.append([words.name(view.names[i], 60), *cells, seen])
+    pairs = [["Most important pairs", "", "homing can begin from"]]
+    for i, j, share in worst_pairs(view, PAIRS):
+        names = (words.name(view.names[k], 60) for k in (j, i))
+        pairs.append([*names, f"{100 * share:.1f} %"])
+    text = TEXTS["importance"].format(len(view.sample), len(view.position))
+    return [html.table("wrrl", rows), html.table("wwr", pairs), html.note(text)]
+
+
+def _assumptions(view: PlanView) -> str:
+    drive, sigma = view.plan.drive, view.plan.landmark_sigma
+    return TEXTS["assumptions"].format(
+        drive=drive,
+        turn=words.degrees(drive.turn),
         headings=len(Arcs(view.plan).headings),
-        settings=_settings(view),
+        known=f"known to {words.quantity(sigma, 'm')}" if sigma else "unknown",
     )
 
 

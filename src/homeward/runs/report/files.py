@@ -8,6 +8,7 @@ import platform
 from collections.abc import Iterable, Mapping, Sequence
 from decimal import Decimal
 from importlib.metadata import PackageNotFoundError, version
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,8 @@ from homeward.io.table import write_csv
 from homeward.runs.scoring import Metrics
 from homeward.track import Track
 
+TEMPLATES = files("homeward.runs.report").joinpath("templates")
+"""Files that pages and recordings are made of."""
 ESTIMATE_HEADER = "t,x,y,heading,R,theta,alpha,sigma_x,sigma_y,sigma_heading,status"
 LANDMARKS_HEADER = (
     "landmark,x,y,distance,sigma_distance,home_bearing_stored,home_bearing_estimated,"

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from importlib import import_module
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from homeward.drives.images import Images
 from homeward.errors import InputError, missing_extra_error
 from homeward.io.writing import whole_folder
 from homeward.runs.report.files import (
+    TEMPLATES,
     write_estimate,
     write_landmarks,
     write_metrics,
@@ -38,7 +38,7 @@ blueprint (docs/make_blueprint.py) only to a recording whose file name is run.""
 def missing_extra() -> InputError | None:
     """Return the error that names the missing extra of `PAGE` and `RECORDING`, or None."""
     try:
-        import_module("homeward.runs.report.page")
+        import_module("homeward.runs.report.run_page")
         import_module("homeward.runs.report.mcap")
     except ModuleNotFoundError as error:
         if (missing := missing_extra_error(error)) is None:
@@ -73,12 +73,11 @@ def write_run(
         write_metrics(scratch / "metrics.json", metrics)
         if pages:
             from homeward.runs.report.mcap import write_recording
-            from homeward.runs.report.page import write_page
+            from homeward.runs.report.run_page import write_page
 
             write_recording(scratch / RECORDING, drive, track, images)
             for name in VIEWS:
-                view = files("homeward.runs.report").joinpath("templates", name)
-                (scratch / name).write_bytes(view.read_bytes())
+                (scratch / name).write_bytes(TEMPLATES.joinpath(name).read_bytes())
             write_page(scratch / PAGE, drive, track, metrics, settings)
         if track.failures:
             traces = "\n\n".join(

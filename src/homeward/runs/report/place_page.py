@@ -5,17 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from homeward.io.writing import write_whole
 from homeward.places.place import Place
-from homeward.runs.report import words
+from homeward.runs.report import html, words
 from homeward.runs.report.canvas import legend_below, new_figure, plain, style, svg
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, VERMILLION
 from homeward.runs.report.place_words import date, info_lines
-from homeward.runs.report.template import render
 
 MAX_LABELS = 60
 """Maximum number of landmarks whose names are drawn."""
@@ -25,27 +23,54 @@ MAX_ROWS = 200
 
 def write_page(file: Path, place: Place) -> None:
     """Write the page of a place; `InputError` if it cannot be written."""
-    when, usual = place.visits[-1].when, place.usual_rate
-    stays = place.stays(when)
-    sigmas = dict(zip(place.map.names, place.map.sigmas.tolist(), strict=True))
-    by_rate = sorted(place.persistence, key=lambda n: -place.persistence[n].rate(usual))
-    html = render(
-        "place.html.j2",
-        words=words,
-        place=place,
-        date=date,
-        lines=info_lines(place),
-        figures={
-            "map": Markup(svg(_draw_map(place), "Map of the place")),
-            "visits": Markup(svg(_draw_visits(place), "Landmarks stayed, moved, new and gone")),
-        },
-        landmarks=[
-            (n, place.persistence[n], stays[n], place.persistence[n].rate(usual), sigmas[n])
-            for n in by_rate[:MAX_ROWS]
-        ],
-        visits=place.visits[: -MAX_ROWS - 1 : -1],
+    name = words.name(place.name, 60)
+    first, *others = info_lines(place)
+    text = html.page(
+        f"{name}: map and changes of a place",
+        html.header(
+            f"{name}: map and changes",
+            html.figure(svg(_draw_map(place), "Map of the place")),
+            html.summary(first),
+            *map(html.note, others),
+        ),
+        html.section(
+            "Visits",
+            html.figure(svg(_draw_visits(place), "Landmarks stayed, moved, new and gone")),
+            html.table("llwlrrrrr", _visit_rows(place)),
+        ),
+        html.section(
+            "Landmarks, by rate of changes",
+            html.note(html.texts("homeward.runs.report")["place"]["rates"]),
+            html.table("wrrrrr", _landmark_rows(place)),
+        ),
     )
-    write_whole(file, html.encode())
+    write_whole(file, text.encode())
+
+
+def _visit_rows(place: Place) -> list[list[object]]:
+    """Return the last visits, the newest first."""
+    numbers = ("stayed", "moved", "gone", "returned", "new")
+    rows: list[list[object]] = [["Visit", "day", "drive", "result", *numbers]]
+    for v in place.visits[: -MAX_ROWS - 1 : -1]:
+        result = "" if v.verdict == "merged" else v.verdict
+        found = (getattr(v, number) for number in numbers)
+        rows.append([v.number, date(v.when), words.name(v.drive, 40), result, *found])
+    return rows
+
+
+def _landmark_rows(place: Place) -> list[list[object]]:
+    """Return the landmarks with the highest rates of changes."""
+    usual, stays = place.usual_rate, place.stays(place.visits[-1].when)
+    sigmas = dict(zip(place.map.names, place.map.sigmas.tolist(), strict=True))
+    head = ["Landmark", "probability of a change in a day", "moved", "visits that saw it there"]
+    rows: list[list[object]] = [[*head, "probability in place", "position sigma [m]"]]
+    known = place.persistence
+    for name in sorted(known, key=lambda n: -known[n].rate(usual))[:MAX_ROWS]:
+        change = words.percent(min(known[name].rate(usual), 1.0))
+        seen = known[name].moved, known[name].seen
+        where = words.percent(stays[name]), f"{sigmas[name]:.3f}"
+        rows.append([words.name(name, 60), change, *seen, *where])
+    return rows
 
 
 def _draw_map(place: Place) -> Figure:

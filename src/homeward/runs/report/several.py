@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from homeward.io.naming import number, share
 from homeward.io.writing import whole_folder
+from homeward.runs.report import html
 from homeward.runs.report.canvas import drawn, legend_below, new_figure, plain, style, uncrowd
 from homeward.runs.report.files import write_tables
 from homeward.runs.report.folder import write_run
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED
-from homeward.runs.report.template import render
 from homeward.runs.report.words import count, name
 from homeward.runs.scoring import errors
 from homeward.runs.single_run import Outcome
@@ -31,12 +32,11 @@ HEAD += ["heading RMSE [deg]", "NEES", "update [ms]", "moved landmarks"]
 
 def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
     """Write a page, tables, figures, and the folder of each run; errors as `whole_folder`."""
-    drive = outcomes[0].drive
     ended = [o for o in outcomes if o.track is not None and o.track.t.size]
     with whole_folder(directory, PAGE) as scratch:
-        figures = []
+        drawings = []
         if ended:
-            figures = [
+            drawings = [
                 drawn(scratch, "paths", "Estimated paths", draw_paths(ended)),
                 drawn(scratch, "errors", "Position error over time", draw_errors(ended)),
             ]
@@ -45,16 +45,31 @@ def write_several(directory: Path, outcomes: Sequence[Outcome]) -> None:
             settings = outcome.run.model_dump(mode="json")
             write_run(scratch / folder_name(outcome), outcome.drive, outcome.track, settings)
         write_tables(scratch, table(outcomes), exact_table(outcomes))
-        html = render(
-            "several.html.j2",
-            title=f"{count(len(outcomes), 'estimator')} on {name(drive.name, 60)}",
-            head=HEAD,
-            rows=list(zip(outcomes, table(outcomes)[1:], strict=True)),
-            folder=folder_name,
-            figures=figures,
-            has_truth=drive.truth is not None,
-        )
-        (scratch / PAGE).write_text(html, encoding="utf-8")
+        (scratch / PAGE).write_text(_page(outcomes, drawings), encoding="utf-8")
+
+
+def _page(outcomes: Sequence[Outcome], drawings: Sequence[tuple[str, str]]) -> str:
+    drive = outcomes[0].drive
+    title = f"{count(len(outcomes), 'estimator')} on {name(drive.name, 60)}"
+    rows: list[list[object]] = [list(row) for row in table(outcomes)]
+    notes = []
+    for row, outcome in zip(rows[1:], outcomes, strict=True):
+        if outcome.failure:
+            notes.append(f"Failed: {outcome.failure}")
+        if outcome.track is not None:
+            link = Markup('<a href="{}/report.html">{}</a>')
+            row[0] = link.format(folder_name(outcome), row[0])
+            notes += [f"{outcome.run.estimator}: {text}" for text in outcome.track.notes]
+    texts = html.texts("homeward.runs.report")["several"]
+    truth = "" if drive.truth is None else texts["truth"]
+    meaning = html.note(texts["unavailable"], truth, texts["one_drive"])
+    columns = "s" + "r" * (len(HEAD) - 1)
+    return html.page(
+        title,
+        html.header(title, html.table(columns, rows), meaning),
+        *map(html.note, notes),
+        html.figures(drawings),
+    )
 
 
 def folder_name(outcome: Outcome) -> str:

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -24,11 +23,17 @@ from homeward.lab.report.paper.claims import (
     reading_words,
     start_words,
 )
-from homeward.lab.report.paper.page import COLOURS, QUANTITIES
+from homeward.lab.report.paper.page import COLOURS, PAPER, QUANTITIES
 from homeward.lab.report.study.page import below_bound, note_below
 from homeward.lab.studies.blocks.store import MARKER
 from homeward.lab.studies.paper.cases import DEAD_RECKONING, FILTERS, PI_HT
-from homeward.lab.studies.paper.layouts import BOUND, ROBUST, STUDIED, Reading, Start
+from homeward.lab.studies.paper.layouts import (
+    BOUND,
+    ROBUST,
+    STUDIED,
+    Reading,
+    Start,
+)
 from homeward.lab.studies.paper.reproduction import (
     TO_PAPER_UNITS,
     LayoutStudy,
@@ -41,6 +46,7 @@ from homeward.lab.studies.paper.reproduction import (
 )
 from homeward.lab.studies.paper.world import CaseName
 from homeward.lab.studies.study.statistics import quantiles, wilson
+from homeward.runs.report import html
 from homeward.runs.report.canvas import (
     drawn,
     legend_below,
@@ -50,7 +56,6 @@ from homeward.runs.report.canvas import (
     uncrowd,
 )
 from homeward.runs.report.palette import GREEN, INK, MUTED, SKY
-from homeward.runs.report.template import render
 from homeward.runs.report.words import percent
 
 ROWS = (*FILTERS, ROBUST, BOUND)
@@ -188,6 +193,7 @@ FIGURES: dict[str, tuple[str, Callable[[LayoutStudy], Figure]]] = {
 
 CLAIMED = ("PI-EKF", "A-EKF", "EKF")
 """Order of errors that the paper claims, from small to large."""
+TEXTS = html.texts("homeward.lab.report")["layouts"]
 PAGE, DATA = "layouts.html", "layouts.csv"
 
 
@@ -316,29 +322,42 @@ def headline(study: LayoutStudy) -> str:
     return " ".join(conclusions(study.grid, study.settings.paper.printed.M))
 
 
-def _page(study: LayoutStudy, pictures: list[tuple[str, Markup]]) -> str:
-    settings = study.settings.model_dump(mode="json")
-    return render(
-        "layouts.html.j2",
-        package="homeward.lab.report",
-        conclusions=conclusions(study.grid, study.settings.paper.printed.M),
-        figures=pictures,
-        printed=[
-            (case, [" < ".join(printed_order(case, k)) for k in range(3)]) for case in STUDIED
-        ],
-        tables=[
-            ("Claims of the paper, tested", claim_table(study), 5),
-            ("Which open quantity decides: readings in which it holds", deciding_table(study), 10),
-            ("RMSE: median (5 to 95 %) over the layouts", error_table(study), 3),
-            ("Cramér-Rao bound, and ratios to it", ratio_table(study), 2),
-            ("Shares of layouts by order of errors", order_table(study), 3),
-            ("All readings: medians of R [cm], theta, alpha [rad]", grid_table(study), 2),
-            ("Variants: medians of R [cm], theta, alpha [rad]", variant_table(study), 3),
-        ],
-        below=note_below(_below(study)),
-        layouts=study.settings,
-        settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
+def _page(study: LayoutStudy, pictures: Sequence[tuple[str, str]]) -> str:
+    settings, tree = study.settings, study.settings.model_dump(mode="json")
+    tables = {
+        "Claims of the paper, tested": ("sssss", claim_table(study)),
+        "Which open quantity decides: readings in which it holds": (
+            "s" * 10,
+            deciding_table(study),
+        ),
+        "RMSE: median (5 to 95 %) over the layouts": ("sssrrrrrrr", error_table(study)),
+        "Cramér-Rao bound, and ratios to it": ("ss" + "r" * len(ROWS), ratio_table(study)),
+        "Shares of layouts by order of errors": ("sssrrrr", order_table(study)),
+        "All readings: medians of R [cm], theta, alpha [rad]": ("ss" + "r" * 16, grid_table(study)),
+        "Variants: medians of R [cm], theta, alpha [rad]": ("sss" + "r" * 8, variant_table(study)),
+    }
+    slow = min(settings.robust, settings.layouts)
+    body = [
+        html.figures(pictures),
+        html.note(TEXTS["compared"].format(slow, settings.varied)),
+        html.note(note_below(_below(study))),
+        *(html.section(name, html.table(*t, whole=True)) for name, t in tables.items()),
+        html.note(TEXTS["shares"]),
+        html.settings(
+            "Every setting", yaml.safe_dump(tree, sort_keys=False, default_flow_style=None)
+        ),
+    ]
+    orders = []
+    for case in STUDIED:
+        R, theta, alpha = (" < ".join(printed_order(case, k)) for k in range(3))
+        orders.append(f"Case {case} {R} for R, {theta} for theta and {alpha} for alpha")
+    head = html.header(
+        f"{PAPER} over many layouts and readings",
+        *map(html.summary, conclusions(study.grid, settings.paper.printed.M)),
+        html.note(TEXTS["introduction"].format(settings.layouts, "; ".join(orders))),
+        html.contents(body),
     )
+    return html.page("The paper's cases over many layouts and readings", head, *body)
 
 
 def _below(study: LayoutStudy) -> dict[str, str]:

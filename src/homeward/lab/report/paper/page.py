@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import yaml
@@ -24,18 +24,22 @@ from homeward.lab.studies.paper.reproduction import (
     PRINTED,
     TO_PAPER_UNITS,
     Reproduction,
+    Row,
     better_shares,
     rows,
 )
+from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, fault_count
+from homeward.runs.report import html
 from homeward.runs.report.canvas import WIDTH_IN, bare, drawn, new_figure, style
 from homeward.runs.report.files import write_settings, write_tables
 from homeward.runs.report.palette import BLUE, GREEN, HOUSE, INK, MUTED, ORANGE, SKY, VERMILLION
-from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
 
 COLOURS = dict(zip(FILTERS, (INK, ORANGE, VERMILLION, BLUE, SKY, MUTED), strict=True))
 QUANTITIES = ("R [cm]", "theta [rad]", "alpha [rad]")
+PAPER = "“State Estimation for Vision-based Localization under Uncertain Conditions”"
+TEXTS = html.texts("homeward.lab.report")
 
 
 def draw_geometry(*_: object) -> Figure:
@@ -302,25 +306,78 @@ def write_reproduction(directory: Path, result: Reproduction) -> None:
         write_settings(scratch / SETTINGS_FILE, result.settings.model_dump(mode="json"))
 
 
-def _page(result: Reproduction, figures: list[tuple[str, Markup]]) -> str:
-    table, settings = rows(result), result.settings
-    return render(
-        "paper.html.j2",
-        package="homeward.lab.report",
-        figures=figures,
-        conclusions=sentences(result),
-        printed_rows=[row for row in table if row.case in PRINTED],
-        other_rows=[row for row in table if row.case not in PRINTED],
-        errata=errata(result),
-        faults=fault_rows(result),
-        quantities=QUANTITIES,
-        printed=settings.printed,
-        assumed=settings.assumed,
-        images=None if settings.measurements == "model" else settings.images,
-        runs=settings.runs,
-        seed=settings.seed,
-        settings=yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False),
+def _page(result: Reproduction, figures: Sequence[tuple[str, str]]) -> str:
+    settings, texts = result.settings, TEXTS["paper"]
+    layouts = f"{settings.runs} random layout{'s' if settings.runs > 1 else ''}"
+    imaged = settings.measurements == "images"
+    printed_rows = [row for row in rows(result) if row.case in PRINTED]
+    other_rows = [row for row in rows(result) if row.case not in PRINTED]
+    head = ["Case", "Filter", "", *QUANTITIES, "theta, R > 20 cm"]
+    head.append(f"home within {200 * settings.assumed.stop_radius:.3g} cm")
+    printed, others = (
+        html.table("sssrrrrr", [head, *_rows(some)], whole=True)
+        for some in (printed_rows, other_rows)
     )
+    faults = [["Case", "requested moved landmarks", "obtained"], *fault_rows(result)]
+    tree = settings.model_dump(mode="json")
+    body = [
+        html.section("Printed and reproduced RMSE", printed, html.note(texts["compared"])),
+        html.section("The cases without a printed table", others),
+        html.figures(figures),
+        html.note(texts["shown"].format(settings.seed), "" if imaged else texts["panorama"]),
+        html.section("Assumptions", html.bullets(assumptions(settings))),
+        html.section("Requested and obtained faults", html.table("srs", faults)),
+        html.section("Errata of the paper", html.bullets(errata(result))),
+        html.settings(
+            "All settings (change with homeward study paper --set KEY=VALUE)",
+            yaml.safe_dump(tree, sort_keys=False),
+        ),
+    ]
+    source = "rendered panoramas" if imaged else "an ODE"
+    head_of_page = html.header(
+        f"{PAPER}, Cases 1 to 4, by measurements from {source}",
+        html.bullets(sentences(result), "summary"),
+        html.note(texts["introduction"].format(layouts, settings.printed.landmarks)),
+        html.contents(body),
+    )
+    return html.page("The paper's cases, reproduced", head_of_page, *body)
+
+
+def _rows(table: Sequence[Row]) -> Iterator[list[str]]:
+    """Yield the printed errors of each filter, ours, and their range."""
+    for row in table:
+        name = [row.case, row.filter]
+        if row.printed:
+            yield [*name, "printed", *(f"{v:.4f}" for v in row.printed), "", ""]
+            name = ["", ""]
+        ours, far = (f"{v:.4f}" for v in row.median), f"{row.theta_far:.4f}"
+        home = "" if row.case == "4" else f"{100 * row.home_share:.0f} %"
+        yield [*name, "ours, median", *ours, far, home]
+        ranges = zip(row.low, row.high, strict=True)
+        spans = (f"{low:.3g} to {high:.3g}" for low, high in ranges)
+        yield ["", "", "5 to 95 %", *spans, "", ""]
+
+
+def assumptions(settings: PaperSettings) -> list[Markup]:
+    """Return what these settings assume where the paper prints nothing, or two things."""
+    a, images = settings.assumed, settings.images
+    imaged = settings.measurements == "images"
+    is_variance = a.meaning_of_R == "variance"
+    values: dict[str, Any] = {
+        "a": a,
+        "printed": settings.printed,
+        "images": images,
+        "height": images.width // 4,
+        "several_faults": ", ".join(map(str, a.several_faults)),
+        "meaning_of_Q": (
+            "(v [cm/s], omega [rad/s])" if a.meaning_of_Q == "input" else "the n states"
+        ),
+        "meaning_of_R": "variance [rad²]" if is_variance else "standard deviation [rad]",
+        "reduced": 100 * a.guard**2 / (a.stop_radius**2 + a.guard**2),
+        "bearings": "Without images, measurements" if imaged else "Measurements",
+    }
+    texts = TEXTS["assumptions"].items()
+    return [text.format(**values) for name, text in texts if imaged or name != "images"]
 
 
 def _tables(result: Reproduction) -> tuple[list[list[str]], list[list[object]]]:

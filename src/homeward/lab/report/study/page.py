@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 import re
 import textwrap
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import yaml
-from markupsafe import Markup
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -33,6 +32,7 @@ from homeward.lab.studies.study.summary import (
     summary,
     table,
 )
+from homeward.runs.report import html
 from homeward.runs.report.canvas import (
     drawn,
     legend_below,
@@ -44,7 +44,6 @@ from homeward.runs.report.canvas import (
 )
 from homeward.runs.report.files import write_tables
 from homeward.runs.report.palette import CONTENDER_COLOURS, INK, MUTED, RULE
-from homeward.runs.report.template import render
 from homeward.runs.report.words import count, listing
 
 MARK = "†"
@@ -268,6 +267,7 @@ def _panels(results: Results, draw: Callable[[Axes, int], None], entries: list[L
     return figure
 
 
+TEXTS = html.texts("homeward.lab.report")["study"]
 PAGE, DATA = "study.html", "results.nc"
 
 
@@ -307,7 +307,7 @@ def _page(
     results: Results,
     found: Summary,
     rows: list[list[str]],
-    pictures: list[tuple[str, str, Markup]],
+    pictures: Sequence[tuple[str, str, str]],
 ) -> str:
     plan = results.plan
     names = [name for name, _, _ in pictures]
@@ -316,20 +316,26 @@ def _page(
         cut.append(f"figures over time have the first {MAX_PANELS} scenarios")
     if OVERVIEW in names and len(plan.cases) * len(plan.contenders) > MAX_ROWS:
         cut.append(f"the overview has the first {MAX_ROWS} rows of the table")
+    home = TEXTS["home"].format(plan.study.home_radius) if found.closed else ""
+    reasons = [f"{number}: {reason}" for reason, number in failures(results).items()]
     settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
-    return render(
-        "study.html.j2",
-        package="homeward.lab.report",
-        title=plan.study.name,
-        headline=headline(results),
-        closed=found.closed,
-        first=found.first,
-        home_radius=plan.study.home_radius,
-        rows=rows,
-        figures=[picture for _, *picture in pictures],
-        over_time=OVER_TIME in names,
-        cut=listing(cut) if cut else "",
-        below=note_below(below(results)),
-        failures=failures(results),
-        settings=yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
+    return html.page(
+        plan.study.name,
+        html.header(plan.study.name, html.summary(f"{headline(results)}.")),
+        html.figures((caption, drawing) for _, caption, drawing in pictures),
+        html.note(TEXTS["over_time"] if OVER_TIME in names else ""),
+        html.note(f"Shortened: {listing(cut)}." if cut else ""),
+        html.note(note_below(below(results))),
+        html.section(
+            "Results by scenario and estimator",
+            html.table("ss" + "r" * (len(rows[0]) - 2), rows),
+            html.note(TEXTS["columns"].format(first=found.first), home, TEXTS["rates"]),
+        ),
+        html.section(
+            "Failed runs", html.bullets(reasons), html.note(TEXTS["failed"] if reasons else "")
+        ),
+        html.settings(
+            "The study as YAML, which repeats it exactly",
+            yaml.safe_dump(settings, sort_keys=False, default_flow_style=None),
+        ),
     )

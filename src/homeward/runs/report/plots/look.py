@@ -15,8 +15,6 @@ from bokeh.document import Document
 from bokeh.models import BoxZoomTool, HoverTool, PanTool, ResetTool, Span, UIElement, WheelZoomTool
 from bokeh.plotting import figure
 from bokeh.resources import Resources
-from jinja2.utils import htmlsafe_json_dumps
-from markupsafe import Markup
 
 from homeward.runs.report.palette import INK
 
@@ -71,8 +69,8 @@ def add_hover(plot: figure, tip: str, *renderers: Any, **options: Any) -> None:
     plot.add_tools(HoverTool(renderers=list(renderers), tooltips=tip, **options))
 
 
-def embedded(plots: Mapping[str, UIElement]) -> Markup:
-    """Return plots as JSON for a script element: {doc, roots}, where roots maps ids to names.
+def embedded(plots: Mapping[str, UIElement], **data: Any) -> str:
+    """Return plots and further data of a page as JSON: {doc, roots, ...}; roots maps ids to names.
 
     Bokeh numbers its models per process; here they are numbered by their order, so that the same
     plots give the same text.
@@ -83,13 +81,12 @@ def embedded(plots: Mapping[str, UIElement]) -> Markup:
     numbers: dict[str, str] = {}
     doc = _renumbered(document.to_json(deferred=False), numbers)
     roots = {numbers[plot.id]: name for name, plot in plots.items()}
-    return htmlsafe_json_dumps({"doc": doc, "roots": roots}, dumps=serialize_json)
+    return str(serialize_json({"doc": doc, "roots": roots, **data}))
 
 
-def script() -> Markup:
-    """Return the script of Bokeh for a script element."""
-    (text,) = Resources(mode="inline", components=["bokeh"]).js_raw[:1]
-    return Markup(text)
+def script() -> str:
+    """Return the script of Bokeh."""
+    return str(Resources(mode="inline", components=["bokeh"]).js_raw[0])
 
 
 def _renumbered(tree: Any, numbers: dict[str, str]) -> Any:

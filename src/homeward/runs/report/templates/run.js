@@ -1,9 +1,7 @@
 // The page of a run: draws Bokeh's plots, and moves the robot along the track with the slider.
 "use strict";
 (async () => {
-  const read = (id) => JSON.parse(document.getElementById(id).textContent);
-  const { doc: json, roots } = read("plots");
-  const moments = read("moments");
+  const { doc: json, roots, moments } = JSON.parse(document.getElementById("data").textContent);
 
   // Draw each plot into the figure with its name.
   Bokeh.set_log_level("warn");
