@@ -182,7 +182,6 @@ bench: install
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.leaderboard $(if $(QUICK),--quick --out /dev/null)
 	$(BIN)/python -m benchmarks.bounds $(if $(QUICK),--runs 50)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.vision --part speed
-	$(BIN)/python -m benchmarks.plan $(if $(QUICK),--runs 1)
 	$(if $(QUICK),,OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.lasting)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --lag 5)
@@ -190,7 +189,6 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.render --pairs 60 --homings 50 --width 1024)
-	$(if $(QUICK),,$(BIN)/python -m benchmarks.recorded)
 
 # Re-run the cheap commands of docs/figures.json, and report figures of the pages that differ.
 figures: install

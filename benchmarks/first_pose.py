@@ -13,17 +13,23 @@ import math
 
 import numpy as np
 
-from benchmarks import monte_carlo
-from benchmarks.mrclam import HOME, data, surveyed_places
+from benchmarks.measures import Figures
+from benchmarks.monte_carlo import Column, Run, benchmark
+from benchmarks.mrclam import HOME, drive_of, surveyed_places
 from homeward.drives.drive import Drive
-from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.settings import OdometryDefaults
 from homeward.geometry.frames import Pose, between
 from homeward.lab.bounds import posterior_bound
 from homeward.localizer.localizer import Localizer
 from homeward.runs.scoring import errors
-from homeward.track import run
+from homeward.track import run as follow
 
+COLUMNS = (
+    *(Column(f"bound <{m} m [s]", digits=0) for m in ("1", "0.3")),
+    *(Column(head, digits=0) for head in ("five seen", "and 2 m driven", "first pose [s]")),
+    Column("driven [m]", digits=1),
+    *(Column(head, digits=2) for head in ("error [m]", "sigma [m]")),
+)
 HOME_SIGMA = math.radians(0.5)
 LONGEST_S = 400.0
 
@@ -72,37 +78,30 @@ def bound(
     return np.sqrt(np.trace(covariances[:, :2, :2], axis1=1, axis2=2)), visible
 
 
-def row(drive: Drive, home: Pose, bearing_sigma: float) -> str:
+def measured(run: Run, home: list[float], bearing_sigma: float) -> Figures:
+    """Return the times of one robot's drive [s], and error and sigma of its first pose [m]."""
+    drive = drive_of(int(run.scenario), run.seed, Pose(*home))
     start = drive.odometry.t[0]
     stamps = np.unique(drive.sightings.t)
     stamps = stamps[(stamps > drive.truth.t[0]) & (stamps < start + LONGEST_S)]
-    smallest, visible = bound(drive, home, bearing_sigma, stamps)
+    smallest, visible = bound(drive, Pose(*home), bearing_sigma, stamps)
     path = driven(drive, stamps)[0]
     five = np.logical_or.accumulate(visible).sum(axis=1) >= 5
     reached = smallest < 1.0, smallest < 0.3, five, five & (path >= 2.0)
     times = [np.append(stamps[true], np.nan)[0] - start for true in reached]
-    track = run(drive, Localizer(drive.home, **drive.settings.robot))
+    track = follow(drive, Localizer(drive.home, **drive.settings.robot))
     e = errors(track, drive.truth)
-    (known,) = np.isfinite(e.position).nonzero()
-    first, k = track.t[track.has_pose][0], known[0]
+    k = int(np.flatnonzero(np.isfinite(e.position))[0])
+    first = track.t[track.has_pose][0]
     sigma = e.position[k] / math.sqrt(e.nees_position[k])
-    return " ".join(f"{t:8.0f}" for t in [*times, first - start]) + (
-        f" {np.interp(first, stamps, path):8.1f} {e.position[k]:8.2f} {sigma:8.2f}"
-    )
+    of_pose = first - start, np.interp(first, stamps, path), e.position[k], sigma
+    return dict(zip((c.head for c in COLUMNS), (*times, *of_pose), strict=True))
 
 
 def main() -> None:
-    options = monte_carlo.parsed(
-        __doc__, robots=[1, 2, 3, 4, 5], home=list(HOME), bearing_sigma=0.01
-    )
-    home = Pose(*options.home)
-    print(
-        "robot  bound <1 m  <0.3 m  five seen  and 2 m driven  first pose [s]  driven [m]  error, "
-        "sigma [m]"
-    )
-    for robot in options.robots:
-        drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, home, HOME_SIGMA, 0)
-        print(f"{robot:5d}", row(drive, home, options.bearing_sigma), flush=True)
+    robots = ["1", "2", "3", "4", "5"]
+    given = {"home": list(HOME), "bearing_sigma": 0.01}
+    benchmark(__doc__, measured, robots, COLUMNS, seeds=1, names="robots", **given)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,9 @@
 Rooms of 8 x 8 m with 12 landmarks, 2 of them moved after home was stored; the robot starts within
 1.5 m of home, does not know where, and drives 0.2 m/s, turns 0.6 rad/s. Run:
 
-    python -m benchmarks.guided --rooms 20
+    python -m benchmarks.guided --seeds 20
+
+Medians over all rooms; a robot without a pose counts as infinitely late.
 """
 
 import math
@@ -11,7 +13,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks import monte_carlo
+from benchmarks.measures import Figures
+from benchmarks.monte_carlo import Column, Run, benchmark
 from homeward.control.start_guide import StartGuide
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor
@@ -25,6 +28,12 @@ SIGMA, NOISE = 0.01, 0.01
 """Standard deviation of bearings [rad]; densities of odometry [m/s/sqrt(Hz), rad/s/sqrt(Hz)]."""
 ARC = Twist(SPEED, SPEED)
 """An arc of 1 m radius."""
+COLUMNS = (
+    Column("with a pose", "pose", np.nanmean, 2),
+    Column("time [s]", "time", digits=0),
+    Column("distance [m]", "path", digits=1),
+    Column("error [m]", "off", digits=2),
+)
 POLICIES = "guided", "arc", "straight"
 
 
@@ -96,21 +105,16 @@ def first_pose(seed: int, policy: str, view: float) -> tuple[float, float, float
     return math.nan, math.nan, math.nan
 
 
+def measured(run: Run) -> Figures:
+    view, policy = run.scenario.split("° ")
+    found = first_pose(run.seed, policy, math.radians(float(view)))
+    late = [math.inf if math.isnan(value) else value for value in found]
+    return dict(zip(("time", "path", "off"), late, strict=True)) | {"pose": late[0] < math.inf}
+
+
 def main() -> None:
-    given = monte_carlo.parsed(__doc__, rooms=20, first_seed=0)
-    print("camera  policy    poses  time [s]  distance [m]  error [m] (medians over all rooms)")
-    for view in (60.0, 360.0):
-        for policy in POLICIES:
-            seeds = range(given.first_seed, given.first_seed + given.rooms)
-            rows = np.array([first_pose(seed, policy, math.radians(view)) for seed in seeds])
-            some = np.isfinite(rows[:, 0])
-            late = np.where(some[:, None], rows, math.inf)
-            time, path, off = np.median(late, axis=0)
-            print(
-                f"{view:4.0f}°   {policy:9} {some.sum():2}/{len(rows)}"
-                f"{time:9.0f} {path:11.1f} {off:13.2f}",
-                flush=True,
-            )
+    rows = [f"{view}° {policy}" for view in (60, 360) for policy in POLICIES]
+    benchmark(__doc__, measured, rows, COLUMNS, seeds=20)
 
 
 if __name__ == "__main__":

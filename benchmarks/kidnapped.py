@@ -1,9 +1,10 @@
 """Kidnapped robots: relocalisation, and overconfident poses.
 
-`python -m benchmarks.kidnapped calamities [--seeds 200]` has kidnappings, blackouts, outliers, gaps
-and swapped ids in the first half minute of a drive, followed by a minute without faults, and
-compares with that minute alone. `python -m benchmarks.kidnapped hall [--seeds 10]` carries a robot
-through a large hall, of which it sees only a part at a time.
+`python -m benchmarks.kidnapped [--only calamities ...] [--seeds 10]`. Calamities are kidnappings,
+blackouts, outliers, gaps and swapped ids in the first half minute of a drive, followed by a minute
+without faults; "alone" is that minute alone. In the others a robot is carried through a large hall,
+of which it sees only a part at a time. Shares of drives, by the end of each: with a pose, localised
+and right, localised and wrong; and the error of the last pose.
 """
 
 import math
@@ -13,7 +14,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks import monte_carlo
+from benchmarks.measures import Figures
+from benchmarks.monte_carlo import Column, Run, benchmark
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import Sensor
 from homeward.estimator import Estimate, Status
@@ -27,6 +29,15 @@ SIGMA, SPEED_SIGMA, TURN_SIGMA = 0.01, 0.01, 0.01
 BAD_S, GOOD_S = 30.0, 60.0  # duration of the faults, and of the drive without faults [s]
 LATE_S = 10.0  # duration of the evaluated end of a drive [s]
 WRONG_SIGMAS = 4.0  # A pose with a larger error is wrong [standard deviations]
+CALAMITIES = "calamities"
+COLUMNS = (
+    Column("pose, alone", "alone", np.nanmean),
+    Column("pose", by=np.nanmean),
+    Column("right", by=np.nanmean),
+    Column("wrong", by=np.nanmean),
+    Column("median [m]", "error", digits=2),
+    Column("worst [m]", "error", np.nanmax, 2),
+)
 START = Pose(0.5, 0.3, 0.0)
 Marks = dict[str, tuple[float, float]]
 Bearings = dict[str, float]
@@ -249,48 +260,27 @@ def _carry(world: World, metres: float, turn: float, blind: bool) -> list[Sample
     return samples + (list(world.drive(10.0, spoil=lambda _: {})) if blind else [])
 
 
-def main() -> None:
-    parser = monte_carlo.parser(__doc__, seeds=int)
-    parser.add_argument("what", choices=["calamities", "hall"])
-    options = parser.parse_args()
-    if options.what == "calamities":
-        _calamities(range(options.seeds or 200))
+def measured(run: Run) -> Figures:
+    """Return what happened at the end of a drive; for calamities, also after their last minute."""
+    if run.scenario == CALAMITIES:
+        make, bad, samples = calamity(run.seed)
+        alone = {"alone": replay(make(), samples).pose > 0.5}
+        samples = bad + samples
     else:
-        _hall(range(options.seeds or 10))
+        make, samples = hall(run.seed, CARRIED[run.scenario])
+        alone = {}
+    found = replay(make(), samples)
+    right = found.status is Status.LOCALISED and found.lies == 0.0
+    return alone | {
+        "pose": found.pose > 0.5,
+        "right": right,
+        "wrong": found.lies > 0.0,
+        "error": found.error,
+    }
 
 
-def _calamities(seeds: range) -> None:
-    alone, whole, lost, lies = 0, 0, [], []
-    for seed in seeds:
-        make, bad, good = calamity(seed)
-        before, after = replay(make(), good), replay(make(), bad + good)
-        alone += before.pose > 0.5
-        whole += after.pose > 0.5
-        if before.pose > 0.5 >= after.pose:
-            lost.append(seed)
-        if after.lies > 0.0:
-            lies.append(seed)
-    print(f"{len(seeds)} drives; with a pose at the end: {alone} of the minutes without faults,")
-    print(f"{whole} of the whole drives; not relocalised: {len(lost)} {lost}")
-    print(f"localised and wrong at the end: {len(lies)} {lies}", flush=True)
-
-
-def _hall(seeds: range) -> None:
-    for words, how in CARRIED.items():
-        outcomes = []
-        for seed in seeds:
-            make, samples = hall(seed, how)
-            outcomes.append(replay(make(), samples))
-        right = sum(o.status is Status.LOCALISED and o.lies == 0.0 for o in outcomes)
-        none = sum(o.pose == 0.0 for o in outcomes)
-        wrong = [s for s, o in zip(seeds, outcomes, strict=True) if o.lies > 0.0]
-        errors = np.array([o.error for o in outcomes])
-        print(
-            f"{words}: of {len(seeds)}, {right} localised and right, {none} without a pose, "
-            f"{len(wrong)} localised and wrong {wrong}; error of the last pose: median "
-            f"{np.nanmedian(errors):.2f} m, maximum {np.nanmax(errors):.2f} m",
-            flush=True,
-        )
+def main() -> None:
+    benchmark(__doc__, measured, [CALAMITIES, *CARRIED], COLUMNS, seeds=10)
 
 
 if __name__ == "__main__":

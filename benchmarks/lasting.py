@@ -11,14 +11,13 @@ over the seeds; and the worst NEES.
 import dataclasses
 import math
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
-from benchmarks import monte_carlo
 from benchmarks.consistency.trial import wandering
-from benchmarks.monte_carlo import Run
-from benchmarks.mrclam import procrustes_scale
+from benchmarks.measures import Figures, scale_of
+from benchmarks.measures import figures as figures_of
+from benchmarks.monte_carlo import Column, Run, benchmark
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.geometry.angles import wrap
@@ -26,11 +25,20 @@ from homeward.geometry.frames import Pose, bearing, compose
 from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.smoothing import smooth
-from homeward.runs.scoring import errors
+from homeward.localizer.smoothing import smooth as smoothed
 from homeward.track import Track
 from homeward.track import run as follow
 
+COLUMNS = (
+    Column("scale error [%]", "scale"),
+    Column("RMSE [m]", "rmse"),
+    Column("NEES", "nees"),
+    Column("beyond 3 sigma", "beyond3", digits=4),
+    Column("within 1 sigma", "inside1"),
+    Column("availability", "pose"),
+    Column("NIS", "nis"),
+    Column("worst NEES", "nees", np.nanmax, 2),
+)
 ODOMETRY = sim.OdometryErrors(speed_sigma=0.005, turn_sigma=0.005)
 WHITE = math.radians(0.4)
 
@@ -154,53 +162,23 @@ def drive_of(name: str, seed: int) -> tuple[Drive, Simulation]:
     return dataclasses.replace(drive, home=home, settings=settings), whole
 
 
-def map_scale(track: Track, whole: Simulation) -> float:
-    at = dict(zip(whole.world.ids, whole.world.in_home_frame, strict=True))
-    found = [m for m in track.landmarks if np.isfinite(m.x)]
-    if len(found) < 3:
-        return math.nan
-    true = np.array([complex(*at[m.landmark]) for m in found])
-    return procrustes_scale(np.array([m.x + 1j * m.y for m in found]), true)
+def figures(track: Track, drive: Drive, whole: Simulation) -> Figures:
+    """Return the figures of the last three quarters of a drive."""
+    late = 0.25 * (track.t[-1] - track.t[0])
+    places = dict(zip(whole.world.ids, whole.world.in_home_frame, strict=True))
+    found = figures_of(track, drive.truth, after_s=late)
+    found["nis"] = float(np.mean((track.innovations.value / track.innovations.sigma) ** 2))
+    return found | {"scale": 100.0 * (scale_of(track, places) - 1.0)}
 
 
-def figures(track: Track, drive: Drive, whole: Simulation) -> dict[str, float]:
-    e = errors(track, drive.truth)
-    late = e.t > track.t[0] + 0.25 * (track.t[-1] - track.t[0])
-    weight = e.weight[late] / e.weight[late].sum() if late.any() else e.weight[late]
-    if not weight.size:
-        return {"scale": math.nan}
-    return {
-        "scale": 100.0 * (map_scale(track, whole) - 1.0),
-        "rmse": math.sqrt(float(weight @ e.position[late] ** 2)),
-        "nees": float(weight @ np.minimum(e.nees[late], 300.0)),
-        "beyond": 100.0 * float(weight @ (e.nees_position[late] > 11.83)),
-        "inside": 100.0 * float(weight @ (e.nees_position[late] < 1.0)),
-        "pose": 100.0 * float(track.has_pose.mean()),
-        "nis": float(np.mean((track.innovations.value / track.innovations.sigma) ** 2)),
-    }
-
-
-def measured(final: bool, run: Run) -> dict[str, float]:
+def measured(run: Run, smooth: bool) -> Figures:
     drive, whole = drive_of(run.scenario, run.seed)
-    if final:
-        return figures(smooth(drive), drive, whole)
-    return figures(follow(drive, Localizer(drive.home, **drive.settings.robot)), drive, whole)
+    estimator = Localizer(drive.home, **drive.settings.robot)
+    return figures(smoothed(drive) if smooth else follow(drive, estimator), drive, whole)
 
 
 def main() -> None:
-    given = monte_carlo.parsed(
-        __doc__, seeds=3, only=ALL_ROUND | NARROW, smooth=False, **monte_carlo.HARNESS
-    )
-    runs = monte_carlo.grid(given.only, ["robust"], range(given.seeds))
-    function = partial(measured, given.smooth)
-    found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
-    columns = ("scale", "rmse", "nees", "beyond", "inside", "pose", "nis")
-    print(f"{'':20}" + "".join(f"{c:>9}" for c in columns) + "    worst nees")
-    for name in given.only:
-        each = [one for run, one in found.items() if run.scenario == name]
-        of = {c: monte_carlo.column(each, c) for c in columns}
-        line = "".join(f"{np.nanmedian(of[c]):9.3f}" for c in columns)
-        print(f"{name:20}{line}{np.nanmax(of['nees']):12.2f}")
+    benchmark(__doc__, measured, [*ALL_ROUND, *NARROW], COLUMNS, seeds=3, smooth=False)
 
 
 if __name__ == "__main__":

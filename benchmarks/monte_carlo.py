@@ -1,16 +1,21 @@
-"""Options and Monte Carlo harness of the benchmarks: named runs, in processes, resumable.
+"""The harness of the benchmarks: options, named runs in processes, resumable, and tables.
 
-A run is a scenario, an estimator and a seed. Each run is a block of `homeward.lab.studies.blocks`,
-the engine of `homeward study`: it survives killed workers, and continues from a folder.
+A benchmark is a function from a run to its figures, and the columns of a table (`benchmark`). A run
+is a scenario, an estimator and a seed. Each run is a block of `homeward.lab.studies.blocks`, the
+engine of `homeward study`: it survives killed workers, and continues from a folder.
 """
 
 import argparse
 import hashlib
+import platform
 import re
+import subprocess
 import sys
 import tempfile
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import ExitStack
+from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,6 +65,8 @@ def parser(doc: str | None, **defaults: Any) -> argparse.ArgumentParser:
             option = {"action": "store_true"}
         elif isinstance(default, type):
             option = {"type": default}
+        elif isinstance(default, Path):
+            option = {"type": Path, "default": default}
         elif isinstance(default, dict):
             option = {"nargs": "*", "choices": list(default), "default": list(default)}
         elif isinstance(default, list):
@@ -107,6 +114,16 @@ def source_digest() -> str:
     return digest.hexdigest()[:16]
 
 
+def origin() -> str:
+    """Return commit, date and machine of a run of this code."""
+    call = ["git", "rev-parse", "--short=8", "HEAD"]
+    done = subprocess.run(call, cwd=Path(__file__).parent, capture_output=True, text=True)
+    commit = done.stdout.strip() or "no repository"
+    python = ".".join(platform.python_version_tuple()[:2])
+    machine = f"{available_threads()}-core {platform.machine()} machine, Python {python}"
+    return f"{commit}, {datetime.now().date().isoformat()}, {machine}"
+
+
 def _block(function: Callable[[Run], Mapping[str, Any]], run: Run) -> Arrays:
     return {k: np.array(np.nan if v is None else v) for k, v in function(run).items()}
 
@@ -131,3 +148,59 @@ def column(figures: Iterable[Mapping[str, Any]], name: str) -> np.ndarray:
 def grid(scenarios: Sequence[str], estimators: Sequence[str], seeds: Iterable[int]) -> list[Run]:
     """Return all runs of a grid; the first seeds come first, so that all scenarios start early."""
     return [Run(s, e, seed) for seed in seeds for s in scenarios for e in estimators]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table: one figure of several runs."""
+
+    head: str
+    of: str = ""
+    """Name of the figure; by default the head."""
+    by: Callable[[np.ndarray], float] = np.nanmedian
+    digits: int = 3
+
+    def cell(self, figures: Iterable[Mapping[str, Any]]) -> str:
+        """Return the text for the runs of a row; empty if the figure is unknown in all."""
+        values = column(figures, self.of or self.head)
+        return f"{self.by(values):.{self.digits}f}" if np.isfinite(values).any() else "-"
+
+
+def benchmark(
+    doc: str | None,
+    function: Callable[..., Mapping[str, Any]],
+    scenarios: Sequence[str],
+    columns: Sequence[Column],
+    seeds: int,
+    names: str = "only",
+    **settings: Any,
+) -> dict[Run, Figures]:
+    """Run `function(run, **settings)` for each scenario and seed, by its options; print a table.
+
+    `settings` are further options, with their defaults; `names` is that of the scenarios. The last
+    row is that of all runs.
+    """
+    options = parsed(
+        doc, **{names: dict.fromkeys(scenarios)}, seeds=seeds, first=0, **settings, **HARNESS
+    )
+    some = getattr(options, names)
+    chosen = {name: getattr(options, name) for name in settings}
+    runs = grid(some, ["robust"], range(options.first, options.first + options.seeds))
+    kept = {name: str(value) for name, value in chosen.items()}
+    found = run_all(partial(function, **chosen), runs, options.jobs, options.keep, **kept)
+    rows = {s: [one for run, one in found.items() if run.scenario == s] for s in some}
+    if len(rows) > 1:
+        rows["all"] = list(found.values())
+    print_table(
+        [["", *(c.head for c in columns)]]
+        + [[name, *(c.cell(each) for c in columns)] for name, each in rows.items()]
+    )
+    return found
+
+
+def print_table(rows: Sequence[Sequence[str]]) -> None:
+    """Print a table, head first, its columns aligned; the first one to the left."""
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    for first, *others in rows:
+        cells = [cell.rjust(width) for cell, width in zip(others, widths[1:], strict=True)]
+        print("  ".join([first.ljust(widths[0]), *cells]).rstrip(), flush=True)

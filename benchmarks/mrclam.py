@@ -1,30 +1,55 @@
 """Real drives: MRCLAM set 6 without a map or a prior, home at (2.0, 0.0, 0.3), noise 0.5 deg.
 
-`python -m benchmarks.mrclam [--falsify 3] [--seeds 5] [--robots 1 2 ...] [--lag 5] [--smooth]`
-prints time-weighted figures after 300 s, causal ones unless smoothed: with `--lag`, that many
-seconds late. `--falsify` is the number of home bearings that are made wrong. The data are read from
-HOMEWARD_DATA, else from ../shared/data.
+`python -m benchmarks.mrclam [--robots 1 2 ...] [--seeds 1] [--falsify 3] [--lag 5] [--smooth]
+[--known survey] [--wrong 3] [--ranges 0.1]` prints time-weighted figures after 300 s, causal ones
+unless smoothed: with `--lag`, that many seconds late. `--falsify` is the number of home bearings
+that are made wrong. `--known` gives the surveyed positions of all landmarks, of which `--wrong` are
+wrong, or the two longest distances that share no landmark (`distances`). `--ranges` is the sigma
+with which the ranges of the data set are used, as a share. The last rows are those of all drives.
+The data are read from HOMEWARD_DATA, else from ../shared/data.
 """
 
+import itertools
 import math
 import os
+from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from benchmarks import monte_carlo
+from benchmarks.measures import Figures, figures, scale_of
+from benchmarks.monte_carlo import Column, Run, benchmark
 from homeward.drives.drive import Drive
 from homeward.drives.importers.mrclam import read_mrclam
+from homeward.drives.landmarks import KnownLandmarks
 from homeward.geometry.frames import Pose
 from homeward.lab.studies.study.trial import falsified
 from homeward.localizer.fixed_lag import smooth_with_lag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.smoothing import smooth
-from homeward.runs.scoring import Errors, errors, statistics
-from homeward.track import Track, run
+from homeward.runs.scoring import errors
+from homeward.track import run as follow
 
-AFTER_S, POSE_AFTER_S = 300.0, 240.0
+SET_6 = "MRCLAM_Dataset6"
+AFTER_S = 300.0
 HOME = Pose(2.0, 0.0, 0.3)
+NUM_SIGHTED = 5
+COLUMNS = (
+    Column("RMSE [m]", "rmse", np.nanmean),
+    Column("bearings <2 s old", "fresh", np.nanmean),
+    Column(">5 s old", "old", np.nanmean),
+    Column("heading [rad]", "heading", np.nanmean),
+    Column("map scale", "scale", np.nanmean),
+    Column("availability", "pose", np.nanmean),
+    Column("five sighted [s]", "sighted", np.nanmean, 0),
+    Column("first pose [s]", "first", np.nanmean, 0),
+    *(Column(f"within {k} sigma", f"inside{k}", np.nanmean, 2) for k in (1, 2, 3)),
+    Column("NEES (x, y)", "nees_position", np.nanmean, 2),
+    Column("exactly named", "exact", np.nanmean, 2),
+    Column("ms", "ms", np.nanmedian, 2),
+)
 
 
 def data() -> Path:
@@ -32,83 +57,93 @@ def data() -> Path:
     return Path(os.environ.get("HOMEWARD_DATA", default))
 
 
-def surveyed_places(folder: str = "MRCLAM_Dataset6") -> dict[str, np.ndarray]:
+def surveyed_places(folder: str = SET_6) -> dict[str, np.ndarray]:
     """Return the surveyed positions of the landmarks of an MRCLAM set [m]."""
     table = np.loadtxt(data() / folder / "Landmark_Groundtruth.dat")
     return {str(int(row[0])): row[1:3] for row in table}
 
 
-def map_scale(robust: Localizer) -> float:
-    known, places = robust.chart.map.landmarks, surveyed_places()
-    names = [n for n in known.mapped if n in places and n not in known.former]
-    p = known.places([known.mapped[n] for n in names])[0] @ [1.0, 1.0j]
-    return procrustes_scale(p, np.array([places[n] for n in names]) @ [1.0, 1.0j])
+def drive_of(robot: int, seed: int = 0, home: Pose = HOME) -> Drive:
+    """Return the drive of a robot of set 6, with noise of 0.5 deg in home's bearings."""
+    return read_mrclam(data() / SET_6, robot, home, math.radians(0.5), seed)
 
 
-def procrustes_scale(p: np.ndarray, q: np.ndarray) -> float:
-    """Return the scale of the similarity transform from points q to p, complex (n,)."""
-    p, q = p - p.mean(), q - q.mean()
-    return float(abs(np.vdot(q, p)) / np.vdot(q, q).real)
+def known(what: str, wrong: int, seed: int) -> tuple[KnownLandmarks, set[str]]:
+    """Return facts on the landmarks of set 6, and the landmarks whose position is wrong."""
+    places, rng = surveyed_places(), np.random.default_rng(seed)
+    if what == "distances":
+        pairs = itertools.combinations(places, 2)
+        apart = {pair: float(np.hypot(*(places[pair[0]] - places[pair[1]]))) for pair in pairs}
+        far = sorted(apart, key=lambda pair: -apart[pair])
+        two = [far[0], next(pair for pair in far if not {*pair} & {*far[0]})]
+        found = [{"between": pair, "distance": apart[pair]} for pair in two]
+        return KnownLandmarks.model_validate({"distances": found}), set()
+    if what != "survey":
+        return KnownLandmarks(), set()
+    false, given = set(rng.choice(list(places), wrong, replace=False).tolist()), {}
+    for name, place in places.items():
+        way = rng.uniform(0.0, math.tau)
+        shift = rng.uniform(0.3, 2.0) * np.array([math.cos(way), math.sin(way)])
+        x, y = place + shift * (name in false)
+        given[name] = {"x": float(x), "y": float(y)}
+    return KnownLandmarks.model_validate({"sigma": 0.01, "landmarks": given}), false
 
 
-def rmse_of(e: Errors, use: np.ndarray) -> float:
-    """Return the time-weighted RMSE of position over some rows [m]."""
-    return statistics(e.position[use], e.weight[use]).rmse if use.any() else math.nan
+def time_of_sightings(drive: Drive, names: Collection[str]) -> float:
+    """Return after which time `NUM_SIGHTED` of some landmarks had been sighted [s]."""
+    seen: set[str] = set()
+    for t, landmark in zip(drive.sightings.t, drive.sightings.landmark, strict=True):
+        seen |= {str(landmark)} & set(names)
+        if len(seen) == NUM_SIGHTED:
+            return float(t) - drive.span[0]
+    return math.nan
 
 
-def last_bearing_age(track: Track, e: Errors, drive: Drive) -> np.ndarray:
-    """Return the age of the last bearing at each row of `e` [s]."""
-    stamps = np.unique(drive.sightings.t)
-    return np.asarray(e.t - stamps[np.maximum(np.searchsorted(stamps, e.t, side="right") - 1, 0)])
-
-
-def row(drive: Drive, wrong: set[str], final: bool, lag: float) -> tuple[float, str]:
-    """Run one drive, smoothed if `final` or late by a lag [s]; return its RMSE and the figures."""
-    if final or lag:
-        track = smooth(drive) if final else smooth_with_lag(drive, lag)
+def measured(run: Run, falsify: int, lag: float, **given: Any) -> Figures:
+    """Return the figures of one drive; the scenario is the robot."""
+    right = drive_of(int(run.scenario), run.seed)
+    drive = falsified(right, falsify, np.random.default_rng(run.seed))
+    facts, false = known(given["known"], given["wrong"], run.seed)
+    drive = replace(drive, known=facts)
+    if given["ranges"]:
+        sensor = drive.settings.sensor.model_copy(update={"range_sigma": given["ranges"]})
+        settings = drive.settings.model_copy(update={"sensor": sensor})
+        drive = replace(drive, settings=settings)
+    localizer = Localizer(drive.home, known=drive.known, **drive.settings.robot)
+    if given["smooth"]:
+        track = smooth(drive)
     else:
-        track = run(drive, Localizer(drive.home, **drive.settings.robot))
-    start = track.t[0]
-    e = errors(track, drive.truth)
-    late = e.t > start + AFTER_S
-    age = last_bearing_age(track, e, drive)
-    seconds = np.diff(track.t, append=track.t[-1])
-    span = track.t > start + POSE_AFTER_S
-    share = seconds[span & track.has_pose].sum() / seconds[span].sum()
-    first = track.t[track.has_pose][0] - start if track.has_pose.any() else math.nan
-    named = {m.landmark for m in track.landmarks if m.moved}
-    heading = statistics(e.heading[late], e.weight[late]).rmse
-    inside = [np.average(e.nees_position[late] < k * k, weights=e.weight[late]) for k in (1, 2, 3)]
-    rmse = rmse_of(e, late)
-    nees = np.average(e.nees_position[late], weights=e.weight[late])
-    return rmse, (
-        f"{rmse:.3f} {rmse_of(e, late & (age < 2)):.3f} {rmse_of(e, late & (age > 5)):.3f} "
-        f"{heading:.3f}  {share:.3f} {first:5.0f}  "
-        + " ".join(f"{i:.2f}" for i in inside)
-        + f"  {nees:.2f}  {1e3 * np.median(track.update_seconds):.2f} "
-        f"{1e3 * np.quantile(track.update_seconds, 0.99):.1f} {track.run_seconds:.0f}s  "
-        f"{'exact' if named == wrong else f'detected {sorted(named)}, moved {sorted(wrong)}'}"
-    )
+        track = smooth_with_lag(drive, lag) if lag else follow(drive, localizer)
+    moved = false | {n for n, b in drive.home.items() if b != right.home[n]}
+    found = figures(track, drive.truth, moved, AFTER_S)
+    if false:  # a wrong position in a survey is no landmark that moved
+        survey = localizer.chart.map.registration.survey
+        found["exact"] = float({n for n, p in survey.wrong.items() if p > 0.5} == false)
+    e, stamps = errors(track, drive.truth), np.unique(drive.sightings.t)
+    age = e.t - stamps[np.maximum(np.searchsorted(stamps, e.t, side="right") - 1, 0)]
+    for name, use in (("fresh", age < 2.0), ("old", age > 5.0)):
+        use &= e.t >= track.t[0] + AFTER_S
+        square = np.average(e.position[use] ** 2, weights=e.weight[use]) if use.any() else math.nan
+        found[name] = math.sqrt(square)
+    scale = scale_of(track, surveyed_places())
+    return found | {"scale": scale, "sighted": time_of_sightings(drive, drive.home)}
 
 
 def main() -> None:
-    robots = [1, 2, 3, 4, 5]
-    options = monte_carlo.parsed(__doc__, falsify=0, seeds=1, robots=robots, lag=0.0, smooth=False)
-    print(
-        "robot seed  RMSE, bearings <2 s, >5 s old [m]  heading [rad]  availability  first pose [s]"
-        "  within 1 2 3 sigma  NEES  ms 50 % 99 %  run time  moved landmarks"
+    benchmark(
+        __doc__,
+        measured,
+        ["1", "2", "3", "4", "5"],
+        COLUMNS,
+        seeds=1,
+        names="robots",
+        falsify=0,
+        lag=0.0,
+        smooth=False,
+        known="nothing",
+        wrong=0,
+        ranges=0.0,
     )
-    total = []
-    for robot in options.robots:
-        for seed in range(options.seeds):
-            drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, HOME, math.radians(0.5), seed)
-            right = drive.home
-            drive = falsified(drive, options.falsify, np.random.default_rng(seed))
-            wrong = {n for n, b in drive.home.items() if b != right[n]}
-            rmse, line = row(drive, wrong, options.smooth, options.lag)
-            total.append(rmse)
-            print(robot, seed, line, flush=True)
-    print(f"mean {np.mean(total):.3f} m")
 
 
 if __name__ == "__main__":

@@ -7,24 +7,25 @@ availability of both, for the last three quarters of a drive, as medians over th
 """
 
 import math
-from functools import partial
 
-import numpy as np
-
-from benchmarks import monte_carlo
 from benchmarks.consistency.trial import Leg, Trial, scaled, trial, wandering, without
 from benchmarks.lasting import figures
-from benchmarks.monte_carlo import Run
+from benchmarks.measures import Figures
+from benchmarks.monte_carlo import Column, Run, benchmark
 from homeward.drives.settings import OdometryDefaults
 from homeward.lab.simulation.scenario import OdometryErrors
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.smoothing import smooth
+from homeward.localizer.smoothing import smooth as smoothed
 from homeward.track import run as follow
 
 TIMES = (0.1, 0.3, 1.0, 3.0, 10.0)  # multiples of the default sigmas
 SIZES = {"table top": 0.1, "room": 1.0, "hall": 10.0}
 """Scale of the worlds, relative to one with landmarks 2.5 to 5 m from home."""
+COLUMNS = [
+    Column(head)
+    for head in ("RMSE ratio", "RMSE / size", "NEES", "availability", "NEES given", "avail. given")
+]
 SPEED, TURN, DRIVE_S = 0.25, 0.3, 240.0
 """Speed and yaw rate in that world [m/s, rad/s], and duration [s]."""
 DEFAULTS = OdometryDefaults()
@@ -47,37 +48,29 @@ def drive_of(
     return scaled(trial(Leg(whole)), size), whole
 
 
-def row(made: Trial, whole: Simulation, final: bool) -> list[float]:
-    """Return the figures of one drive, with the noise not given and given."""
+def row(made: Trial, whole: Simulation, smooth: bool) -> list[float]:
+    """Return RMSE, NEES and availability of one drive, with the noise not given and given."""
     found: list[float] = []
     for drive in (without(made, odometry=True).drive, made.drive):
         localizer = Localizer(drive.home, **drive.settings.robot)
-        track = smooth(drive) if final else follow(drive, localizer)
+        track = smoothed(drive) if smooth else follow(drive, localizer)
         of = figures(track, drive, whole)
         found += [of.get(key, math.nan) for key in ("rmse", "nees", "pose")]
     return found
 
 
-def measured(final: bool, run: Run) -> dict[str, np.ndarray]:
-    """Return the row of one run, whose scenario is a size and a noise."""
-    name, times = run.scenario.split(" x ")
-    return {"row": np.array(row(*drive_of(SIZES[name], float(times), run.seed), final))}
+def measured(run: Run, smooth: bool) -> Figures:
+    """Return the figures of one run, whose scenario is a size and a noise."""
+    size, times = run.scenario.split(" x ")
+    made = drive_of(SIZES[size], float(times), run.seed)
+    found = row(*made, smooth)
+    figures = dict(zip((c.head for c in COLUMNS[2:]), (*found[1:3], *found[4:]), strict=True))
+    return figures | {"RMSE ratio": found[0] / found[3], "RMSE / size": found[0] / SIZES[size]}
 
 
 def main() -> None:
-    given = monte_carlo.parsed(__doc__, seeds=3, only=SIZES, smooth=False, **monte_carlo.HARNESS)
-    rows = [f"{name} x {times:g}" for name in given.only for times in TIMES]
-    runs = monte_carlo.grid(rows, ["robust"], range(given.seeds))
-    function = partial(measured, given.smooth)
-    found = monte_carlo.run_all(function, runs, given.jobs, given.keep, smooth=given.smooth)
-    columns = ("RMSE ratio", "RMSE/size", "NEES", "(given)", "avail. %", "(given)")
-    print(f"{'':18}" + "".join(f"{c:>11}" for c in columns))
-    for name in rows:
-        each = [one["row"] for run, one in found.items() if run.scenario == name]
-        rmse, nees, pose, at_best, nees_given, pose_given = np.nanmedian(each, axis=0)
-        size = SIZES[name.split(" x ")[0]]
-        line = rmse / at_best, rmse / size, nees, nees_given, pose, pose_given
-        print(f"{name:18}" + "".join(f"{v:11.3f}" for v in line))
+    rows = [f"{name} x {times:g}" for name in SIZES for times in TIMES]
+    benchmark(__doc__, measured, rows, COLUMNS, seeds=3, smooth=False)
 
 
 if __name__ == "__main__":

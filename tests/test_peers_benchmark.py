@@ -9,7 +9,6 @@ import pytest
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import Leg, trial, wandering
 from benchmarks.leaderboard.runs import BASELINES, follow_one
-from benchmarks.peers.overconfidence import figures, with_exact_home
 from homeward.drives.settings import Mount, OdometryNoise, Sensor
 from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import simulate
@@ -57,15 +56,6 @@ def test_every_peer_is_exact_without_noise_wherever_the_camera_is(exact, name):
     assert late.any()
     assert off.position[late].max() < LIMITS.get(name, EXACT)
     assert np.abs(off.heading[late]).max() < LIMITS.get(name, EXACT)
-
-
-def test_ekf_is_overconfident_from_home_noise_and_its_linearisation_alone():
-    """With the camera away from the centre, its wrapper adds nothing to that."""
-    whole = SCENARIOS["mount-given"].make(0)
-    wrong, nees, _ = figures(with_exact_home(whole), True)
-    assert wrong == 0.0
-    assert nees < 4.0  # 3 if consistent
-    assert figures(whole, False)[1] > 2 * nees
 
 
 def test_landmarks_that_walk_do_not_end_gtsam():

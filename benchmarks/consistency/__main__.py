@@ -2,18 +2,16 @@
 
 `python -m benchmarks.consistency [--quick] [--scenario NAME ...] [--seeds 50] [--keep FOLDER]` runs
 the localiser on simulated drives, and compares their figures with the bands of baseline.json.
-`--sabotage` shows on the same drives that wrong estimators are detected. `--save FILE` writes the
-figures of each run as JSON, and `--against FILE` prints their ratio to those of an earlier file.
+`--sabotage` shows on the same drives that wrong estimators are detected. `benchmarks.against`
+compares with an older version.
 `--update-baseline` replaces the baseline of these scenarios; if a figure became worse, it needs
 `--reason TEXT`. `--quick` means 2 drives of each scenario. `--baseline` runs nothing and prints the
 baseline with its bands.
 """
 
-import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 from benchmarks import monte_carlo
 from benchmarks.consistency import bands
@@ -83,28 +81,11 @@ def detected(results: Results, baseline: bands.Baseline) -> int:
     return missed
 
 
-def against(results: Mapping[str, Sequence[Figures]], file: Path) -> None:
-    """Print the ratio of figures to those of the same drives in a file."""
-    before = json.loads(file.read_text())
-    print(f"\nratio to {file}, on common drives")
-    print(f"{'':18}" + "".join(f"{name:>11}" for name in FIGURES))
-    for scenario, runs in results.items():
-        pairs = list(zip(runs, before.get(scenario, []), strict=False))
-        row = ""
-        for name in FIGURES:
-            both = [(a[name], b[name]) for a, b in pairs if None not in (a[name], b[name])]
-            now = together(name, [a for a, _ in both])[0]
-            then = together(name, [b for _, b in both])[0]
-            same = "-" if not both else "1" if now == then else f"{now / then:.3f}" if then else "+"
-            row += f"{same:>11}"
-        print(f"{scenario:18}{row}")
-
-
 def main() -> int:
     flags = {"quick": False, "sabotage": False, "baseline": False, "update_baseline": False}
     flags |= {"reason": str}
-    files = {"save": Path, "against": Path, **monte_carlo.HARNESS}
-    parser = monte_carlo.parser(__doc__, scenario=SCENARIOS, seeds=50, **flags, **files)
+    flags |= monte_carlo.HARNESS
+    parser = monte_carlo.parser(__doc__, scenario=SCENARIOS, seeds=50, **flags)
     options = parser.parse_args()
     seeds = QUICK_SEEDS if options.quick else options.seeds
     if seeds < 1 or options.jobs < 1:
@@ -134,10 +115,6 @@ def main() -> int:
     weaknesses({s: baseline[s] for s in good})
     if sabotages:
         failed += detected(results, baseline)
-    if options.save:
-        options.save.write_text(json.dumps(good, indent=1))
-    if options.against:
-        against(good, options.against)
     print("gate: FAILED" if failed else "gate: passed")
     return int(failed > 0)
 

@@ -9,17 +9,12 @@ correlated, so these drives are the measured ones with the sign of their deviati
 (Wu's wild bootstrap, 1986).
 """
 
-import math
-from pathlib import Path
-
-import matplotlib.pyplot as plt
 import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.monte_carlo import HARNESS, Run, grid, run_all
-from benchmarks.mrclam import data
-from homeward.drives.importers.mrclam import read_mrclam
+from benchmarks.mrclam import drive_of
 from homeward.geometry.frames import Pose
 from homeward.localizer.localizer import Localizer
 from homeward.runs.scoring import errors
@@ -36,8 +31,7 @@ BOOTSTRAPS = 2000
 def contained(name: Run) -> dict[str, np.ndarray]:
     """Return the shares of a drive's time in the ellipse of each of `LEVELS`."""
     if name.scenario == MRCLAM:
-        robot, home = 1 + name.seed % 5, HOMES[name.seed // 5]
-        drive = read_mrclam(data() / "MRCLAM_Dataset6", robot, home, math.radians(0.5), name.seed)
+        drive = drive_of(1 + name.seed % 5, name.seed, HOMES[name.seed // 5])
     else:
         named = SCENARIOS[name.scenario]
         drive = named.make(named.first + name.seed).drive
@@ -57,26 +51,8 @@ def distance(shares: np.ndarray) -> tuple[float, float]:
     return float(np.abs(off.mean(axis=0)).max()), float(np.quantile(by_chance, 0.95))
 
 
-def picture(found: dict[str, np.ndarray], file: Path) -> None:
-    """Draw the share of the time in each ellipse over its probability."""
-    figure, axes = plt.subplots(figsize=(5.0, 4.4), layout="constrained")
-    axes.plot([0, 1], [0, 1], color="0.7", label="consistent")
-    for name, shares in found.items():
-        axes.plot(LEVELS, shares.mean(axis=0), label=name)
-    axes.set(xlabel="probability of the ellipse", ylabel="share of the time inside")
-    axes.legend()
-    figure.savefig(file)
-
-
 def main() -> None:
-    options = monte_carlo.parsed(
-        __doc__,
-        scenario=SCENARIOS,
-        seeds=20,
-        mrclam=False,
-        picture=Path,
-        **HARNESS,
-    )
+    options = monte_carlo.parsed(__doc__, scenario=SCENARIOS, seeds=20, mrclam=False, **HARNESS)
     runs = [*grid(options.scenario, ["robust"], range(options.seeds))]
     if options.mrclam:
         runs += grid([MRCLAM], ["robust"], range(5 * len(HOMES)))
@@ -84,18 +60,15 @@ def main() -> None:
     print(
         "scenario            drives  inside 50 %          90 %             99 %          distance"
     )
-    found = {}
     for name in dict.fromkeys(r.scenario for r in figures):
         of_drives = [f for r, f in figures.items() if r.scenario == name and f["seconds"]]
-        shares = found[name] = np.array([f["shares"] for f in of_drives])
+        shares = np.array([f["shares"] for f in of_drives])
         words = ""
         for level in SHOWN:
             each = shares[:, int(np.argmin(np.abs(LEVELS - level)))]
             words += f"  {each.mean():.3f} ({each.min():.2f}-{each.max():.2f})"
         far, chance = distance(shares)
         print(f"{name:20}{len(shares):5d}{words}  {far:.3f} (by chance {chance:.3f})")
-    if options.picture:
-        picture(found, options.picture)
 
 
 if __name__ == "__main__":

@@ -6,15 +6,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks.consistency.trial import Trial
-from homeward.estimator import Status
+from benchmarks.measures import MAX_NEES, SURE, WRONG
 from homeward.runs.scoring import errors, score
 from homeward.track import Track
-
-SURE = (Status.LOCALISED, Status.COASTING)  # status of a reliable pose
-WRONG = 4.0  # A reliable pose with a larger error is wrong [sigmas]
-MAX_NEES = 30.0
-"""Limit of NEES: wrong poses have a figure of their own, and one wrong run would dominate the mean.
-By chance it is exceeded once in a million rows."""
 
 FIGURES = {
     "pose": "availability: share of the time with a pose",

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.consistency.measures import SURE
 from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.measures import SURE
 from homeward.estimator import Status
 from homeward.track import Track
 

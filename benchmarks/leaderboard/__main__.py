@@ -1,14 +1,11 @@
 """All estimators on the same drives; writes docs/understand/leaderboard.md.
 
 `python -m benchmarks.leaderboard [--quick] [--estimator robust,package.module:make] [--family NAME
-...] [--seeds 10] [--real-seeds 2] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on
+...] [--seeds 10] [--real-seeds 1] [--jobs 2] [--keep FOLDER] [--out FILE]` runs each estimator on
 drives of the families of the consistency gate with fresh seeds, on which no choice was made, and on
-MRCLAM set 1. The others are compared with the first estimator. `--quick` means one seed. With
-`--keep` it can be stopped and continued, also with further estimators.
-
-`--development` writes docs/appendix/leaderboard-development.md: the seeds on which the localiser
-was developed, and MRCLAM set 6. The recorded drives are used if they are available (in
-HOMEWARD_DATA, else in ../shared/data).
+MRCLAM sets 1 and 6. The others are compared with the first estimator. `--quick` means one seed.
+With `--keep` it can be stopped and continued, also with further estimators; the recorded drives are
+used if they are available (in HOMEWARD_DATA, else in ../shared/data).
 """
 
 import sys
@@ -20,16 +17,21 @@ from benchmarks.leaderboard.families import numbers, real, simulated
 from benchmarks.leaderboard.runs import begin, every, everybody
 from homeward.registry import settings_model
 
-DOCS = Path(__file__).parents[2] / "docs"
-PAGE, DEVELOPMENT = "understand/leaderboard.md", "appendix/leaderboard-development.md"
+PAGE = Path(__file__).parents[2] / "docs" / "understand" / "leaderboard.md"
 QUICK_SEEDS = 1
 
 
 def main() -> None:
     families = simulated() | real()
-    harness = {"quick": False, "development": False, "out": Path, **monte_carlo.HARNESS}
     options = monte_carlo.parsed(
-        __doc__, estimator=str, family=families, seeds=10, real_seeds=2, **harness
+        __doc__,
+        estimator=str,
+        family=families,
+        seeds=10,
+        real_seeds=1,
+        quick=False,
+        out=PAGE,
+        **monte_carlo.HARNESS,
     )
     begin()
     names = options.estimator.split(",") if options.estimator else everybody()
@@ -38,21 +40,18 @@ def main() -> None:
     seeds = {False: options.seeds, True: options.real_seeds}
     if options.quick:
         seeds = dict.fromkeys(seeds, QUICK_SEEDS)
-    development = options.development
     work = [
-        (name, number)
+        (k, name, number)
         for name in options.family
-        for number in numbers(families[name], seeds[families[name].real], development)
+        for k, number in enumerate(numbers(families[name], seeds[families[name].real]))
     ]
-    work.sort(key=lambda drive: drive[1])  # so that all families have runs when stopped early
-    rows = every(work, names, options.jobs, options.keep)
-    words = [w for w in sys.argv[1:] if w != "--quick"]
+    work.sort(key=lambda drive: drive[0])  # so that all families have runs when stopped early
+    rows = every([(name, number) for _, name, number in work], names, options.jobs, options.keep)
+    words = sys.argv[1:]
     kept = [w for i, w in enumerate(words) if not _of_this_machine(words, i)]
-    command = " ".join(["python -m benchmarks.leaderboard", *["--quick"] * options.quick, *kept])
-    text = page(rows, names, families, command, development)
-    (options.out or DOCS / (DEVELOPMENT if development else PAGE)).write_text(
-        text, encoding="utf-8"
-    )
+    command = " ".join(["python -m benchmarks.leaderboard", *kept])
+    text = page(rows, names, families, command, monte_carlo.origin())
+    options.out.write_text(text, encoding="utf-8")
     print(text)
 
 

@@ -16,8 +16,8 @@ ROBOTS = (1, 2, 3, 4, 5)
 SET_6 = "MRCLAM_Dataset6"
 FALSIFIED = 3  # of 15 home bearings
 HOME_NOISE_DEG = 0.5
-HELD_OUT = 5000
-"""First number of the drives on which no choice was made; development uses numbers below 200."""
+FIRST = 9000
+"""First number of the drives, on which no choice was made; development uses numbers below 6000."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,6 @@ class Family:
     about: str
     make: Callable[[int], Trial]  # returns the drive of a number
     real: bool = False
-    held_out: bool = False  # whether no choice was made on these real drives
     copies: int = 1  # number of drives per seed
 
 
@@ -38,11 +37,9 @@ def simulated() -> dict[str, Family]:
     }
 
 
-def numbers(family: Family, seeds: int, development: bool) -> range:
-    """Return the numbers of a family's drives; none of real ones that are of the other kind."""
-    if family.real and family.held_out == development:
-        return range(0)
-    first = 0 if development else HELD_OUT
+def numbers(family: Family, seeds: int) -> range:
+    """Return the numbers of a family's drives."""
+    first = 0 if family.real else FIRST
     return range(first, first + family.copies * seeds)
 
 
@@ -65,7 +62,7 @@ def real() -> dict[str, Family]:
     if (data() / SET_1).is_dir():
         about = "UTIAS MRCLAM set 1, two robots from two homes, a camera of 66 deg"
         make = partial(set_1_trial, home_noise=math.radians(HOME_NOISE_DEG))
-        found["utias-1"] = Family(about, make, real=True, held_out=True, copies=len(DRIVES))
+        found["utias-1"] = Family(about, make, real=True, copies=len(DRIVES))
     return found
 
 

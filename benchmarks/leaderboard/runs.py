@@ -1,6 +1,5 @@
 """The runs of the leaderboard: any estimator on any drive."""
 
-import math
 import sys
 import time
 from collections.abc import Iterable, Sequence
@@ -8,46 +7,42 @@ from dataclasses import replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
-from benchmarks.consistency.measures import figures
+import numpy as np
+
 from benchmarks.consistency.trial import SurveyedTrial
 from benchmarks.leaderboard.families import real, simulated
+from benchmarks.measures import Figures, figures
 from benchmarks.monte_carlo import Run, run_all
 from benchmarks.peers.extrinsics import is_offset, of_camera, of_robot
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.lab.studies.study.trial import Trial
 from homeward.plugins import ESTIMATORS, load
 from homeward.registry import NEED_START, estimator_names, make_estimator, needs_start
-from homeward.runs.scoring import errors, score
+from homeward.runs.scoring import errors
 from homeward.runs.single_run import with_start
 from homeward.track import Track
 from homeward.track import run as follow
 
 TEMPLATE = Path(__file__).parents[2] / "docs" / "do" / "estimator"
 BASELINE = "dead_reckoning:make"  # the template of the documentation: odometry alone
-WRONG_SIGMAS = 4.0
 BASELINES = {
-    "benchmarks.peers.online:robust_started": "robust, with start",
     "benchmarks.peers.graph:lag": "GTSAM",
-    "benchmarks.peers.graph:lag_started": "GTSAM, with start",
     "benchmarks.peers.slam:ekf": "EKF-SLAM",
-    "benchmarks.peers.surveyed:ekf": "EKF in the map",
-    "benchmarks.peers.surveyed:ekf_no_gate": "EKF in the map, no gate",
-    "benchmarks.peers.surveyed:ransac": "RANSAC in the map",
+    "benchmarks.peers.surveyed:multi_tag": "multi-tag PnP",
+    "benchmarks.peers.surveyed:ekf": "iterated EKF",
 }
 """Labels of the baselines from outside the package."""
 LABELS = {**BASELINES, BASELINE: "dead reckoning"}
-Row = dict[str, Any]  # one estimator on one drive; None if a figure is unknown
 
 
 def everybody() -> list[str]:
-    """Return the names of all estimators; those of GTSAM if it is installed."""
+    """Return the names of `robust` and its peers; those of GTSAM if it is installed."""
     graphs = find_spec("gtsam") is not None
     if not graphs:
         print("without GTSAM, which is not installed: pip install -e '.[bench]'", file=sys.stderr)
     baselines = [name for name in BASELINES if graphs or ".graph:" not in name]
-    return [estimator_names()[0], *baselines, *estimator_names()[1:], BASELINE]
+    return [estimator_names()[0], *baselines, BASELINE]
 
 
 def given(name: str) -> str:
@@ -82,8 +77,8 @@ def follow_one(trial: Trial, name: str) -> Track:
     return follow(drive, make_estimator(name, drive))
 
 
-def one(run: Run) -> Row:
-    """Return the figures of one run, or the error."""
+def one(run: Run) -> Figures:
+    """Return the figures of one run and its errors by time (n,), or the error."""
     begin()
     trial = _trial(run.scenario, run.seed)
     began = time.process_time()
@@ -92,23 +87,16 @@ def one(run: Run) -> Row:
     except Exception as error:  # the other runs continue
         return {"error": f"{type(error).__name__}: {error}"}
     seconds = time.process_time() - began
-    metrics, off = score(track, trial.drive.truth), errors(track, trial.drive.truth)
-    total = off.weight.sum()
-    far = off.nees_position > WRONG_SIGMAS**2
+    off = errors(track, trial.drive.truth)
+    use = np.isfinite(off.position)
     tested = any(m.moved is not None for m in track.landmarks)
-    named = {m.landmark for m in track.landmarks if m.moved}
-    accuracy = metrics.accuracy
-    row = {
-        "pose": metrics.pose_share,
-        "rmse": None if accuracy is None else accuracy.position.rmse,
-        "wrong": float(off.weight[far].sum() / total) if total > 0 else None,
-        "nees": None if accuracy is None else accuracy.nees_mean,
-        "to_bound": figures(track, trial)["error"],
-        "named": named == trial.moved if tested else None,
+    return {
+        **figures(track, trial.drive.truth, trial.moved if tested else None),
         "seconds": seconds,
+        "t": off.t[use],
+        "weight": off.weight[use],
+        "position": off.position[use],
     }
-    # A track that diverged to infinity counts by its share of wrong poses.
-    return {k: None if isinstance(v, float) and not math.isfinite(v) else v for k, v in row.items()}
 
 
 def every(
@@ -116,7 +104,7 @@ def every(
     estimators: Sequence[str],
     jobs: int | None = None,
     keep: Path | None = None,
-) -> list[Row]:
+) -> list[Figures]:
     """Run every estimator on every drive (family, number); arguments as for `run_all`."""
     runs = [Run(family, name, k) for family, k in drives for name in estimators]
     return [

@@ -8,7 +8,6 @@ drive, and the landmarks that moved.
 
 import argparse
 import json
-import math
 import sys
 import time
 from collections.abc import Callable
@@ -19,20 +18,16 @@ from typing import Any
 import numpy as np
 
 import homeward
+from benchmarks.measures import Figures, figures
 from homeward.drives.drive import Drive, Truth
 from homeward.drives.folder import write_folder
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.opening import open_drive
-from homeward.estimator import Status
 from homeward.registry import make_estimator
-from homeward.runs.scoring import errors, score
-from homeward.track import Track, run
-
-SURE = (Status.LOCALISED, Status.COASTING)
-MAX_NEES = 30.0  # limit of NEES, as in benchmarks.consistency
+from homeward.track import run
 
 
-def figures(drive: Drive, moved: set[str] | None) -> dict[str, float | None]:
+def measured(drive: Drive, moved: set[str] | None) -> Figures:
     """Run the localiser on a drive; return its figures, None where undefined."""
     estimator, frames = make_estimator("robust", drive), list[float]()
     bearings = estimator.bearings
@@ -52,45 +47,10 @@ def figures(drive: Drive, moved: set[str] | None) -> dict[str, float | None]:
         "ms99": float(np.quantile(frames, 0.99)),
         "ms_all": 1e3 * seconds / len(frames),
     }
-    return _accuracy(track, drive) | _moved(track, moved) | found
-
-
-def _accuracy(track: Track, drive: Drive) -> dict[str, float | None]:
-    metrics, off = score(track, drive.truth), errors(track, drive.truth)
-    first, shares = metrics.first_pose_after_s, metrics.status_shares
-    found: dict[str, float | None] = {
-        "pose": metrics.pose_share,
-        "sure": sum(shares.get(s, 0.0) for s in SURE),
-        "first": metrics.duration_s if first is None else first,
-    }
-    if off.weight.sum() == 0.0:
-        return found
-
-    def mean(values: np.ndarray) -> float:
-        return float(np.average(values, weights=off.weight))
-
-    sure = np.array([s in SURE for s in track.status])[np.searchsorted(track.t, off.t)]
-    far = off.nees_position > 4.0**2
-    return found | {
-        "rmse": math.sqrt(mean(off.position**2)),
-        "final": float(off.position[-1]),
-        "nees": mean(np.minimum(off.nees, MAX_NEES)),
-        "beyond3": mean(off.nees_position > 3.0**2),
-        "beyond4": mean(far),
-        "wrong": mean(far & sure),
-    }
-
-
-def _moved(track: Track, moved: set[str] | None) -> dict[str, float | None]:
-    if moved is None:
-        return {}
-    named = {m.landmark for m in track.landmarks if m.moved}
-    right = len(named & moved)
-    return {
-        "precision": right / len(named) if named else None if moved else 1.0,
-        "recall": right / len(moved) if moved else None,
-        "exact": float(named == moved),
-    }
+    accuracy = figures(track, drive.truth, moved)
+    if accuracy["first"] is None:  # never: later than all
+        accuracy["first"] = float(track.t[-1] - track.t[0])
+    return accuracy | found
 
 
 def add_truth(folder: Path, drive: Drive) -> None:
@@ -111,7 +71,7 @@ def answer(request: dict[str, Any]) -> dict[str, Any]:
         if request["needs_truth"]:
             add_truth(folder, drive)
             return {}
-        return dict(figures(drive, None if moved is None else set(moved)))
+        return measured(drive, None if moved is None else set(moved))
     except Exception as error:  # the other drives continue
         return {"error": f"{type(error).__name__}: {error}"}
 

@@ -2,25 +2,29 @@
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 
 from homeward.drives.drive import Drive
-from homeward.estimator import Counts, Estimate, Estimator, LandmarkEstimate, Status
+from homeward.estimator import Counts, Estimate, LandmarkEstimate, Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, advance
+from homeward.geometry.frames import Pose, Twist, advance, between, compose, inverse
 from homeward.lab.filters.settings import (
     DEFAULT_BEARING_SIGMA,
     DEFAULT_SPEED_SIGMA,
     DEFAULT_TURN_SIGMA,
 )
-from homeward.localizer.smoothing import smooth
+from homeward.localizer.resection import poses_from_triples
 from homeward.odometry.validity import TwistValidity
-from homeward.registry import make_estimator
 
 Belief = tuple[Pose, np.ndarray]
 """A pose, and the covariance of (x, y, heading)."""
 GATE = 10.83  # 99.9 % quantile of chi-square with one degree of freedom
+INLIER_SIGMAS = 4.0  # maximum residual of a bearing in a consensus
+STEPS = 6  # of Gauss-Newton
+MIN_AGREEING = 5  # home bearings that must agree with one pose of home, and half of those mapped
+MAX_SIGMA = 0.1  # of the direction of a mapped landmark, in the search for home [rad]
 
 
 class Noise:
@@ -54,9 +58,13 @@ class Baseline:
     def __init__(self, drive: Drive) -> None:
         self.name = type(self).__name__
         self.counts, self.noise = Counts(), Noise(drive)
+        self.home = {name: b.bearing for name, b in drive.home.items()}
         self.mount = drive.settings.sensor.pose
         self.home_mount = drive.settings.home_mount.pose
         self.belief: Belief | None = None  # of the robot in the home frame
+        self.tested: set[str] = set()
+        self.moved: set[str] = set()  # of the tested landmarks
+        self.replaced: set[str] = set()  # landmarks that moved during the drive
         self._t, self._twist, self._hold = math.nan, Twist(0.0, 0.0), TwistValidity()
         self._until = -math.inf
 
@@ -102,27 +110,16 @@ class Baseline:
         return Estimate(t, Status.LOCALISED, "a pose", Pose(*map(float, pose)), covariance)
 
     def landmarks(self) -> list[LandmarkEstimate]:
-        return []
+        return [LandmarkEstimate(name, moved=name in self.moved) for name in sorted(self.tested)]
 
-
-class Solved(Baseline):
-    """Poses of a whole drive by stamp: an answer that uses later samples."""
-
-    def __init__(self, drive: Drive) -> None:
-        super().__init__(drive)
-        self.solved: dict[float, Belief] = {}
-
-    def frame(self, t: float, seen: Mapping[str, float]) -> None:
-        self.belief = self.solved.get(t)
-
-
-def smoothed(drive: Drive) -> Solved:
-    """Return the poses of `homeward run --smooth`."""
-    estimator, track = Solved(drive), smooth(drive)
-    for k in np.flatnonzero(track.has_pose):
-        pose = Pose(track.x[k], track.y[k], track.heading[k])
-        estimator.solved[float(track.t[k])] = pose, track.covariance[k]
-    return estimator
+    def locate(self, robot: Pose, places: Mapping[str, np.ndarray], P: np.ndarray) -> None:
+        """Find home in a map; arguments as for `find_home`. Landmarks that do not agree moved."""
+        home, sigma = self.home, self.noise.bearing
+        found = find_home(robot, places, P, home, sigma, self.home_mount)
+        if found is not None:
+            self.belief = found.belief
+            self.tested = {*places} & {*home}
+            self.moved = found.outliers | self.replaced & self.tested
 
 
 def start_belief(drive: Drive) -> Belief:
@@ -146,22 +143,70 @@ def sight(pose: Pose, mount: Pose, x: float, y: float) -> tuple[float, np.ndarra
     return angle, np.array([-by_place[0], -by_place[1], turned]), by_place
 
 
-def crossing(eyes: np.ndarray, angles: np.ndarray) -> np.ndarray | None:
-    """Return the point nearest to lines from `eyes` (n, 2) at `angles` (n,); None if behind one."""
-    across = np.column_stack([-np.sin(angles), np.cos(angles)])
-    point = np.linalg.lstsq(across, (across * eyes).sum(axis=1), rcond=None)[0]
-    ahead = ((point - eyes) * np.column_stack([np.cos(angles), np.sin(angles)])).sum(axis=1)
-    return np.asarray(point) if (ahead > 0).all() else None
+def residuals(poses: np.ndarray, places: np.ndarray, bearings: np.ndarray) -> np.ndarray:
+    """Return the residuals of bearings (q,) of places (q, 2) at camera poses (..., 3) [rad]."""
+    off = places - poses[..., :2]
+    return np.asarray(wrap(bearings - np.arctan2(off[..., 1], off[..., 0]) + poses[..., 2]))
 
 
-def parallax(angles: np.ndarray) -> float:
-    """Return the largest angle between directions (n,) [rad]."""
-    return float(np.ptp(wrap(np.asarray(angles) - angles[0])))
+class Home(NamedTuple):
+    """The robot's belief in the home frame, and the home bearings that do not agree with it."""
+
+    belief: Belief
+    outliers: frozenset[str]
 
 
-def robust_started(drive: Drive) -> Estimator:
-    """Return `robust` with the start prior that the filters get."""
-    return make_estimator("robust", drive)
+def find_home(
+    robot: Pose,
+    places: Mapping[str, np.ndarray],
+    P: np.ndarray,
+    bearings: Mapping[str, float],
+    sigma: float,
+    mount: Pose,
+) -> Home | None:
+    """Return home by resection in a map: RANSAC over triples, then least squares of the inliers.
 
-
-robust_started.needs_start = True  # type: ignore[attr-defined]
+    `P` is the covariance of the robot's pose and of `places`, (3 + 2 q, 3 + 2 q), `mount` the
+    camera's pose on the robot at home. At least `MIN_AGREEING` home bearings, and half of those of
+    mapped landmarks, must agree. The covariance of the result has the landmarks' in it, and their
+    correlation with the robot.
+    """
+    names = [n for n in places if n in bearings]
+    if len(names) < MIN_AGREEING:
+        return None
+    order = list(places)
+    rows = 3 + 2 * np.array([order.index(n) for n in names])
+    at, seen = np.array([places[n] for n in names]), np.array([bearings[n] for n in names])
+    poses = poses_from_triples(at, seen)
+    if not len(poses):
+        return None
+    spread = np.sqrt([P[k : k + 2, k : k + 2].trace() for k in rows])
+    near = np.maximum(np.hypot(*(poses[:, None, :2] - at).T).T, 1e-6)
+    sigmas = np.minimum(np.hypot(sigma, spread / near), MAX_SIGMA)
+    close = np.abs(residuals(poses[:, None], at, seen)) < INLIER_SIGMAS * sigmas
+    use = close[int(np.argmax(close.sum(axis=1)))]
+    camera = Pose(*poses[int(np.argmax(close.sum(axis=1)))].tolist())
+    if use.sum() < max(MIN_AGREEING, len(use) / 2):
+        return None
+    R = np.eye(int(use.sum())) * sigma**2
+    for _ in range(STEPS):
+        parts = [sight(camera, Pose(0.0, 0.0, 0.0), *p) for p in at[use].tolist()]
+        H, L = np.array([p[1] for p in parts]), np.zeros((len(parts), len(P)))
+        for i, (row, part) in enumerate(zip(rows[use], parts, strict=True)):
+            L[i, row : row + 2] = part[2]
+        off = wrap(seen[use] - [p[0] for p in parts])
+        W = np.linalg.inv(R + L @ P @ L.T)
+        gain = np.linalg.pinv(H.T @ W @ H) @ H.T @ W
+        camera = Pose(*(np.array(camera) + gain @ off).tolist())
+    # The robot in home's frame, with gradients by the camera at home and by the map.
+    home = compose(camera, inverse(mount))
+    c, s = math.cos(home.heading), math.sin(home.heading)
+    turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
+    lever = np.eye(3)
+    lever[0, 2], lever[1, 2] = -(robot.y - camera.y), robot.x - camera.x
+    by_home = -turn @ lever @ gain
+    by_state = -by_home @ L
+    by_state[:, :3] += turn
+    covariance = by_state @ P @ by_state.T + by_home @ R @ by_home.T
+    outliers = frozenset(n for n, good in zip(names, use, strict=True) if not good)
+    return Home((Pose(*map(float, between(home, robot))), covariance), outliers)

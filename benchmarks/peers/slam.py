@@ -1,35 +1,38 @@
-"""Bearing-only EKF-SLAM in Cartesian coordinates, with home by resection. No start is needed."""
+"""Bearing-only EKF-SLAM with inverse depth, and home by resection. No start is needed.
+
+A landmark is the point (x, y) from which it was first sighted, the direction from there, and the
+inverse of its distance (Civera, Davison and Montiel, "Inverse depth parametrization for monocular
+SLAM", IEEE Transactions on Robotics 2008), so it is in the state from its first sighting on.
+"""
 
 import math
 from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.peers.online import GATE, Baseline, crossing, parallax, sight
-from benchmarks.peers.surveyed import INLIER_SIGMAS, STEPS, residuals
+from benchmarks.peers.online import GATE, Baseline
 from homeward.drives.drive import Drive
-from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, Twist, between, compose, inverse
-from homeward.localizer.resection import poses_from_triples
+from homeward.geometry.frames import Pose, Twist, compose
 
-PARALLAX = 0.15  # angle between two sightings from which a landmark enters the map [rad]
-MIN_AGREEING = 5  # home bearings that must agree with one pose of home, and half of those mapped
-BUFFER = 60  # sightings of a landmark that is not in the map yet
+NEAREST_S = 3.0  # distance of the nearest landmarks, in driving time at the usual speed [s]
+MAX_SPREAD = 0.3  # relative error of the distance of a landmark that home is computed from
+LOST = 10  # sightings in a row beyond the gate after which a landmark is another one
 
 
 class EkfSlam(Baseline):
-    """EKF-SLAM in the frame of the start, landmarks from triangulation, a gate for each bearing.
+    """EKF-SLAM in the frame of the start, with a gate for each bearing.
 
-    Home is the camera's pose from which most home bearings fit the map, by RANSAC and least
-    squares; its covariance contains the landmarks' and their correlation with the robot.
+    Inverse distances begin at half of that of the nearest landmarks, with a sigma of half of that
+    again, so that infinity is within two sigmas. The camera's place on the robot is in the model.
     """
 
     def __init__(self, drive: Drive) -> None:
         super().__init__(drive)
-        self.home = {i: b.bearing for i, b in drive.home.items()}
+        speeds = np.abs(drive.odometry.v[np.nonzero(drive.odometry.v)])
+        self.nearest = NEAREST_S * float(np.median(speeds)) if speeds.size else 1.0
         self.x, self.P = np.zeros(3), np.zeros((3, 3))
         self.rows: dict[str, int] = {}
-        self.waiting: dict[str, list[tuple[float, float, float]]] = {}
+        self.misses: dict[str, int] = {}
 
     def move(self, twist: Twist, dt: float) -> None:
         pose = Pose(*self.x[:3].tolist())
@@ -46,94 +49,81 @@ class EkfSlam(Baseline):
             if name in self.rows:
                 self._update(name, seen[name])
             else:
-                self._wait(name, seen[name])
+                self._add(name, seen[name])
         self._locate()
+
+    def _add(self, name: str, bearing: float) -> None:
+        """Add a landmark at its first sighting."""
+        eye = compose(Pose(*self.x[:3].tolist()), self.mount)
+        dx, dy = eye.x - self.x[0], eye.y - self.x[1]
+        by_pose = np.array([[1, 0, -dy], [0, 1, dx], [0, 0, 1], [0, 0, 0]])
+        half = 0.5 / self.nearest
+        own = np.diag([0.0, 0.0, self.noise.bearing**2, (0.5 * half) ** 2])
+        n, cross = self.x.size, by_pose @ self.P[:3]
+        P = np.zeros((n + 4, n + 4))
+        P[:n, :n], P[n:, :n], P[:n, n:] = self.P, cross, cross.T
+        P[n:, n:] = by_pose @ self.P[:3, :3] @ by_pose.T + own
+        row = [eye.x, eye.y, math.remainder(eye.heading + bearing, math.tau), half]
+        self.x, self.P, self.rows[name] = np.concatenate([self.x, row]), P, n
+        self.misses[name] = 0
+
+    def _remove(self, name: str) -> None:
+        """Remove a landmark, which has moved if it was in the map."""
+        row = self.rows.pop(name)
+        kept = np.r_[0:row, row + 4 : self.x.size]
+        self.x, self.P = self.x[kept], self.P[np.ix_(kept, kept)]
+        self.rows = {n: r - 4 * (r > row) for n, r in self.rows.items()}
 
     def _update(self, name: str, bearing: float) -> None:
         row = self.rows[name]
-        pose = Pose(*self.x[:3].tolist())
-        expected, by_pose, by_place = sight(pose, self.mount, *self.x[row : row + 2])
-        PH = self.P[:, :3] @ by_pose + self.P[:, row : row + 2] @ by_place
-        S = float(by_pose @ PH[:3] + by_place @ PH[row : row + 2]) + self.noise.bearing**2
+        x, y, heading = self.x[:3]
+        x0, y0, direction, inverse = self.x[row : row + 4]
+        c, s = math.cos(heading), math.sin(heading)
+        ox, oy = c * self.mount.x - s * self.mount.y, s * self.mount.x + c * self.mount.y
+        ahead = np.array([math.cos(direction), math.sin(direction)])
+        base = np.array([x0 - x - ox, y0 - y - oy])
+        u, v = inverse * base + ahead  # towards the landmark, over its first distance
+        expected = math.atan2(v, u) - heading - self.mount.heading
         off = math.remainder(bearing - expected, math.tau)
+        across = np.array([-v, u]) / max(u * u + v * v, 1e-12)
+        turned = across @ np.array([oy, -ox]) * inverse - 1.0
+        h = np.zeros(self.x.size)
+        h[:3] = [*(-inverse * across), turned]
+        h[row : row + 4] = [*(inverse * across), across @ [-ahead[1], ahead[0]], across @ base]
+        Ph = self.P @ h
+        S = float(h @ Ph) + self.noise.bearing**2
         if off * off > GATE * S:
+            self.misses[name] += 1
+            if self.misses[name] >= LOST:
+                self._remove(name)
+                self.replaced.add(name)
             return
-        self.x += PH * (off / S)
+        self.misses[name] = 0
+        self.x += Ph * (off / S)
         self.x[2] = math.remainder(self.x[2], math.tau)
-        self.P -= np.outer(PH, PH) / S
-
-    def _wait(self, name: str, bearing: float) -> None:
-        """Keep the line of a sighting; with enough parallax, add the landmark."""
-        eye = compose(Pose(*self.x[:3].tolist()), self.mount)
-        lines = self.waiting.setdefault(name, [])
-        lines.append((float(eye.x), float(eye.y), float(eye.heading) + bearing))
-        del lines[:-BUFFER]
-        table = np.array(lines)
-        wide = parallax(table[:, 2])
-        if wide < max(PARALLAX, 5 * self.noise.bearing):
-            return
-        point = crossing(table[:, :2], table[:, 2])
-        if point is None:
-            return
-        del self.waiting[name]
-        d = point - [eye.x, eye.y]
-        r = float(np.hypot(*d))
-        sigma_r = r * 2 * self.noise.bearing / math.sin(min(wide, math.pi / 2))
-        # x = eye + r (cos, sin)(heading + bearing): the range is that of the triangulation.
-        by_pose = np.array([[1, 0, -(point[1] - self.x[1])], [0, 1, point[0] - self.x[0]]])
-        u, across = d / r, np.array([-d[1], d[0]])
-        own = sigma_r**2 * np.outer(u, u) + self.noise.bearing**2 * np.outer(across, across)
-        n, cross = self.x.size, by_pose @ self.P[:3]
-        P = np.zeros((n + 2, n + 2))
-        P[:n, :n], P[n:, :n], P[:n, n:] = self.P, cross, cross.T
-        P[n:, n:] = by_pose @ self.P[:3, :3] @ by_pose.T + own
-        self.x, self.P, self.rows[name] = np.concatenate([self.x, point]), P, n
+        self.P -= np.outer(Ph, Ph) / S
 
     def _locate(self) -> None:
-        """Compute home from the map, and the robot's pose from home."""
-        names = [n for n in self.rows if n in self.home]
-        if len(names) < MIN_AGREEING:
+        """Compute home from the landmarks whose distance is known."""
+        names = [n for n, row in self.rows.items() if self._is_known(row)]
+        if not names:
             return
-        at = np.array([self.rows[n] for n in names])
-        places = self.x[at[:, None] + [0, 1]]
-        bearings = np.array([self.home[n] for n in names])
-        poses = poses_from_triples(places, bearings)
-        if not len(poses):
-            return
-        spread = [self.P[k : k + 2, k : k + 2].trace() for k in at]
-        near = np.hypot(*(poses[:, None, :2] - places).T).T
-        sigma = np.sqrt(self.noise.bearing**2 + np.array(spread) / np.maximum(near, 1e-6) ** 2)
-        close = np.abs(residuals(poses[:, None], places, bearings)) < INLIER_SIGMAS * np.minimum(
-            sigma, 0.1
-        )
-        best = int(np.argmax(close.sum(axis=1)))
-        use = close[best]
-        if use.sum() < max(MIN_AGREEING, len(use) / 2):
-            return
-        camera, none = Pose(*poses[best].tolist()), Pose(0.0, 0.0, 0.0)
-        rows, R = at[use], np.eye(int(use.sum())) * self.noise.bearing**2
-        for _ in range(STEPS):
-            parts = [sight(camera, none, *p) for p in places[use].tolist()]
-            H, L = np.array([p[1] for p in parts]), np.zeros((len(rows), self.x.size))
-            for i, (row, part) in enumerate(zip(rows, parts, strict=True)):
-                L[i, row : row + 2] = part[2]
-            off = wrap(bearings[use] - [p[0] for p in parts])
-            W = np.linalg.inv(R + L @ self.P @ L.T)
-            gain = np.linalg.pinv(H.T @ W @ H) @ H.T @ W
-            camera = Pose(*(np.array(camera) + gain @ off).tolist())
-        # The robot in home's frame, with gradients by the camera at home and by the state.
-        robot = Pose(*self.x[:3].tolist())
-        home = compose(camera, inverse(self.home_mount))
-        c, s = math.cos(home.heading), math.sin(home.heading)
-        turn = np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
-        lever = np.eye(3)
-        lever[0, 2], lever[1, 2] = -(robot.y - camera.y), robot.x - camera.x
-        by_home = -turn @ lever @ gain
-        by_state = np.zeros((3, self.x.size))
-        by_state[:, :3] = turn
-        by_state -= by_home @ L
-        P = by_state @ self.P @ by_state.T + by_home @ R @ by_home.T
-        self.belief = Pose(*map(float, between(home, robot))), P
+        places, J = {}, np.zeros((3 + 2 * len(names), self.x.size))
+        J[:3, :3] = np.eye(3)
+        for k, name in enumerate(names):
+            row = self.rows[name]
+            x0, y0, direction, inverse = self.x[row : row + 4]
+            c, s, r = math.cos(direction), math.sin(direction), 1.0 / inverse
+            places[name] = np.array([x0 + r * c, y0 + r * s])
+            J[3 + 2 * k : 5 + 2 * k, row : row + 4] = [
+                [1, 0, -r * s, -r * r * c],
+                [0, 1, r * c, -r * r * s],
+            ]
+        self.locate(Pose(*self.x[:3].tolist()), places, J @ self.P @ J.T)
+
+    def _is_known(self, row: int) -> bool:
+        inverse = self.x[row + 3]
+        return bool(inverse > 0 and self.P[row + 3, row + 3] < (MAX_SPREAD * inverse) ** 2)
 
 
 def ekf(drive: Drive) -> EkfSlam:

@@ -1,4 +1,4 @@
-"""Baselines with a surveyed map: a gated EKF from the true start, and RANSAC resection.
+"""Peers with a surveyed map: an iterated EKF from the true start, and multi-tag resection.
 
 Both are given the true positions of all landmarks when home was stored; the EKF also the start.
 """
@@ -8,25 +8,46 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from benchmarks.peers.online import GATE, Baseline, Belief, sight, start_belief
+from benchmarks.peers.online import (
+    GATE,
+    INLIER_SIGMAS,
+    STEPS,
+    Baseline,
+    Belief,
+    residuals,
+    sight,
+    start_belief,
+)
 from homeward.drives.drive import Drive
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose, inverse
 from homeward.localizer.resection import poses_from_triples
 
-INLIER_SIGMAS = 4.0  # maximum residual of a bearing in a consensus
-JUMP_SIGMAS = 5.0  # maximum jump to a consensus of three, which any three bearings have
-STEPS = 6
+GATE_3 = 16.27  # 99.9 % quantile of chi-square with three degrees of freedom
+RESET_FRAMES = 5  # frames in a row beyond this gate after which their pose is assumed
+MIN_INLIERS = 4  # without a prediction: any three bearings fit some pose
 
 
 def surveyed(drive: Drive) -> dict[str, tuple[float, float]]:
     return {n: (at.x, at.y) for n, at in drive.known.landmarks.items()}
 
 
-class SurveyedEkf(Baseline):
-    """EKF localisation in a surveyed map, from the true start, with a gate for each bearing."""
+def _pose(values: np.ndarray) -> Pose:
+    x, y, heading = map(float, values)
+    return Pose(x, y, math.remainder(heading, math.tau))
 
-    gate = GATE
+
+def _difference(a: Pose, b: Pose) -> np.ndarray:
+    d = np.array(a) - np.array(b)
+    d[2] = math.remainder(d[2], math.tau)
+    return d
+
+
+class IteratedEkf(Baseline):
+    """Iterated EKF localisation in a surveyed map (Bell and Cathey, 1993), from the true start.
+
+    Each bearing is gated at the prediction; those of a frame are one update.
+    """
 
     def __init__(self, drive: Drive) -> None:
         super().__init__(drive)
@@ -34,101 +55,99 @@ class SurveyedEkf(Baseline):
 
     def frame(self, t: float, seen: Mapping[str, float]) -> None:
         assert self.belief is not None
-        pose, P = self.belief
+        first, P = self.belief
+        use, sigma = [], self.noise.bearing
         for name in sorted(seen.keys() & self.survey.keys()):
-            expected, h, _ = sight(pose, self.mount, *self.survey[name])
+            expected, h, _ = sight(first, self.mount, *self.survey[name])
             off = math.remainder(seen[name] - expected, math.tau)
-            S = float(h @ P @ h) + self.noise.bearing**2
-            if off * off > self.gate * S:
-                continue
-            gain = P @ h / S
-            x, y, heading = np.array(pose) + gain * off
-            pose = Pose(float(x), float(y), math.remainder(float(heading), math.tau))
-            P = P - np.outer(gain, gain) * S
-        self.belief = pose, P
+            if off * off <= GATE * (float(h @ P @ h) + sigma**2):
+                use.append(name)
+        if not use:
+            return
+        pose, R = first, sigma**2 * np.eye(len(use))
+        for _ in range(STEPS):
+            rows = [sight(pose, self.mount, *self.survey[name])[:2] for name in use]
+            H = np.array([h for _, h in rows])
+            off = wrap(np.array([seen[name] for name in use]) - [a for a, _ in rows])
+            gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            back = _difference(first, pose)
+            pose = _pose(np.array(first) + gain @ (off - H @ back))
+        I_KH = np.eye(3) - gain @ H
+        self.belief = pose, I_KH @ P @ I_KH.T + gain @ R @ gain.T
 
 
-class Resection(Baseline):
-    """RANSAC resection of each frame in a surveyed map; odometry from the last pose otherwise.
+class MultiTag(Baseline):
+    """RANSAC resection of each frame in a surveyed map, fused with odometry.
 
-    The pose of most inliers counts; of equals the one nearest to the predicted pose.
+    As the pose estimators of robot contests: the pose of a frame is a measurement with its
+    covariance, within a gate. Frames that stay beyond the gate are a robot that was carried.
     """
 
     def __init__(self, drive: Drive) -> None:
         super().__init__(drive)
-        self.survey = surveyed(drive)
+        self.survey, self.misses = surveyed(drive), 0
 
     def frame(self, t: float, seen: Mapping[str, float]) -> None:
-        found = consensus(self.survey, seen, self.noise.bearing, self.mount, self.belief)
-        if found is not None:
+        found = self.consensus(seen)
+        if found is None:
+            return
+        if self.belief is None:
             self.belief = found
+            return
+        (pose, P), (measured, R) = self.belief, found
+        off, S = _difference(measured, pose), P + R
+        if off @ np.linalg.solve(S, off) > GATE_3:
+            self.misses += 1
+            if self.misses < RESET_FRAMES:
+                return
+            self.belief = found
+        else:
+            gain = P @ np.linalg.inv(S)
+            I_K = np.eye(3) - gain
+            pose = _pose(np.array(pose) + gain @ off)
+            self.belief = pose, I_K @ P @ I_K.T + gain @ R @ gain.T
+        self.misses = 0
 
+    def consensus(self, seen: Mapping[str, float]) -> Belief | None:
+        """Return the robot's pose that most bearings of a frame agree with; None without one.
 
-def consensus(
-    survey: Mapping[str, tuple[float, float]],
-    seen: Mapping[str, float],
-    sigma: float,
-    mount: Pose,
-    predicted: Belief | None,
-    min_inliers: int = 4,
-) -> Belief | None:
-    """Return the robot's pose from the bearings of a frame; None without a consensus.
-
-    Without a prediction, it needs `min_inliers`, and half of the bearings.
-    """
-    names = [n for n in seen if n in survey]
-    if len(names) < 3:
-        return None
-    places, bearings = np.array([survey[n] for n in names]), np.array([seen[n] for n in names])
-    poses = poses_from_triples(places, bearings)
-    if not len(poses):
-        return None
-    robots = np.array(compose(Pose(*poses.T), inverse(mount))).T
-    close = np.abs(residuals(poses[:, None], places, bearings)) < INLIER_SIGMAS * sigma
-    far = np.zeros(len(poses))
-    if predicted is not None:
-        far = np.hypot(*(robots[:, :2] - np.array(predicted[0][:2])).T)
-    best = np.lexsort([far, -close.sum(axis=1)])[0]
-    use, pose = close[best], Pose(*robots[best].tolist())
-    least = 3 if predicted is not None else max(min_inliers, len(use) / 2)
-    if use.sum() < least:
-        return None
-    for _ in range(STEPS):
-        rows = [sight(pose, mount, *p)[:2] for p in places[use].tolist()]
-        H = np.array([h for _, h in rows])
-        off = wrap(bearings[use] - [a for a, _ in rows])
-        step = np.linalg.lstsq(H, off, rcond=None)[0]
-        pose = Pose(*(np.array(pose) + step).tolist())
-    pose = Pose(pose.x, pose.y, math.remainder(pose.heading, math.tau))
-    P = np.linalg.pinv(H.T @ H) * sigma**2
-    if use.sum() == 3 and predicted is not None:
-        d = np.array(pose) - np.array(predicted[0])
-        d[2] = math.remainder(d[2], math.tau)
-        if d @ np.linalg.solve(P + predicted[1], d) > 3 * JUMP_SIGMAS**2:
+        Of equally many, the one nearest to the predicted pose. Without a prediction, half of the
+        bearings must agree.
+        """
+        names = [n for n in seen if n in self.survey]
+        if len(names) < 3:
             return None
-    return pose, P
+        places = np.array([self.survey[n] for n in names])
+        bearings, sigma = np.array([seen[n] for n in names]), self.noise.bearing
+        poses = poses_from_triples(places, bearings)
+        if not len(poses):
+            return None
+        robots = np.array(compose(Pose(*poses.T), inverse(self.mount))).T
+        close = np.abs(residuals(poses[:, None], places, bearings)) < INLIER_SIGMAS * sigma
+        far, least = np.zeros(len(poses)), max(MIN_INLIERS, len(names) / 2)
+        if self.belief is not None:
+            far = np.hypot(*(robots[:, :2] - np.array(self.belief[0][:2])).T)
+            least = 3
+        best = np.lexsort([far, -close.sum(axis=1)])[0]
+        use, pose = close[best], _pose(robots[best])
+        if use.sum() < least:
+            return None
+        for _ in range(STEPS):
+            rows = [sight(pose, self.mount, *p)[:2] for p in places[use].tolist()]
+            H = np.array([h for _, h in rows])
+            off = wrap(bearings[use] - [a for a, _ in rows])
+            pose = _pose(np.array(pose) + np.linalg.lstsq(H, off, rcond=None)[0])
+        return pose, np.linalg.pinv(H.T @ H) * sigma**2
 
 
-def residuals(poses: np.ndarray, places: np.ndarray, bearings: np.ndarray) -> np.ndarray:
-    off = places - poses[..., :2]
-    return np.asarray(wrap(bearings - np.arctan2(off[..., 1], off[..., 0]) + poses[..., 2]))
+def ekf(drive: Drive) -> IteratedEkf:
+    return IteratedEkf(drive)
 
 
-def ekf(drive: Drive) -> SurveyedEkf:
-    return SurveyedEkf(drive)
+def multi_tag(drive: Drive) -> MultiTag:
+    return MultiTag(drive)
 
 
-def ekf_no_gate(drive: Drive) -> SurveyedEkf:
-    estimator = SurveyedEkf(drive)
-    estimator.gate = math.inf
-    return estimator
-
-
-def ransac(drive: Drive) -> Resection:
-    return Resection(drive)
-
-
-for make in (ekf, ekf_no_gate, ransac):
+for make in (ekf, multi_tag):
     make.needs_survey = True  # type: ignore[attr-defined]
-for make in (ekf, ekf_no_gate):
-    make.needs_start = True  # type: ignore[attr-defined]
+ekf.needs_start = True  # type: ignore[attr-defined]

@@ -19,14 +19,11 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import monte_carlo
-from benchmarks.mrclam import HOME as MRCLAM_HOME
-from benchmarks.mrclam import data
+from benchmarks.mrclam import drive_of
 from benchmarks.places.large import large, year
-from benchmarks.places.persistence_filter import PersistentResection
+from benchmarks.places.persistence_filter import PersistentResection, Resection
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
-from benchmarks.survey.peers import Resection
 from homeward.drives.drive import Drive
-from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.geometry.frames import Pose, between
 from homeward.localizer.localizer import Localizer
@@ -202,13 +199,8 @@ def table(rows: list[dict[str, object]]) -> None:
 
 def real(makers: Iterable[int], robots: Iterable[int]) -> None:
     """Print the figures of robots in the place of another one, in MRCLAM set 6."""
-    drives = {
-        r: read_mrclam(data() / "MRCLAM_Dataset6", r, MRCLAM_HOME, math.radians(0.5), 0)
-        for r in {*robots, *makers}
-    }
-    alone = {}
-    for r, drive in drives.items():
-        alone[r] = visit(drive, None, 0.0)
+    drives = {r: drive_of(r) for r in {*robots, *makers}}
+    alone = {r: visit(drive, None, 0.0) for r, drive in drives.items()}
     print(
         "| place of | robot | five seen after [s] | first pose: in the place, alone [s] "
         "| RMSE: in the place, alone [m] | the same from 300 s on [m] | outcome |"

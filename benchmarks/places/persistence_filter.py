@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from benchmarks.survey.peers import Resection
+from benchmarks.peers.online import STEPS, residuals
+from homeward.localizer.resection import poses_from_triples
 
 MISSED, FALSE = 0.2, 0.02  # probabilities of a missed and of a false detection
 AGREES = 3.0  # maximum error of a bearing that agrees [sigmas]
@@ -39,6 +40,33 @@ class Persistence:
 
     def _survival(self, t: float) -> float:
         return math.exp(-self._rate * t)
+
+
+class Resection:
+    """Least squares of all bearings of a frame, from its best triple, without outlier rejection."""
+
+    def __init__(self, survey: dict[str, tuple[float, float]]) -> None:
+        self._survey = survey
+
+    def look(self, seen: dict[str, float]) -> np.ndarray | None:
+        """Return the pose (3,) from bearings [rad], or None."""
+        seen = {n: b for n, b in seen.items() if n in self._survey}
+        if len(seen) < 3:
+            return None
+        places = np.array([self._survey[n] for n in seen])
+        bearings = np.array(list(seen.values()))
+        poses = poses_from_triples(places, bearings)
+        if not len(poses):
+            return None
+        costs = np.abs(residuals(poses[:, None], places, bearings)).sum(axis=1)
+        pose = poses[int(np.argmin(costs))]
+        for _ in range(STEPS):
+            d = places - pose[:2]
+            square = (d**2).sum(axis=1)
+            jacobian = np.column_stack([d[:, 1] / square, -d[:, 0] / square, -np.ones(len(d))])
+            step = np.linalg.lstsq(jacobian, residuals(pose, places, bearings), rcond=None)[0]
+            pose = pose + step
+        return pose
 
 
 class PersistentResection:

@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from benchmarks.peers.surveyed import Resection, SurveyedEkf
+from benchmarks.peers.surveyed import IteratedEkf, MultiTag
 from examples.warehouse.demo import HOME, MIN_SIGHTINGS, named, with_tags
 from examples.warehouse.detections import Camera, Simulated
 from examples.warehouse.robot import SETTINGS, Eye, Robot
@@ -295,13 +295,10 @@ def main() -> None:
     parser.add_argument("--goals", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rendered", action="store_true")
-    parser.add_argument("--gtsam", action="store_true")
     parser.add_argument("--laser", action="store_true")
     given = parser.parse_args()
     days: list[Day] = []
-    peers: dict[str, Peer] = {"EKF": SurveyedEkf, "resection": Resection}
-    if given.gtsam:
-        peers["GTSAM"] = importlib.import_module("benchmarks.peers.graph").SurveyedLag
+    peers: dict[str, Peer] = {"EKF": IteratedEkf, "resection": MultiTag}
     print(
         "day first[s] goals failures rmse[cm] max[cm] moved named wrong merge: named wrong"
         + "".join(f" {name + '[cm]':>13}" for name in (*peers, *["laser"] * given.laser))

@@ -197,7 +197,7 @@ def called(monkeypatch, capsys, *words):
     return main(), capsys.readouterr().out
 
 
-def test_the_command_passes_fails_and_compares(tmp_path, monkeypatch, capsys):
+def test_the_command_passes_and_fails(monkeypatch, capsys):
     room = bands.read()["room"]
     good = {name: together(name, room.get(name, [1.0])[:2])[0] for name in bands.FIGURES}
     good = {name: None if np.isnan(value) else value for name, value in good.items()}
@@ -208,18 +208,15 @@ def test_the_command_passes_fails_and_compares(tmp_path, monkeypatch, capsys):
             name: {s: [answers[name]] * seeds for s in scenarios} for name in (AS_IT_IS, *sabotages)
         },
     )
-    code, told = called(monkeypatch, capsys, "--save", tmp_path / "before.json")
+    code, told = called(monkeypatch, capsys)
     assert code == 0
     assert told.endswith("gate: passed\n")
-    assert json.loads((tmp_path / "before.json").read_text())["room"] == [good, good]
     code, told = called(monkeypatch, capsys, "--sabotage")
     assert code == 1  # what makes no difference is not detected
     assert "covariances x 100: detected in 0 of 1 scenarios" in told
     answers[AS_IT_IS] = good | {"nees": 100 * good["nees"], "error": 1.5 * good["error"]}
-    code, told = called(monkeypatch, capsys, "--against", tmp_path / "before.json")
+    code, told = called(monkeypatch, capsys)
     assert code == 1
     assert "GATE: room: nees: " in told
-    compared = told.split("\nratio to")[1].split("\nroom")[1].split()
     with pytest.raises(SystemExit):  # the spread cannot be estimated from two drives
         called(monkeypatch, capsys, "--update-baseline")
-    assert compared[:4] == ["1", "1", "1.500", "100.000"]

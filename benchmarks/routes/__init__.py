@@ -1,1 +1,0 @@
-"""Routes: taught once, and repeated after landmarks were moved."""

@@ -1,1 +1,0 @@
-"""Sensitivity of the localiser to each of its numbers."""

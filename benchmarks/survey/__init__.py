@@ -1,1 +1,0 @@
-"""Reflector navigation on a full survey, against peers."""
