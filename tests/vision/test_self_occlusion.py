@@ -9,12 +9,12 @@ from cli.commands import call
 
 cv2 = pytest.importorskip("cv2")
 
-from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, TURN, WIDTH, on_robot
+from test_mask import CAMERA, HEIGHT, HORIZON, PAINTED, WIDTH, on_robot
 from vision_scene import look as draw
 from vision_scene import make_room, write_pictures
 
-from homeward.vision import Mask, compare, extract
-from homeward.vision.checks import SelfOcclusionDetector, find_self_occlusion
+from homeward.vision import Mask, extract
+from homeward.vision.checks import SelfOcclusionDetector
 
 STEP = 0.2
 """What the robot turns by from frame to frame [rad]."""
@@ -66,28 +66,6 @@ def test_without_a_turn_nothing_is_known():
     assert detected(frames, [0.01 * k for k in range(12)]) is None
 
 
-def between(*images, mask=None):
-    home, now = (extract(image, CAMERA, mask) for image in images)
-    return find_self_occlusion(compare(home, now, CAMERA), CAMERA)
-
-
-def test_it_is_detected_in_two_panoramas_if_the_rest_shows_a_rotation():
-    room = make_room(7)
-    clean = draw(room, 3.0, 3.0, 0.4, seed=0), draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)
-    painted = [on_robot(image) for image in clean]
-    assert between(*clean) is None
-    assert between(*painted).matches > 20
-    assert between(*painted, mask=MASK) is None
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_two_panoramas_that_are_not_turned_are_not_suspected(seed):
-    room = make_room(seed)
-    for x in (3.0, 3.03, 3.3):
-        pair = draw(room, 3.0, 3.0, 0.4, seed=1), draw(room, x, 3.0, 0.4, seed=2)
-        assert between(*pair) is None
-
-
 @pytest.fixture
 def folder(tmp_path):
     """A drive with the robot's own texture in its pictures."""
@@ -114,15 +92,3 @@ def test_a_missing_mask_is_said_on_the_terminal(folder, tmp_path):
         assert "(images.yaml, mask: FILE)" in said
     (folder / "images.yaml").write_text("mask: mask.png\n")
     assert "turn with the camera" not in words("run", folder, "--out", tmp_path / "masked")
-
-
-def test_compare_reports_it_too(folder, tmp_path):
-    room = make_room(7)
-    cv2.imwrite(str(folder / "now.png"), on_robot(draw(room, 3.9, 3.4, 0.4 + TURN, seed=1)))
-    pair = folder / "home.png", folder / "now.png"
-    said = words("see", *pair, "--out", tmp_path / "a")
-    assert "turn with the camera" in said
-    assert "(--mask FILE)" in said
-    mask = folder / "mask.png"
-    again = words("see", *pair, "--mask", mask, "--out", tmp_path / "b")
-    assert "turn with the camera" not in again

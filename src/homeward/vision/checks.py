@@ -1,4 +1,4 @@
-"""Checks of a camera and its settings from its own pictures: seam, self-occlusion, settings.
+"""Checks of a camera from its own pictures: seam, self-occlusion, mirrored pictures.
 
 Seam: whether the left and right edges of an image continue each other, as in a panorama. The edges
 of a panorama are as similar as any two neighbouring columns, those of another image as different as
@@ -10,9 +10,6 @@ Wang, "E-values: calibration, combination and applications", Annals of Statistic
 Self-occlusion: image regions that turn with the camera, such as a deck, a mast or a time stamp.
 When the robot turns, static objects move in the image. Features that remain in the same position
 belong to the robot, or to the image itself, and should be masked.
-
-Settings: two panoramas are tested for a mirrored image or a wrong horizon. Other settings are
-tried, and reported if they fit far more of the same matches.
 """
 
 from __future__ import annotations
@@ -23,22 +20,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import binom
 
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.vision.cameras.grey import as_grey
 from homeward.vision.cameras.panoramic import Panorama
-from homeward.vision.cameras.ring import Ring
 from homeward.vision.comparison import Comparison, compare
 from homeward.vision.features.detection import Features, extract
 from homeward.vision.features.matching import match
-from homeward.vision.geometry.a_contrario import (
-    MAX_LOG_FALSE_ALARMS,
-    assess,
-    random_fit_probability,
-)
-from homeward.vision.geometry.ransac import estimate_motion
 from homeward.vision.opencv import opencv
 
 MIN_EVIDENCE = 100.0
@@ -220,21 +209,6 @@ class SelfOcclusionDetector:
         self._static += static
 
 
-def find_self_occlusion(seen: Comparison, camera: Panorama) -> SelfOcclusion | None:
-    """Detect self-occlusion from the comparison of two panoramas of a camera; None if unknown.
-
-    Without odometry, the rotation is that of the other matches, if these are accepted on their own
-    and their rotation is at least `MIN_TURN`.
-    """
-    pairs = seen.pairs
-    along = _stays(pairs.home, pairs.now, SAME)
-    rest = pairs[~along]
-    fit = estimate_motion(rest, np.zeros(len(rest)), camera.tilt_sigma)
-    if fit is None or abs(fit.motion.alpha) < MIN_TURN or not assess(fit, rest).accepted:
-        return None
-    return _significant(pairs.now[along, 1], int(fit.inlier.sum()))
-
-
 def _stays(then: np.ndarray, now: np.ndarray, max_angle: float) -> np.ndarray:
     """Return which directions, (n, 2), differ by at most an angle [rad]."""
     return np.asarray((np.abs(wrap(now - then)) <= max_angle).all(axis=1))
@@ -248,73 +222,17 @@ def _significant(elevation: np.ndarray, num_static: int) -> SelfOcclusion | None
     return SelfOcclusion(elevation.size, float(lowest), float(highest))
 
 
-HORIZONS = np.linspace(0.1, 0.9, 9)
-"""Horizons to try, as shares of the height."""
-MIN_OFF = 0.15
-"""Horizons that differ from the given one by less than this share of the height are not tried."""
-MIN_SIGMAS = 2.0
-"""Matches gained minus matches lost, in standard deviations of a difference by chance."""
-MIN_PARALLAX = 80.0
-"""Squared parallax over that of noise. A horizon error of 0.3 rad shifts a ray off its epipolar
-plane by about 0.3 of the parallax: by 3 standard deviations for a parallax of 9."""
-
-
-def better_settings(
-    seen: Comparison,
-    pictures: tuple[np.ndarray, np.ndarray],
-    views: tuple[Features, Features],
-    camera: Panorama,
+def find_mirrored(
+    seen: Comparison, picture: np.ndarray, views: tuple[Features, Features], camera: Panorama
 ) -> str | None:
-    """Return a message about another setting that fits two panoramas far better, or None.
+    """Return a message if two panoramas only match where one of them is mirrored, or None.
 
-    `seen` is the comparison of the panoramas (home's first, as `Panorama.panorama` returns them)
-    with the camera as specified.
+    `seen` is the comparison of their `views`, home's first; `picture` is the other one, as
+    `Panorama.panorama` returns it.
     """
-    if not seen.accepted:
-        flipped = extract(np.ascontiguousarray(pictures[1][:, ::-1]), camera)
-        if compare(views[0], flipped, camera).accepted:
-            return "the pictures agree only if one of them is mirrored: mirror that one"
-    if isinstance(camera, Ring):
+    if seen.accepted:
         return None
-    fits, best, most = _matches(seen), None, 0
-    for horizon in HORIZONS[np.abs(HORIZONS - camera.horizon) > MIN_OFF].tolist():
-        other = camera.model_copy(update={"horizon": horizon})
-        home, now = (extract(p, other, v.mask) for p, v in zip(pictures, views, strict=True))
-        found = compare(home, now, other)
-        gain = _gain(fits, found)
-        if gain > most:
-            best, most = horizon, gain
-    if best is None:
+    flipped = extract(np.ascontiguousarray(picture[:, ::-1]), camera)
+    if not compare(views[0], flipped, camera).accepted:
         return None
-    return (
-        f"the pictures agree far better with the horizon at {best:.1f} of the height than at "
-        f"{camera.horizon:g} ({most} more matches fit): set it in images.yaml (camera: horizon)"
-    )
-
-
-def _matches(seen: Comparison) -> dict[tuple[int, int], bool]:
-    """Return whether each match, keyed by its rows at home and now, is an inlier."""
-    rows = zip(seen.home_row.tolist(), seen.now_row.tolist(), strict=True)
-    return dict(zip(rows, seen.agrees.tolist(), strict=True))
-
-
-def _gain(fits: dict[tuple[int, int], bool], found: Comparison) -> int:
-    """Return how many more of the same matches another horizon fits; 0 if that may be chance.
-
-    With the correct horizon, outliers are wrong matches, which fit the motion of another horizon
-    only at random. The numbers of false alarms of whole comparisons are not compared: near home
-    every horizon fits, and they differ by chance.
-    """
-    if not found.accepted or found.motion is None or found.parallax < MIN_PARALLAX:
-        return 0
-    both = [(fits[match], fit) for match, fit in _matches(found).items() if match in fits]
-    unfit = sum(not before for before, _ in both)
-    gained = sum(fit and not before for before, fit in both)
-    lost = sum(before and not fit for before, fit in both)
-    # A moved object may fit another horizon by chance, but then as many static matches do not.
-    if gained - lost <= MIN_SIGMAS * math.sqrt(gained + lost):
-        return 0
-    chance = random_fit_probability(found.motion, found.pairs)
-    tests = math.log10(HORIZONS.size)
-    log_chance = binom.logsf(gained - 1, unfit, chance) / math.log(10.0)
-    return gained - lost if log_chance < MAX_LOG_FALSE_ALARMS - tests else 0
+    return "the pictures agree only if one of them is mirrored: mirror that one"

@@ -33,7 +33,7 @@ def compare(
     Writes comparison.png, matches.csv and comparison.json. Exit status 1 if too few points match.
     """
     from homeward.io.writing import check_output
-    from homeward.vision.checks import better_settings, find_self_occlusion, require_panoramas
+    from homeward.vision.checks import find_mirrored, require_panoramas
     from homeward.vision.comparison import compare as compare_views
     from homeward.vision.features.detection import read_features
     from homeward.vision.recorded.settings import read_image_settings
@@ -47,11 +47,9 @@ def compare(
     check_output(out, RESULT)
     seen = compare_views(home_view, now_view, settings.panorama)
     images, views = (home_image, now_image), (home_view, now_view)
-    doubt = better_settings(seen, images, views, settings.panorama)
+    mirrored = find_mirrored(seen, now_image, views, settings.panorama)
     write_comparison(out, seen, images, views)
-    notes = [] if doubt is None else [f"{doubt[:1].upper()}{doubt[1:]}."]
-    if found := find_self_occlusion(seen, settings.panorama):
-        notes.append(f"{found.matches} {found.words} (--mask FILE).")
+    notes = [] if mirrored is None else [f"{mirrored[:1].upper()}{mirrored[1:]}."]
     if json:
         facts = {"summary": describe(seen), **as_dict(seen), "notes": notes}
         shared.answer({**facts, "picture": str(out / PICTURE)})

@@ -28,7 +28,7 @@ from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.checks import (
     SelfOcclusion,
     SelfOcclusionDetector,
-    better_settings,
+    find_mirrored,
     require_panoramas,
 )
 from homeward.vision.comparison import Comparison
@@ -41,8 +41,8 @@ from homeward.vision.recorded.settings import IMAGE_SETTINGS, ImageSettings, set
 HOME_STEM = "home"
 TESTED_SEAMS = 8
 """Number of pictures along the drive that are tested for being panoramas, as home's is."""
-TESTED_SETTINGS = 3
-"""Number of pictures on which other camera settings are tried if none matches home."""
+TESTED_MIRRORED = 3
+"""Number of pictures that are compared mirrored if none matches home."""
 UNLIKE = "images that match no earlier image"
 RARE = f"sightings of landmarks seen fewer than {LASTING_SIGHTINGS} times"
 
@@ -108,7 +108,7 @@ def see_folder(
         remarks[f"{occlusion.words} ({IMAGE_SETTINGS}, mask: FILE)"] = occlusion.matches
     sightings = _sightings(images.t, frames, remarks)
     compared = [frame.home for frame in frames]
-    remarks |= _check_camera_settings(picture, front_end, images.files, compared)
+    remarks |= _check_mirrored(front_end, images.files, compared)
     pictures = tuple(zip(images.t.tolist(), compared, strict=True))
     seen = {"sightings": sightings, "home": front_end.home_bearings, "pictures": pictures}
     return ImageDrive(**{**vars(blind), **seen, "remarks": remarks})
@@ -168,25 +168,17 @@ def _evenly(items: Sequence[object], number: int) -> list[int]:
     return [int(k) for k in np.unique(np.linspace(0, len(items) - 1, number).astype(int))]
 
 
-def _check_camera_settings(
-    home: np.ndarray,
-    front_end: FrontEnd,
-    files: list[Path],
-    compared: Sequence[Comparison | None],
+def _check_mirrored(
+    front_end: FrontEnd, files: list[Path], compared: Sequence[Comparison | None]
 ) -> dict[str, int]:
-    """Return a remark if another camera setting fits home and the first matching picture better.
-
-    If no picture matches home, some along the drive are tried. A calibrated lens is not tested.
-    """
-    if front_end.camera.seen is not None:
-        return {}
+    """Return a remark if no picture matches home, but one does if it is mirrored."""
     tried = [(file, seen) for file, seen in zip(files, compared, strict=True) if seen is not None]
-    matching = [pair for pair in tried if pair[1].accepted][:1]
-    for file, seen in matching or [tried[k] for k in _evenly(tried, TESTED_SETTINGS)]:
+    if front_end.camera.seen is not None or any(seen.accepted for _, seen in tried):
+        return {}
+    for file, seen in (tried[k] for k in _evenly(tried, TESTED_MIRRORED)):
         picture, view = read_features(file, front_end.camera, like=front_end.home)
-        views = front_end.home, view
-        if words := better_settings(seen, (home, picture), views, front_end.camera):
-            return {f"pair of pictures (home and {file.name}) suggests other settings: {words}": 1}
+        if words := find_mirrored(seen, picture, (front_end.home, view), front_end.camera):
+            return {f"pair of pictures (home and {file.name}): {words}": 1}
     return {}
 
 
