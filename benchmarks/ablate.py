@@ -13,10 +13,8 @@ drives, from which the same command continues. `--list` prints the mechanisms.
 import os
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
@@ -34,8 +32,7 @@ from benchmarks.paired.comparison import (
     rows,
 )
 from benchmarks.paired.drives import Case, Input, cases, made
-from benchmarks.paired.kept import Kept
-from benchmarks.paired.processes import VariantError, Worker
+from benchmarks.paired.processes import Kept, VariantError, Worker, in_parallel
 from homeward import core
 
 EVERYTHING_ON = ""
@@ -62,20 +59,8 @@ class Drives:
 
 def ran(mechanism: str, given: Sequence[Input], jobs: int) -> Iterator[dict[str, Any]]:
     """Yield the figures of each drive without a mechanism."""
-    with ExitStack() as stack:
-        free = SimpleQueue[Worker]()
-        for _ in range(min(jobs, len(given))):
-            free.put(stack.enter_context(Worker(without=mechanism)))
-
-        def one(each: Input) -> dict[str, Any]:
-            worker = free.get()
-            try:
-                return worker.run(each)
-            finally:
-                free.put(worker)
-
-        with ThreadPoolExecutor(jobs) as pool:
-            yield from pool.map(one, given)
+    make = [partial(Worker, without=mechanism)]
+    yield from in_parallel(given, make, lambda each, workers: workers[0].run(each), jobs)
 
 
 def table(found: Kept, mechanisms: Sequence[str], todo: Sequence[Case]) -> str:

@@ -11,45 +11,42 @@ continues. `--jobs` is the number of pairs at once; use 1 for processor times.
 
 import sys
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from queue import SimpleQueue
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks import monte_carlo
 from benchmarks.paired.comparison import FIGURES, WORSE, decisions, rows, table
 from benchmarks.paired.drives import BENCHMARKS, Case, cases, made
-from benchmarks.paired.kept import Kept
-from benchmarks.paired.processes import VariantError, Worker, commit_of, environment
+from benchmarks.paired.processes import (
+    Kept,
+    VariantError,
+    Worker,
+    commit_of,
+    environment,
+    in_parallel,
+)
 
 Pair = tuple[Mapping[str, Any], Mapping[str, Any]]  # figures, or the error, of new and old
 
 
 def compared(todo: Sequence[Case], old: Path, jobs: int) -> Iterator[tuple[Case, Pair]]:
     """Yield the figures of both versions for each drive, as they finish."""
-    with TemporaryDirectory() as scratch, ExitStack() as stack:
-        free = SimpleQueue[tuple[Worker, Worker]]()
-        for _ in range(jobs):
-            new, other = (stack.enter_context(Worker(python)) for python in (None, old))
-            free.put((new, other))
+    with TemporaryDirectory() as scratch:
 
-        def one(k: int) -> tuple[Case, Pair]:
-            given, pair = made(todo[k], Path(scratch, str(k))), free.get()
-            try:
-                if given.needs_truth:  # from the reference, which does not change
-                    truth = pair[1].run(given, needs_truth=True)
-                    if "error" in truth:
-                        return todo[k], (truth, truth)
-                turn = pair if k % 2 else pair[::-1]
-                found = [worker.run(given) for worker in turn]
-            finally:
-                free.put(pair)
-            return todo[k], (found[0], found[1]) if k % 2 else (found[1], found[0])
+        def one(k: int, pair: list[Worker]) -> tuple[Case, Pair]:
+            given = made(todo[k], Path(scratch, str(k)))
+            if given.needs_truth:  # from the reference, which does not change
+                truth = pair[1].run(given, needs_truth=True)
+                if "error" in truth:
+                    return todo[k], (truth, truth)
+            turn = 1 if k % 2 else -1  # both are the first one equally often
+            new, other = [worker.run(given) for worker in pair[::turn]][::turn]
+            return todo[k], (new, other)
 
-        with ThreadPoolExecutor(jobs) as pool:
-            yield from pool.map(one, range(len(todo)))
+        make = [Worker, partial(Worker, old)]
+        yield from in_parallel(range(len(todo)), make, one, jobs)
 
 
 def failed(pairs: Mapping[Case, Pair]) -> int:

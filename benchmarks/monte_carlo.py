@@ -114,14 +114,16 @@ def source_digest() -> str:
     return digest.hexdigest()[:16]
 
 
-def origin() -> str:
+def origin() -> tuple[str, str, str]:
     """Return commit, date and machine of a run of this code."""
     call = ["git", "rev-parse", "--short=8", "HEAD"]
-    done = subprocess.run(call, cwd=Path(__file__).parent, capture_output=True, text=True)
+    done = subprocess.run(
+        call, cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
     commit = done.stdout.strip() or "no repository"
     python = ".".join(platform.python_version_tuple()[:2])
     machine = f"{available_threads()}-core {platform.machine()} machine, Python {python}"
-    return f"{commit}, {datetime.now().date().isoformat()}, {machine}"
+    return commit, datetime.now().date().isoformat(), machine
 
 
 def _block(function: Callable[[Run], Mapping[str, Any]], run: Run) -> Arrays:

@@ -50,7 +50,7 @@ def main() -> None:
     words = sys.argv[1:]
     kept = [w for i, w in enumerate(words) if not _of_this_machine(words, i)]
     command = " ".join(["python -m benchmarks.leaderboard", *kept])
-    text = page(rows, names, families, command, monte_carlo.origin())
+    text = page(rows, names, families, command, ", ".join(monte_carlo.origin()))
     options.out.write_text(text, encoding="utf-8")
     print(text)
 

@@ -1,4 +1,4 @@
-"""Processes of variants, and environments with an older version of homeward."""
+"""Processes of variants, environments with an older version of homeward, and kept results."""
 
 import io
 import json
@@ -7,13 +7,18 @@ import subprocess
 import sys
 import sysconfig
 import tarfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
+from queue import SimpleQueue
 from tempfile import TemporaryFile
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeVar
 
 from benchmarks.paired.drives import Input
 
+T, R = TypeVar("T"), TypeVar("R")
 ROOT = Path(__file__).resolve().parents[2]
 ENVIRONMENTS = ROOT / "out" / "against"
 PIP = ("-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-compile")
@@ -129,3 +134,53 @@ class Worker:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def in_parallel(
+    items: Sequence[T],
+    make: Sequence[Callable[[], Worker]],
+    one: Callable[[T, list[Worker]], R],
+    jobs: int,
+) -> Iterator[R]:
+    """Yield the result of `one` for each item, in order; it gets a worker of each kind."""
+    with ExitStack() as stack:
+        free = SimpleQueue[list[Worker]]()
+        for _ in range(min(jobs, len(items))):
+            free.put([stack.enter_context(kind()) for kind in make])
+
+        def each(item: T) -> R:
+            workers = free.get()
+            try:
+                return one(item, workers)
+            finally:
+                free.put(workers)
+
+        with ThreadPoolExecutor(jobs) as pool:
+            yield from pool.map(each, items)
+
+
+class Kept(dict[tuple[Any, ...], Any]):
+    """Results by name, each appended to a file as a line of JSON."""
+
+    def __init__(self, file: Path | None, key: Mapping[str, str]) -> None:
+        """Read a file, which begins with `key`, the versions that it is of; None: no file."""
+        super().__init__()
+        self._file = file
+        if file is None:
+            return
+        if not file.exists():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(json.dumps(key) + "\n")
+        first, *lines = file.read_text().splitlines()
+        if json.loads(first) != key:
+            raise VariantError(f"{file} is of other versions: {first}; delete it, or use another")
+        for line in lines:
+            name, result = json.loads(line)
+            self[tuple(name)] = result
+
+    def add(self, name: tuple[Any, ...], result: Any) -> None:
+        """Add a result."""
+        self[name] = result
+        if self._file is not None:
+            with self._file.open("a") as file:
+                print(json.dumps([name, result]), file=file)
