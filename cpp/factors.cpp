@@ -7,7 +7,7 @@
 namespace homeward {
 namespace {
 
-constexpr int INFORMATION = 3, BY_CALIBRATION = 12;
+constexpr int INFORMATION = 3, BY_CALIBRATION = 12, PER_S = STEP - 1;
 
 class FrameSum {
  public:
@@ -127,6 +127,7 @@ void add_odometry(const Equations &e, const double *poses, const double *calibra
     jacobian(0, 6 + SPEED_SCALE) += error[0], jacobian(1, 6 + SPEED_SCALE) += aside * error[1];
     if (strafes) jacobian(1, 6 + SIDEWAYS_SCALE) += size * error[1];
     jacobian = scale.asDiagonal() * jacobian;
+    if (strafes) jacobian.middleCols<2>(6 + DELAY).colwise() -= row[PER_S] * error;
     const double weight = 4.0 / std::max(1.0 + error.dot(information * error), 4.0);
     if (rows.weight) {
       Eigen::Map<Vector3>(rows.error + 3 * k) = error, rows.weight[k] = weight;

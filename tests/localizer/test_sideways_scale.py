@@ -7,7 +7,7 @@ from homeward import open_drive
 from homeward.lab.simulation import scenario as sim
 from homeward.lab.simulation.simulate import Simulation, simulate
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.motions import SIDEWAYS_SCALE
+from homeward.localizer.motions import DELAY, SIDEWAYS_SCALE
 from homeward.runs.scoring import score
 from homeward.track import run
 
@@ -73,6 +73,17 @@ def test_before_it_is_known_the_pose_is_consistent():
         accuracy = score(track, drive.truth).accuracy
         inside.append(accuracy.position_inside_sigma_shares[2])
     assert np.mean(inside) > 0.97
+
+
+def test_the_noise_of_odometry_is_not_taken_for_a_lag():
+    """The noise of a twist is part of the motion, and of its change by the delay."""
+    delays = []
+    for seed in range(3):
+        drive = strafing(seed, 0.0).drive
+        localizer = Localizer(drive.home, **drive.settings.robot)
+        run(drive, localizer)
+        delays.append(localizer.calibration().mean[DELAY])
+    assert abs(np.mean(delays)) < 0.02
 
 
 def test_a_robot_that_never_strafes_leaves_the_scale_as_it_is():

@@ -10,7 +10,7 @@ from homeward.localizer import tunables
 FOLDER = Path(homeward.localizer.__file__).parent
 LAYOUT = {
     "BAND", "BY_CALIBRATION", "CAMERA_JACOBIAN", "COLUMNS", "FREE", "HEAD", "HOME", "IDENTITY",
-    "INFORMATION", "IS_ODOMETRY", "MIN_SQUARED_DISTANCE", "MIN_COVARIANCE", "MOUNT", "NO_TAIL",
+    "INFORMATION", "PER_S", "MIN_SQUARED_DISTANCE", "MIN_COVARIANCE", "MOUNT", "NO_TAIL",
     "PARTS", "POSE", "POSE_AND_YAW", "RESIDUAL", "REST", "STEP", "YAW",
 }  # fmt: skip
 """Rows, columns and sizes of tables, and floors against a division by zero."""

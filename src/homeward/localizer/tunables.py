@@ -356,6 +356,9 @@ MIN_STEADY_SPEED = 1e-9
 """Mean speeds below it are zero but for rounding, which has no direction [m/s]."""
 MIN_SIDEWAYS_SHARE = 0.1
 """Smallest mean speed sideways of a robot that strafes, as a share of that ahead [1]."""
+INTERVAL_OF_SIDEWAYS = 0.5
+"""Share of the time between keyframes for a robot whose odometry has noise to its side, too [1]:
+frames between keyframes lose their information on its pose twice as fast."""
 MIN_CALIBRATION_SIGMA = 1e-6
 """Smallest prior standard deviation of the calibration of odometry and of the camera's yaw."""
 NEGLIGIBLE_CALIBRATION = 1e-4

@@ -41,6 +41,7 @@ from homeward.localizer.tunables import (
     EVALUATED_AFTER_DENIAL,
     EVALUATIONS_PER_WINDOW,
     INLIER,
+    INTERVAL_OF_SIDEWAYS,
     LONG_WINDOW,
     MAX_IDS,
     MAX_PER_KEYFRAME,
@@ -74,6 +75,9 @@ class Map:
         self.home = home
         """Landmarks that home saw."""
         self._settings, self._counts = settings, counts
+        self._interval = settings.keyframe_interval
+        if drive.odometry.sideways_sigma:
+            self._interval *= INTERVAL_OF_SIDEWAYS
         self._process_noise, self._extrinsics = process_noise, extrinsics
         self._mount = np.array(drive.sensor.pose)
         sigmas = calibration_sigmas(drive, settings, scale.state)
@@ -226,7 +230,7 @@ class Map:
     def wants_keyframe(self, t: float, motion: Motion) -> bool:
         """Return whether the robot is far enough from its newest keyframe, or has stopped."""
         stopped, self._last_path = 0.0 < motion.path == self._last_path, motion.path
-        due = t - self.smoother.stamps[-1] >= self._settings.keyframe_interval
+        due = t - self.smoother.stamps[-1] >= self._interval
         scale = self.smoother.state.scale if self.landmarks.mapped else 0.0
         shift = max(motion.path, math.sqrt(motion.covariance[0, 0]))
         return due and (stopped or shift > STANDSTILL * scale or motion.turned > STANDSTILL)

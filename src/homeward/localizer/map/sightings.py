@@ -16,10 +16,11 @@ from homeward.localizer.reference.factors import (
     BY_CALIBRATION,
     FREE,
     INFORMATION,
-    IS_ODOMETRY,
+    PER_S,
     STEP,
     cameras,
 )
+from homeward.localizer.tunables import MEAN_S
 from homeward.table import GrowingTable
 
 KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
@@ -151,13 +152,13 @@ MIN_COVARIANCE = 1e-10 * np.eye(3)
 """Smallest covariance of a motion [m^2, rad^2]."""
 
 
-def step_row(motion: Motion) -> np.ndarray:
-    """Return a motion as a row (1, STEP) of the table."""
+def step_row(motion: Motion, duration: float = math.inf) -> np.ndarray:
+    """Return a motion of a duration [s] as a row (1, STEP) of the table."""
     row = np.empty((1, STEP))
     row[0, FREE] = motion.uncalibrated
     row[0, INFORMATION] = np.linalg.inv(motion.covariance + MIN_COVARIANCE).ravel()
     row[0, BY_CALIBRATION] = motion.jacobian.ravel()
-    row[0, IS_ODOMETRY] = motion.is_odometry
+    row[0, PER_S] = motion.is_odometry / max(duration, MEAN_S)
     return row
 
 

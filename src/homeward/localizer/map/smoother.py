@@ -58,7 +58,7 @@ from homeward.localizer.motions import (
 from homeward.localizer.reference.factors import (
     BY_CALIBRATION,
     FREE,
-    IS_ODOMETRY,
+    PER_S,
     STEP,
     NormalEquations,
     OdometryErrors,
@@ -268,7 +268,7 @@ class Smoother:
         self.stamps.append(t)
         self.turn_variances.append(float(motion.covariance[2, 2]))
         self.shift_variances.append(float(motion.covariance[0, 0] + motion.covariance[1, 1]))
-        step = step_row(motion)
+        step = step_row(motion, t - self.stamps[-2])
         scale_steps(step, inlier_ratios)
         self._steps.extend(step)
         self.state = self.state.propagate(motion)
@@ -329,7 +329,7 @@ class Smoother:
         self._integrated_at = self.state.calibration[[DELAY, TIME_CONSTANT]]
         known = np.array(self.stamps[:-1]) >= since
         steps = self._steps.rows
-        for k in np.flatnonzero(known & (steps[:, IS_ODOMETRY] > 0.0)).tolist():
+        for k in np.flatnonzero(known & (steps[:, PER_S] > 0.0)).tolist():
             motion = between(self.stamps[k], self.stamps[k + 1])
             steps[k, FREE] = motion.uncalibrated
             steps[k, BY_CALIBRATION] = motion.jacobian.ravel()
@@ -344,7 +344,7 @@ class Smoother:
     def replace_motion(self, k: int, motion: Motion) -> None:
         """Replace the motion from the k-th keyframe in the window to the next."""
         steps = self._steps.rows.copy()
-        steps[k] = step_row(motion)
+        steps[k] = step_row(motion, self.stamps[k + 1] - self.stamps[k])
         self._steps = GrowingTable.of(steps)
 
     def scale_noise(self, factor: float) -> None:
@@ -366,7 +366,7 @@ class Smoother:
         odometry was denied entirely.
         """
         squares = motions.error[:, 2] ** 2 * motions.information[:, 2, 2]
-        return np.where(self._steps.rows[:, IS_ODOMETRY] > 0.0, squares, np.inf)
+        return np.where(self._steps.rows[:, PER_S] > 0.0, squares, np.inf)
 
     def drop_landmark(self, number: int) -> None:
         """Marginalise the landmark of an id: the information on the others is kept."""
