@@ -121,7 +121,7 @@ def test_a_moved_landmark_is_known_to_a_robot_that_did_not_see_it(broker, hall, 
     assert [v.verdict for v in load_place(folder).visits] == ["first", *3 * ["merged"]]
 
 
-def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path):  # noqa: F811
+def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path, monkeypatch):  # noqa: F811
     folder = shutil.copytree(hall, tmp_path / "hall")
     first = Merging(Broker(broker.url, "merger"), folder)
     rig = drive(broker.url, "a").until(localised, 3.0)
@@ -143,6 +143,7 @@ def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path):  # noq
         wait(lambda: len(load_place(folder).visits) == 2)
     late = visited("late", {n: np.array([3.0, i]) for i, n in enumerate(place.place.map.names)})
     place._link.on_event = lambda *_: None
+    monkeypatch.setattr(fleet_robot, "FINISH_S", 0.5)
     assert "is saved in" in place._link.finish(late.model_copy(update={"ended": True}))
     place.close()
     with merging(broker.url, folder), linked(broker.url, "a"):

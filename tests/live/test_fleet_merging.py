@@ -210,6 +210,27 @@ def test_tags_of_one_box_move_without_another_robot(folder):
     assert {confirmed for _, confirmed, _ in found(shared, 1.0 + CONFIRM_S).values()} == {True}
 
 
+def test_a_robot_cannot_declare_the_group_that_it_moves_as_one_box(shared):
+    names = "L1", "L2", "L3"
+    for visit in ("v1", "v2"):
+        message = visited(visit, pushed(room(), *names), ended=True)
+        shared.add("liar", message.model_copy(update={"together": (names,)}), 1.0, 1.0)
+        list(shared.settle(10.0 * CONFIRM_S))
+    assert not any(confirmed for _, confirmed, _ in found(shared, 10.0 * CONFIRM_S).values())
+    assert shared.place.together == ()
+
+
+def test_a_vague_position_does_not_confirm_a_distant_one(shared):
+    far = pushed(room(), "L3", by=3.0 * PUSH)
+    add(shared, "liar", far, 1.0)
+    own = visit_of(visited("v1", pushed(room(), "L3"), 2), 1.0)
+    more = np.diag([0.04 if n == "L3" else 0.0 for n in own.map.names for _ in range(2)])
+    wide = replace(own, map=replace(own.map, covariance=own.map.covariance + more))
+    message = visit_message(wide, VisitCounts({}), dict.fromkeys(room(), 1.0), "home", False)
+    shared.add("b", message, 2.0, 1.0)
+    assert not found(shared, 2.0).get("L3", ("", False, []))[1]
+
+
 def test_a_robot_that_lies_again_and_again_does_not_win_against_three(folder, shared):
     for k in range(8):
         now = 10.0 * k

@@ -16,6 +16,7 @@ from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.faces import MapSnapshot
 from homeward.places.files import load_place, save_place
+from homeward.places.joint_map import JointMap
 from homeward.places.place import DRIFT
 from homeward.places.visit_data import VisitFrames, collect_visit, last_frame
 from homeward.places.visiting import MAX_EVENTS, first_place, merged, merged_places
@@ -261,3 +262,18 @@ def test_a_map_of_too_few_landmarks_is_no_place(number):
     localizer = SimpleNamespace(snapshot=lambda: own, landmarks=list)
     with pytest.raises(HomewardError, match=f"{number} landmarks are mapped accurately"):
         first_place("hall", localizer, visit)
+
+
+def test_a_landmark_is_missed_only_where_another_one_behind_it_was_seen():
+    """Landmarks ahead: one in front of another one, and one with nothing behind it."""
+    places = {"near": (2.0, 0.1), "behind": (4.0, 0.0), "alone": (3.0, 3.0), "far": (5.0, -2.0)}
+    there = JointMap(tuple(places), (), np.array([*places.values()]).ravel(), 1e-4 * np.eye(8))
+    cameras = np.column_stack([np.linspace(0.0, 0.2, 10), np.zeros(10), np.zeros(10)])
+    frames = VisitFrames(cameras, 10 * [["behind", "far"]], None)
+    origin = Pose(0.0, 0.0, 0.0)
+    assert frames.counts(there, origin)[0].tolist()[:3] == [10, 10, 10]
+    in_view, seen = frames.counts(there, origin, needs_sight=True)
+    assert in_view.tolist()[:3] == [10, 10, 0]
+    assert seen.tolist()[:3] == [0, 10, 0]
+    vague = replace(there, covariance=0.2 * np.eye(8))
+    assert frames.counts(vague, origin, needs_sight=True)[0][0] == 0

@@ -15,14 +15,18 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import NO_BEARINGS_S, Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.geometry.se2 import compose, sight
+from homeward.geometry.se2 import MIN_DISTANCE, compose, sight
 from homeward.io.table import is_identifier, quoted
 from homeward.localizer.localizer import Localizer
+from homeward.localizer.tunables import INLIER
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome
 from homeward.places.route import Route, map_of_estimates, taught
 from homeward.track import Track
 
+SIGHT_ANGLE, SIGHT_SHARE = 0.17, 0.8
+"""Maximum angle between two landmarks [rad], and minimum distance of the one that was seen, as a
+share of that of the other one, for which both have a free line of sight."""
 RANGE_QUANTILE = 0.9
 """Range of the camera, as a quantile of the distances of all sightings."""
 
@@ -45,10 +49,15 @@ class VisitFrames:
     field_of_view: float | None
     """[rad]"""
 
-    def counts(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
+    def counts(
+        self, places: JointMap, origin: Pose, needs_sight: bool = False
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Return the number of frames with each landmark (n,) in view, and with it seen.
 
-        `origin` is the pose of the drive's home in the frame of the place.
+        `origin` is the pose of the drive's home in the frame of the place. If it `needs_sight`, a
+        landmark that was not seen is in view only in the frames with a free line of sight: another
+        landmark in almost the same direction was seen, which is at least almost as far away. Its
+        uncertainty must be within the view, too.
         """
         index = {name: i for i, name in enumerate(places.names)}
         saw = np.zeros((len(self.seen), len(places.names)), bool)
@@ -58,7 +67,15 @@ class VisitFrames:
         distances = np.hypot(there.offset[..., 0], there.offset[..., 1])
         reach = float(np.quantile(distances[saw], RANGE_QUANTILE)) if saw.any() else 0.0
         half = np.inf if self.field_of_view is None else 0.5 * self.field_of_view
-        in_view = (distances < reach) & (np.abs(wrap(there.bearing)) < half)
+        bearings = wrap(there.bearing)
+        in_view = (distances < reach) & (np.abs(bearings) < half)
+        if needs_sight:
+            around = INLIER * places.sigmas / np.maximum(distances, MIN_DISTANCE)
+            inside = (distances * (1.0 + around) < reach) & (np.abs(bearings) + around < half)
+            for k, (angles, far) in enumerate(zip(bearings, distances, strict=True)):
+                near = np.abs(wrap(angles[:, None] - angles[saw[k]])) < SIGHT_ANGLE
+                is_free = (near & (far[saw[k]] >= SIGHT_SHARE * far[:, None])).any(axis=1)
+                in_view[k] &= saw[k] | (is_free & inside[k] & (around[k] < SIGHT_ANGLE))
         return in_view.sum(axis=0), (in_view & saw).sum(axis=0)
 
 

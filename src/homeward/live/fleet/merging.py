@@ -55,6 +55,8 @@ SAME_M = 0.02
 """Positions this close agree, however certain they are [m]."""
 ROBOTS = "robots.txt"
 """File in that folder with the records of the robots, as JSON."""
+MAX_APART_M = 0.3
+"""Positions farther apart are different claims, however uncertain they are [m]."""
 QUARANTINED = "this visit contradicts the place and is not merged: other robots do not use it"
 
 
@@ -263,7 +265,10 @@ class SharedPlace:
         room = MAX_LANDMARKS - len(self.place.persistence)
         new = [n for n in visit.data.map.names if n not in self.place.persistence]
         unused = {n for n, right in outcomes.items() if not right}
+        others = {g for k, v in self.visits.items() if k[0] != robot for g in v.data.together}
+        together = tuple(g for g in visit.data.together if g in others)
         data = _without(visit.data, {*unused, *new[max(room, 0) :]})
+        data = replace(data, together=together)  # a group of one robot is not certain
         try:
             self.place, _ = files.update_place(self.folder, lambda place: _with(place, data))
         except (InputError, np.linalg.LinAlgError) as error:
@@ -371,7 +376,7 @@ def _claims(place: Place, data: VisitData, now: float) -> dict[str, Claim] | Non
     there = after.map.marginal(placed, ()).in_frame_of(pose, np.zeros((3, 3)))
     at = _positions(there)
     was = _positions(local.map.marginal([n for n in placed if what[n] == "moved"], ()))
-    grouped = _moved_rigidly(was, at, (*place.together, *data.together))
+    grouped = _moved_rigidly(was, at, place.together)  # not by its own groups
     return {
         n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
     }
@@ -419,9 +424,14 @@ def _support(one: Claim, other: Claim) -> bool:
     """Return whether a claim supports another one: "gone" supports that it moved."""
     if one.at is None or other.at is None:
         return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
-    off = math.dist(one.at[:2], other.at[:2])
-    limit = INLIER * float(position_sigma(spread(one.at) + spread(other.at)))
-    return one.what == other.what and off <= max(limit, SAME_M)
+    is_near = math.dist(one.at[:2], other.at[:2]) < MAX_APART_M
+    return one.what == other.what and is_near and _agree(one.at, other.at)
+
+
+def _agree(one: Placed, other: Placed) -> bool:
+    """Return whether two positions agree."""
+    limit = INLIER * float(position_sigma(spread(one) + spread(other)))
+    return math.dist(one[:2], other[:2]) <= max(limit, SAME_M)
 
 
 def _without(data: VisitData, names: Collection[str]) -> VisitData:
@@ -444,8 +454,5 @@ def _with(place: Place, data: VisitData) -> Place:
     after = merged(place, replace(data, homes=homes, routes=routes))
     changed = {e.landmark for e in after.events if e.visit >= place.next_visit}
     was, now = _positions(place.map), _positions(after.map)
-    agree = [
-        _support(*(Claim("", p[n], 0.0) for p in (was, now)))
-        for n in was.keys() & now.keys() - changed
-    ]
+    agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
     return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)

@@ -321,7 +321,8 @@ class SharedPlaceSession(PlaceSession):
         poses = np.array([pose for pose, _ in self._frames]).reshape(-1, 3)
         cameras = compose(poses, np.broadcast_to(np.array(sensor.pose), poses.shape))
         frames = VisitFrames(cameras, [names for _, names in self._frames], sensor.field_of_view)
-        in_view, seen = frames.counts(self.place.map, self.place.home_pose(home))
+        origin = self.place.home_pose(home)
+        in_view, seen = frames.counts(self.place.map, origin, needs_sight=True)
         both = zip(in_view.tolist(), seen.tolist(), strict=True)
         counts = VisitCounts(dict(zip(self.place.map.names, both, strict=True)))
         evidence = self._link.visit
