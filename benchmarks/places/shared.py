@@ -165,7 +165,7 @@ class Run:
 
     def _live(self, i: int) -> "subprocess.Popen[str]":
         robot = self.work / f"robot{i}" / "drive.yaml"
-        arguments = ["live", "--place", "hall", "--update", "--robot-file", str(robot)]
+        arguments = ["live", "--place", "place", "--update", "--robot-file", str(robot)]
         arguments += ["--mqtt", self.mqtt, "--user", f"robot{i}"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         return self._start(arguments, **pipes)
