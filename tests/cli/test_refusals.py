@@ -56,7 +56,7 @@ REFUSED = {
     "study paper --set assumed.longest=0.01": "sample_time",
     "study paper --set assumed.meaning_of_Q=z": "Q",
     "study paper --set assumed.falt=[0.1,0.2]": "did you mean assumed.fault?",
-    "study paper --set colour=red": "homeward settings lists all keys",
+    "study paper --set colour=red": "colour: unknown key; the keys here are printed",
     "plan --drive nowhere": "nowhere",
     "plan --landmarks 0": "1 to 40",
     "plan --landmarks 99": "1 to 40",

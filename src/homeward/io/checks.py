@@ -30,8 +30,8 @@ class Problem(NamedTuple):
     """Keys and indices from the outermost model on."""
     words: str
     value: Any = NOTHING
-    is_unknown: bool = False
-    """Whether the key is unknown."""
+    known: tuple[str, ...] = ()
+    """Of an unknown key: the keys that its block has."""
 
 
 class ValidationError(ValueError):

@@ -105,9 +105,9 @@ class Strict:
                 made[name] = field.check(values[key], strict)
             except ValidationError as error:
                 problems += error.at(key)
-        known = {field.alias or name for name, field in cls.model_fields.items()}
+        known = tuple(field.alias or name for name, field in cls.model_fields.items())
         problems += (
-            Problem((k,), "unknown key", is_unknown=True) for k in values if k not in known
+            Problem((k,), "unknown key", known=known or ("none",)) for k in values if k not in known
         )
         if problems:
             raise ValidationError(problems)

@@ -9,10 +9,13 @@ from typing import Any
 from homeward.errors import InputError
 from homeward.io.checks import Check, Problem, ValidationError, check_of
 from homeward.io.keys import Strict, closest
+from homeward.io.naming import listing
 from homeward.io.table import quoted
 
 MAX_LENGTH = 60
 """Keys and values are cut to this length [characters]."""
+MAX_KEYS = 30
+"""Maximum number of keys that are listed instead of an unknown one."""
 _check_of = cache(check_of)
 
 
@@ -36,20 +39,17 @@ def parsed(kind: Any, text: str | bytes) -> Any:
 def validation_message(error: ValidationError, model: type[Strict] | None) -> str:
     """Return the first problem in one line, after its key.
 
-    For an unknown key, the most similar key of `model` is suggested.
+    For an unknown key, the most similar key of `model` is suggested, or those of its block.
     """
     # An unknown key comes first, since it explains a missing one.
-    first = next((p for p in error.problems if p.is_unknown), error.problems[0])
+    first = next((p for p in error.problems if p.known), error.problems[0])
     key = _key(first)
-    if first.is_unknown:
-        problem = f"{_shown(key)}: {first.words}"
-        if model is None:
-            return problem
-        similar = closest(key, model)
-        advice = f"did you mean {similar}?" if similar else "homeward settings lists all keys"
-        if similar == key:  # a key of another member of a union
-            advice = "it does not apply to this type"
-        return f"{problem}; {advice}"
+    if first.known:
+        similar = None if model is None else closest(key, model)
+        advice = f"did you mean {similar}?"
+        if similar in (None, key):  # the key of another member of a union
+            advice = f"the keys here are {listing(first.known, MAX_KEYS)}"
+        return f"{_shown(key)}: {first.words}; {advice}"
     # A union reports one problem for each member: the most specific one counts.
     first = next((p for p in error.problems if _key(p).startswith(f"{key}.")), first)
     key = _key(first)
