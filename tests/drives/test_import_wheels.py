@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from homeward.drives.importers.columns import words_in
+from homeward.drives.columns import words_in
 from homeward.drives.importers.reading import drive_of, understand
-from homeward.drives.importers.wheel_columns import wheel_roles
 from homeward.drives.settings import Wheels
+from homeward.drives.wheel_columns import wheel_roles
 from homeward.drives.wheels import WRAPPED
 from homeward.errors import InputError
 

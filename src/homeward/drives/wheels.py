@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -10,6 +11,11 @@ from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import MIN_JUMP, without_implausible
 from homeward.drives.settings import Wheels
 
+PAIR = "left", "right"
+FOUR = "front_left", "front_right", "rear_left", "rear_right"
+"""The wheels of a mecanum drive."""
+OMNI = "omni_1", "omni_2", "omni_3", "omni_4"
+"""Three or four omni wheels, anti-clockwise."""
 BITS = 8, 15, 16, 24, 31, 32
 """Sizes of wheel counters; a wrap-around is a step of 2^bits, for signed and unsigned ones."""
 WRAPPED = "wrap-arounds of wheel counters, corrected"
@@ -27,6 +33,32 @@ def speeds_from_positions(
     parts = [_unwrapped(p, MIN_JUMP / metres, wheels.turn(unit), remarks) for p in positions.T]
     steps = np.diff(np.stack(parts, axis=1), axis=0)
     return metres * np.concatenate([steps / np.diff(t)[:, None], np.zeros((1, positions.shape[1]))])
+
+
+def missing_geometry(wheels: Wheels, names: Sequence[str], unit: str) -> list[str]:
+    """Return the keys of `wheels` that wheels of these names in a unit lack, as `of_wheels`."""
+    is_mecanum = set(names) == set(FOUR)
+    missing = wheels.missing(unit, omni=names[0] in OMNI)
+    return missing + wheels.missing("m", steers=True) * is_mecanum
+
+
+def of_wheels(
+    t: np.ndarray,
+    speeds: np.ndarray,
+    names: Sequence[str],
+    wheels: Wheels,
+    remarks: dict[str, int],
+) -> Odometry:
+    """Return the odometry of wheel speeds (n, k) [m/s]; implausible motion is unknown.
+
+    The k `names` are those of `FOUR`, `OMNI`, or any number of `PAIR`, whose means count.
+    """
+    if names[0] in OMNI:
+        return omni(t, speeds, wheels, remarks)
+    if set(names) == set(FOUR):
+        return mecanum(t, speeds[:, [names.index(name) for name in FOUR]], wheels, remarks)
+    left, right = (speeds[:, [n == side for n in names]].mean(axis=1) for side in PAIR)
+    return differential(t, left, right, wheels, remarks)
 
 
 def differential(

@@ -14,10 +14,6 @@ from typing import Any, Generic, TypeVar
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
 from homeward.drives.cameras.tag_pose import TagPose
 from homeward.drives.ros.measurements.bearings import (
-    ALL_READERS,
-    CORNERS,
-    IN_IMAGE,
-    TRANSFORMS,
     frame_of,
     has_positions,
     landmark_of,
@@ -28,6 +24,12 @@ from homeward.drives.ros.measurements.extrinsics import (
     is_one_camera,
     mount,
     not_connected,
+)
+from homeward.drives.ros.messages.presets import (
+    ALL_SIGHTINGS,
+    CORNERS,
+    IN_IMAGE,
+    TRANSFORMS,
 )
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
@@ -208,11 +210,11 @@ class MessageCameras:
                 raise InputError(
                     'name the frames of landmarks: bearings_frames, as in "tag36h11:*"'
                 )
-            if self.kind not in (JSON, *ALL_READERS, *PICTURES) and given.layout is None:
+            if self.kind not in (JSON, *ALL_SIGHTINGS, *PICTURES) and given.layout is None:
                 raise InputError(
                     f"bearings_type {self.kind} is not known; give the fields of landmarks in the "
                     "topics file, as homeward info prints them for a log; known are: "
-                    + ", ".join((JSON, *ALL_READERS, *PICTURES))
+                    + ", ".join((JSON, *ALL_SIGHTINGS, *PICTURES))
                 )
 
     @property

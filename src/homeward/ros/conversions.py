@@ -19,9 +19,9 @@ from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose
 from homeward.drives.ros.measurements.bearings import TagDetector
 from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL
-from homeward.drives.ros.measurements.odometry import pose_of, twist_of
 from homeward.drives.ros.measurements.rows import Remarks
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
+from homeward.drives.ros.messages.presets import MOTIONS, NAV_ODOMETRY, row_of
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
@@ -87,8 +87,7 @@ def odometry_in(message: Any, t: float) -> msg.OdometryIn:
 
     `InputError` where a number is not finite, as in the following functions.
     """
-    v, omega, vy = twist_of(message)
-    pose = pose_of(message)
+    v, omega, vy, *pose = _motion_of(message)
     known = pose if all(map(math.isfinite, pose)) else None
     return validated(msg.OdometryIn, {"t": t, "v": v, "omega": omega, "vy": vy, "pose": known})
 
@@ -143,7 +142,7 @@ def start_in(message: Any, map_frame: str, home: Pose) -> msg.SetStart:
         raise InputError(
             f"initial pose ignored: its frame is {quoted(frame)}, not {quoted(map_frame)}"
         )
-    x, y, heading = map(float, between(home, Pose(*pose_of(message))))
+    x, y, heading = map(float, between(home, Pose(*_pose_of(message))))
     c = message.pose.covariance
     sigmas = {}
     if (var := max(c[0], c[7])) > 0:
@@ -272,6 +271,7 @@ def tag_out(tag: TagPose, header: Any) -> Any:
 
 
 POSE = "geometry_msgs/msg/PoseWithCovarianceStamped"
+_motion_of, _pose_of = row_of(MOTIONS[NAV_ODOMETRY]), row_of(MOTIONS[POSE])
 
 
 class Publishers:

@@ -10,8 +10,8 @@ from drives.ros.rig import NANO, bearings_message
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.measurements.bearings import TAGS
 from homeward.drives.ros.messages.decoding import typestore
+from homeward.drives.ros.messages.presets import TAGS
 from homeward.errors import InputError
 
 
@@ -25,7 +25,7 @@ def test_our_own_bearings_with_and_without_sigmas(made):
     assert drive.sightings.landmark.tolist() == ["a", "b", "a"]
     assert drive.sightings.bearing.tolist() == pytest.approx([0.5, -0.5, 7.0 - math.tau])
     assert drive.sightings.sigma.tolist() == [0.1, 0.1, 0.02]
-    with pytest.raises(InputError, match="1 bearings"):
+    with pytest.raises(InputError, match="1 of bearings"):
         made(
             lambda log: log.write(
                 "/b", EPOCH * NANO, bearings_message(log, EPOCH * NANO, ["a", "b"], [0.5])

@@ -8,27 +8,20 @@ from typing import NoReturn
 import numpy as np
 
 from homeward.drives.drive import Odometry
-from homeward.drives.folder import REPEATED_ODOMETRY, odometry_of, sorted_by_time, without_repeats
+from homeward.drives.folder import REPEATED_ODOMETRY, sorted_by_time, without_repeats
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.drives.importers.wheel_columns import (
+from homeward.drives.measure import motion
+from homeward.drives.one_clock import remark_other_units
+from homeward.drives.settings import Wheels
+from homeward.drives.wheel_columns import MODULES, accumulates, base_of
+from homeward.drives.wheel_columns import ROLES as WHEELS
+from homeward.drives.wheels import (
     FOUR,
-    MODULES,
     OMNI,
     PAIR,
-    accumulates,
-    base_of,
-)
-from homeward.drives.importers.wheel_columns import ROLES as WHEELS
-from homeward.drives.one_clock import remark_other_units
-from homeward.drives.plausibility import odometry_from_poses, without_implausible
-from homeward.drives.settings import Wheels
-from homeward.drives.wheels import (
-    ackermann,
-    differential,
-    mecanum,
-    omni,
+    missing_geometry,
+    of_wheels,
     speeds_from_positions,
-    swerve,
 )
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
@@ -60,8 +53,6 @@ def imported_odometry(
             "as in --columns 'left_wheel=A, right_wheel=B', or leave it out",
             table.file,
         )
-    if {"v", "omega"} <= by_role.keys():
-        return odometry_of(table, remarks)
     table = sorted_by_time(table, "odometry", remarks)
     for role in [role for role in table.columns if role.endswith("_step")] + ["distance", "turn"]:
         if role in table.columns:  # repeated times must lose no step
@@ -72,18 +63,12 @@ def imported_odometry(
     remark_other_units(t, remarks)
     if "heading" in by_role:
         remarks[FROM_POSES] = len(table)
-        poses = np.stack([table["x"], table["y"], table["heading"]], axis=1)
-        return odometry_from_poses(t, poses, remarks)
     if "steering" in by_role:
         _require(wheels.missing("m", steers=True), by_role.values(), table)
-        return ackermann(t, table["v"], table["steering"], wheels, remarks)
     if MODULES[0] in by_role:
         _require(["modules"] * (len(wheels.modules) != 4), by_role.values(), table)
-        speeds, angles = np.split(np.stack([table[role] for role in MODULES], axis=1), 2, axis=1)
-        return swerve(t, speeds, angles, wheels, remarks)
-    if "distance" in by_role:
-        steps = (np.append(np.diff(table[role]) / np.diff(t), 0.0) for role in ("distance", "turn"))
-        return without_implausible(Odometry(t, *steps), remarks)
+    if not by_role.keys() & set(WHEELS):
+        return motion(table.columns, wheels, remarks)
     odometry = _of_wheels(by_role, table, wheels, remarks)
     if "omega" not in by_role:
         return odometry
@@ -106,9 +91,7 @@ def _of_wheels(
             _refuse_unit(left, f"{name!r} is in {left.unit}, {other.column.name!r} in {other.unit}")
     if role == "speed" and left.column.unit is None and unit == "m" and wheels.wheel_radius:
         _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
-    missing = wheels.missing(unit, omni=bool(on_circle))
-    missing += wheels.missing("m", steers=True) * (names == FOUR)
-    _require(missing, columns, table)
+    _require(missing_geometry(wheels, names, unit), columns, table)
     t, values = table["t"], np.stack([table[one.column.role] for one in columns], axis=1)
     if role == "speed":
         speeds = wheels.metres(unit) * values
@@ -126,12 +109,12 @@ def _of_wheels(
             table.file,
         )
     if names != PAIR:
-        return (omni if on_circle else mecanum)(t, speeds, wheels, remarks)
+        return of_wheels(t, speeds, names, wheels, remarks)
     moving = np.hypot(*speeds.T) > 0.0
     opposite = int((speeds.prod(axis=1) < 0).sum())
     if 2 * opposite > moving.sum():
         remarks[OPPOSITE.format(right.column.role, right.column.name)] = opposite
-    odometry = differential(t, speeds[:, 0], speeds[:, 1], wheels, remarks)
+    odometry = of_wheels(t, speeds, names, wheels, remarks)
     if (usual := float(np.nanquantile(np.abs(odometry.v), 0.95))) > MAX_SPEED:
         _refuse_unit(left, f"the wheels reach {usual:.3g} m/s; check --wheels")
     return odometry

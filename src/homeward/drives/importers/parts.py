@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from homeward.drives.folder import sorted_by_time
-from homeward.drives.importers.columns import (
+from homeward.drives.columns import (
     KINDS,
     OPTIONAL,
     UNITS,
@@ -18,6 +17,7 @@ from homeward.drives.importers.columns import (
     value_of,
     words_in,
 )
+from homeward.drives.folder import sorted_by_time
 from homeward.drives.importers.pixels import (
     PIXEL_ROLES,
     Pixels,
@@ -28,7 +28,7 @@ from homeward.drives.importers.positions import (
     Axes,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
-from homeward.drives.importers.wheel_columns import base_of, guessed_unit
+from homeward.drives.wheel_columns import base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Parser, Table, read_csv
 from homeward.odometry.limits import MAX_SPEED

@@ -14,9 +14,8 @@ from itertools import chain, product
 
 import numpy as np
 
-from homeward.drives.cameras.camera import tag_bearings, tag_ranges
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.importers.columns import (
+from homeward.drives.columns import (
     KINDS,
     ROLES,
     Column,
@@ -25,6 +24,7 @@ from homeward.drives.importers.columns import (
     words_in,
 )
 from homeward.drives.importers.sheet import Sheet, names, number_parser
+from homeward.drives.measure import bearings
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
 from homeward.io.naming import listing
@@ -123,17 +123,16 @@ class Pixels:
         shape = (lens.height or 0, lens.width or 0)
         if "row0" in values:
             corners = _corners(values)[:, self.order]
-            bearing, sigma = tag_bearings(corners, PIXEL_SIGMA, lens, shape)
-            found = {"bearing": bearing, "sigma": sigma}
+            sigma = np.full(len(corners), PIXEL_SIGMA)
+            tags = {"corners": corners, "sigma": sigma}
             if self.tag_size is not None and "range" not in values:
-                sizes = np.full(len(bearing), self.tag_size)
-                found["range"] = tag_ranges(corners, sizes, lens, shape)
-            return found
+                tags["size"] = np.full(len(corners), self.tag_size)
+            return bearings(tags, lens, shape)
         if self.is_share:
             values = _in_pixels(values, lens)
         column, row = values["column"], values.get("row")
         row = np.full_like(column, lens.cy) if row is None else row
-        return {"bearing": lens.directions(*_seen(column, row), shape)[0]}
+        return bearings(dict(zip(POINT, _seen(column, row), strict=True)), lens, shape)
 
 
 def pixel_columns(

@@ -12,8 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from homeward.drives.importers.columns import KINDS, UNITS, Column, assigned, matches, words_in
+from homeward.drives.columns import KINDS, UNITS, Column, assigned, matches, words_in
 from homeward.drives.importers.sheet import Sheet, names, number_parser
+from homeward.drives.measure import bearings
 from homeward.errors import InputError
 from homeward.io.table import quoted, read_csv
 
@@ -59,14 +60,8 @@ class Axes:
         return f"{name}({signs[0]}{lateral.name}, {signs[1]}{columns['forward'].name})"
 
     def measured(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Return bearings [rad] and horizontal distances [m] of positions by role, (n,) each.
-
-        NaN at the origin.
-        """
-        forward = values["forward"]
-        left = values["left"] if "left" in values else -values["right"]
-        ranges = np.where((left == 0) & (forward == 0), np.nan, np.hypot(left, forward))
-        return {"bearing": np.arctan2(left, forward) + 0 * ranges, "range": ranges}
+        """Return bearings [rad] and horizontal distances [m] of positions by role, (n,) each."""
+        return bearings({role: values[role] for role in POSITION_ROLES if role in values})
 
 
 def position_columns(

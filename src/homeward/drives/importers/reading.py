@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from homeward.drives.columns import KINDS, specified_columns
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.folder import (
     HOME_ADVICE,
@@ -21,7 +22,6 @@ from homeward.drives.folder import (
     without_repeats,
 )
 from homeward.drives.home.when import with_home
-from homeward.drives.importers.columns import KINDS, specified_columns
 from homeward.drives.importers.mrclam import is_mrclam
 from homeward.drives.importers.odometry import imported_odometry
 from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from homeward.drives.importers.columns import (
+from homeward.drives.columns import (
     KINDS,
     ODOMETRY,
     OPTIONAL,
@@ -40,7 +40,7 @@ from homeward.drives.importers.positions import (
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet, names
-from homeward.drives.importers.wheel_columns import SIDES
+from homeward.drives.wheel_columns import SIDES
 from homeward.errors import InputError
 from homeward.io.table import read_csv
 

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.importers.columns import Column, is_unit
+from homeward.drives.columns import Column, is_unit
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
 from homeward.io.table import (

@@ -20,7 +20,8 @@ from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_i
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import is_image_folder, kind_of, located
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import POSES_OF_TAGS, axes_of
+from homeward.drives.ros.measurements.bearings import axes_of
+from homeward.drives.ros.messages.presets import POSES_OF_TAGS
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_HOME,

@@ -17,11 +17,11 @@ import subprocess
 import sys
 import tempfile
 from collections import defaultdict
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path, PurePath
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 from homeward.drives.ros import wpilog
 from homeward.drives.ros.kinds import (
@@ -68,6 +68,10 @@ class Channel:
     """Text of the message definition; empty when the log has none."""
     syntax: str = "msg"
     """Syntax of the definition: ``msg`` or ``idl``."""
+
+
+Fields: TypeAlias = Callable[[str], Sequence[tuple[str, str, bool]]]
+"""Returns the fields of a message type: name, type, and whether it is a list; none of a number."""
 
 
 class Message(NamedTuple):

@@ -16,7 +16,6 @@ from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings
 from homeward.drives.home.when import with_home
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import (
-    TRANSFORMS,
     TagDetector,
     frame_of,
     landmark_of,
@@ -30,14 +29,11 @@ from homeward.drives.ros.measurements.extrinsics import (
     Transforms,
     extrinsics,
 )
-from homeward.drives.ros.measurements.odometry import (
-    OdometryRows,
-    orientation_of,
-    pose_of,
-)
+from homeward.drives.ros.measurements.odometry import OdometryRows
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
 from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.decoding import Decoder
+from homeward.drives.ros.messages.presets import MOTIONS, TRANSFORMS, orientation_of, row_of
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_BEARINGS,
@@ -153,9 +149,9 @@ class _Reading:
             )
         self._poses: list[tuple[float, ...]] = []
         if plan.truth is not None:
-            self._subscribe(
-                plan.truth.topic, lambda t, m: self._poses.append((t, *map(float, pose_of(m))))
-            )
+            paths = MOTIONS[known.topic(plan.truth.topic).type]
+            pose = row_of({role: paths[role] for role in ("x", "y", "heading")})
+            self._subscribe(plan.truth.topic, lambda t, m: self._poses.append((t, *pose(m))))
 
     def drive(self, on_progress: OnProgress | None, robot: RobotSettings | None) -> Drive:
         """Read the messages and return the drive."""

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, NamedTuple
 
 from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.camera import TagSize, Tilt
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.structure import Layout
 from homeward.drives.settings import (
     HOME_TIMES,
     DriveSettings,
@@ -47,7 +46,42 @@ def wildcard_part(pattern: str, name: str) -> str | None:
 
 
 FieldPath = Annotated[str, Field(pattern=r"^(\.|[A-Za-z]\w*(\[\])?(\.[A-Za-z]\w*(\[\])?)*)$")]
-"""Names of fields from the message down, with ``[]`` after a list."""
+"""Names of fields from the message down, with ``[]`` after a list; ``.`` is the message itself."""
+
+
+class Layout(NamedTuple):
+    """Paths of the id and of the position, bearing or pixels of each landmark in a message."""
+
+    id: str = ""
+    """Empty: the place in the list, or a name of the topic."""
+    position: str = ""
+    bearing: str = ""
+    corners: str = ""
+    """Of tags in an image, in order."""
+    pixel: str = ""
+    sigma: str = ""
+    """Standard deviation of the bearing."""
+    errors: str = ""
+    """Number of wrong bits of a tag."""
+    axes: str = ""
+    """Axes of positions in any frame: body or optical; empty: as the frame's name implies."""
+    origin: float = 0.0
+    """Column and row of the centre of the first pixel [px]."""
+
+    def __str__(self) -> str:
+        kind = "position" if self.position else "bearing"
+        return f"id = {self.id}, {kind} = {self.position or self.bearing}"
+
+    @property
+    def place(self) -> str:
+        """The path of what locates the landmark."""
+        return self.position or self.bearing or self.corners or self.pixel
+
+    @property
+    def list_name(self) -> str:
+        """Name of the list whose items have the id and the place; empty without such a list."""
+        name, mark, rest = self.id.partition("[].")
+        return name if mark and "[]" not in rest and self.place.startswith(f"{name}[]") else ""
 
 
 class OdometryTopic(Wheels):

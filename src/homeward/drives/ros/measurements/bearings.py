@@ -1,4 +1,4 @@
-"""Bearings from messages: given directly, or from points in an image or in space."""
+"""Sightings in messages, by the paths of their fields."""
 
 from __future__ import annotations
 
@@ -10,59 +10,16 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.structure import Layout, id_text, values
-from homeward.drives.ros.messages.wpilib import PHOTON_RESULT, RAW_FIDUCIALS
-from homeward.drives.ros.settings import BEARINGS, PICTURES, BearingsTopic, wildcard_part
+from homeward.drives.ros.measurements.structure import scale_of
+from homeward.drives.ros.messages.presets import (
+    ALL_SIGHTINGS,
+    IN_PARTS,
+    TRANSFORMS,
+    id_text,
+    values,
+)
+from homeward.drives.ros.settings import BearingsTopic, Layout, wildcard_part
 from homeward.errors import InputError
-
-DETECTIONS = "vision_msgs/msg/Detection2DArray"
-DETECTIONS_3D = "vision_msgs/msg/Detection3DArray"
-TAGS = "apriltag_msgs/msg/AprilTagDetectionArray"
-TAG_ARRAY = "apriltag_msgs/msg/ApriltagArrayStamped"
-FIDUCIALS = "fiducial_msgs/msg/FiducialArray"
-POSE_ARRAY = "geometry_msgs/msg/PoseArray"
-POINT = "geometry_msgs/msg/PointStamped"
-POSES_OF_TAGS = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/PoseWithCovarianceStamped")
-"""Types of topics with the pose of one landmark."""
-OF_ONE_LANDMARK = (POINT, *POSES_OF_TAGS)
-TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-"""Types whose transforms may be sightings; a reader receives one transform."""
-ALVAR = "ar_track_alvar_msgs/msg/AlvarMarkers"
-OLD_TAG_POSES = "apriltags_ros/msg/AprilTagDetectionArray"
-LAYOUTS = {
-    "aruco_msgs/msg/MarkerArray": Layout("markers[].id", "markers[].pose.pose.position"),
-    "fiducial_msgs/msg/FiducialTransformArray": Layout(
-        "transforms[].fiducial_id", "transforms[].transform.translation"
-    ),
-    "apriltag_ros/msg/AprilTagDetectionArray": Layout(
-        "detections[].id", "detections[].pose.pose.pose.position"
-    ),
-    "isaac_ros_apriltag_interfaces/msg/AprilTagDetectionArray": Layout(
-        "detections[].id", "detections[].pose.pose.pose.position"
-    ),
-    "ros2_aruco_interfaces/msg/ArucoMarkers": Layout("marker_ids[]", "poses[].position"),
-    "aruco_opencv_msgs/msg/ArucoDetection": Layout(
-        "markers[].marker_id", "markers[].pose.position"
-    ),
-    ALVAR: Layout("markers[].id", "markers[].pose.pose.position"),
-    OLD_TAG_POSES: Layout("detections[].id", "detections[].pose.pose.position"),
-}
-"""Types of lists of positions, in order of preference."""
-OPTICAL = [
-    kind for kind in LAYOUTS if kind.startswith(("apriltag", "isaac", "fiducial", "ros2_aruco"))
-]
-"""Types with optical axes in any frame."""
-IN_PARTS = (*TRANSFORMS, ALVAR, OLD_TAG_POSES)
-"""Types whose parts have headers; the message's header may be empty."""
-NOT_DECODED = 255
-"""Id of a tag that ar_track_alvar found but did not decode."""
-CORNERS = (TAGS, TAG_ARRAY, FIDUCIALS, *PICTURES)
-"""Types with the corners of tags."""
-IN_IMAGE = (*CORNERS, DETECTIONS)
-"""Types with points in pixels, which need a camera model."""
-HALF_PIXEL = 0.5
-"""Centre of the first pixel in AprilTag 3, and so in apriltag_msgs/AprilTagDetection (issue 121 of
-AprilRobotics/apriltag); it is 0 in camera models [px]."""
 
 FIXED_FRAMES = ("map", "odom", "world", "earth")
 """Frames that do not move with the robot (REP 105)."""
@@ -86,46 +43,66 @@ class Sighting(NamedTuple):
     """Number of wrong bits of a tag."""
 
 
-Reader: TypeAlias = Callable[[Any, BearingsTopic], Iterator[Sighting]]
 TagDetector: TypeAlias = Callable[[Any, Lens | None], Iterator[Sighting]]
 """Returns the tags in a message of `PICTURES`; the camera may be unknown yet."""
 
 
-def _bearings(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
-    ids, values, sigmas = message.landmarks, message.bearings, message.sigmas
-    if len(ids) != len(values) or len(sigmas) not in (0, len(ids)):
-        raise InputError(
-            f"{given.topic}: a message has {len(ids)} landmarks, {len(values)} bearings and "
-            f"{len(sigmas)} sigmas"
-        )
-    if not len(sigmas):
-        sigmas = np.full(len(ids), math.nan)
-    for landmark, value, sigma in zip(ids, values.tolist(), sigmas.tolist(), strict=True):
-        yield Sighting(landmark, value, sigma=sigma)
+def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sighting]:
+    """Yield the sightings in a message of a type; `InputError` where its lists do not match."""
+    layout = layout_of(kind, given)
+    places = values(message, layout.place)
+    ids = values(message, layout.id) if layout.id else _unnamed(message, given, layout, places)
+    extra = {
+        name: list(map(float, found))
+        for name, path in (("sigma", layout.sigma), ("errors", layout.errors))
+        if path and (found := values(message, path))
+    }
+    for path, number in ((layout.id, len(ids)), (layout.sigma, len(extra.get("sigma", places)))):
+        if number != len(places):
+            raise InputError(
+                f"{given.topic}: a message has {number} values of {path} and {len(places)} of "
+                f"{layout.place}"
+            )
+    axes = _axes(message, given, layout) if layout.position else ""
+    scale = scale_of(layout)
+    for k, (name, place) in enumerate(zip(ids, places, strict=True)):
+        more: dict[str, Any] = {key: found[k] for key, found in extra.items()}
+        if layout.bearing:
+            yield Sighting(id_text(name), scale * float(place), **more)
+        elif layout.corners:
+            yield Sighting(id_text(name), 0.0, corners=_corners(place, layout.origin), **more)
+        elif layout.pixel:
+            centre = place.bbox.center
+            point = getattr(centre, "position", centre)
+            yield Sighting(_identified(name)[0], point.x, point.y)
+        else:
+            if hasattr(place, "results"):
+                name, place = _detection(place)
+            yield Sighting(id_text(name), *_ahead_left_up(place, axes))
 
 
-def _score(result: Any) -> float:
-    return float(getattr(result, "hypothesis", result).score)
+def _unnamed(message: Any, given: BearingsTopic, layout: Layout, places: list[Any]) -> list[Any]:
+    """Return the ids of sightings without one: the place in a list, or the name of the topic."""
+    if "[]" in layout.place:
+        return list(range(len(places)))
+    if given.frames:
+        return [landmark_of(message, given)]
+    return [given.landmark or given.topic.rstrip("/").rpartition("/")[2]]
 
 
 def _identified(found: Any) -> tuple[str, Any]:
     """Return a detection's id of a tracker, or else its likeliest class; and that hypothesis."""
-    best = max(found.results, key=_score, default=None)
+    best = max(found.results, key=lambda result: float(_hypothesis(result).score), default=None)
     name = getattr(found, "id", "") or getattr(found, "tracking_id", "")
-    if not name:
-        hypothesis = getattr(best, "hypothesis", best)
-        name = getattr(hypothesis, "class_id", getattr(hypothesis, "id", ""))
-    return str(name), best
+    known = _hypothesis(best)
+    return str(name or getattr(known, "class_id", getattr(known, "id", ""))), best
 
 
-def _detection(found: Any) -> Sighting:
-    """Return a detection in an image."""
-    centre = found.bbox.center
-    point = getattr(centre, "position", centre)
-    return Sighting(_identified(found)[0], point.x, point.y)
+def _hypothesis(result: Any) -> Any:
+    return getattr(result, "hypothesis", result)
 
 
-def _detection_3d(found: Any) -> tuple[str, Any]:
+def _detection(found: Any) -> tuple[str, Any]:
     """Return the id of a detection and its position, or the centre of its box without one."""
     name, best = _identified(found)
     position = found.bbox.center.position if best is None else best.pose.pose.position
@@ -133,113 +110,29 @@ def _detection_3d(found: Any) -> tuple[str, Any]:
     return name, found.bbox.center.position if is_missing else position
 
 
-def _corners(points: Any, origin: float = 0.0) -> tuple[tuple[float, float], ...]:
-    """Return corners from four points, or from eight numbers."""
+def _corners(points: Any, origin: float) -> tuple[tuple[float, float], ...]:
+    """Return corners from four points, from eight numbers, or from fields x0 to y3."""
     if isinstance(points, np.ndarray):
         return tuple((x - origin, y - origin) for x, y in points.reshape(-1, 2).tolist())
+    if hasattr(points, "x0"):
+        return tuple((getattr(points, f"x{k}"), getattr(points, f"y{k}")) for k in range(4))
     return tuple((p.x - origin, p.y - origin) for p in points)
 
 
-def _points(
-    points: Callable[[Any, BearingsTopic], Iterable[tuple[Any, Any]]], axes: str | None = None
-) -> Reader:
-    """Return a reader of named points in space; the frame specifies the axes unless given."""
-
-    def read(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
-        convention = _axes(message, given) if axes is None else given.axes or axes
-        for name, point in points(message, given):
-            yield Sighting(str(name), *_ahead_left_up(point, convention))
-
-    return read
-
-
-def _structured(layout: Layout, axes: str | None = None) -> Reader:
-    """Return a reader of landmarks by the paths of their fields; axes as for `_points`."""
-
-    def pairs(message: Any, given: BearingsTopic) -> list[tuple[str, Any]]:
-        ids, places = values(message, layout.id), values(message, layout.place)
-        if len(ids) != len(places):
-            raise InputError(
-                f"{given.topic}: a message has {len(ids)} values of {layout.id} and {len(places)} "
-                f"of {layout.place}"
-            )
-        return [(id_text(name), place) for name, place in zip(ids, places, strict=True)]
-
-    def bearings(message: Any, given: BearingsTopic) -> Iterator[Sighting]:
-        for name, bearing in pairs(message, given):
-            yield Sighting(name, layout.scale * float(bearing))
-
-    return bearings if layout.bearing else _points(pairs, axes)
-
-
-READERS: dict[str, Reader] = {
-    BEARINGS: _bearings,
-    TAGS: lambda message, _: (
-        Sighting(str(tag.id), 0.0, corners=_corners(tag.corners, HALF_PIXEL), errors=tag.hamming)
-        for tag in message.detections
-    ),
-    TAG_ARRAY: lambda message, _: (
-        Sighting(str(tag.id), 0.0, corners=_corners(tag.corners), errors=tag.hamming)
-        for tag in message.apriltags
-    ),
-    FIDUCIALS: lambda message, _: (
-        Sighting(
-            str(tag.fiducial_id),
-            0.0,
-            corners=tuple((getattr(tag, f"x{k}"), getattr(tag, f"y{k}")) for k in range(4)),
-        )
-        for tag in message.fiducials
-    ),
-    **{
-        kind: _structured(layout, "optical" if kind in OPTICAL else None)
-        for kind, layout in LAYOUTS.items()
-    },
-    DETECTIONS_3D: _points(lambda message, _: map(_detection_3d, message.detections)),
-    **dict.fromkeys(
-        (PHOTON_RESULT, RAW_FIDUCIALS), _points(lambda message, _: message.tags, "body")
-    ),
-    DETECTIONS: lambda message, _: map(_detection, message.detections),
-    POSE_ARRAY: _points(
-        lambda message, _: ((place, pose.position) for place, pose in enumerate(message.poses))
-    ),
-    POINT: _points(
-        lambda message, given: [
-            (given.landmark or given.topic.rstrip("/").rpartition("/")[2], message.point)
-        ]
-    ),
-}
-"""By type, in order of preference."""
-NAMED_READERS: dict[str, Reader] = {
-    **dict.fromkeys(
-        POSES_OF_TAGS, _points(lambda message, given: [(given.landmark, _position(message))])
-    ),
-    **dict.fromkeys(
-        TRANSFORMS,
-        _points(
-            lambda message, given: [(landmark_of(message, given), message.transform.translation)]
-        ),
-    ),
-}
-"""Readers of types that are bearings only where the topics file names them."""
-ALL_READERS = READERS | NAMED_READERS
-IN_SPACE = tuple(kind for kind in ALL_READERS if kind not in (BEARINGS, *IN_IMAGE))
-"""Types with points in space [m]."""
-
-
-def reader_of(kind: str, given: BearingsTopic) -> Reader:
-    """Return the reader of a topic: of the given fields, or else of its type."""
-    axes = "optical" if kind in OPTICAL else None
-    return ALL_READERS[kind] if given.layout is None else _structured(given.layout, axes)
+def layout_of(kind: str, given: BearingsTopic) -> Layout:
+    """Return the fields of landmarks in a topic: the given ones, or else those of its type."""
+    known = ALL_SIGHTINGS.get(kind, Layout())
+    return known if given.layout is None else given.layout._replace(axes=known.axes)
 
 
 def has_bearings(kind: str, given: BearingsTopic) -> bool:
     """Whether the messages of a topic contain bearings."""
-    return bool(given.bearing) or (kind == BEARINGS and not given.position)
+    return bool(layout_of(kind, given).bearing)
 
 
 def has_positions(kind: str, given: BearingsTopic) -> bool:
     """Whether the messages of a topic contain points in space."""
-    return bool(given.position) or (kind in IN_SPACE and not given.bearing)
+    return bool(layout_of(kind, given).position)
 
 
 def parts_of(kind: str, message: Any, layout: Layout | None = None) -> Iterable[Any]:
@@ -249,7 +142,7 @@ def parts_of(kind: str, message: Any, layout: Layout | None = None) -> Iterable[
     """
     if kind in TRANSFORMS:
         return tuple(message.transforms)
-    name = getattr(layout or LAYOUTS.get(kind), "list_name", "")
+    name = getattr(layout or ALL_SIGHTINGS.get(kind), "list_name", "")
     outer = getattr(message, "header", None)
     is_complete = outer is not None and bool(outer.frame_id) and _is_set(outer.stamp)
     if not name or (kind not in IN_PARTS and is_complete):
@@ -278,26 +171,21 @@ def landmark_of(transform: Any, given: BearingsTopic) -> str | None:
     return name and (given.landmark or name)
 
 
-def _position(message: Any) -> Any:
-    """Return the position of a stamped pose with or without covariance."""
-    return getattr(message.pose, "pose", message.pose).position
-
-
 def frame_of(message: Any) -> str:
     """Return the frame_id of a message; empty without one."""
     header = getattr(message, "header", None)
     return str(getattr(header, "frame_id", "")).strip("/")
 
 
-def _axes(message: Any, given: BearingsTopic) -> str:
-    """Return the convention of the axes of a message's frame (REP 103)."""
+def _axes(message: Any, given: BearingsTopic, layout: Layout) -> str:
+    """Return the convention of the axes of positions: of the layout, or else of the frame."""
     frame = frame_of(message)
-    if frame in FIXED_FRAMES:
+    if not layout.axes and frame in FIXED_FRAMES:
         raise InputError(
             f"{given.topic}: its points are in the fixed frame {frame}, so they are no bearings; "
             "use a topic with points in the frame of the camera"
         )
-    return axes_of(frame, given)
+    return given.axes or layout.axes or axes_of(frame, given)
 
 
 def axes_of(frame: str, given: BearingsTopic) -> str:

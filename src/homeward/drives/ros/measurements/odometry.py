@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
-from homeward.drives.plausibility import odometry_from_poses, without_implausible
-from homeward.drives.ros.measurements.bearings import TRANSFORMS, frame_of
+from homeward.drives.measure import motion
+from homeward.drives.ros.measurements.bearings import frame_of
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
     MIN_WINDOWS,
@@ -18,25 +17,31 @@ from homeward.drives.ros.measurements.contradiction import (
     contradiction,
 )
 from homeward.drives.ros.measurements.rows import Remarks, clean_rows
-from homeward.drives.ros.measurements.structure import values
-from homeward.drives.ros.messages.wpilib import (
-    CHASSIS_SPEEDS,
-    MODULE_STATES,
-    POSE2D,
-    ROBOT_ON_FIELD,
+from homeward.drives.ros.messages.presets import (
+    JOINT_STATE,
+    MOTIONS,
+    POSES,
+    TRANSFORMS,
+    TWISTS,
+    WHEELS,
+    row_of,
 )
-from homeward.drives.ros.settings import ODOMETRY, POSE, OdometryTopic
+from homeward.drives.ros.messages.wpilib import MODULE_STATES
+from homeward.drives.ros.settings import ODOMETRY, OdometryTopic
 from homeward.drives.wheels import (
-    ackermann,
-    differential,
-    mecanum,
-    omni,
+    FOUR,
+    OMNI,
+    PAIR,
+    missing_geometry,
+    of_wheels,
     speeds_from_positions,
-    swerve,
 )
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import quoted
+
+Columns: TypeAlias = "dict[str, np.ndarray]"
+"""Columns (n,) by role."""
 
 
 class JointRows:
@@ -44,55 +49,58 @@ class JointRows:
 
     def __init__(self, given: OdometryTopic) -> None:
         self._given = given
-        self._by_position: bool | None = None
-        self._wheels: tuple[list[str], list[str]] | None = None
         self._is_mecanum = given.roller_angle is not None and not given.omni
+        self._wheels: dict[str, str] = {}
+        """Names of wheels by joint, as in `of_wheels`."""
+        self._by_position = False
+
+    @property
+    def missing(self) -> list[str]:
+        """The keys of the geometry that are missing."""
+        names = OMNI if self._given.omni else FOUR if self._is_mecanum else PAIR
+        return missing_geometry(self._given, names, "rad")
 
     def row(self, message: Any) -> list[float] | None:
-        """Return the position (or rate) of each wheel, left ones first; None if one is missing.
-
-        Those of a mecanum drive are front left, rear left, front right, rear right.
-        """
+        """Return the position (or rate) of each wheel; None if one is missing."""
         names = list(message.name)
-        if self._wheels is None:
-            left = self._joints(names, self._given.left, "left")
-            right = self._joints(names, self._given.right, "right")
-            if self._given.omni:
-                left, right = list(self._given.omni), []
-            elif not left or not right or (self._is_mecanum and len(left + right) != 4):
-                return None
-            elif self._is_mecanum:
-                left, right = (sorted(side, key=_is_rear) for side in (left, right))
-            self._wheels = left, right
+        if not self._wheels:
+            self._wheels = self._found(names)
             self._by_position = len(message.position) == len(names)
         values = message.position if self._by_position else message.velocity
-        wheels = self._wheels[0] + self._wheels[1]
-        if len(values) != len(names) or not set(wheels) <= set(names):
+        if not self._wheels or len(values) != len(names) or not self._wheels.keys() <= set(names):
             return None
-        return [float(values[names.index(name)]) for name in wheels]
+        return [float(values[names.index(joint)]) for joint in self._wheels]
 
-    @staticmethod
-    def _joints(names: list[str], wanted: tuple[str, ...], side: str) -> list[str]:
-        if wanted:
-            return list(wanted) if set(wanted) <= set(names) else []
-        return [name for name in names if side in name.lower()]
+    def _found(self, names: list[str]) -> dict[str, str]:
+        """Return the wheels by joint, left ones first; none if a side has no joint."""
+        given = self._given
+        if given.omni:
+            return {joint: f"omni_{k}" for k, joint in enumerate(given.omni, 1)}
+        sides = (given.left, "left"), (given.right, "right")
+        left, right = (
+            [name for name in wanted or names if name in names and (wanted or side in name.lower())]
+            for wanted, side in sides
+        )
+        is_complete = set(given.left) <= set(left) and set(given.right) <= set(right)
+        if not (left and right and is_complete) or (self._is_mecanum and len(left + right) != 4):
+            return {}
+        if not self._is_mecanum:
+            return dict.fromkeys(left, "left") | dict.fromkeys(right, "right")
+        front_left, rear_left, front_right, rear_right = (
+            *sorted(left, key=_is_rear),
+            *sorted(right, key=_is_rear),
+        )
+        return dict(zip((front_left, front_right, rear_left, rear_right), FOUR, strict=True))
 
     def odometry(self, t: np.ndarray, rows: np.ndarray, remarks: dict[str, int]) -> Odometry:
         """Return the odometry of `row` of all messages, (n, k), at `t` (n,) [s]."""
-        assert self._wheels is not None
         given = self._given
         unit = "rad" if given.ticks_per_turn is None else "ticks"
         if self._by_position:
             speeds = speeds_from_positions(t, rows, given, unit, remarks)
         else:
             speeds = given.metres(unit) * rows
-        if given.omni:
-            return omni(t, speeds, given, remarks)
-        if self._is_mecanum:
-            return mecanum(t, speeds[:, [0, 2, 1, 3]], given, remarks)
-        count = len(self._wheels[0])
-        left, right = speeds[:, :count].mean(axis=1), speeds[:, count:].mean(axis=1)
-        return differential(t, left, right, given, remarks)
+        return of_wheels(t, speeds, list(self._wheels.values()), given, remarks)
 
 
 def _is_rear(joint: str) -> bool:
@@ -100,71 +108,14 @@ def _is_rear(joint: str) -> bool:
     return any(word in joint.lower() for word in ("rear", "back"))
 
 
-NAV_ODOMETRY = "nav_msgs/msg/Odometry"
-JOINT_STATE = "sensor_msgs/msg/JointState"
-ACKERMANN = ("ackermann_msgs/msg/AckermannDriveStamped", "ackermann_msgs/msg/AckermannDrive")
-"""Types with a speed and a steering angle."""
-IMU = "sensor_msgs/msg/Imu"
-WHEELS = (JOINT_STATE, *ACKERMANN, MODULE_STATES)
-"""Types that require the geometry of the wheels."""
-TWISTS = (
-    ODOMETRY,
-    NAV_ODOMETRY,
-    "geometry_msgs/msg/TwistWithCovarianceStamped",
-    "geometry_msgs/msg/TwistStamped",
-    "geometry_msgs/msg/Twist",
-    CHASSIS_SPEEDS,
-)
-"""Types with a twist, in order of preference."""
-POSES = (
-    POSE,
-    NAV_ODOMETRY,
-    "geometry_msgs/msg/PoseWithCovarianceStamped",
-    "geometry_msgs/msg/PoseStamped",
-    POSE2D,
-    ROBOT_ON_FIELD,
-)
-"""Types with a pose."""
 CONTRADICTION = (
     "odometry messages whose twists and poses contradict each other: {}; the {} are used ({})"
 )
 
-Row = tuple[float, float, float]
-
-
-def twist_of(message: Any) -> Row:
-    """Return forward speed [m/s], yaw rate [rad/s] and sideways speed [m/s]."""
-    if hasattr(message, "v"):  # homeward_msgs/Odometry
-        return message.v, message.omega, 0.0
-    twist = message
-    while hasattr(twist, "twist"):
-        twist = twist.twist
-    return twist.linear.x, twist.angular.z, twist.linear.y
-
-
-def pose_of(message: Any) -> Row:
-    """Return x [m], y [m] and heading [rad] in the frame of the message."""
-    if hasattr(message, "heading"):  # homeward_msgs/Pose
-        return message.x, message.y, message.heading
-    pose = message.pose
-    while hasattr(pose, "pose"):
-        pose = pose.pose
-    return pose.position.x, pose.position.y, yaw(pose.orientation)
-
-
-def orientation_of(message: Any) -> Any:
-    """Return the quaternion of an Imu, or of a message with a pose."""
-    while hasattr(message, "pose"):
-        message = message.pose
-    return message.orientation
-
-
-def yaw(q: Any) -> float:
-    """Return the heading [rad] of a quaternion; NaN for a zero one."""
-    norm = q.x * q.x + q.y * q.y + q.z * q.z + q.w * q.w
-    if not norm > 0:
-        return math.nan
-    return math.atan2(2 * (q.w * q.z + q.x * q.y), norm - 2 * (q.y * q.y + q.z * q.z))
+TWIST, POSE = ("v", "omega", "vy"), ("x", "y", "heading")
+"""Roles of the two sources of a nav_msgs/Odometry."""
+STATES = "speed", "angle"
+"""Ends of the roles of swerve modules."""
 
 
 class OdometryRows:
@@ -175,11 +126,7 @@ class OdometryRows:
         self._joints = JointRows(given) if kind == JOINT_STATE else None
         self._rows: list[tuple[float, ...]] = []
         self._yaw_rates: list[tuple[float, ...]] = []
-        missing = given.missing(
-            *(("m", True) if kind in ACKERMANN else ("rad", False, bool(given.omni)))
-        )
-        if kind == JOINT_STATE and given.roller_angle is not None and not given.omni:
-            missing += given.missing("m", steers=True)
+        missing = given.missing("m", steers=True) if self._joints is None else self._joints.missing
         if kind == MODULE_STATES:
             missing = ["modules"] if len(given.modules) < 2 else []
         if kind in WHEELS and missing:
@@ -191,6 +138,13 @@ class OdometryRows:
             raise InputError(
                 f"{given.topic}: {quoted(kind)} has no {given.use}; change use in the topics file"
             )
+        paths = {role: path for role in TWIST if (path := getattr(given, role))}
+        self._paths = paths if given.v and given.omega else MOTIONS.get(kind, {})
+        self._row = row_of(self._paths)
+        if kind == MODULE_STATES:
+            numbers = range(1, len(given.modules) + 1)
+            self._paths = {f"module_{k}_{what}": "" for what in STATES for k in numbers}
+            self._row = self._states
 
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
@@ -198,35 +152,21 @@ class OdometryRows:
             row = self._joints.row(message)
             if row is not None:
                 self._rows.append((t, *row))
-            return
-        if self._kind in ACKERMANN:
-            drive = getattr(message, "drive", message)
-            self._rows.append((t, float(drive.speed), float(drive.steering_angle)))
-            return
-        if self._kind == MODULE_STATES:
-            if len(message.speeds) != len(self._given.modules):
-                raise InputError(
-                    f"{self._given.topic}: states of {len(message.speeds)} modules, but modules has"
-                    f" {len(self._given.modules)} positions"
-                )
-            self._rows.append((t, *message.speeds, *message.angles))
-            return
-        nothing = (math.nan,) * 3
-        if self._kind in TRANSFORMS:
-            parent, child = self._given.frames
-            names = {child, "base_footprint"} if child == "base_link" else {child}
-            if frame_of(message) != parent or message.child_frame_id.strip("/") not in names:
-                return
-            place, rotation = message.transform.translation, message.transform.rotation
-            self._rows.append((t, *nothing, float(place.x), float(place.y), yaw(rotation)))
-            return
-        if self._given.v and self._given.omega:
-            paths = self._given.v, self._given.omega, self._given.vy
-            twist = tuple(values(message, path)[0] if path else 0.0 for path in paths)
-        else:
-            twist = twist_of(message) if self._kind in TWISTS else nothing
-        pose = pose_of(message) if self._kind in POSES else nothing
-        self._rows.append((t, *map(float, (*twist, *pose))))
+        elif self._kind not in TRANSFORMS or self._is_of_robot(message):
+            self._rows.append((t, *self._row(message)))
+
+    def _states(self, message: Any) -> tuple[float, ...]:
+        if len(message.speeds) != len(self._given.modules):
+            raise InputError(
+                f"{self._given.topic}: states of {len(message.speeds)} modules, but modules has"
+                f" {len(self._given.modules)} positions"
+            )
+        return *message.speeds, *message.angles
+
+    def _is_of_robot(self, transform: Any) -> bool:
+        parent, child = self._given.frames
+        names = {child, "base_footprint"} if child == "base_link" else {child}
+        return frame_of(transform) == parent and transform.child_frame_id.strip("/") in names
 
     def add_imu(self, t: float, message: Any) -> None:
         """Add the message of the topic `yaw_rate` of time `t` [s]."""
@@ -252,54 +192,54 @@ class OdometryRows:
                 what = "transform from {} to {}; name the frames, as in frames: [odom, base_link]"
             raise InputError(f"{self._given.topic}: no {what.format(*self._given.frames)}")
         rows = np.array(self._rows, float)
-        if self._kind in WHEELS:
+        if self._joints is not None:
             rows = self._clean(rows, remarks)
-            if self._joints is not None:
-                return self._joints.odometry(rows[:, 0], rows[:, 1:], remarks)
-            if self._kind == MODULE_STATES:
-                speeds, angles = np.split(rows[:, 1:], 2, axis=1)
-                return swerve(rows[:, 0], speeds, angles, self._given, remarks)
-            t, v, steering = rows.T.copy()
-            return ackermann(t, v, steering, self._given, remarks)
-        if self._by_twist(rows, remarks):
-            return without_implausible(Odometry(*self._cleaned_twists(rows, remarks)), remarks)
-        self._require_orientations(rows)
-        rows = self._clean(rows[:, [0, 4, 5, 6]], remarks)
-        return odometry_from_poses(rows[:, 0], rows[:, 1:], remarks)
+            return self._joints.odometry(rows[:, 0], rows[:, 1:], remarks)
+        columns = dict(zip(("t", *self._paths), rows.T, strict=True))
+        if columns.keys() >= {*TWIST, *POSE}:
+            unused = POSE if self._by_twist(columns, remarks) else TWIST
+            columns = {role: column for role, column in columns.items() if role not in unused}
+        if "heading" in columns:
+            self._require_orientations(columns)
+        if self._kind == ODOMETRY:
+            return motion(self._with_unknown(columns, remarks), self._given, remarks)
+        return motion(self._cleaned(columns, remarks), self._given, remarks)
 
-    def _cleaned_twists(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
-        """Return t, v, omega, vy, shape (4, n); homeward's own messages may have unknown motion."""
-        unknown = np.isnan(rows[:, 1:3]).all(axis=1) & (self._kind == ODOMETRY)
-        if not unknown.any():
-            return self._clean(rows[:, :4], remarks).T.copy()
+    def _with_unknown(self, columns: Columns, remarks: Remarks) -> Columns:
+        """Return clean columns of homeward's own messages, which may have unknown motion."""
+        lost = np.isnan(columns["v"]) & np.isnan(columns["omega"])
         # Zeros replace unknown twists, so that `_clean` keeps the rows.
-        marked = np.column_stack([rows[:, 0], np.where(unknown, 0.0, rows[:, 1:4].T).T, unknown])
-        t, *twist, lost = self._clean(marked, remarks).T
-        return np.stack([t, *np.where(lost > 0, np.nan, twist)])
+        marked = columns | {role: np.where(lost, 0.0, columns[role]) for role in ("v", "omega")}
+        found = self._cleaned(marked | {"lost": lost.astype(float)}, remarks)
+        is_lost = found.pop("lost") > 0
+        return found | {r: np.where(is_lost, np.nan, found[r]) for r in ("v", "omega")}
+
+    def _cleaned(self, columns: Columns, remarks: Remarks) -> Columns:
+        rows = self._clean(np.column_stack(list(columns.values())), remarks)
+        return dict(zip(columns, rows.T.copy(), strict=True))
 
     def _clean(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
         return clean_rows(rows, self._given.topic, "odometry", REPEATED_ODOMETRY, remarks)
 
-    def _require_orientations(self, rows: np.ndarray) -> None:
+    def _require_orientations(self, columns: Columns) -> None:
         """Refuse poses if most have no orientation; otherwise `_clean` drops these."""
-        lacking = np.isnan(rows[:, 6]) & np.isfinite(rows[:, 4:6]).all(axis=1)
-        if 2 * lacking.sum() <= len(rows):
+        place = columns["x"] + columns["y"]
+        lacking = np.isnan(columns["heading"]) & np.isfinite(place)
+        if 2 * lacking.sum() <= place.size:
             return
         first = int(np.argmax(lacking))
         advice = "use: twist" if self._kind in TWISTS else "another topic"
         raise InputError(
             f"{self._given.topic}: the orientation (quaternion) is zero in {int(lacking.sum()):,} "
-            f"of {len(rows):,} messages, first in message {first + 1} at {rows[first, 0]:.3f} s; "
-            f"poses without a heading give no motion: set {advice} under odometry in a topics file"
+            f"of {place.size:,} messages, first in message {first + 1} at {columns['t'][first]:.3f}"
+            f" s; poses without a heading give no motion: set {advice} under odometry in a topics "
+            "file"
         )
 
-    def _by_twist(self, rows: np.ndarray, remarks: Remarks) -> bool:
-        """Return whether twists are used, not poses, of rows (n, 7); remark a contradiction."""
+    def _by_twist(self, columns: Columns, remarks: Remarks) -> bool:
+        """Return whether twists are used, not poses; remark a contradiction."""
         use = self._given.use
-        if self._given.v:
-            return True
-        if self._kind != NAV_ODOMETRY:
-            return self._kind in TWISTS
+        rows = np.column_stack([columns[role] for role in ("t", *TWIST, *POSE)])
         ordered = rows[np.isfinite(rows).all(axis=1)]
         ordered = ordered[np.unique(ordered[:, 0], return_index=True)[1]]
         found = contradiction(ordered)

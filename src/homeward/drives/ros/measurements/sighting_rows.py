@@ -8,35 +8,29 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.camera import (
-    sizes_of,
-    tag_bearings,
-    tag_directions,
-    tag_ranges,
-    tilt_matrix,
-)
+from homeward.drives.cameras.camera import sizes_of, tilt_matrix
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.importers.positions import axes_by_spread
+from homeward.drives.measure import bearings
 from homeward.drives.ros.measurements.bearings import (
-    ALVAR,
-    CORNERS,
-    DETECTIONS,
-    NOT_DECODED,
-    OPTICAL,
     Sighting,
     TagDetector,
     axes_of,
     has_bearings,
     has_positions,
-    reader_of,
+    layout_of,
+    sightings_in,
 )
 from homeward.drives.ros.measurements.rows import Remarks
+from homeward.drives.ros.messages.presets import ALVAR, CORNERS
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted
 
+NOT_DECODED = 255
+"""Id of a tag that ar_track_alvar found but did not decode."""
 NO_ID = "sightings without an id, left out"
 BIT_ERRORS = "tags decoded with bit errors, left out"
 DUPLICATE = "sightings of a tag that appears twice in one image, left out"
@@ -83,7 +77,7 @@ class SightingRows:
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
         if self._detector is None:
-            found = list(reader_of(self.kind, self.given)(message, self.given))
+            found = list(sightings_in(message, self.kind, self.given))
         else:
             found = list(self._detector(message, self._camera()))
         counts = Counter(seen.landmark for seen in found)
@@ -107,7 +101,7 @@ class SightingRows:
 
     def use_axes_of_data(self, frame: str) -> None:
         """Assume optical axes where the positions have them, unless axes are given."""
-        is_open = self.given.axes is None and self.kind not in OPTICAL
+        is_open = self.given.axes is None and layout_of(self.kind, self.given).axes != "optical"
         if not (self.has_positions and is_open) or axes_of(frame, self.given) == "optical":
             return
         points = np.array([(seen.a, seen.b, seen.up) for seen in self._kept])
@@ -123,20 +117,40 @@ class SightingRows:
 
         Elevation, sigma and range are NaN where unknown.
         """
-        bearing, elevation, sigma = self._measured()
+        values = self._values()
+        is_bearing = "bearing" in values
+        found = bearings(values, None if is_bearing or self.has_positions else self._model())
+        unknown = np.full(len(self), np.nan)
+        bearing, sigma = found["bearing"], found.get("sigma", unknown)
         if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
         if self.given.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
         ids = np.array([seen.landmark for seen in self._kept], object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
-        columns |= {"bearing": bearing, "elevation": elevation, "sigma": sigma}
-        columns["range"] = self._ranges()
+        columns |= {"bearing": bearing, "elevation": found.get("elevation", unknown)}
+        columns |= {"sigma": sigma, "range": found.get("range", unknown)}
         columns["camera"] = np.full(len(ids), self.camera, object)
         # A lens model has no ray for pixels beyond its valid range.
         is_valid = np.isfinite(bearing)
         self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
         return {name: values[is_valid] for name, values in columns.items()}
+
+    def _values(self) -> dict[str, np.ndarray]:
+        """Return what the messages contain, by role."""
+        rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
+        a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
+        if self.has_positions:
+            forward, left, up = self._places(a, b, up)
+            return {"forward": forward, "left": left, "up": up, "sigma": sigma}
+        if has_bearings(self.kind, self.given):
+            return {"bearing": a, "sigma": sigma}
+        if self.kind not in CORNERS:
+            return {"column": a, "row": b, "sigma": sigma}
+        tags = {"corners": self._corners(), "sigma": self._corner_sigmas()}
+        if self.given.tag_size is not None:
+            tags["size"] = sizes_of([seen.landmark for seen in self._kept], self.given.tag_size)
+        return tags
 
     def tag_poses(self) -> dict[str, TagPose]:
         """Return the poses of tags by id, in the frame of their camera without its tilt."""
@@ -144,16 +158,6 @@ class SightingRows:
         camera, sizes = self._model().model_copy(update=level), sizes_of(names, self.given.tag_size)
         found = tag_poses(self._corners(), self._corner_sigmas(), sizes, camera, (0, 0))
         return {name: pose for name, pose in zip(names, found, strict=True) if pose is not None}
-
-    def _ranges(self) -> np.ndarray:
-        """Return the horizontal distances [m] from the reference camera, (n,); NaN: unknown."""
-        if self.kind in CORNERS and self.given.tag_size is not None:
-            sizes = sizes_of([seen.landmark for seen in self._kept], self.given.tag_size)
-            return tag_ranges(self._corners(), sizes, self._model(), (0, 0))
-        if not self.has_positions:
-            return np.full(len(self), np.nan)
-        rows = np.array([(seen.a, seen.b, seen.up) for seen in self._kept], float).reshape(-1, 3)
-        return np.asarray(np.hypot(*self._places(*rows.T)[:2]))
 
     def _places(
         self, a: np.ndarray, b: np.ndarray, up: np.ndarray
@@ -164,24 +168,6 @@ class SightingRows:
             a, b, up = level @ np.array([a, b, up])
         x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
         return x, y, up
-
-    def _measured(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return bearings, elevations and the standard deviations of bearings [rad], (n,) each.
-
-        NaN where unknown.
-        """
-        rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
-        a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
-        if has_bearings(self.kind, self.given):
-            return a, np.full_like(a, np.nan), sigma
-        if self.has_positions:
-            x, y, z = self._places(a, b, up)
-            return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y)), sigma
-        camera = self._model()
-        if self.kind == DETECTIONS:
-            return *camera.directions(a, b), sigma
-        bearing, sigma = tag_bearings(self._corners(), self._corner_sigmas(), camera, (0, 0))
-        return bearing, tag_directions(self._corners(), camera, (0, 0))[1], sigma
 
     def _corner_sigmas(self) -> np.ndarray:
         """Return the standard deviations of the corners of tags, (n,) [px]."""

@@ -1,92 +1,24 @@
-"""Landmarks and odometry in messages of unknown types, found by names and types of fields.
-
-A path names fields from the message down, separated by dots; ``[]`` follows a list, as in
-``tags[].pose.position``. The path ``.`` is the message itself.
-"""
+"""Landmarks and odometry in messages of unknown types, found by names and types of fields."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from collections.abc import Iterator, Mapping, Sequence
 
-import numpy as np
-
-Fields: TypeAlias = Callable[[str], Sequence[tuple[str, str, bool]]]
-"""Returns the fields of a message type: name, type, and whether it is a list; none of a number."""
+from homeward.drives.columns import UNITS, best_names, ending, matches, unit_in, words_in
+from homeward.drives.ros.log import Fields
+from homeward.drives.ros.settings import Layout
 
 MAX_DEPTH, MAX_LEAVES = 8, 1000
 """Limits of the search in a type."""
 INTEGER, TEXT, NUMBER, POINT, HEADER = "integer", "text", "number", "point", "header"
-_IDS = (
-    re.compile(r"(landmark|marker|tag|fiducial|object|target|feature|beacon|reflector)?_?ids?"),
-    re.compile(r"\w*_ids?|\w*[a-z]I[dD]s?"),
-    re.compile(r"\w*names?|\w*labels?|landmarks?|signatures?|tags?|markers?|beacons?"),
-    re.compile(r"class|classes|type|code|index|number"),
-)
-"""Names of ids, in order of preference."""
-_NO_IDS = re.compile(r"(\w*frame|camera|robot|sensor|device|session|map|goal|request|track)_?ids?")
-_BEARINGS = re.compile(r"\w*(bearings?|azimuths?)(_rad|_deg|_degrees)?")
-_ANGLES = re.compile(r"(angles?|theta)(_rad|_deg|_degrees)?")
-_DEGREES = re.compile(r"_deg(rees)?$")
-_NO_POSITIONS = re.compile(
-    r"\w*(velocity|linear|angular|twist|accel\w*|size|scale|dimensions?|extent|normal|orientation"
-    r"|rotation|rpy|euler|colou?r|covariance|variance|sigma|std|error)\w*"
-)
-_PIXELS = re.compile(r"\w*(cent(er|re)|corner|pixel|image|keypoint)\w*")
-_POSITIONS = re.compile(r"\w*(pose|position|translation|transform|point|location|xyz)s?\w*")
-_SPEEDS = re.compile(
-    r"(?P<parent>(?:\w+\.)*)(linear\.x|velocity\.x|linear_velocity\.x|linear|linear_velocity"
-    r"|linear_speed|forward_velocity|forward_speed|lin_vel|velocity|speed|v_?x?)"
-)
-_YAW_RATES = re.compile(
-    r"(?P<parent>(?:\w+\.)*)(angular\.z|velocity\.yaw|angular_velocity\.z|angular|angular_velocity"
-    r"|angular_speed|turn_rate|yaw_?rate|ang_vel|omega_?z?|w_?z?|v_?th(eta)?)"
-)
-
-
-class Layout(NamedTuple):
-    """Paths of the id and of the position or bearing of each landmark in a message."""
-
-    id: str
-    position: str = ""
-    bearing: str = ""
-
-    def __str__(self) -> str:
-        kind = "position" if self.position else "bearing"
-        return f"id = {self.id}, {kind} = {self.position or self.bearing}"
-
-    @property
-    def place(self) -> str:
-        """The path of the position, or else that of the bearing."""
-        return self.position or self.bearing
-
-    @property
-    def scale(self) -> float:
-        """Size of the unit of the bearing [rad]: degrees where its name ends in deg."""
-        return float(np.pi / 180) if _DEGREES.search(self.bearing.rstrip("[]")) else 1.0
-
-    @property
-    def list_name(self) -> str:
-        """Name of the list whose items have the id and the place; empty without such a list."""
-        name, mark, rest = self.id.partition("[].")
-        return name if mark and "[]" not in rest and self.place.startswith(f"{name}[]") else ""
-
-
-def values(message: Any, path: str) -> list[Any]:
-    """Return the values of a path in a message; those of a list in order."""
-    found = [message]
-    for part in filter(None, path.split(".")):
-        name = part.removesuffix("[]")
-        found = [getattr(item, name) for item in found]
-        if name != part:
-            found = [item for items in found for item in items]
-    return found
-
-
-def id_text(value: Any) -> str:
-    """Return an id as text: ``1+2`` for a list, such as the ids of a bundle."""
-    return "+".join(map(str, value)) if isinstance(value, (list, tuple, np.ndarray)) else str(value)
+OTHER_IDS = "signature", "signatures", "class", "classes", "type", "code", "index", "number"
+"""Names of ids without a word for landmarks."""
+BEARINGS = {"bearing", "bearings", "azimuth", "azimuths"}
+PLACES = {"pose", "position", "translation", "transform", "point", "location", "xyz"}
+PLACES |= {f"{word}s" for word in PLACES}
+PIXELS = {"center", "centre", "corner", "corners", "pixel", "pixels", "image", "keypoint"}
+PIXELS |= {"keypoints"}
+"""Words of points in an image, unless one of `PLACES` is with them."""
 
 
 def leaves(kind: str, fields: Fields) -> dict[str, str]:
@@ -136,19 +68,17 @@ def canonical(path: str, found: Mapping[str, str], kinds: Sequence[str]) -> str 
 def layouts(kind: str, fields: Fields) -> tuple[Layout, ...]:
     """Return the possible layouts of landmarks in a message type; one where it is unambiguous."""
     found = leaves(kind, fields)
-    ids = [p for p in _of(found, INTEGER, TEXT) if not _NO_IDS.fullmatch(_name(p))]
+    points = [p for p in _of(found, POINT) if _is_place(p)]
     numbers = _of(found, NUMBER)
-    points = [p for p in _of(found, POINT) if not _has(_NO_POSITIONS, p)]
-    points = [p for p in points if _has(_POSITIONS, p) or not _has(_PIXELS, p)]
     result = []
     for scope in dict.fromkeys(map(_scope, [*points, *numbers])):
         here = [p for p in points if _scope(p) == scope]
-        angles = [p for p in numbers if _scope(p) == scope]
-        bearings = [p for p in angles if _BEARINGS.fullmatch(_name(p))]
-        here = [p for p in here if _has(_POSITIONS, p)] or here
+        angles = [p for p in numbers if _scope(p) == scope and matches(_name(p), "bearing")]
+        bearings = [p for p in angles if BEARINGS.intersection(words_in(_name(p)))]
+        here = [p for p in here if PLACES.intersection(_words(p))] or here
+        named = _ids(found, scope)
         if not (bearings or here):
-            bearings = [p for p in angles if _ANGLES.fullmatch(_name(p))]
-        named = _named(ids, scope)
+            bearings = [p for p in angles if ending(_name(p), "bearing") == ""]
         result += [Layout(i, bearing=p) for i in named for p in bearings]
         result += [Layout(i, position=p) for i in named for p in here if not bearings]
     return tuple(result)
@@ -163,31 +93,45 @@ def has_frame(layout: Layout, found: Mapping[str, str]) -> bool:
 def odometry_paths(kind: str, fields: Fields) -> tuple[tuple[str, str, str], ...]:
     """Return the possible paths of forward speed, yaw rate and sideways speed in a message type.
 
-    The last one is empty if a type has none.
+    Speed and rate are fields of one message. The last one is empty if a type has none.
     """
     numbers = [p for p in _of(leaves(kind, fields), NUMBER) if "[]" not in p]
-    speeds = [m for p in numbers if (m := _SPEEDS.fullmatch(p))]
-    rates = [m for p in numbers if (m := _YAW_RATES.fullmatch(p))]
+    parents = {role: {p: ending(p, role) for p in numbers} for role in ("v", "omega")}
     sideways = {p: p[:-1] + "y" for p in numbers if p.endswith("x") and p[:-1] + "y" in numbers}
     return tuple(
-        (v[0], w[0], sideways.get(v[0], ""))
-        for v in speeds
-        for w in rates
-        if v["parent"] == w["parent"]
+        (v, w, sideways.get(v, ""))
+        for v, parent in parents["v"].items()
+        for w, other in parents["omega"].items()
+        if parent is not None and parent == other
     )
 
 
-def _named(ids: Sequence[str], scope: str) -> list[str]:
+def _ids(found: Mapping[str, str], scope: str) -> list[str]:
     """Return the best named ids of the items of a list; else of a list next to it."""
+    ids = [p for p in _of(found, INTEGER, TEXT) if "track" not in words_in(_name(p))]
     own = [p for p in ids if _scope(p) == scope]
     if scope:  # an id of several numbers
         own += [p[:-2] for p in ids if p.endswith("[]") and _outer(p) == scope]
     parallel = [p for p in ids if p.endswith("[]") and scope and _outer(p) == _outer(scope)]
     for paths in (own, parallel):
-        for names in _IDS:
-            if found := [p for p in paths if names.fullmatch(_name(p))]:
-                return found
+        names = {p: _name(p).removesuffix("s") if p.endswith("[]") else _name(p) for p in paths}
+        best = best_names("landmark", list(names.values()))
+        if best := [p for p in paths if names[p] in best or (not best and _name(p) in OTHER_IDS)]:
+            return best
     return []
+
+
+def _is_place(path: str) -> bool:
+    """Whether a point may be a position in space, according to its words."""
+    words = _words(path)
+    is_named = PLACES.intersection(words)
+    return matches(" ".join((*words, "x")), "x") and bool(is_named or not PIXELS & words)
+
+
+def _words(path: str) -> set[str]:
+    """Return the words of the last list and of the fields below it."""
+    inner = path.removeprefix(_outer(_scope(path))).replace("[]", "")
+    return {word for part in inner.split(".") for word in words_in(part)}
 
 
 def _scope(path: str) -> str:
@@ -200,14 +144,13 @@ def _outer(scope: str) -> str:
     return _scope(scope.removesuffix("[]"))
 
 
+def scale_of(layout: Layout) -> float:
+    """Return the size of the unit of bearings [rad], according to their name."""
+    return UNITS["angle"][unit_in(_name(layout.bearing), "angle") or "rad"]
+
+
 def _name(path: str) -> str:
     return path.rpartition(".")[2].removesuffix("[]")
-
-
-def _has(names: re.Pattern[str], path: str) -> bool:
-    """Whether the last list or a field below it has such a name."""
-    parts = path.removeprefix(_outer(_scope(path))).replace("[]", "").split(".")
-    return any(names.fullmatch(part) for part in parts)
 
 
 def _of(found: Mapping[str, str], *kinds: str) -> list[str]:

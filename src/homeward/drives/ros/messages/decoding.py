@@ -21,8 +21,7 @@ from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.log import Channel, one_line
-from homeward.drives.ros.measurements.structure import Fields
+from homeward.drives.ros.log import Channel, Fields, one_line
 from homeward.drives.ros.messages import wpilib
 from homeward.drives.ros.settings import PICTURES
 from homeward.errors import InputError

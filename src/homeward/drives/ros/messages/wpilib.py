@@ -111,15 +111,15 @@ def _photon_result(data: bytes) -> Any:
     return SimpleNamespace(tags=list(_photon_tags(data)))
 
 
-def _photon_tags(data: bytes) -> Iterator[tuple[str, Any]]:
-    """Yield id and position of each target."""
+def _photon_tags(data: bytes) -> Iterator[Any]:
+    """Yield each target."""
     count, at = data[32], 33
     for _ in range(count):
         target = _TARGET.unpack_from(data, at)
         at += _TARGET.size
         for _ in ("corners of the rectangle", "detected corners"):
             at += 1 + _CORNER_BYTES * data[at]
-        yield _id(target[_TARGET_ID]), _point(*target[_TARGET_POSITION])
+        yield _tag(target[_TARGET_ID], *target[_TARGET_POSITION])
     has_pose, at = data[at], at + 1
     if has_pose:
         at += _PNP_BYTES
@@ -130,25 +130,22 @@ def _photon_tags(data: bytes) -> Iterator[tuple[str, Any]]:
 
 def _raw_fiducials(data: bytes) -> Any:
     rows = struct.iter_unpack("<7d", data)
-    tags = [(_id(tag), _seen(right, up, far)) for tag, right, up, _, far, *_ in rows]
+    tags = [_tag(number, *_seen(right, up, far)) for number, right, up, _, far, *_ in rows]
     return SimpleNamespace(tags=tags)
 
 
-def _id(number: float) -> str:
-    """Return the id of a tag; empty for an object without one."""
-    return f"{number:.0f}" if 0 <= number < math.inf else ""
+def _tag(number: float, x: float, y: float, z: float) -> Any:
+    """Return a tag; its id is empty for an object without one."""
+    name = f"{number:.0f}" if 0 <= number < math.inf else ""
+    return SimpleNamespace(id=name, position=SimpleNamespace(x=x, y=y, z=z))
 
 
-def _seen(right_deg: float, up_deg: float, distance: float) -> Any:
+def _seen(right_deg: float, up_deg: float, distance: float) -> tuple[float, float, float]:
     """Return the position of a tag at two angles from the optical axis and a distance [m]."""
     yaw = math.radians(-right_deg)
     x, y, z = math.cos(yaw), math.sin(yaw), math.tan(math.radians(up_deg)) * math.cos(yaw)
     scale = distance / math.hypot(1.0, z)
-    return _point(scale * x, scale * y, scale * z)
-
-
-def _point(x: float, y: float, z: float) -> Any:
-    return SimpleNamespace(x=x, y=y, z=z)
+    return scale * x, scale * y, scale * z
 
 
 _DECODERS: dict[str, Callable[[bytes], Any]] = {

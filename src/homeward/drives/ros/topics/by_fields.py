@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TypeVar
 
-from homeward.drives.ros.measurements.bearings import LAYOUTS, TAGS, frame_of, parts_of
+from homeward.drives.ros.measurements.bearings import frame_of, parts_of
 from homeward.drives.ros.measurements.structure import (
     INTEGER,
     NUMBER,
@@ -16,9 +16,9 @@ from homeward.drives.ros.measurements.structure import (
     layouts,
     leaves,
     odometry_paths,
-    values,
 )
-from homeward.drives.ros.settings import BearingsTopic, OdometryTopic
+from homeward.drives.ros.messages.presets import SIGHTINGS, values
+from homeward.drives.ros.settings import BearingsTopic, Layout, OdometryTopic
 from homeward.drives.ros.topics.survey import IS_READ, Topic, TopicSurvey
 from homeward.errors import InputError
 from homeward.io.naming import listing
@@ -43,7 +43,7 @@ def candidates(survey: TopicSurvey, given: Named) -> list[Named]:
     """
     kind, fields = survey.topic(given.topic).type, survey.fields(given.topic)
     if isinstance(given, BearingsTopic):
-        options = [layout._asdict() for layout in layouts(kind, fields)]
+        options = [_paths(layout) for layout in layouts(kind, fields)]
     else:
         paths = odometry_paths(kind, fields)
         options = [{"v": v, "omega": omega, "vy": vy} for v, omega, vy in paths]
@@ -130,16 +130,14 @@ def shown(found: Sequence[BearingsTopic] | Sequence[OdometryTopic]) -> str:
 def _is_as_known(survey: TopicSurvey, name: str) -> bool:
     """Whether the log's definition of a known type has the known fields: packages have forks."""
     channel = survey.channels[name]
-    layout = LAYOUTS.get(channel.type)
-    if not channel.definition or (layout is None and channel.type != TAGS):
+    layout = SIGHTINGS.get(channel.type)
+    if not channel.definition or layout is None or not layout.list_name:
         return True
-    found = leaves(channel.type, survey.fields(name))
-    if layout is None:
-        return any(path.startswith("detections[].corners[]") for path in found)
-    return layout.place in found
+    path = layout.corners or layout.position
+    return any(known.startswith(path) for known in leaves(channel.type, survey.fields(name)))
 
 
-def _paths(given: BearingsTopic | OdometryTopic) -> dict[str, str]:
+def _paths(given: BearingsTopic | OdometryTopic | Layout) -> dict[str, str]:
     """Return the given paths of fields by key."""
     return {name: path for name in PATHS if (path := getattr(given, name, None))}
 

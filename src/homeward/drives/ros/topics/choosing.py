@@ -4,21 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Container
 
-from homeward.drives.ros.measurements.bearings import (
-    ALL_READERS,
-    IN_IMAGE,
-    OF_ONE_LANDMARK,
-    POINT,
-    POSES_OF_TAGS,
-    READERS,
-    TRANSFORMS,
-)
-from homeward.drives.ros.measurements.odometry import (
+from homeward.drives.ros.messages.presets import (
     ACKERMANN,
+    ALL_SIGHTINGS,
     IMU,
+    IN_IMAGE,
     JOINT_STATE,
     NAV_ODOMETRY,
+    OF_ONE_LANDMARK,
+    POINT,
     POSES,
+    POSES_OF_TAGS,
+    SIGHTINGS,
+    TRANSFORMS,
     TWISTS,
     WHEELS,
 )
@@ -62,7 +60,7 @@ USES: tuple[tuple[tuple[str, ...], str], ...] = (
     (IN_IMAGE, "bearings, with a camera model"),
     ((POINT,), "the bearings of one landmark"),
     (TRANSFORMS, "bearings, with the names of the landmarks' frames, or odometry"),
-    (tuple(READERS), "bearings"),
+    (tuple(SIGHTINGS), "bearings"),
 )
 """Message types and their possible uses; the first match counts."""
 
@@ -89,7 +87,7 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
     odometry = odometry or only_candidate(survey, OdometryTopic)
     odometry = None if odometry is None else with_fields(survey, odometry)
     home = given.home or (HomeFrom(topic=OUR_HOME) if _has(survey, OUR_HOME, BEARINGS) else None)
-    types = PICTURES if pictures else tuple(READERS)
+    types = PICTURES if pictures else tuple(SIGHTINGS)
     taken = (OUR_HOME, None if home is None else home.topic)
     bearings = given.bearings or tuple(
         BearingsTopic(topic=t.name) for t in _of_best_type(survey, "bearings", types, taken)
@@ -198,7 +196,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
     by_fields = plan.odometry is not None and plan.odometry.v is not None
     wanted = [
         ("odometry", None if by_fields else plan.odometry, (*TWISTS, *POSES, *WHEELS, *TRANSFORMS)),
-        *(("bearings", t, (*types, *ALL_READERS)) for t in plan.bearings if t.layout is None),
+        *(("bearings", t, (*types, *ALL_SIGHTINGS)) for t in plan.bearings if t.layout is None),
         ("home", plan.home, (BEARINGS,)),
         ("truth", plan.truth, POSES),
     ]

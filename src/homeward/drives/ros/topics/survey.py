@@ -13,17 +13,17 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from homeward.drives.one_clock import require_overlap
-from homeward.drives.ros.log import Channel, Log, Message
-from homeward.drives.ros.measurements.bearings import (
-    ALL_READERS,
-    FIXED_FRAMES,
+from homeward.drives.ros.log import Channel, Fields, Log, Message
+from homeward.drives.ros.measurements.bearings import FIXED_FRAMES, frame_of
+from homeward.drives.ros.messages.presets import (
+    ALL_SIGHTINGS,
     IN_PARTS,
     OF_ONE_LANDMARK,
+    POSES,
     TRANSFORMS,
-    frame_of,
+    TWISTS,
+    WHEELS,
 )
-from homeward.drives.ros.measurements.odometry import POSES, TWISTS, WHEELS
-from homeward.drives.ros.measurements.structure import Fields
 from homeward.drives.ros.messages.stamps import (
     HEADER_BYTES,
     NANO,
@@ -38,7 +38,7 @@ from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.odometry.clock import MAX_DELAY_S
 
-IS_READ = frozenset((*ALL_READERS, *PICTURES, *TWISTS, *POSES, *WHEELS))
+IS_READ = frozenset((*ALL_SIGHTINGS, *PICTURES, *TWISTS, *POSES, *WHEELS))
 """Types that are read; the fields of others are found by their names."""
 PROGRESS_EVERY = 2000
 """Number of messages between progress reports."""

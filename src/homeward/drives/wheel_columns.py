@@ -7,6 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
+from homeward.drives.wheels import FOUR, OMNI, PAIR
+
 SIDES = {
     **{"left": "left", "l": "left", "lhs": "left", "links": "left"},
     **{"right": "right", "r": "right", "rhs": "right", "rechts": "right"},
@@ -41,11 +43,6 @@ CORNERS = {
 """Abbreviated axles and sides, as in fl_ticks or rr_ticks."""
 AXLES = {"front": "front", "rear": "rear", "back": "rear"}
 WHAT = "wheel", "speed", "step"
-PAIR = "left", "right"
-FOUR = "front_left", "front_right", "rear_left", "rear_right"
-"""The wheels of a mecanum drive."""
-OMNI = "omni_1", "omni_2", "omni_3", "omni_4"
-"""Three or four omni wheels, anti-clockwise; no name of a column is known to be one."""
 MODULES = tuple(f"module_{k}_{what}" for what in ("speed", "angle") for k in (1, 2, 3, 4))
 """Roles of the states of four swerve modules; no name of a column is known to be one."""
 ROLES = {f"{side}_{what}" for side in (*PAIR, *FOUR, *OMNI) for what in WHAT}

@@ -10,8 +10,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from homeward.drives.importers.wheel_columns import FOUR, MODULES, OMNI, WHAT, wheel_roles
-from homeward.drives.importers.wheel_columns import ROLES as WHEELS
+from homeward.drives.wheel_columns import MODULES, WHAT, wheel_roles
+from homeward.drives.wheel_columns import ROLES as WHEELS
+from homeward.drives.wheels import FOUR, OMNI
 from homeward.errors import InputError
 from homeward.io.table import Table
 
@@ -48,8 +49,9 @@ ROLES: Mapping[str, tuple[str, str]] = {
     ),
     "v": (
         "speed",
-        "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x forward "
-        "forward.velocity forward.speed linear.velocity linear.speed geschwindigkeit",
+        "v vel velocity speed linear.x linear vx vel.vx v.x velocity.x vel.x lin.vel forward "
+        "linear.velocity.x forward.velocity forward.speed linear.velocity linear.speed "
+        "geschwindigkeit",
     ),
     "vy": (
         "speed",
@@ -58,8 +60,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "omega": (
         "rate",
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
-        "angular.speed wz om gyro.z gyroz gyro gz drehrate drehgeschwindigkeit "
-        "winkelgeschwindigkeit gierrate",
+        "angular.speed ang.vel v.th v.theta vth vtheta velocity.yaw omega.z omegaz w.z wz om "
+        "gyro.z gyroz gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
     ),
     "landmark": (
         "name",
@@ -136,7 +138,21 @@ UNUSED = {"acceleration", "accel", "acc", "covariance", "magnetic", "mag"}
 """Words in names of columns without a role."""
 ROTATIONAL = {"angular", "ang", "yaw", "gyro", "turn", "steering"}
 NO_PLACE = UNUSED | ROTATIONAL | {*ROTATIONS, "rvec", "rot", "linear", "velocity", "vel", "speed"}
+NO_PLACE |= {
+    "twist",
+    "size",
+    "scale",
+    "dimension",
+    "dimensions",
+    "extent",
+    "normal",
+    "rpy",
+    "euler",
+}
+NO_PLACE |= {"color", "colour", "variance", "sigma", "std", "error"}
+NO_LANDMARK = {"camera", "robot", "sensor", "device", "session", "map", "goal", "request", "track"}
 EXCLUDED = dict.fromkeys(("v", "vy"), UNUSED | ROTATIONAL) | dict.fromkeys("xyz", NO_PLACE)
+EXCLUDED["landmark"] = UNUSED | NO_LANDMARK
 """Words in names of columns that have no such role; `UNUSED` for others."""
 NO_MATCH = (0, 0)
 """Score of a name that does not match a role."""
@@ -240,7 +256,7 @@ def assigned(
     taken |= {name for column in found.values() for name in (column.name, *column.more)}
     ambiguous = []
     for role in (role for role in roles if role not in found):
-        likeliest = _likeliest(role, [name for name in names if name not in taken])
+        likeliest = best_names(role, [name for name in names if name not in taken])
         if not likeliest or (role == "range" and len(likeliest) > 1):  # a hint, not worth an error
             if role in required:
                 return None
@@ -261,7 +277,7 @@ def recognised(
     found = {c.role: c.name for c in (*_combined(names), *specified) if c.name in names}
     for role in roles:
         free = [name for name in names if name not in found.values()]
-        if role not in found and (likeliest := _likeliest(role, free)):
+        if role not in found and (likeliest := best_names(role, free)):
             found[role] = likeliest[0]
     return {role: found[role] for role in roles if role in found}
 
@@ -282,13 +298,13 @@ def value_of(raw: Table, column: Column) -> np.ndarray:
 def times_in(names: Sequence[str], specified: Sequence[Column]) -> Column | None:
     """Return the column of times, as `assigned` finds it; None without one."""
     known = [c for c in (*specified, *_combined(names)) if c.role == "t" and c.name in names]
-    likeliest = _likeliest("t", names)
+    likeliest = best_names("t", names)
     if known or not likeliest:
         return known[0] if known else None
     return Column("t", likeliest[0], unit_in(likeliest[0], "time"))
 
 
-def _likeliest(role: str, names: Sequence[str]) -> list[str]:
+def best_names(role: str, names: Sequence[str]) -> list[str]:
     """Return the names with the best match of a role; empty without a match."""
     scores = {name: _score(name, role) for name in names}
     best = max(scores.values(), default=NO_MATCH)
@@ -348,6 +364,16 @@ def _unit(text: str) -> str:
 def matches(name: str, role: str) -> bool:
     """Whether a name contains a word for a role."""
     return _score(name, role) != NO_MATCH
+
+
+def ending(path: str, role: str) -> str | None:
+    """Return what precedes the last fields of a path that are a name of a role; None without it."""
+    parts = path.split(".")
+    for k in range(len(parts)):
+        name = ".".join(parts[k:])
+        if _score(name, role) == (number := len(words_in(name)), -number):
+            return ".".join(parts[:k])
+    return None
 
 
 def _score(name: str, role: str) -> tuple[float, int]:
