@@ -28,7 +28,8 @@ from homeward.drives.importers.parts import UNIX_S, ImportedColumn, Part
 from homeward.drives.importers.pixels import Calibrations, Pixels
 from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import NOT_DECIDED, require_imported_senses, with_senses
-from homeward.drives.importers.sheet import sheet
+from homeward.drives.importers.sheet import Sheet, sheet
+from homeward.drives.importers.sources import text_files
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
 from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
@@ -74,16 +75,30 @@ def understand(
 ) -> list[ImportedColumn]:
     """Read text files, with the roles and units of their columns recognised.
 
-    The tables may have any separator, decimal mark, header and units. `columns` are texts
-    ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or correct roles, `kinds` texts ``FILE=KIND`` with a
-    key of `AS`. `wheels`, their geometry, prefers wheels to poses in one file; `cameras` are those
-    of pixels, `tag_size` that of tags with corners [m]. Bearings get the sense of rotation of the
-    odometry. `InputError` where a file cannot be read, contains no table of a drive, or a role is
-    ambiguous.
+    The tables may have any separator, decimal mark, header and units; files of other formats are
+    read by installed sources. `columns` are texts ``[FILE:]ROLE=COLUMN[UNIT]`` that specify or
+    correct roles, `kinds` texts ``FILE=KIND`` with a key of `AS`. `wheels`, their geometry, prefers
+    wheels to poses in one file; `cameras` are those of pixels, `tag_size` that of tags with corners
+    [m]. Bearings get the sense of rotation of the odometry. `InputError` where a file cannot be
+    read, contains no table of a drive, or a role is ambiguous.
     """
-    for path in files:
-        _refuse_drives(path)
-    sheets = [sheet(path) for path in files]
+    with text_files(files) as texts:
+        for path in texts:
+            _refuse_drives(path)
+        return _understood(
+            [sheet(path) for path in texts], columns, kinds, wheels, cameras, tag_size
+        )
+
+
+def _understood(
+    sheets: Sequence[Sheet],
+    columns: Sequence[str],
+    kinds: Sequence[str],
+    wheels: Wheels | None,
+    cameras: Calibrations | None,
+    tag_size: float | None,
+) -> list[ImportedColumn]:
+    """Return the recognised columns of tables; parameters as of `understand`."""
     there = {one.path.name: (*one.names, *one.numbers) for one in sheets}
     specified = specified_columns(columns, there)
     parts = parts_of(sheets, specified, _kinds(kinds, there), wheels is not None, cameras)
