@@ -13,7 +13,7 @@ from rosbags.typesys.store import Typestore
 
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.messages.decoding import typestore
+from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.ros.topics.by_fields import candidates
 from homeward.drives.ros.topics.survey import survey

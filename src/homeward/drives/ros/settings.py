@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
-from homeward.drives.cameras.calibration import is_calibration, read_calibration
 from homeward.drives.cameras.camera import TagSize, Tilt
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import (
@@ -234,6 +233,8 @@ def calibrated(settings: LogSettings, source: Path) -> LogSettings:
 
     Their paths are relative to the folder of the file `source`.
     """
+    from homeward.drives.cameras.calibration import is_calibration, read_calibration  # rarely used
+
     topics = tuple(
         topic.model_copy(update={"camera": read_calibration(source.parent, topic.camera)})
         if isinstance(topic.camera, str) and is_calibration(topic.camera)

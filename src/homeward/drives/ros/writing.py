@@ -17,8 +17,8 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
-from homeward.drives.ros.messages.decoding import typestore
 from homeward.drives.ros.messages.stamps import NANO, split
+from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import (
     BEARINGS,
     ODOMETRY,

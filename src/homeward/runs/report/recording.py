@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.ros.messages.decoding import typestore
 from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.writing import LogFile, writing
 
 MAP = "map"

@@ -10,59 +10,21 @@ import inspect
 import re
 import struct
 from functools import cache
-from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from rosbags.interfaces import Nodetype
 from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
 from homeward.drives.ros.log import Channel, Fields, one_line
 from homeward.drives.ros.messages import wpilib
+from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import PICTURES
 from homeward.errors import InputError
 from homeward.io.table import quoted
-
-
-def _definitions(package: str) -> dict[str, str]:
-    """Return the .msg files of a package by type."""
-    folder = Path(str(files("homeward.drives.ros.messages").joinpath("msg", package)))
-    return {f"{package}/msg/{f.stem}": f.read_text("utf-8") for f in sorted(folder.glob("*.msg"))}
-
-
-DEFINITIONS = _definitions("homeward_msgs")
-"""The .msg files of `homeward_msgs`, which represent a drive exactly.
-
-`residue` is the part of a time [s] that a stamp in whole nanoseconds cannot represent.
-"""
-_WELL_KNOWN = {
-    kind: text
-    for package in (
-        "vision_msgs",
-        "apriltag_msgs",
-        "apriltag_ros",
-        "aruco_msgs",
-        "aruco_opencv_msgs",
-        "isaac_ros_apriltag_interfaces",
-        "ros2_aruco_interfaces",
-    )
-    for kind, text in _definitions(package).items()
-}
-"""Types for logs without definitions, such as sqlite3 files of ROS 2 before Iron."""
-
-
-@cache
-def typestore(ros1: bool) -> Any:
-    """Return rosbags' store of all known types, as in ROS 1 Noetic or ROS 2 Humble."""
-    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
-    for name, text in {**DEFINITIONS, **_WELL_KNOWN}.items():
-        store.register(get_types_from_msg(text, name))
-    return store
-
 
 MAX_DEFINITION = 2**16
 """Maximum length of a definition with all that it refers to [characters]."""

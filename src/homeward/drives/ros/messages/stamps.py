@@ -5,10 +5,12 @@ from __future__ import annotations
 import struct
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from homeward.drives.ros.log import Message
+if TYPE_CHECKING:
+    from homeward.drives.ros.log import Message
 
 NANO = 10**9
 HEADER_BYTES = 12
