@@ -62,13 +62,13 @@ void add_bearings(const Equations &e, const Bearings &seen, const double *poses,
 struct Step {
   Matrix poses;  // (w, 3)
   Vector shared;
-  Eigen::MatrixXd covariance;  // of the newest pose and the shared unknowns
 };
 
 // Normal equations with all poses but the newest eliminated: reference.window.Elimination.
 struct Elimination {
   explicit Elimination(const Equations &e);
   Step solve() const;
+  Matrix covariance() const;  // of the newest pose and the shared unknowns
   // Divide other gradients, in columns, of poses (3 w) and shared unknowns (a) by the factor of the Hessian: the
   // products of two columns are then those of one with the steps for the other.
   void whiten(Matrix &gradients) const;

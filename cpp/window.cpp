@@ -72,14 +72,18 @@ void Elimination::substitute(Matrix &steps, bool all) const {
 }
 
 Step Elimination::solve() const {
-  Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n_, n_);
-  factor_.matrixL().solveInPlace(inverse);
-  Eigen::MatrixXd covariance = Eigen::MatrixXd::Zero(n_, n_);
-  covariance.selfadjointView<Eigen::Lower>().rankUpdate(inverse.transpose());
-  covariance.triangularView<Eigen::StrictlyUpper>() = covariance.transpose();
   Matrix steps = whitened;
   substitute(steps, true);
-  return {Eigen::Map<Matrix>(steps.data(), older_ / 3 + 1, 3), steps.bottomRows(n_ - 3), covariance};
+  return {Eigen::Map<Matrix>(steps.data(), older_ / 3 + 1, 3), steps.bottomRows(n_ - 3)};
+}
+
+Matrix Elimination::covariance() const {
+  Eigen::MatrixXd inverse = Eigen::MatrixXd::Identity(n_, n_);
+  factor_.matrixL().solveInPlace(inverse);
+  Eigen::MatrixXd found = Eigen::MatrixXd::Zero(n_, n_);
+  found.selfadjointView<Eigen::Lower>().rankUpdate(inverse.transpose());
+  found.triangularView<Eigen::StrictlyUpper>() = found.transpose();
+  return found;
 }
 
 namespace {
@@ -133,22 +137,25 @@ class Window {
   // reference.window.solve(). `add_more` takes the arrays of normal equations, poses and shared unknowns; or None.
   nb::tuple solve(nb::object add_more) {
     OwnEquations e(w, a);
-    Step step;
+    Matrix covariance;
     bool converged = false;
     for (int k = 0; k < tunables_.max_steps && !converged; k++) {
       e.clear();
       add_to(e);
       if (!add_more.is_none()) add_more(e.arrays(), array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}));
-      step = Elimination(e).solve();
-      if (!step.poses.allFinite() || !step.covariance.allFinite()) throw std::domain_error("a step is not finite");
-      if (!(step.covariance.diagonal().array() > 0.0).all()) throw std::domain_error("a variance is not positive");
+      const Elimination eliminated(e);
+      const Step step = eliminated.solve();
       const bool is_small = move(step) < tunables_.converged;
       converged = !bound() && is_small;
+      if (!step.poses.allFinite() || !step.shared.allFinite()) throw std::domain_error("a step is not finite");
+      if (converged || k + 1 == tunables_.max_steps) covariance = eliminated.covariance();
     }
+    if (!covariance.allFinite()) throw std::domain_error("a step is not finite");
+    if (!(covariance.diagonal().array() > 0.0).all()) throw std::domain_error("a variance is not positive");
     Fixed<1, NC> bounded;
     for (int k = 0; k < NC; k++) bounded[k] = bounded_[k];
     return nb::make_tuple(array_of(poses_, {w, 3}), array_of(Matrix(shared_), {a}),
-                          array_of(Matrix(step.covariance), {3 + a, 3 + a}), array_of(bounded, {size_t(NC)}), converged);
+                          array_of(covariance, {3 + a, 3 + a}), array_of(bounded, {size_t(NC)}), converged);
   }
 
  private:
@@ -219,9 +226,10 @@ class Window {
 // Elimination.solve() of reference/window.py, of normal equations.
 nb::tuple solve_equations(Out own, Out next, Out shared, Out common, Out slope, Out common_slope) {
   const Equations e(own, next, shared, common, slope, common_slope);
-  const Step step = Elimination(e).solve();
+  const Elimination eliminated(e);
+  const Step step = eliminated.solve();
   return nb::make_tuple(array_of(step.poses, {e.w, 3}), array_of(Matrix(step.shared), {e.a}),
-                        array_of(Matrix(step.covariance), {3 + e.a, 3 + e.a}));
+                        array_of(eliminated.covariance(), {3 + e.a, 3 + e.a}));
 }
 
 // Arrays are taken as they are: a copy of one with another layout would be written to in vain.
