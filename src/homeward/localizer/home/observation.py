@@ -42,6 +42,7 @@ class HomeObservation:
         self._names: list[str] = []
         """Names for which these columns were computed last:"""
         self._bearings = self._given = np.zeros(0)
+        self._offsets: np.ndarray | None = None
         self._index: np.ndarray | None = None
         """Indices of landmarks for which these were computed last: columns of the state that a
         problem is about, and blocks of the landmarks among them, and bodies."""
@@ -147,7 +148,7 @@ class HomeObservation:
             moved_prior=self._settings.moved_prior,
             walk_excess=walk_excess,
             bodies=self._bodies,
-            offsets=self.offsets(names),
+            offsets=self._offsets,
             prior=None if self._prior is None else self._prior[0],
             prior_information=None if self._prior is None else self._prior[1],
         )
@@ -159,6 +160,7 @@ class HomeObservation:
             stored = [self.bearings[n] for n in names]
             self._bearings = np.array([b.bearing for b in stored])
             self._given = np.array([b.sigma for b in stored])
+            self._offsets = self.offsets(names)
         # One that is not given is of a single sighting like any other.
         default = self._settings.home_sigma or noise.typical
         sigmas = np.where(np.isfinite(self._given), self._given, default)

@@ -45,8 +45,6 @@ class _Reference(NamedTuple):
     """(n,): ... the ids of the landmarks in it ..."""
     motion: Motion
     """... and the motion from that keyframe to the frame."""
-    eye: np.ndarray
-    """(3,): pose of the camera at the frame, in that state [m, m, rad]."""
     odometry: np.ndarray
     """(3,): pose by odometry alone."""
 
@@ -96,8 +94,7 @@ class Contradiction:
             if log_odds is not None or (self.is_proved and frame.t - self._stayed < FROZEN_S):
                 return
         ids, smoother = known.landmarks.ids(frame.names), known.smoother
-        state = smoother.state, smoother.ids, motion, known.camera_at(motion, frame.offset)
-        self._reference = _Reference(frame, ids, *state, self._here)
+        self._reference = _Reference(frame, ids, smoother.state, smoother.ids, motion, self._here)
         self.is_proved = False
 
     def _log_odds(
@@ -123,8 +120,9 @@ class Contradiction:
         if np.count_nonzero(stays) < MAJORITY * len(common):
             return None
         camera = known.camera_pose(frame.offset)
-        at = reference.known.searchsorted(reference.ids[then])
-        distances = np.hypot(*(reference.state.positions[at] - reference.eye[:2]).T)
+        at, state = reference.known.searchsorted(reference.ids[then]), reference.state
+        eye = compose(compose(state.mean[:3], reference.motion.delta), camera)
+        distances = np.hypot(*(state.positions[at] - eye[:2]).T)
         direction = before.bearings[then] + camera[2]
         places = np.stack([np.cos(direction), np.sin(direction)], axis=-1) * distances[:, None]
         motion = between(reference.odometry, self._here)
