@@ -5,9 +5,9 @@ each on a free processor). `--renew` writes the records of those whose figures a
 `--all` also of the others, and `--only WORD ...` means commands that contain a word.
 
 A record has a page, a command, the commit, date and machine of its last run, quotes (texts of the
-page with the regular expression that finds them in the output), the paths of what it measures, and
-a digest of their code without comments and docstrings. A record whose digest is not that of today's
-code is older than the last change of what it measures.
+page with the regular expression that finds them in the output), the paths of the measured code, and
+a digest of it without comments and docstrings. A record whose digest is not that of today's code is
+older than the last change of that code.
 """
 
 import ast
