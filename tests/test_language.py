@@ -57,6 +57,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "homeward/places/place.py": ("verdict",),  # a column of visits.csv
     "homeward/places/persistence.py": ("stands",),  # a column of landmarks.csv
     "docs/do/live.md": ("said",),  # a ROS topic
+    "docs/do/ros.md": ("said",),  # a ROS topic
     "src/homeward/ros/": ("said",),
     "runs/report/place_page.py": ("verdict",),  # a column of visits.csv
     "docs/do/rooms.md": ("stood",),  # a key of rooms
