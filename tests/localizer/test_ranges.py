@@ -29,6 +29,7 @@ class RangedRig(Rig):
     scale: float = 1.0
     spoil: Callable[[np.random.Generator, dict[str, float]], dict[str, float]] | None = None
     range_scale_sigma: float | None = None
+    tuned: LocalizerSettings = dataclasses.field(default_factory=LocalizerSettings)
 
     def __post_init__(self):
         super().__post_init__()
@@ -36,7 +37,7 @@ class RangedRig(Rig):
         given = {"range_sigma": 0.1, "range_scale_sigma": self.range_scale_sigma}
         robot["sensor"] = robot["sensor"].model_copy(update=given)
         robot["odometry"] = robot["odometry"].model_copy(update={"speed_scale_sigma": 0.03})
-        self.localizer = Localizer(self.home, **robot)
+        self.localizer = Localizer(self.home, settings=self.tuned, **robot)
         self.errors = np.random.default_rng(self.seed + 7)
         lasting = 0.05 * self.errors.normal(size=len(self.landmarks))
         self.lasting = dict(zip(self.landmarks, lasting.tolist(), strict=True))
@@ -154,6 +155,14 @@ def test_ranges_bring_the_first_pose_and_the_notes_report_them():
     assert note.startswith("Ranges: ")
     assert rig.localizer.counts.ranges > 100
     assert float(note.split("They are ")[1].split()[0]) == pytest.approx(1.1, abs=0.1)
+
+
+def test_keyframes_with_ranges_leave_the_window():
+    """The oldest are marginalised with their ranges, while the window has later poses."""
+    rig = RangedRig(ring(8), tuned=LocalizerSettings(window=10, longest_window=12))
+    rig.drive(20.0)
+    assert rig.localizer.chart.map.smoother.first > 10
+    assert rig.wrong_share() == 0.0
 
 
 @pytest.mark.parametrize(

@@ -96,12 +96,10 @@ class Frames:
             column.drop_last(1)
         self.offsets.pop(self.next, None)
 
-    def since(self, number: int) -> Frames:
-        """Return the frames from a number on."""
-        begin = number - self.first
-        return Frames(
-            number, tuple(GrowingTable.of(column.rows[begin:]) for column in self._columns)
-        )
+    def between(self, number: int, end: int) -> Frames:
+        """Return the frames from a number to another, without that."""
+        some = slice(number - self.first, end - self.first)
+        return Frames(number, tuple(GrowingTable.of(column.rows[some]) for column in self._columns))
 
     def take_before(self, keyframe: int) -> Frames:
         """Remove and return the frames of keyframes before a number."""

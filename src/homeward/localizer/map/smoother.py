@@ -255,7 +255,7 @@ class Smoother:
         """Return the same at poses (w, 3) of the keyframes and a calibration (10,)."""
         frame = rows[:, FRAME].astype(int)
         begin = int(frame.min(initial=self.frames.next))
-        some = self.frames.since(begin)
+        some = self.frames.between(begin, int(frame.max(initial=begin - 1)) + 1)
         eyes, by_head = some.eyes(poses[some.keyframes - self.first], calibration)
         return eyes[frame - begin], by_head[frame - begin]
 
