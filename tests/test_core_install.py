@@ -9,11 +9,7 @@ import sys
 
 
 class Absent:
-<<<<<<< HEAD
-    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 matplotlib paho pandas"
-=======
-    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 markupsafe matplotlib pandas"
->>>>>>> f5bc5083 (Write all pages from one vocabulary and one template)
+    NAMES = "PIL apsw backports bokeh casadi cv2 dask jinja2 lz4 markupsafe matplotlib paho pandas"
     NAMES = [*NAMES.split(), "rosbags", "ruamel", "shapely", "websockets", "xarray"]
 
     def find_spec(self, name, path=None, target=None):
