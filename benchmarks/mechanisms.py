@@ -168,6 +168,8 @@ MECHANISMS = {
     "range-mixture": off(
         "landmarks of unknown distance", "map.landmarks:Landmarks._fit_range_mixture"
     ),
+    "swap-guard": off("swapped ids", "map.landmarks:Landmarks._is_swapped", False),
+    "undecided": off("doubtful moves wait", "map.landmarks:Landmarks._is_undecided", False),
     "returned": off("landmarks that return", "map.landmarks:Landmarks._has_returned", False),
     # Home
     "bodies": changed("landmarks on one body", "home.observation:find_bodies", _no_bodies),

@@ -80,6 +80,9 @@ WALKING_PRIOR = 0.01
 BODY_M, ONE_BODY = 0.5, 0.5
 """Landmarks within the size of a box [m] move as one with this probability [1]: as likely as not,
 they are on one object."""
+SWAP_RATIO = 2.0
+"""Identities count as swapped if another landmark's residuals are less than this many times larger
+[1]."""
 
 # Home
 UPHEAVAL = 0.1

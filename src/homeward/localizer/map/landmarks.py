@@ -45,6 +45,7 @@ from homeward.localizer.tunables import (
     MIN_SIGHTINGS,
     NEGLIGIBLE,
     RETRY_GROWTH,
+    SWAP_RATIO,
 )
 
 
@@ -241,9 +242,7 @@ class Landmarks:
         found = found or self._at_range(name, rows)
         known = name in self.mapped
         excess = self._excess(name, rows[found[1]], found[0]) if known and found else 0.0
-        # It may have moved there, but not be seen often enough to decide.
-        few = known and found is not None and np.count_nonzero(found[1]) < ESTABLISHED
-        if found is None or (few and MARGIN < excess < MIN_SIGHTINGS):
+        if found is None or (known and self._is_undecided(name, rows[found[1]], found[0], excess)):
             waiting.next_trial = RETRY_GROWTH * len(rows)
             self._candidates[name] = waiting  # in the order of trials
             return False
@@ -346,6 +345,17 @@ class Landmarks:
             before[1:] += landmark.sightings - len(old)
         return float((before + since).min() - before.min() - since.min())
 
+    def _is_undecided(
+        self, name: str, rows: np.ndarray, position: np.ndarray, excess: float
+    ) -> bool:
+        """Return whether sightings that agree on a position (2,) do not show that it is there.
+
+        The landmark may have moved there, but not be seen often enough to decide; or another one
+        may be mistaken for it.
+        """
+        few = MARGIN < excess < MIN_SIGHTINGS and len(rows) < ESTABLISHED
+        return few or self._is_swapped(name, rows, position)
+
     def _has_returned(self, name: str, rows: np.ndarray) -> bool:
         """Return whether sightings fit the former position of a landmark declared moved."""
         if name not in self.former:
@@ -360,6 +370,17 @@ class Landmarks:
         self.mapped[name].rejections = 0
         self.activate([name])
         del self.moved_at[name]
+
+    def _is_swapped(self, name: str, rows: np.ndarray, position: np.ndarray) -> bool:
+        """Return whether another landmark explains sightings as well as a new position does.
+
+        Ids may be swapped. Landmarks that are rejected themselves are left out: two may be mapped
+        in each other's place.
+        """
+        sound = [m for n, m in self.mapped.items() if n != name and m.rejections < MIN_SIGHTINGS]
+        others = self.smoother.all_landmarks.positions(numbers([*sound, *self.former.values()]))
+        own, *off = np.median(self._residuals(rows, np.vstack([position, others])), axis=1).tolist()
+        return any(each < SWAP_RATIO * own for each in off)
 
     def update_rejections(self, fits: Mapping[str, bool]) -> list[str]:
         """Count the sightings of a frame that fitted; return landmarks rejected too often."""
