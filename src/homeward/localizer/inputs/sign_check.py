@@ -315,16 +315,11 @@ def _log_likelihood(
         back = np.exp(-1j * direction)
         product = _parts(back * landmarks.sum(angle * place)) @ _ACROSS
         lever = half_size - _parts(back**2 * square) @ _TWICE_ALONG
-        np.minimum(product, 0.0, out=product)
-        product *= product
-        explained = np.divide(product, lever, out=product, where=lever > 1e-12)
-        ratio = np.subtract(landmarks.sum(angle**2)[..., None], explained, out=product)
-        np.maximum(ratio, 0.0, out=ratio)
-        ratio *= SIGN_NOISE**-2.0 / landmarks.num[:, None, None]
-        ratio += 1.0
-        # One logarithm of a product for many landmarks, of so few that it stays finite.
-        parts = range(0, len(ratio), 32)
-        return np.asarray(sum(np.log(ratio[k : k + 32].prod(axis=0)) for k in parts))
+        explained = np.minimum(product, 0.0) ** 2
+        np.divide(explained, lever, out=explained, where=lever > 1e-12)
+        residual = landmarks.sum(angle**2)[..., None] - explained
+        variance = np.maximum(residual, 0.0) / landmarks.num[:, None, None]
+        return np.asarray(np.log(variance + SIGN_NOISE**2).sum(axis=0))
 
     logs = np.array([of_sense(beta).reshape(num_scales, -1, _YAWS.size) for beta in senses])
     return -0.5 * NUM_INDEPENDENT_ERRORS * logs.swapaxes(0, 1)

@@ -115,9 +115,8 @@ class Landmarks:
         """Former positions of landmarks that moved during the drive."""
         self.moved_at: dict[str, float] = {}
         """When they moved [s]."""
-        self._range_mixtures: dict[str, RangeMixture] = {}
-        self._unfitted: set[str] = set()
-        """Landmarks that could not be triangulated since the last fit of their range mixtures."""
+        self.range_mixtures: dict[str, RangeMixture] = {}
+        """Range mixtures of landmarks that could not be triangulated yet."""
         self.expected: dict[str, np.ndarray] = {}
         """Expected positions of surveyed landmarks that are not mapped yet, (2,) [m]."""
         self._candidates = ById[Candidate]()
@@ -201,8 +200,8 @@ class Landmarks:
         if len(known) > MAX_IDS and known.prune(
             lambda waiting: waiting.since < t - CANDIDATE_MEMORY_S
         ):
-            for name in self._range_mixtures.keys() - self._candidates.keys():
-                del self._range_mixtures[name]
+            for name in self.range_mixtures.keys() - self._candidates.keys():
+                del self.range_mixtures[name]
 
     def add_rejected(self, t: float, name: str, row: np.ndarray) -> None:
         """Add a rejected sighting of `t` [s] to the candidate of its landmark."""
@@ -223,10 +222,13 @@ class Landmarks:
         waiting = [n for n in self._candidates if n not in self.mapped and self._is_due(n)]
         most = max(MAX_TRIALS, sum(name in self.expected for name in waiting))
         due = nlargest(most, waiting, key=lambda name: len(self._candidates[name].rows))
-        initialised = {name for name in due if self._initialise(name)}
-        for name in initialised:
-            self._range_mixtures.pop(name, None)
-        self._unfitted = (self._unfitted | {*due}) - initialised
+        initialised = [name for name in due if self._initialise(name)]
+        for name in due:
+            if name in initialised:
+                self.range_mixtures.pop(name, None)
+            else:
+                rows = np.array(self._candidates[name].rows)
+                self._fit_range_mixture(name, rows, self._line_sigmas(rows))
         return bool(initialised)
 
     def _is_due(self, name: str) -> bool:
@@ -267,19 +269,6 @@ class Landmarks:
             self.mapped[name].count_sighting(line)
         return True
 
-    @property
-    def range_mixtures(self) -> Mapping[str, RangeMixture]:
-        """Range mixtures of landmarks that could not be triangulated yet; few ask for them."""
-        self._fit_range_mixtures(self._unfitted)
-        self._unfitted = set()
-        return self._range_mixtures
-
-    def _fit_range_mixtures(self, names: set[str]) -> None:
-        """Fit range mixtures to candidates that cannot be triangulated, if their lines agree."""
-        for name in [n for n in self._candidates if n in names]:
-            rows = np.array(self._candidates[name].rows)
-            self._fit_range_mixture(name, rows, self._line_sigmas(rows))
-
     def _fit_range_mixture(self, name: str, rows: np.ndarray, sigmas: np.ndarray) -> None:
         """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
         eyes = self.smoother.cameras(rows)[0]
@@ -288,7 +277,7 @@ class Landmarks:
         now = self.smoother.state.covariance[:3, :3]
         seen = range_mixture(eyes, rows[:, BEARING], sigmas, now, scale)
         if seen is not None:
-            self._range_mixtures[name] = seen
+            self.range_mixtures[name] = seen
 
     def replace_solution(self, whole: Smoother) -> None:
         """Adopt the solution of the whole drive: fit the range mixtures again, in its frame."""
@@ -299,7 +288,7 @@ class Landmarks:
         }
         sigmas = {name: self._line_sigmas(rows) for name, rows in waiting.items()}
         self.smoother = whole  # it does not keep the variances of single motions
-        self._range_mixtures.clear()
+        self.range_mixtures.clear()
         for name, rows in waiting.items():
             self._fit_range_mixture(name, rows, sigmas[name])
 
@@ -418,7 +407,7 @@ class Landmarks:
         for name in [n for n in self.former if n not in self.mapped]:
             self._restore(name)
         self._candidates.clear()
-        self._range_mixtures.clear()
+        self.range_mixtures.clear()
 
     def drop_misfits(self, residuals: np.ndarray) -> int:
         """Remove landmarks on which the sightings do not agree; return how many.
@@ -454,10 +443,7 @@ class Landmarks:
         return int(needed.min()) if needed.size else self.smoother.newest
 
     def drop_candidates_before(self, first: int) -> None:
-        """Drop the candidates' sightings from before keyframe `first`, which is in the window."""
-        old = {n for n, c in self._candidates.items() if c.rows[0][KEYFRAME] < first}
-        self._fit_range_mixtures(old & self._unfitted)
-        self._unfitted -= old
+        """Drop the candidates' sightings from before keyframe `first`."""
         for name, waiting in list(self._candidates.items()):
             while waiting.rows and waiting.rows[0][KEYFRAME] < first:
                 waiting.rows.popleft()

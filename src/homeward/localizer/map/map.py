@@ -207,15 +207,15 @@ class Map:
         """Turn the camera on the robot; see `Smoother.turn_camera`."""
         self._mount[2] += jump.size
         self.smoother.mount_sigmas = self._extrinsics.sigmas
-        self.landmarks.drop_candidates_before(jump.keyframe)
         self.smoother.turn_camera(jump.keyframe, jump.size)
+        self.landmarks.drop_candidates_before(self.smoother.first)
         self.camera_jump = ChangeTest()
         self._solve()
 
     def change_odometry(self, change: ModelChange) -> None:
         """Free the scale of the speed; see `Smoother.change_odometry`."""
-        self.landmarks.drop_candidates_before(change.keyframe)
         self.smoother.change_odometry(change.keyframe)
+        self.landmarks.drop_candidates_before(self.smoother.first)
         self.odometry_change = ChangeTest()
         self._solve()
 
@@ -460,7 +460,7 @@ class Map:
             needed = min(needed, self.camera_jump.possible.keyframe - 1)
         count = max(min(spare, needed - smoother.first), kept - longest)
         if count > 0:
-            self.landmarks.drop_candidates_before(smoother.first + count)
             smoother.marginalise(count)
+            self.landmarks.drop_candidates_before(smoother.first)
             if not self.registration.survey.known.is_given:
                 self.landmarks.deactivate(self.home)
