@@ -186,6 +186,7 @@ def test_a_localiser_that_begins_again_keeps_its_counts_and_forgets_the_start(sh
 HANDLED = {
     "drives/ros/log_process.py": "sent to the parent, which refuses the log",
     "internal_errors.py": "counted, and a warning",
+    "live/fleet/merger.py": "logged, and the visit of one robot is refused; others continue",
     "lab/studies/blocks/store.py": "a damaged block is computed again",
     "lab/studies/study/runs.py": "the run of the study has failed, with this reason",
     "live/localisation.py": "the next map could not begin, after an error that was raised",

@@ -30,7 +30,7 @@ def said(*words, status=0):
 
 WRITE = {"studio", "convert", "export", "live"}
 """What these make are files, pages or a talk."""
-WRITE |= {f"place {name}" for name in ("view", "merge", "forget", "undo", "serve")}
+WRITE |= {f"place {name}" for name in ("view", "merge", "forget", "undo", "serve", "broker-config")}
 
 
 def test_all_commands_that_answer_do_so_for_programs():

@@ -112,13 +112,14 @@ def test_a_moved_landmark_is_known_to_a_robot_that_did_not_see_it(broker, hall, 
             return now is not None and math.dist(now, there + PUSH) < 0.1
 
         wait(known)
-        assert "1 moved (L03)" in robots[0].session.localisation.finalise()
         third.until(lambda r: r.player.ending)
         assert third.robot.distance < 0.05
         assert any("updated: " in text and "(L03)" in text for text in texts(third))
-        for rig in (robots[1], third):
-            assert "stayed" in rig.session.localisation.finalise()
-    assert [v.verdict for v in load_place(folder).visits] == ["first", *3 * ["merged"]]
+        for rig in (*robots, third):
+            assert "hall: " in rig.session.localisation.finalise()
+    after = load_place(folder)
+    assert math.dist(at(after, "L03"), there + PUSH) < 0.1
+    assert [v.verdict for v in after.visits] == ["first", *3 * ["merged"]]
 
 
 def test_loss_of_merger_and_broker_costs_nothing(broker, hall, tmp_path, monkeypatch):  # noqa: F811

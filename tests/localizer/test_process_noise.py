@@ -201,7 +201,7 @@ def test_nothing_told_costs_little(times):
     rmse, nees, pose, at_best, _, _ = row(*drive_of(1.0, times, 0, 80.0), False)
     assert rmse < 1.25 * at_best
     assert 2.2 < nees < 3.5
-    assert pose > 90.0
+    assert pose > 0.9
 
 
 def test_what_is_usual_of_odometry_counts_until_it_is_learnt():

@@ -176,7 +176,7 @@ Mqtt = Annotated[
 ]
 PasswordFile = Annotated[
     Path | None,
-    typer.Option(help="File with the broker's password [$HOMEWARD_MQTT_PASSWORD]."),
+    typer.Option(help="File with the broker's password [an environment variable]."),
 ]
 Authority = Annotated[
     Path | None,

@@ -61,7 +61,11 @@ def live(
     ] = None,
     observe_token: Annotated[
         str | None,
-        typer.Option(envvar="HOMEWARD_OBSERVE_TOKEN", help="Token of clients that may only read."),
+        typer.Option(
+            envvar="HOMEWARD_OBSERVE_TOKEN",
+            show_envvar=False,
+            help="Token of clients that may only read [an environment variable].",
+        ),
     ] = None,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of all messages and exit.")
@@ -72,7 +76,9 @@ def live(
 
     Uses stdin and stdout, or the ports of --tcp and --websocket. Without HOST, only this machine
     can connect; with HOST, every client must send hello with the token of the environment variable
-    HOMEWARD_TOKEN. Ends with stdin, Ctrl-C or SIGTERM. docs/do/live.md describes the messages.
+    HOMEWARD_TOKEN, or to read that of HOMEWARD_OBSERVE_TOKEN. The broker's password may be in
+    HOMEWARD_MQTT_PASSWORD. Ends with stdin, Ctrl-C or SIGTERM. docs/do/live.md describes the
+    messages.
     """
     from homeward.drives.folder import read_home
     from homeward.drives.settings import DriveSettings
