@@ -3,12 +3,36 @@
 import contextlib
 import math
 import threading
+from dataclasses import replace
+
+import numpy as np
+from visited import mapped
 
 from homeward.errors import InputError
 from homeward.live.fleet.connection import Broker
 from homeward.live.fleet.merger import Merger
 from homeward.live.fleet.merging import SharedPlace
+from homeward.live.fleet.messages import visit_message
 from homeward.live.fleet.robot import RobotLink
+from homeward.places.visit_data import VisitCounts, VisitData
+
+PUSH = np.array([0.6, -0.5])
+"""How a landmark is moved [m]."""
+
+
+def visited(visit, places, seed=1, ages=(), ended=False, vague=(), frames=()):
+    """The message of a visit that maps landmarks; some were seen `ages` ago [s], some `vague`."""
+    rng = np.random.default_rng(seed)
+    own = mapped(places, rng, (1.0, -2.0, 2.5))
+    more = np.diag([1.0 if n in vague else 0.0 for n in places for _ in range(2)])
+    own = replace(own, covariance=own.covariance + more)
+    data = VisitData(visit, f"{visit}-{seed}", 0.0, own)
+    seen = dict.fromkeys(places, 1.0) | dict(ages)
+    return visit_message(data, VisitCounts(dict(frames)), seen, "home", ended)
+
+
+def pushed(places, *names, by=PUSH):
+    return places | {n: places[n] + by for n in names}
 
 
 class Merging:

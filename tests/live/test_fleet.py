@@ -10,9 +10,9 @@ import time
 import numpy as np
 import pytest
 from brokers import LocalBroker, needs_broker, wait
-from fleet_rig import Merging, kept, linked, merging
+from fleet_rig import PUSH, Merging, kept, linked, merging, pushed, visited
 from live_rig import Rig, texts
-from test_fleet_merging import PUSH, at, pushed, visited
+from test_fleet_merging import at
 from test_live_place import LANDMARKS, hall, localised  # noqa: F401
 from typer.testing import CliRunner
 from visited import room

@@ -12,8 +12,7 @@ import time
 import numpy as np
 import pytest
 from brokers import needs_broker, wait
-from fleet_rig import kept, linked, merging
-from test_fleet_merging import pushed, visited
+from fleet_rig import kept, linked, merging, pushed, visited
 from visited import new_place, room
 
 from homeward.errors import InputError

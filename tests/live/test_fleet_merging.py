@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from fleet_rig import PUSH, pushed, visited
 from live_rig import Rig
 from test_live_place import LANDMARKS, hall, localised  # noqa: F401
 from visited import mapped, new_place, room
@@ -38,8 +39,6 @@ from homeward.places.files import load_place, newest, save_place
 from homeward.places.place import StoredHome
 from homeward.places.visit_data import VisitCounts, VisitData
 
-PUSH = np.array([0.6, -0.5])
-
 
 @pytest.fixture
 def folder(tmp_path):
@@ -57,21 +56,6 @@ def opened(folder, **options):
     shared = SharedPlace(folder, **options)
     shared.load(0.0, 1.0)
     return shared
-
-
-def visited(visit, places, seed=1, ages=(), ended=False, vague=(), frames=()):
-    """The message of a visit that maps landmarks; some were seen `ages` ago [s], some `vague`."""
-    rng = np.random.default_rng(seed)
-    own = mapped(places, rng, (1.0, -2.0, 2.5))
-    more = np.diag([1.0 if n in vague else 0.0 for n in places for _ in range(2)])
-    own = replace(own, covariance=own.covariance + more)
-    data = VisitData(visit, f"{visit}-{seed}", 0.0, own)
-    seen = dict.fromkeys(places, 1.0) | dict(ages)
-    return visit_message(data, VisitCounts(dict(frames)), seen, "home", ended)
-
-
-def pushed(places, *names, by=PUSH):
-    return places | {n: places[n] + by for n in names}
 
 
 def add(shared, robot, places, now, **options):
