@@ -1,22 +1,24 @@
 """Faults in the middle of a drive: how long is the pose wrong, and when is it noticed?
 
-`python -m benchmarks.faults [--drive FOLDER] [--begin 100] [--seconds 30] [--fault NAME ...]` plays
-the sample, or another drive with ground truth, through the localiser, each time with one fault. For
-each: the time with the status localised and an error of more than 0.3 m and 4 sigma, in sum and the
-longest interval [s], the largest such error [m], the time from the beginning of the fault to the
-first answer that is not localised [s], the share of the drive localised, and its first reason.
-`--list` prints the faults.
+`python -m benchmarks.faults [--drive FOLDER] [--begin 100] [--seconds 30] [--view 360]
+[--fault NAME ...]` plays the sample, or another drive with ground truth, through the localiser,
+each time with one fault; its camera may see fewer degrees than that of the drive. For each: the
+time with the status localised and an error of more than 0.3 m and 4 sigma, in sum and the longest
+interval [s], the largest such error [m], the time from the beginning of the fault to the first
+answer that is not localised [s], the share of the drive localised, and its first reason. `--list`
+prints the faults.
 """
 
 import math
 from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks import monte_carlo
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Drive, Sightings
 from homeward.drives.opening import open_drive, sample_drive
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
@@ -278,6 +280,19 @@ def played(localizer: Localizer, samples: Samples) -> Iterator[tuple[float, Esti
             yield s.at, localizer.bearings(s.stamp, s.seen)
 
 
+def seen_within(drive: Drive, view: float) -> Drive:
+    """Return a drive whose camera has a field of view [rad]."""
+    seen = drive.sightings
+    rows = [
+        row
+        for row in zip(
+            seen.t.tolist(), seen.landmark, seen.bearing.tolist(), seen.sigma.tolist(), strict=True
+        )
+        if abs(row[2]) <= 0.5 * view
+    ]
+    return replace(drive, sightings=Sightings.of_rows(rows))
+
+
 def sizes(answer: Estimate, true: Pose) -> tuple[float, float]:
     """Return the error of a position [m], and over its covariance [standard deviations]."""
     if answer.pose is None or answer.covariance is None:
@@ -324,12 +339,13 @@ def row(name: str, found: Outcome) -> str:
 
 def main() -> None:
     options = monte_carlo.parsed(
-        __doc__, drive="", begin=100.0, seconds=30.0, fault=FAULTS, list=False
+        __doc__, drive="", begin=100.0, seconds=30.0, view=360.0, fault=FAULTS, list=False
     )
     if options.list:
         print("\n".join(FAULTS))
         return
     drive = open_drive(Path(options.drive) if options.drive else sample_drive())
+    drive = seen_within(drive, math.radians(options.view))
     scene = scene_of(drive, options.begin, options.seconds)
     print("| fault | wrong [s] | longest [s] | worst [m] | noticed [s] | localised | reason |")
     print("|---|---|---|---|---|---|---|")

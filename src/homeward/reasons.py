@@ -32,6 +32,7 @@ class Reason(_Words):
     ODOMETRY_CHANGED = (
         "odometry moves by another scale than before: wheels spin, or one of them is blocked"
     )
+    UNSOLVED = "odometry and bearings do not fit together; drive on"
     NO_BEARINGS = "no bearings now"
     HOME_AMBIGUOUS = (
         "home bearings without ids fit no place of the map better than all others; drive on"

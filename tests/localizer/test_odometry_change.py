@@ -8,6 +8,7 @@ from localizer.rig import Rig, eight, ring
 
 from homeward.estimator import Status
 from homeward.localizer.map.learning.changes import scale_change
+from homeward.localizer.recovery.monitor import has_other_scale
 from homeward.reasons import Reason
 
 
@@ -35,11 +36,17 @@ def longest_wrong(rig, since):
     return longest
 
 
+def narrow(seen):
+    """Return what a camera of 62 degrees sees."""
+    return {n: b for n, b in seen.items() if abs(b) < math.radians(31.0)}
+
+
 SPINS = {
     "half": lambda v, omega: (0.5 * v, omega),
     "one and a half": lambda v, omega: (1.5 * v, omega),
     "twice": lambda v, omega: (2.0 * v, omega),
     "three times": lambda v, omega: (3.0 * v, omega),
+    "five times": lambda v, omega: (5.0 * v, omega),
 }
 
 
@@ -57,6 +64,30 @@ def test_wheels_that_spin_are_named_and_never_believed(change):
     assert longest_wrong(rig, began) <= 1.0
     assert rig.answers[-1][0].status is Status.LOCALISED
     assert rig.error() < 0.15
+
+
+@pytest.mark.parametrize("change", SPINS)
+def test_a_narrow_camera_does_not_believe_wheels_that_spin(change):
+    rig = Rig(ring(16), promise=None)
+    rig.drive(60.0, see=narrow)
+    began = rig.t
+    assert rig.answers[-1][0].status is Status.LOCALISED
+    stop = spinning(rig, SPINS[change])
+    rig.drive(20.0, see=narrow)
+    stop()
+    rig.drive(20.0, see=narrow)
+    assert longest_wrong(rig, began) <= 1.0
+
+
+def test_a_map_made_with_wheels_that_spin_has_another_scale():
+    right, again, wrong = Rig(ring(8)), Rig(ring(8), 1), Rig(ring(8), promise=None)
+    spinning(wrong, SPINS["twice"])
+    maps = []
+    for rig in (right, again, wrong):
+        rig.drive(30.0)
+        maps.append(rig.localizer.chart.map.landmarks)
+    assert not has_other_scale(maps[0], maps[1])
+    assert has_other_scale(maps[0], maps[2])
 
 
 def test_right_odometry_is_never_said_to_have_changed():

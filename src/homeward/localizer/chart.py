@@ -259,8 +259,10 @@ class Chart:
             is_open = self.extrinsics.is_turn_open(state.calibration_variances)
             if self.map.camera_jump.is_suspected or is_open:
                 doubt = Reason.CAMERA_TURNED.words
-            if self.map.odometry_change.is_suspected:
+            if self.map.odometry_change.is_suspected or self.map.is_scale_open:
                 doubt = Reason.ODOMETRY_CHANGED.words
+            if self.map.smoother.is_unsolved:
+                doubt = doubt or Reason.UNSOLVED.words
             if doubt is not None:
                 found = dataclasses.replace(found, status=Status.UNVERIFIED, reason=doubt)
         if self._contradiction.is_proved:
@@ -368,7 +370,8 @@ class Chart:
         if not self.map.inflate(gated):
             return False
         rejected = self.map.landmarks.update_rejections(gated.fits)
-        moved = self.monitor.moved_landmarks(rejected) if rejected else []
+        in_doubt = not rejected or self.map.has_doubt
+        moved = [] if in_doubt else self.monitor.moved_landmarks(rejected)
         try:
             changed = self.map.update(gated, moved)
             carried = carried_since(self.map.landmarks) if changed else None

@@ -40,6 +40,7 @@ from homeward.localizer.map.ranges import RangeInput
 from homeward.localizer.motion.odometry import lag_notes
 from homeward.localizer.motions import HEAD
 from homeward.localizer.output.faces import EstimatedCalibration, MapSnapshot, PredictedBearings
+from homeward.localizer.recovery.monitor import has_other_scale
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
 from homeward.odometry.clock import MAX_DELAY_S, Clock
@@ -132,6 +133,8 @@ class Localizer:
         """The second chart, begun when the robot was lost in the first."""
         self._candidate_lead = 0
         """How many more sightings fit the second, since it began or was last the worse one."""
+        self._is_rescaled = False
+        """Whether the second has another scale: wheels spin, and its distances are wrong."""
         self._reorder = ReorderBuffer()
         self._sign_checks = SignChecks(self._robot)
         self._plausibility, self._dead = Plausibility(), DeadOdometry()
@@ -340,9 +343,9 @@ class Localizer:
     def chart(self) -> Chart:
         """The chart that answers: the second one where it alone has a pose."""
         candidate = self._candidate_chart
-        if candidate is not None and candidate.has_pose and not self._chart.has_pose:
-            return candidate
-        return self._chart
+        if candidate is None or self._is_rescaled or self._chart.has_pose:
+            return self._chart
+        return candidate if candidate.has_pose else self._chart
 
     @property
     def charts(self) -> tuple[Chart, ...]:
@@ -478,6 +481,9 @@ class Localizer:
         the innovations in the chart that answers.
         """
         innovations = candidate.add_bearings(frame, here, self._t)
+        maps = self._chart.map, candidate.map
+        is_younger = maps[1].smoother.newest < maps[0].smoother.newest
+        self._is_rescaled = is_younger and has_other_scale(*(m.landmarks for m in maps))
         gained = sum(i.accepted for i in innovations) - sum(i.accepted for i in before)
         self._candidate_lead = max(0, self._candidate_lead + gained)
         if self._candidate_lead >= SWITCH_MARGIN and self._is_sure(candidate):
@@ -492,13 +498,14 @@ class Localizer:
 
     def _is_sure(self, chart: Chart) -> bool:
         """Return whether a chart has a pose to rely on."""
-        return chart.estimate(self._t).status is Status.LOCALISED
+        is_wrong = self._is_rescaled and chart is self._candidate_chart
+        return not is_wrong and chart.estimate(self._t).status is Status.LOCALISED
 
     def _begin_candidate(self, t: float) -> None:
         """Begin a second chart at the robot, at `t` [s]."""
         anywhere = self.chart.drive.model_copy(update={"start": None})
         self._candidate_chart = self._new_chart(anywhere, copy.deepcopy(self.counts))
-        self._candidate_lead = 0
+        self._candidate_lead, self._is_rescaled = 0, False
         if self._keeps:
             self._candidate_chart.retain_marginalised()
         self._candidate_chart.begin(t)

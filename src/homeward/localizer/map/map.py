@@ -28,6 +28,7 @@ from homeward.localizer.motions import (
     CAMERA_Y,
     CAMERA_YAW,
     DELAY,
+    SPEED_SCALE,
     TURN_SLIP,
     Motion,
     camera_after,
@@ -45,6 +46,7 @@ from homeward.localizer.tunables import (
     LONG_WINDOW,
     MAX_IDS,
     MAX_PER_KEYFRAME,
+    MIN_CHANGE,
     NEGLIGIBLE,
     STANDSTILL,
 )
@@ -99,6 +101,8 @@ class Map:
         self.registration = Registration(survey, self.landmarks)
         self.camera_jump, self.odometry_change = ChangeTest(), ChangeTest()
         """Tests for a knocked camera, and for another scale of the odometry."""
+        self._scale_before: float | None = None
+        """Scale of the speed before it changed, until it is that again [1]; None: no change."""
         self.denied_at = -settings.window
         """Newest keyframe at which bearings denied a motion: then the window is solved often."""
         self.begun = t
@@ -183,20 +187,35 @@ class Map:
                 break
 
     def _learn_bearings(self) -> None:
-        """Learn from the residuals of bearings, and marginalise."""
-        self._learner.learn_bearings(self.smoother, self.landmarks)
+        """Test for changes of the robot, learn from the residuals of bearings, and marginalise."""
+        if self._learner.is_noise_confirmed:
+            self._test_changes()
+        if not self.has_doubt:  # residuals are those of the change, not of noise or walkers
+            self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
-        if self.smoother.converged and self._learner.is_noise_confirmed:
-            widest = self._extrinsics.widest(self.smoother.state.scale)
-            self.camera_jump.add_yaw(self.smoother, widest)
-            self.odometry_change.add_scale(self.smoother, self.camera_jump.square)
-            if self.odometry_change.is_suspected:
-                self.camera_jump = ChangeTest()
-            if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
-                self.denied_at = self.smoother.newest
         if self._learner.free_contradicted(self.smoother):
             self._solve()
         self._marginalise_old()
+
+    def _test_changes(self) -> None:
+        """Test the last solution for a knocked camera, and for another scale of the odometry."""
+        widest = self._extrinsics.widest(self.smoother.state.scale)
+        self.camera_jump.add_yaw(self.smoother, widest)
+        self.odometry_change.add_scale(self.smoother, self.camera_jump.square)
+        if self.odometry_change.square > self.camera_jump.square:
+            self.camera_jump = ChangeTest()
+        if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
+            self.denied_at = self.smoother.newest
+        if self._scale_before is not None:
+            change = abs(float(self.smoother.state.calibration[SPEED_SCALE]) - self._scale_before)
+            sigma = math.sqrt(self.smoother.state.calibration_variances[SPEED_SCALE])
+            if change + INLIER * sigma < MIN_CHANGE:
+                self._scale_before = None
+
+    @property
+    def has_doubt(self) -> bool:
+        """Whether the camera or the odometry may have changed: then no landmark counts as moved."""
+        return self.camera_jump.is_suspected or self.odometry_change.is_suspected
 
     def _learn_odometry(self) -> None:
         """Learn from the residuals of motions."""
@@ -212,8 +231,18 @@ class Map:
         self.camera_jump = ChangeTest()
         self._solve()
 
+    @property
+    def is_scale_open(self) -> bool:
+        """Whether the speed has changed its scale, and is not known to have the former one again.
+
+        Wheels that spin or slip do so by another factor the next moment.
+        """
+        return self._scale_before is not None
+
     def change_odometry(self, change: ModelChange) -> None:
         """Free the scale of the speed; see `Smoother.change_odometry`."""
+        if self._scale_before is None:
+            self._scale_before = float(self.smoother.state.calibration[SPEED_SCALE])
         self.smoother.change_odometry(change.keyframe)
         self.landmarks.drop_candidates_before(self.smoother.first)
         self.odometry_change = ChangeTest()

@@ -137,7 +137,9 @@ class Smoother:
         self.shift_variances: list[float] = []
         """The same of shift [m^2]."""
         self.converged = True
-        """Whether the last `solve` converged."""
+        """Whether the last `solve` converged ..."""
+        self._converged_at = 0
+        """... and the newest keyframe when one did last."""
         self.mount_sigmas = mount_sigmas
         """Priors that may change are never marginalised: of the extrinsics ..."""
         self.slip_sigma = max(float(odometry_sigmas[TURN_SLIP]), MIN_CALIBRATION_SIGMA)
@@ -228,6 +230,14 @@ class Smoother:
     def newest(self) -> int:
         """Number of the newest keyframe."""
         return self.first + len(self._poses) - 1
+
+    @property
+    def is_unsolved(self) -> bool:
+        """Whether the solutions of the last two keyframes have not converged.
+
+        Then the covariance is not that of a minimum: bearings and odometry contradict each other.
+        """
+        return self.newest - self._converged_at >= 2
 
     @property
     def range_scale(self) -> float:
@@ -447,6 +457,8 @@ class Smoother:
         mean = np.concatenate([found.poses[-1], found.shared])
         self._poses, self.state = GrowingTable.of(found.poses), Marginal(mean, found.covariance)
         self._bounded, self.converged = found.is_bounded, found.has_converged
+        if self.converged:
+            self._converged_at = self.newest
 
     def without_survey(self, size: float) -> Marginal:
         """Return the state without the survey; each landmark has a prior of `size` [m] instead."""

@@ -20,6 +20,7 @@ import numpy as np
 from homeward.estimator import MIN_AGREEING, Innovation
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import position_sigma
+from homeward.geometry.se2 import MIN_DISTANCE
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.gating import Gated
 from homeward.localizer.map.landmarks import Landmarks
@@ -32,6 +33,7 @@ from homeward.localizer.tunables import (
     INLIER,
     LINEAR,
     MAJORITY,
+    MIN_CHANGE,
     MIN_TOGETHER,
     MINIMAL,
     RECENT,
@@ -358,6 +360,34 @@ def carried_at(displaced: Displaced, entered: np.ndarray, last: np.ndarray) -> i
         if moved >= MIN_TOGETHER and moved - stayed > best:
             best, when = moved - stayed, k
     return when
+
+
+def has_other_scale(before: Landmarks, now: Landmarks) -> bool:
+    """Return whether a newer map has another scale than one before: wheels spun or were blocked.
+
+    The median distance between two landmarks of both is compared, since some may have moved.
+    """
+    names = [name for name in now.mapped if name in before.mapped]
+    if len(names) < MINIMAL:
+        return False
+    log_distances, variances = zip(*(_log_distances(m, names) for m in (before, now)), strict=True)
+    change = log_distances[1] - log_distances[0]
+    deviation = float(np.median(change / np.sqrt(sum(variances))))
+    return abs(float(np.median(change))) > math.log1p(MIN_CHANGE) and abs(deviation) > INLIER
+
+
+def _log_distances(known: Landmarks, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Return the logarithms of the distances of m pairs of landmarks, (m,), and their variances."""
+    state = known.smoother.all_landmarks.joint(known.ids(names))
+    i, j = np.triu_indices(len(names), 1)
+    apart = state.positions[i] - state.positions[j]
+    square = np.maximum((apart**2).sum(axis=1), MIN_DISTANCE**2)
+    jacobian = np.zeros((i.size, state.mean.size))
+    rows = np.arange(i.size)[:, None]
+    jacobian[rows, Marginal.columns(i)] = apart / square[:, None]
+    jacobian[rows, Marginal.columns(j)] = -apart / square[:, None]
+    variance = ((jacobian @ state.covariance) * jacobian).sum(axis=1)
+    return 0.5 * np.log(square), variance
 
 
 def moved_together(displaced: Displaced) -> np.ndarray:

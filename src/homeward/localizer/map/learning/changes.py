@@ -74,6 +74,11 @@ class ChangeTest:
         """Squared Mahalanobis distance from no change, if one is possible."""
         return 0.0 if self.possible is None else self.possible.square
 
+    @property
+    def _gate(self) -> float:
+        """Gate of a suspicion, which stays until a single test is passed [standard deviations]."""
+        return INLIER if self.is_suspected else GATE
+
     def _add(
         self, found: ModelChange | None, possible: bool, suspected: bool, proved: bool
     ) -> None:
@@ -95,26 +100,24 @@ class ChangeTest:
         self._add(
             found,
             square > INLIER**2 or evidence > 0.0,
-            square > GATE**2 or evidence > MIN_JUMP_EVIDENCE,
+            square > self._gate**2 or evidence > MIN_JUMP_EVIDENCE,
             square > FINAL_GATE**2 and is_linear,
         )
 
     def add_scale(self, smoother: Smoother, rival: float) -> None:
         """Test a solution for another scale of the odometry's speed.
 
-        It is proved if it explains more than a rival by the gate of final decisions, and is no
-        drift; `rival` is the squared Mahalanobis distance of another explanation. It is also
-        suspected where one that was applied was none. `numpy.linalg.LinAlgError` as for `add_yaw`.
+        It is suspected and proved by the same gates, if it is no drift, and explains more than a
+        rival by the gate of a single test; `rival` is the squared Mahalanobis distance of another
+        explanation. It is also suspected where one that was applied was none.
+        `numpy.linalg.LinAlgError` as for `add_yaw`.
         """
         found, scale = scale_change(smoother), 1.0 + smoother.state.calibration[SPEED_SCALE]
-        proved = (
-            found is not None
-            and found.square > rival + FINAL_GATE**2
-            and abs(found.size) > MIN_CHANGE
-            and scale + found.size > MIN_SCALE
-        )
+        is_change = found is not None and abs(found.size) > MIN_CHANGE
+        square = found.square if found is not None and is_change else 0.0
         # Wheels that hardly move the robot, or move it backwards, are no change of the scale.
-        suspected = proved or bool(scale < MIN_SCALE)
+        suspected = square > self._gate**2 or bool(scale < MIN_SCALE)
+        proved = square > max(FINAL_GATE**2, rival + INLIER**2)
         self._add(found, suspected, suspected, proved)
 
 
