@@ -1,11 +1,10 @@
-"""Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; plain iSAM2.
+"""Runtime per keyframe: 20 landmarks at 2 keyframes/s, also over hours; 500 landmarks; a hall.
 
-`python -m benchmarks.cost [--hours 8] [--part steady|long|many|hall|peer|ekf|mcap ...]` prints
+`python -m benchmarks.cost [--hours 8] [--part steady|long|many|hall|ekf|mcap ...]` prints
 milliseconds of processor time of one call of `bearings` (OPENBLAS_NUM_THREADS=1 keeps it on one
-core). The peer is a plain GTSAM script that keeps the pose of every sample, on the samples of the
-first part. `hall` drives for `--seconds` on the lanes of a hall with 576 posts, of which a camera
-of 60 degrees sees four at a time. `ekf` is 20 landmarks at 20 Hz next to an EKF that is given the
-map and the start.
+core). `hall` drives for `--seconds` on the lanes of a hall with 576 posts, of which a camera of 60
+degrees sees four at a time. `ekf` is 20 landmarks at 20 Hz next to an EKF that is given the map and
+the start.
 `mcap` is the processor time of the estimation of whole drives, one in circles and those after
 `--drive` (by default the sample), and of writing run.mcap; the first includes the types of ROS.
 """
@@ -72,51 +71,6 @@ def milliseconds(drive: Drive, localizer: Estimator | None = None) -> tuple[np.n
         cost.append(1e3 * (time.process_time() - began))
         found.append(estimate.pose is not None)
     return np.array(cost), np.array(found)
-
-
-def plain_isam2(drive: Drive, most: int) -> np.ndarray:
-    """Return the runtime of each stamp [ms] of a plain iSAM2 that keeps all poses."""
-    import gtsam
-
-    isam, x, mark = gtsam.ISAM2(), gtsam.symbol_shorthand.X, gtsam.symbol_shorthand.L
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    tight = gtsam.noiseModel.Isotropic.Sigma(3, 1e-3)
-    step_noise = gtsam.noiseModel.Diagonal.Sigmas(np.array([0.01, 0.005, 0.01]))
-    bearing_noise = gtsam.noiseModel.Isotropic.Sigma(1, 0.01)
-    weak = gtsam.noiseModel.Isotropic.Sigma(2, 10.0)
-    o, pose, k, known, cost = drive.odometry, gtsam.Pose2(), 0, set(), []
-    last = float(drive.sightings.t[0])
-    for stamp, (t, seen, _) in enumerate(drive.sightings.stamps()):
-        if stamp == most:
-            break
-        moved = gtsam.Pose2()
-        while k + 1 < o.t.size and o.t[k + 1] <= t:
-            dt = o.t[k + 1] - max(o.t[k], last)
-            if dt > 0:
-                moved = moved.compose(gtsam.Pose2(o.v[k] * dt, 0.0, o.omega[k] * dt))
-            k += 1
-        last = t
-        began = time.process_time()
-        pose = pose.compose(moved)
-        if stamp == 0:
-            graph.add(gtsam.PriorFactorPose2(x(0), pose, tight))
-        else:
-            graph.add(gtsam.BetweenFactorPose2(x(stamp - 1), x(stamp), moved, step_noise))
-        values.insert(x(stamp), pose)
-        for name, beta in seen.items():
-            i = int(name.strip("L"))
-            if i not in known:
-                known.add(i)
-                away = pose.transformFrom(4.0 * np.array([np.cos(beta), np.sin(beta)]))
-                values.insert(mark(i), away)
-                graph.add(gtsam.PriorFactorPoint2(mark(i), away, weak))
-            seen_at = gtsam.Rot2.fromAngle(beta)
-            graph.add(gtsam.BearingFactor2D(x(stamp), mark(i), seen_at, bearing_noise))
-        isam.update(graph, values)
-        pose = isam.calculateEstimatePose2(x(stamp))
-        graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        cost.append(1e3 * (time.process_time() - began))
-    return np.array(cost)
 
 
 def steady() -> None:
@@ -213,15 +167,6 @@ def hall(seconds: float) -> None:
     )
 
 
-def peer() -> None:
-    drive = make_drive(20, 1200)
-    ours, _ = milliseconds(drive)
-    theirs = plain_isam2(drive, ours.size)
-    for name, part in (("first tenth", slice(0, 240)), ("last tenth", slice(-240, None))):
-        a, b = np.median(ours[part]), np.median(theirs[part])
-        print(f"plain iSAM2, {name}: {b:.2f} ms against {a:.2f} ms, ratio {b / a:.1f}")
-
-
 def ekf() -> None:
     scene = simulated(20, 120, rate=20.0)
     drive, world = scene.drive, scene.world
@@ -259,7 +204,7 @@ def mcap(paths: list[str]) -> None:
 
 
 def main() -> None:
-    parts = {"steady": steady, "long": lambda: long(options.hours), "many": many, "peer": peer}
+    parts = {"steady": steady, "long": lambda: long(options.hours), "many": many}
     parts |= {"hall": lambda: hall(options.seconds)}
     parts |= {"ekf": ekf, "mcap": lambda: mcap(options.drive)}
     options = monte_carlo.parsed(__doc__, hours=8.0, seconds=1500.0, part=parts, drive=[SAMPLE])
