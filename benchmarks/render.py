@@ -1,11 +1,10 @@
-"""Rendered sparse rooms: bearings, heading and direction from pairs; homing by images; runtime.
+"""Homing by images in rendered sparse rooms, and the runtime of a picture.
 
-The rooms of `benchmarks.rooms` in turn, furnished according to the seed. Pairs: home
-against a position up to 3 m away, nothing moved. Homings: from up to 4 m with unknown heading,
-three boxes moved since home, a person walking through; in four of five the camera has another tilt
-in each picture.
+The rooms of `benchmarks.rooms` in turn, furnished according to the seed: from up to 4 m with
+unknown heading, three boxes moved since home, a person walking through; in four of five the camera
+has another tilt in each picture. `benchmarks.vision` compares pairs of pictures.
 
-    python -m benchmarks.render --pairs 60 --homings 50 --width 1024
+    python -m benchmarks.render --homings 50 --width 1024
 
 `--first 1000` uses rooms with other furniture: for the development of methods.
 """
@@ -13,31 +12,25 @@ in each picture.
 import math
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing import Pool
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 
 from benchmarks import monte_carlo
 from benchmarks.rooms import PLANS, room
-from homeward.drives.cameras.camera import unit_vectors
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose, to_polar
-from homeward.io.settings import validated
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.render.drive import Eye, ImageLoop, panorama_of, things_seen
-from homeward.lab.simulation.render.rays.raycast import points, trace
+from homeward.lab.simulation.render.drive import Eye, ImageLoop, things_seen
 from homeward.lab.simulation.render.room.settings import RenderScenario
 from homeward.registry import make_estimator
 from homeward.runs.scoring import errors
 from homeward.track import track_of
-from homeward.vision.comparison import Comparison, compare
-from homeward.vision.features.detection import Features, extract
+from homeward.vision.features.detection import Features
 from homeward.vision.opencv import opencv
 
 MAX_END_M = 0.02  # maximum distance from home at the end of a successful homing [m]
@@ -52,40 +45,16 @@ TILTS = (0.0, 0.01, 0.02, 0.02, 0.03)
 T = TypeVar("T")
 
 
-def room_number(number: int, distance: tuple[float, float], moved: int) -> dict[str, Any]:
-    """Return the settings of room number `number`, in which `robust` drives home."""
+def scenario(number: int, width: int) -> RenderScenario:
+    """Return room number `number`, in which `robust` drives home by images of `width` columns."""
     names = list(PLANS)
-    made = room(names[number % len(names)], number // len(names), distance, moved)
-    return made.model_dump(exclude_none=True) | {"estimator": "robust"}
-
-
-def scenario(number: int, width: int, distance: tuple[float, float], moved: int) -> RenderScenario:
-    """Return room number `number` with a camera of `width` columns."""
-    tree = room_number(number, distance, moved)
-    tree["camera"] |= {"width": width, "height": width // 4}
-    if not moved:
-        tree["furnish"]["movers"] = 0
-    return validated(RenderScenario, tree)
-
-
-def feature_points(eye: Eye, home: Features) -> np.ndarray:
-    """Return the points (n, 3) [m] that the features of home's picture show."""
-    view = eye.home_view
-    rays = unit_vectors(home.azimuth, home.elevation)
-    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
-    return points(trace(surfaces, view, rays), view, rays)
+    made = room(names[number % len(names)], number // len(names))
+    camera = made.camera.model_copy(update={"width": width, "height": width // 4})
+    return made.model_copy(update={"camera": camera, "estimator": "robust"})
 
 
 def moved_boxes(eye: Eye) -> frozenset[str]:
     return frozenset(n for n, box in eye.scenario.boxes.items() if box.stood is not None)
-
-
-def motion_errors(seen: Comparison, robot: Pose) -> tuple[float, float, float]:
-    """Return the errors of direction and heading [deg], and their NEES; NaN if not accepted."""
-    true = to_polar(robot)
-    error = wrap(np.array([seen.direction - true.theta, seen.heading - true.alpha]))
-    nees = error @ np.linalg.solve(seen.covariance, error) if seen.accepted else math.nan
-    return *np.degrees(error).tolist(), float(nees)
 
 
 def timed(add: Callable[[float], object], call: Callable[..., T], *given: object) -> T:
@@ -94,29 +63,6 @@ def timed(add: Callable[[float], object], call: Callable[..., T], *given: object
     made = call(*given)
     add(time.process_time() - began)
     return made
-
-
-def in_processes(drive: Callable[[int], T], numbers: range) -> Iterator[T]:
-    with Pool(2) as pool:
-        yield from pool.imap(drive, numbers)
-
-
-def pair(number: int, width: int) -> tuple[bool, np.ndarray, float, float, float]:
-    """Compare home with a position up to 3 m away.
-
-    Returned are acceptance, errors of bearings, direction and heading [deg], and NEES.
-    """
-    eye = Eye(scenario(number, width, (0.3, 3.0), moved=0))
-    camera = panorama_of(eye)
-    robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-    home, now = (extract(p, camera) for p in (eye.home_picture(), eye.look(0.0, robot, 1)))
-    seen = compare(home, now, camera)
-    place = feature_points(eye, home)[seen.home_row[seen.agrees]]
-    there = eye.view(robot, 1)
-    x, y, _ = ((place - there.position) @ there.rotation).T
-    off = np.degrees(np.abs(wrap(seen.pairs.now[seen.agrees, 0] - np.arctan2(y, x))))
-    direction, heading, nees = motion_errors(seen, robot)
-    return seen.accepted, off if seen.accepted else off[:0], abs(direction), abs(heading), nees
 
 
 @dataclass
@@ -140,7 +86,7 @@ class Homing:
 
 def homing(number: int, width: int) -> Homing:
     opencv().setNumThreads(1)
-    made = scenario(number, width, (1.0, 4.0), moved=3)
+    made = scenario(number, width)
     tilt = TILTS[number // len(PLANS) % len(TILTS)]
     changes = {
         "rates": made.rates.model_copy(update={"bearings": IMAGES_PER_S}),
@@ -191,30 +137,13 @@ def at_edge(eye: Eye, home: Features, moved: frozenset[str]) -> np.ndarray:
     return nearest <= home.size
 
 
-def print_pairs(number: int, width: int) -> None:
-    good = [p[1:] for p in (pair(i, width) for i in range(number)) if p[0]]
-    print(f"{number} pairs up to 3 m apart, {width}x{width // 4}: {len(good)} accepted")
-    each, direction, heading, nees = zip(*good, strict=True)
-    print(f"  matched landmarks per pair: median {np.median([len(b) for b in each]):.0f}")
-    for name, error, goals in (
-        ("bearings", np.concatenate(each), "median 0.1"),
-        ("heading", heading, "95 % 0.1"),
-        ("direction", direction, "95 % 0.3"),
-    ):
-        median, most = np.quantile(error, [0.5, 0.95])
-        print(f"  error of {name}: median {median:.3f} deg, 95 % {most:.3f} (goal: {goals})")
-    print(
-        f"  NEES of (heading, direction): mean {np.mean(nees):.2f} (expected 2), median "
-        f"{np.median(nees):.2f} (1.39)"
-    )
-
-
 def print_homings(first: int, number: int, width: int) -> None:
     made = []
-    for one in in_processes(partial(homing, width=width), range(first, first + number)):
-        made.append(one)
-        done = "" if one.done else ", not reported"
-        print(f"  {one.words}, {100 * one.distance:.1f} cm from home{done}", flush=True)
+    with Pool(2) as pool:
+        for one in pool.imap(partial(homing, width=width), range(first, first + number)):
+            made.append(one)
+            done = "" if one.done else ", not reported"
+            print(f"  {one.words}, {100 * one.distance:.1f} cm from home{done}", flush=True)
     distance = np.array([h.distance for h in made])
     false = sum(h.done and h.distance >= MAX_END_M for h in made)
     nees = np.concatenate([h.nees for h in made if h.nees.size] or [[math.nan]])
@@ -250,7 +179,7 @@ def print_speed(width: int) -> None:
     opencv().setNumThreads(1)
     each = []
     for number in range(len(PLANS)):
-        eye = Eye(scenario(number, width, (1.0, 4.0), moved=3))
+        eye = Eye(scenario(number, width))
         robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
         times: list[float] = []
         for k in range(30):
@@ -265,15 +194,12 @@ def print_speed(width: int) -> None:
 
 def main() -> None:
     options = monte_carlo.parsed(
-        __doc__, pairs=60, homings=50, first=0, width=[1024], speed=[512, 1024, 2048]
+        __doc__, homings=50, first=0, width=[1024], speed=[512, 1024, 2048]
     )
     for width in options.speed:
         print_speed(width)
-    for width in options.width:
-        if options.pairs:
-            print_pairs(options.pairs, width)
-        if options.homings:
-            print_homings(options.first, options.homings, width)
+    for width in options.width if options.homings else ():
+        print_homings(options.first, options.homings, width)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The camera front-end on images: direction home, heading, NEES, false accepts, runtime.
 
 `python -m benchmarks.vision [--part NAME ...] [--seeds 6]` prints the figures of these parts:
-antworld, route, speed, rooms, strangers, exposure, tilt. The data sets antworld_rendered and
+antworld, route, speed, still, rooms, strangers, exposure, tilt. The data sets antworld_rendered and
 alife_outdoor_panoramas are read from HOMEWARD_DATA, else from ../shared/data; rooms are rendered.
 Headings on antworld are compared with the image difference compass of Zeil, Hofmann and Chahl
 (JOSA A 2003): the rotation of least image difference.
@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from functools import cache, partial
 from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from benchmarks.mrclam import data
 from benchmarks.rooms import PLANS, room
 from benchmarks.timing import clock, in_turns
 from homeward.geometry.angles import wrap
+from homeward.geometry.frames import Pose
+from homeward.lab.simulation.render.drive import Eye
+from homeward.lab.simulation.render.rays.raycast import points, trace
 from homeward.runs.scoring import normalised_squared
 from homeward.vision import Comparison, Equirectangular, compare, extract
 from homeward.vision.cameras.image_files import read_grey
@@ -28,8 +32,9 @@ from homeward.vision.opencv import opencv
 ANTWORLD = Equirectangular(horizon=0.8, tilt_sigma=0.005)
 """Rendered without tilt; the horizon was read from the pictures."""
 NORTH = math.pi / 2  # direction of the middle column of these pictures
-SAME, EXPOSURE = "same exposure", "other exposure"
-"""Exposure of the two pictures: equal to 5 %, or both with a standard deviation of 50 %."""
+SAME, EXPOSURE, STILL = "same exposure", "other exposure", "nothing moved"
+"""Exposure of the two pictures: equal to 5 %, or both with a standard deviation of 50 %; and rooms
+without moved boxes and people."""
 TILTS = {"tilt of 2 deg": 0.035, "tilt of 5 deg": 0.087}
 """Standard deviation of roll and pitch of both pictures [rad]."""
 MIN_TILT = 0.005
@@ -122,7 +127,7 @@ def speed(rounds: int = 15) -> None:
     opencv().setNumThreads(1)
     plain, camera = opencv().SIFT_create(), Equirectangular()
     for width, most in ((512, 35), (768, 60)):
-        home, now, _ = rendered("office", 1, width)
+        home, now = rendered("office", 1, width)[:2]
         first, second = extract(home, camera), extract(now, camera)
         calls: dict[str, Callable[[], object]] = {
             "SIFT": partial(plain.detectAndCompute, now, None),
@@ -144,10 +149,13 @@ def rooms(seeds: int, kinds: Sequence[str], widths: Sequence[int] = (1024, 512))
     """Print the errors in rendered sparse rooms with three boxes moved since home."""
     for kind, width in product(kinds, widths):
         camera = Equirectangular(tilt_sigma=TILTS.get(kind, MIN_TILT))
-        seen = []
+        seen, bearings = [], list[np.ndarray]()
         for name, seed in product(PLANS, range(seeds)):
-            home, now, truth = rendered(name, seed, width, kind)
-            seen.append((compare(extract(home, camera), extract(now, camera), camera), truth))
+            pair = rendered(name, seed, width, kind)
+            home, now = (extract(image, camera) for image in (pair.home, pair.now))
+            seen.append((found := compare(home, now, camera), pair.truth))
+            if kind == STILL and found.accepted:
+                bearings.append(bearing_errors(pair, found))
         nees = normalised_squared(*errors(f"rooms, {kind}, {width}x{width // 4}", seen))
         # The sum of n values with two degrees of freedom each is nearly normal.
         low, high = 2 + np.array([-1.96, 1.96]) * 2 / math.sqrt(len(nees))
@@ -156,6 +164,9 @@ def rooms(seeds: int, kinds: Sequence[str], widths: Sequence[int] = (1024, 512))
             f"  NEES mean {nees.mean():.2f} (expected 2, 95 %: {low:.2f} to {high:.2f}), median "
             f"{np.median(nees):.2f} (1.39), in the 95 % region {inside:.0%}"
         )
+        if bearings:
+            median, most = np.degrees(np.quantile(np.concatenate(bearings), [0.5, 0.95]))
+            print(f"  error of bearings: median {median:.3f} deg (goal 0.1), 95 % {most:.3f}")
 
 
 def strangers(seeds: int, kind: str) -> None:
@@ -174,29 +185,45 @@ def strangers(seeds: int, kind: str) -> None:
     print(f"unrelated rooms, {kind}: {len(false)} false accepts of {len(pairs)} {false}")
 
 
-@cache
-def rendered(
-    name: str, seed: int, width: int, kind: str = SAME
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return a home image, another from up to 3 m away, and true direction and heading."""
-    from homeward.geometry.frames import Polar, from_polar
-    from homeward.lab.simulation.render.drive import Eye
+class Rendered(NamedTuple):
+    """Home's image and another one from up to 3 m away, with ground truth."""
 
-    scenario = room(name, seed, distance=(0.3, 3.0))
+    home: np.ndarray
+    now: np.ndarray
+    truth: np.ndarray  # (2,), direction and heading [rad]
+    eye: Eye
+    robot: Pose
+
+
+@cache
+def rendered(name: str, seed: int, width: int, kind: str = SAME) -> Rendered:
+    """Return a pair of images in a room."""
+    scenario = room(name, seed, distance=(0.3, 3.0), moved=0 if kind == STILL else 3)
+    if kind == STILL:
+        furnish = scenario.furnish.model_copy(update={"movers": 0})
+        scenario = scenario.model_copy(update={"furnish": furnish})
     changes = {"width": width, "height": width // 4, "tilt_sigma": TILTS.get(kind, MIN_TILT)}
     if kind == EXPOSURE:
         changes["exposure_sigma"] = 0.5
     camera = scenario.camera.model_copy(update=changes)
     eye = Eye(scenario.model_copy(update={"camera": camera}))
-    start = eye.scenario.start
-    pose = from_polar(Polar(start.R, start.theta, start.alpha))
-    images = eye.home_picture(), eye.look(0.0, pose, 1)
-    home, now = eye.home_view, eye.view(pose, 1)
+    robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
+    images = eye.home_picture(), eye.look(0.0, robot, 1)
+    home, now = eye.home_view, eye.view(robot, 1)
     way = home.rotation.T @ (now.position - home.position)
     turn = home.rotation.T @ now.rotation
     truth = np.array([math.atan2(way[1], way[0]), math.atan2(turn[1, 0], turn[0, 0])])
     grey = [np.rint(image @ [0.114, 0.587, 0.299]).astype(np.uint8) for image in images]
-    return grey[0], grey[1], truth
+    return Rendered(grey[0], grey[1], truth, eye, robot)
+
+
+def bearing_errors(pair: Rendered, seen: Comparison) -> np.ndarray:
+    """Return the errors of the bearings of the inliers [rad], from the points that they show."""
+    home, now = pair.eye.home_view, pair.eye.view(pair.robot, 1)
+    rays = seen.pairs.home_vectors[seen.agrees]
+    surfaces, _ = pair.eye.then.at(pair.eye.scenario.home_time, home)
+    x, y, _ = ((points(trace(surfaces, home, rays), home, rays) - now.position) @ now.rotation).T
+    return np.abs(wrap(seen.pairs.now[seen.agrees, 0] - np.arctan2(y, x)))
 
 
 def exposure(seeds: int) -> None:
@@ -209,6 +236,7 @@ def main() -> None:
         "antworld": lambda _: antworld(),
         "route": lambda _: route(),
         "speed": lambda _: speed(),
+        "still": lambda seeds: rooms(seeds, [STILL], [1024]),
         "rooms": lambda seeds: rooms(seeds, [SAME]),
         "strangers": lambda seeds: strangers(seeds, SAME),
         "exposure": exposure,
