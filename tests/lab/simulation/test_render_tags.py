@@ -10,10 +10,9 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, compose
 from homeward.lab.simulation.render.drive import Eye, write_rendered
-from homeward.lab.simulation.render.rays.raycast import cast, trace
 from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import tag_places
-from homeward.lab.simulation.render.shading.picture import NOTHING, rays_of
+from homeward.lab.simulation.render.shading.picture import NOTHING
 from homeward.vision.recorded.recording import see_recording
 from homeward.vision.tags.front_end import TagFrontEnd
 
@@ -68,17 +67,6 @@ def test_a_pixel_shows_what_its_ray_in_the_camera_model_meets(eye, changes):
     at = known.pixels(wrap(local), elevation, (camera.height, camera.width))
     np.testing.assert_allclose(at[0][seen], columns[seen], atol=1e-6)
     np.testing.assert_allclose(at[1][seen], rows[seen], atol=1e-6)
-
-
-@pytest.mark.parametrize("changes", [{}, FISHEYE], ids=["pinhole", "fisheye"])
-def test_windows_of_a_lens_lose_nothing(eye, changes):
-    camera = eye.scenario.camera.model_copy(update=changes)
-    rays, view = rays_of(camera), eye.view(Pose(0.1, 0.2, 0.7), 1)
-    surfaces, _ = eye.now.at(0.0, view)
-    quick, every = cast(surfaces, view, rays), trace(surfaces, view, rays.directions)
-    assert (quick.surface == every.surface).all()
-    seen = quick.surface >= 0
-    np.testing.assert_allclose(quick.distance[seen], every.distance[seen], rtol=1e-9)
 
 
 def test_tags_are_seen_where_they_hang(eye):

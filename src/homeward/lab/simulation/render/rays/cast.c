@@ -5,11 +5,11 @@
 /* Number of parallel runs: one. Called to test that the library can be loaded. */
 int homeward_lanes(void) { return 1; }
 
-#define TILES 6  /* limits of a rectangle: shift, minimum and maximum tile coordinates */
-#define WINDOW 5 /* rectangle, rows from and to, columns from and to */
+#define TILES 6   /* limits of a rectangle: shift, minimum and maximum tile coordinates */
+#define PART 1024 /* rays that stay in the first cache */
 
-/* Keep one row's hits (n) on a rectangle that are nearer than earlier hits.
- * Not inlined: compilers then still assume that rows do not overlap, and vectorise. */
+/* Keep n hits on a rectangle that are nearer than earlier hits.
+ * Not inlined: compilers then still assume that arrays do not overlap, and vectorise. */
 __attribute__((noinline)) static void meet(long n, const float *restrict x, const float *restrict y,
                                            const float *restrict z, const float *m,
                                            const float *limits, float tiny, int16_t index,
@@ -31,21 +31,15 @@ __attribute__((noinline)) static void meet(long n, const float *restrict x, cons
   }
 }
 
-/* Intersect the rays of an image, (3, height, width), in `count` windows on m rectangles, each with
- * its matrix, (m, 3, 3). Return 1 if a window is outside the image. */
-int cast(long count, long m, long height, long width, const int64_t *windows,
-         const int64_t *indices, const float *rays, const float *matrices, const float *limits,
-         double tiny, float *distance, float *across, float *along, int16_t *surface) {
-  const long plane = height * width;
-  for (const int64_t *w = windows; w < windows + WINDOW * count; w += WINDOW) {
-    const int64_t k = w[0], left = w[3], n = w[4] - left;
-    if (k < 0 || k >= m || w[1] < 0 || w[2] > height || left < 0 || w[4] > width) return 1;
-    for (int64_t i = w[1]; i < w[2]; i++) {
-      const int64_t at = i * width + left;
-      const float *ray = rays + at;
-      meet(n, ray, ray + plane, ray + 2 * plane, matrices + 9 * k, limits + TILES * k, (float)tiny,
+/* Intersect n rays, (3, n), with m rectangles, each with its matrix, (m, 3, 3). */
+void cast(long n, long m, const int64_t *indices, const float *rays, const float *matrices,
+          const float *limits, double tiny, float *distance, float *across, float *along,
+          int16_t *surface) {
+  for (long at = 0; at < n; at += PART) {
+    const long count = n - at < PART ? n - at : PART;
+    const float *x = rays + at;
+    for (long k = 0; k < m; k++)
+      meet(count, x, x + n, x + 2 * n, matrices + 9 * k, limits + TILES * k, (float)tiny,
            (int16_t)indices[k], distance + at, across + at, along + at, surface + at);
-    }
   }
-  return 0;
 }

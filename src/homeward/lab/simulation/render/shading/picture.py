@@ -8,7 +8,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from homeward.lab.simulation.render.rays.raycast import Rays, Viewpoint, cast, points
+from homeward.drives.cameras.camera import unit_vectors
+from homeward.lab.simulation.render.rays.raycast import Viewpoint, points, trace
 from homeward.lab.simulation.render.rays.surfaces import Surfaces
 from homeward.lab.simulation.render.room.settings import RoomCamera
 from homeward.lab.simulation.render.scene import RoomScene
@@ -41,20 +42,22 @@ class PixelTruth:
 @lru_cache(maxsize=2)
 def rays_of(
     camera: RoomCamera, oversampling: int = 1, dtype: type[np.floating] = np.float64
-) -> Rays:
-    """Return the rays of a camera's pixels, with n x n rays each."""
+) -> np.ndarray:
+    """Return the directions (rows, columns, 3) of the rays of a camera's pixels, n x n each."""
     rows, columns = np.indices((camera.height * oversampling, camera.width * oversampling))
     middle = [(part + 0.5) / oversampling - 0.5 for part in (columns, rows)]
-    return Rays.of(*camera.directions(*middle), dtype)
+    vectors = unit_vectors(*camera.directions(*middle))
+    # One component after the other in memory, as the compiled code takes them.
+    return np.moveaxis(np.moveaxis(vectors, -1, 0).astype(dtype, order="C"), 0, -1)
 
 
 def pixel_truth(scene: RoomScene, view: Viewpoint, t: float, camera: RoomCamera) -> PixelTruth:
     """Return the exact ground truth of every pixel's centre, in double precision."""
     rays = rays_of(camera)
     surfaces, _ = scene.at(t, view)
-    hits = cast(surfaces, view, rays)
+    hits = trace(surfaces, view, rays)
     thing = np.where(hits.surface >= 0, surfaces.thing[hits.surface], NOTHING)
-    return PixelTruth(points(hits, view, rays.directions), hits.distance, thing)
+    return PixelTruth(points(hits, view, rays), hits.distance, thing)
 
 
 def picture(
@@ -98,7 +101,7 @@ def _samples(surfaces: Surfaces, view: Viewpoint, camera: RoomCamera) -> _Sample
     """Cast four rays a pixel, and average those that meet one surface."""
     cv2 = opencv()
 
-    hits = cast(surfaces, view, rays_of(camera, 2, np.float32))
+    hits = trace(surfaces, view, rays_of(camera, 2, np.float32))
     # Without a ray the distance is not used.
     distance = np.where(hits.surface < 0, np.float32(1.0), hits.distance)
     four = [(rows, columns) for rows in (0, 1) for columns in (0, 1)]
