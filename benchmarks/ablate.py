@@ -6,19 +6,17 @@ mechanism of benchmarks.mechanisms switched off by a patch in a process of its o
 the effect of switching it off on each figure over all drives, with the decisions of
 benchmarks.paired.comparison: `!` worse, `=` no worse (3 %), `?` not decidable; nothing where all
 drives are the same. Below a mechanism are families of which a figure is worse by more than the
-margin, without a test. `--quick` means one seed of four scenarios. `--keep FILE` keeps finished
+margin, without a test. `--quick` means one seed of four scenarios. `--keep FOLDER` keeps finished
 drives, from which the same command continues. `--list` prints the mechanisms.
 """
 
 import os
 import sys
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 from benchmarks import monte_carlo
+from benchmarks.measures import Figures
 from benchmarks.mechanisms import MECHANISMS, PatchError, patches
 from benchmarks.paired.comparison import (
     ALL,
@@ -31,52 +29,28 @@ from benchmarks.paired.comparison import (
     is_beyond_margin,
     rows,
 )
-from benchmarks.paired.drives import Case, Input, cases, made
-from benchmarks.paired.processes import Kept, VariantError, Worker, in_parallel
+from benchmarks.paired.drives import Case, cases
+from benchmarks.paired.variants import Variant, VariantError, compared
 from homeward import core
+from homeward.errors import InputError
 
-EVERYTHING_ON = ""
+EVERYTHING_ON = "on"
 QUICK = ("room", "mount-unknown", "moved-on-the-way", "walkers")
 SHOWN = ("rmse", "pose", "sure", "first", "nees", "beyond4", "precision", "recall", "ms")
 MARKS = {SAME: " ", NO_WORSE: "=", WORSE: "!", OPEN: "?"}
 
 
-class Drives:
-    """The drives, each made when it is first needed."""
-
-    def __init__(self, scratch: Path) -> None:
-        self._scratch, self._made = scratch, dict[Case, Input]()
-
-    def get(self, case: Case) -> Input:
-        if case not in self._made:
-            given = made(case, self._scratch / str(len(self._made)))
-            if given.needs_truth:
-                with Worker() as worker:
-                    worker.run(given, needs_truth=True)
-            self._made[case] = given
-        return self._made[case]
-
-
-def ran(mechanism: str, given: Sequence[Input], jobs: int) -> Iterator[dict[str, Any]]:
-    """Yield the figures of each drive without a mechanism."""
-    make = [partial(Worker, without=mechanism)]
-    yield from in_parallel(given, make, lambda each, workers: workers[0].run(each), jobs)
-
-
-def table(found: Kept, mechanisms: Sequence[str], todo: Sequence[Case]) -> str:
+def table(found: Mapping[Case, Mapping[str, Figures]], mechanisms: Sequence[str]) -> str:
     """Return the table of effects; all families of one mechanism are one benchmark of the rows."""
     pairs = {
-        Case(mechanism, case.family, case.number): (
-            found[mechanism, *case],
-            found[EVERYTHING_ON, *case],
-        )
+        Case(mechanism, case.family, case.number): (each[mechanism], each[EVERYTHING_ON])
         for mechanism in mechanisms
-        for case in todo
+        for case, each in found.items()
     }
     errors = {c: new["error"] for c, (new, old) in pairs.items() if "error" in new}
     sound = {c: p for c, p in pairs.items() if not any("error" in one for one in p)}
     all_rows = rows(sound, SHOWN)
-    several = len({case.family for case in todo}) > 1
+    several = len({case.family for case in found}) > 1
     whole = [row for row in all_rows if row.family == ALL or not several]
     decided = dict(zip(whole, decisions(whole), strict=True))
     lines = ["without".ljust(24) + "".join(f"{name:>11}" for name in SHOWN)]
@@ -117,21 +91,13 @@ def main() -> int:
     try:
         for mechanism in options.mechanism:
             patches(mechanism)
-        found = Kept(options.keep, {"code": monte_carlo.source_digest()})
-        with TemporaryDirectory() as scratch:
-            drives = Drives(Path(scratch))
-            for mechanism in (EVERYTHING_ON, *options.mechanism):
-                missing = [case for case in todo if (mechanism, *case) not in found]
-                if not missing:
-                    continue
-                given = [drives.get(case) for case in missing]
-                for case, one in zip(missing, ran(mechanism, given, options.jobs), strict=True):
-                    found.add((mechanism, *case), one)
-                print(mechanism or "everything on", "done", file=sys.stderr, flush=True)
-    except (PatchError, VariantError) as error:
+        variants = {name: Variant(without=name) for name in options.mechanism}
+        variants[EVERYTHING_ON] = Variant()
+        found = compared(variants, todo, options.jobs, options.keep)
+    except (PatchError, VariantError, InputError) as error:
         print(f"ablate: FAILED: {error}")
         return 2
-    print(f"{len(todo)} drives\n{table(found, options.mechanism, todo)}")
+    print(f"{len(todo)} drives\n{table(found, options.mechanism)}")
     return 0
 
 

@@ -5,48 +5,22 @@ package at a tag or commit in an environment of its own (out/against, reused), r
 the benchmarks with both packages in turn, and prints one table: effect, 95 % interval and decision
 for each figure and family, as benchmarks.paired.comparison describes. Ratios are new over old,
 other effects new minus old. The present version makes the drives; each runs in both versions from
-the same folder. `--keep FILE` keeps the figures of finished drives, from which the same command
-continues. `--jobs` is the number of pairs at once; use 1 for processor times.
+the same folder. `--keep FOLDER` keeps the figures of finished drives, from which the same command
+continues. `--jobs` is the number of drives at once; use 1 for processor times.
 """
 
 import sys
-from collections.abc import Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from benchmarks import monte_carlo
 from benchmarks.paired.comparison import FIGURES, WORSE, decisions, rows, table
-from benchmarks.paired.drives import BENCHMARKS, Case, cases, made
-from benchmarks.paired.processes import (
-    Kept,
-    VariantError,
-    Worker,
-    commit_of,
-    environment,
-    in_parallel,
-)
+from benchmarks.paired.drives import BENCHMARKS, Case, cases
+from benchmarks.paired.variants import Variant, VariantError, commit_of, compared, environment
+from homeward.errors import InputError
 
 Pair = tuple[Mapping[str, Any], Mapping[str, Any]]  # figures, or the error, of new and old
-
-
-def compared(todo: Sequence[Case], old: Path, jobs: int) -> Iterator[tuple[Case, Pair]]:
-    """Yield the figures of both versions for each drive, as they finish."""
-    with TemporaryDirectory() as scratch:
-
-        def one(k: int, pair: list[Worker]) -> tuple[Case, Pair]:
-            given = made(todo[k], Path(scratch, str(k)))
-            if given.needs_truth:  # from the reference, which does not change
-                truth = pair[1].run(given, needs_truth=True)
-                if "error" in truth:
-                    return todo[k], (truth, truth)
-            turn = 1 if k % 2 else -1  # both are the first one equally often
-            new, other = [worker.run(given) for worker in pair[::turn]][::turn]
-            return todo[k], (new, other)
-
-        make = [Worker, partial(Worker, old)]
-        yield from in_parallel(range(len(todo)), make, one, jobs)
 
 
 def failed(pairs: Mapping[Case, Pair]) -> int:
@@ -68,19 +42,15 @@ def main() -> int:
     options = parser.parse_args()
     try:
         commit = commit_of(options.ref)
-        found = Kept(options.keep, {"new": monte_carlo.source_digest(), "old": commit})
         todo = [c for b in options.benchmark for c in cases(b, options.seeds, options.family)]
         if not todo:
             parser.error("no drives: no such family, or its data are missing (HOMEWARD_DATA)")
-        missing = [case for case in todo if case not in found]
-        for case, pair in compared(missing, environment(commit), options.jobs):
-            found.add(case, pair)
-            if sys.stderr.isatty():
-                print(f"\r{len(found)} of {len(todo)}", end="", file=sys.stderr, flush=True)
-    except VariantError as error:
+        versions = {"new": Variant(), "old": Variant(str(environment(commit)))}
+        found = compared(versions, todo, options.jobs, options.keep)
+    except (VariantError, InputError) as error:
         print(f"against: FAILED: {error}")
         return 2
-    pairs = {case: found[case] for case in todo}
+    pairs = {case: (each["new"], each["old"]) for case, each in found.items()}
     both = {c: pair for c, pair in pairs.items() if not any("error" in one for one in pair)}
     lines = rows(both, options.figures)
     decided = decisions(lines)

@@ -11,7 +11,7 @@ from benchmarks import ablate, mechanisms
 from benchmarks.mechanisms import MECHANISMS, by_result, returns
 from benchmarks.paired import drives
 from benchmarks.paired.drives import Family, Input
-from benchmarks.paired.processes import Worker
+from benchmarks.paired.variants import Variant, measured
 from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive
 
@@ -66,8 +66,8 @@ def test_a_mechanism_is_off_in_a_process_of_its_own(tmp_path):
     begin = {n: (c := getattr(drive, n)).rows(c.t < 15.0) for n in ("odometry", "sightings")}
     write_folder(replace(drive, **begin), tmp_path / "drive")
     given = Input(drive, frozenset(), folder=tmp_path / "drive")
-    with Worker() as on, Worker(without="slip-in-bends") as off:
-        first, second, without = on.run(given), on.run(given), off.run(given)
+    on, off = Variant(), Variant(without="slip-in-bends")
+    first, second, without = (measured(each, given) for each in (on, on, off))
     assert first["rmse"] == second["rmse"] != without["rmse"]
 
 
@@ -88,19 +88,14 @@ def called(monkeypatch, capsys, *words):
     return code, capsys.readouterr().out
 
 
-def test_the_command_prints_the_effect_of_each_mechanism(
-    two_families, tmp_path, monkeypatch, capsys
-):
+def test_the_command_prints_the_effect_of_each_mechanism(two_families, monkeypatch, capsys):
     good = {"rmse": 0.1, "pose": 0.9, "recall": 1.0}
-    found = {"": good, "walking": good | {"rmse": 0.2}, "tails": good | {"pose": 0.91}}
-    monkeypatch.setattr(ablate, "ran", lambda name, inputs, jobs: (found[name] for _ in inputs))
-    keep = "--keep", tmp_path / "kept.jsonl"
-    code, told = called(monkeypatch, capsys, "--mechanism", "walking", "tails", *keep)
+    found = {"on": good, "walking": good | {"rmse": 0.2}, "tails": good | {"pose": 0.91}}
+    monkeypatch.setattr(ablate, "compared", lambda _, todo, *how: dict.fromkeys(todo, found))
+    code, told = called(monkeypatch, capsys, "--mechanism", "walking", "tails")
     assert code == 0
     lines = told.splitlines()
     walking, tails = (next(x for x in lines if x.startswith(n)) for n in ("walking", "tails"))
     assert walking.split()[:2] == ["walking", "2.000!"]
     assert "    walkers: rmse 2" in lines
     assert tails.split()[:2] == ["tails", "0.010="]
-    monkeypatch.setattr(ablate, "ran", None)  # all are kept
-    assert called(monkeypatch, capsys, "--mechanism", "walking", *keep)[0] == 0

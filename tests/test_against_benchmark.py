@@ -1,6 +1,5 @@
 """Two versions run on the same drives, and no figure that is worse passes."""
 
-import json
 import shutil
 import sys
 from dataclasses import replace
@@ -8,9 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lab.studies.chores import in_this_process
 
 from benchmarks import against
-from benchmarks.paired import comparison, drives, processes
+from benchmarks.monte_carlo import Run
+from benchmarks.paired import comparison, drives, variants
 from benchmarks.paired.comparison import NO_WORSE, OPEN, SAME, WORSE, Row
 from benchmarks.paired.drives import Case, Family, Input
 from homeward.drives.folder import write_folder
@@ -79,6 +80,7 @@ def short(tmp_path, monkeypatch):
     write_folder(replace(drive, **begin), tmp_path / "drive")
     given = Input(drive, frozenset(), folder=tmp_path / "drive")
     monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": Family(lambda _: given)})
+    monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
     drives.families.cache_clear()
     yield
     drives.families.cache_clear()
@@ -92,7 +94,7 @@ def called(monkeypatch, capsys, *words):
 
 def test_both_packages_run_from_environments_of_their_own(short, tmp_path, monkeypatch, capsys):
     """Pip's installation is replaced by a copy, which needs no network."""
-    real = processes._call
+    real = variants._call
 
     def call(*command):
         if "pip" not in command:
@@ -100,45 +102,49 @@ def test_both_packages_run_from_environments_of_their_own(short, tmp_path, monke
         site, source = (Path(command[k]) for k in (-2, -1))
         return shutil.copytree(source / "src" / "homeward", site / "homeward")
 
-    monkeypatch.setattr(processes, "_call", call)
+    monkeypatch.setattr(variants, "_call", call)
     if not (ROOT / ".git").exists():
         pytest.skip("no repository")
-    python = processes.environment(processes.commit_of("HEAD"), tmp_path)
+    python = variants.environment(variants.commit_of("HEAD"), tmp_path)
     monkeypatch.setattr(against, "environment", lambda commit: python)
-    with processes.Worker(python) as old:
-        assert tmp_path in old.package.parents
-        assert "error" in old.run(Input(None, folder=tmp_path))
+    old = variants.Variant(str(python))
+    assert "error" in variants.measured(old, Input(None, folder=tmp_path))
     code, told = called(monkeypatch, capsys, "HEAD", "short", "--seeds", 1)
     assert code == 0
     assert "1 drives" in told
     assert "short moved" in told
 
 
-def test_the_command_fails_if_worse_and_continues_from_a_file(short, tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(against, "environment", lambda commit: None)
+def test_the_command_fails_if_worse(short, monkeypatch, capsys):
+    monkeypatch.setattr(against, "environment", lambda commit: "")
     good = {"pose": 1.0, "rmse": 0.1}
-    bad = good | {"rmse": 0.2}
-    ran = []
-
-    def compared(todo, old, jobs):
-        ran.extend(todo)
-        yield from ((case, (bad if case.number < 4 else good, good)) for case in todo)
-
-    monkeypatch.setattr(against, "compared", compared)
-    keep = "--keep", tmp_path / "found.jsonl"
-    code, told = called(monkeypatch, capsys, "HEAD", "short", "--seeds", 4, *keep)
+    found = {"new": good | {"rmse": 0.2}, "old": good}
+    monkeypatch.setattr(against, "compared", lambda _, todo, *how: dict.fromkeys(todo, found))
+    code, told = called(monkeypatch, capsys, "HEAD", "short", "--seeds", 4)
     assert code == 1
     assert "worse: 1" in told
-    assert len(ran) == 4
-    code, _ = called(monkeypatch, capsys, "HEAD", "short", "--seeds", 6, *keep)
-    assert len(ran) == 6
-    (tmp_path / "found.jsonl").write_text(json.dumps({"old": "another"}) + "\n")
-    code, told = called(monkeypatch, capsys, "HEAD", "short", *keep)
-    assert code == 2
-    assert "is of other versions" in told
     code, told = called(monkeypatch, capsys, "no-such-tag", "short")
     assert code == 2
     assert "no-such-tag is no tag, branch or commit" in told
+
+
+def test_a_drive_without_truth_gets_that_of_the_last_variant(short, monkeypatch):
+    def measured(variant, given, needs_truth=False):
+        asked.append((variant.without, needs_truth))
+        return {"rmse": float(variant.without != "")}
+
+    make = drives.families("short")["moved"].make
+    family = Family(lambda k: replace(make(k), needs_truth=True))
+    monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": family})
+    drives.families.cache_clear()
+    monkeypatch.setattr(variants, "measured", measured)
+    asked, both = [], {"new": variants.Variant(without="x"), "old": variants.Variant()}
+    for number in (0, 1):
+        asked.clear()
+        found = variants.one(both, Run("short moved", "robust", number))
+        assert found == {"new rmse": 1.0, "old rmse": 0.0}
+        assert asked[0] == ("", True)
+        assert asked[1:] == [("", False), ("x", False)][:: -1 if number else 1]
 
 
 def test_an_error_of_the_present_version_alone_fails(capsys):

@@ -1,16 +1,14 @@
-"""One variant of the localiser: reads drives from standard input, writes their figures as JSON.
+"""One variant of the localiser: reads a request, writes the figures of its drive, as JSON.
 
 `python -m benchmarks.paired.worker [--without MECHANISM]` runs with the package that Python finds,
 an older version of homeward or the present one. So it uses only functions that all versions have.
-The first line of its output names the package; each further one answers a request: the folder of a
-drive, and the landmarks that moved.
+The request names the folder of a drive and the landmarks that moved; the answer names the package.
 """
 
 import argparse
 import json
 import sys
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -26,9 +24,19 @@ from homeward.drives.opening import open_drive
 from homeward.registry import make_estimator
 from homeward.track import run
 
+WARM_S = 5.0
+
+
+def begin(drive: Drive) -> Drive:
+    """Return the first seconds of a drive, in which what runs imports and compiles is no cost."""
+    end = drive.odometry.t[0] + WARM_S
+    parts = {n: (c := getattr(drive, n)).rows(c.t < end) for n in ("odometry", "sightings")}
+    return replace(drive, **parts)
+
 
 def measured(drive: Drive, moved: set[str] | None) -> Figures:
     """Run the localiser on a drive; return its figures, None where undefined."""
+    run(begin(drive), make_estimator("robust", drive))
     estimator, frames = make_estimator("robust", drive), list[float]()
     bearings = estimator.bearings
 
@@ -86,10 +94,8 @@ def main() -> None:
             switch_off(without)
         except PatchError as error:
             sys.exit(str(error))
-    reply: Callable[[Any], None] = lambda row: print(json.dumps(row), flush=True)  # noqa: E731
-    reply({"package": str(Path(homeward.__file__).parent)})
-    for line in sys.stdin:
-        reply(answer(json.loads(line)))
+    package = {"package": str(Path(homeward.__file__).parent)}
+    print(json.dumps(answer(json.load(sys.stdin)) | package))
 
 
 if __name__ == "__main__":
