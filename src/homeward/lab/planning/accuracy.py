@@ -46,7 +46,7 @@ class Information:
     """Information from q landmarks at n places, in one direction."""
 
     each: np.ndarray
-    """(n, q, d (d + 1) / 2), upper triangles of information matrices of the unknowns."""
+    """(n, q, d, d), of the unknowns."""
     seen: np.ndarray
     """(n, q), bool: seen from the arc."""
     common: np.ndarray
@@ -54,7 +54,7 @@ class Information:
 
     @cached_property
     def every(self) -> np.ndarray:
-        """(n, d (d + 1) / 2), sum over all landmarks."""
+        """(n, d, d), sum over all landmarks."""
         return np.asarray(self.each.sum(axis=1))
 
     @cached_property
@@ -70,25 +70,10 @@ class Arcs:
         self.plan = plan
         self.d = POSE + 2 * (plan.drive.stops - 1)
         """Number of unknowns: the last pose, and the errors of odometry, in sigmas."""
-        self.upper = np.triu_indices(self.d)
         count = HEADINGS if plan.sensor.field_of_view >= FULL else 2 * HEADINGS
         self.headings = np.arange(count) * 2 * np.pi / count
         self.stops = [_stops(plan, heading) for heading in self.headings]
-        self.pairs = [(k, m) for k in range(plan.drive.stops) for m in range(k, plan.drive.stops)]
-        self._maps = [self._feature_map(stops) for stops in self.stops]
-
-    def _feature_map(self, stops: np.ndarray) -> np.ndarray:
-        """Return the map from features, 9 a pair of stops, to information (.., d (d + 1) / 2)."""
-        by_unknowns = _stop_by_unknowns(self.plan, stops)
-        rows, columns = self.upper
-        out = []
-        for k, m in self.pairs:
-            # The gradient of a bearing is -(a_x A_0 + a_y A_1 + A_2); by the landmark (a_x, a_y).
-            for p in by_unknowns[k]:
-                for r in by_unknowns[m]:
-                    both = p[rows] * r[columns]
-                    out.append(both if k == m else both + r[rows] * p[columns])
-        return np.array(out) / self.plan.sensor.bearing_sigma**2
+        self._by_unknowns = [_stop_by_unknowns(plan, stops) for stops in self.stops]
 
     def information(
         self, places: np.ndarray, marks: np.ndarray, visible: np.ndarray, stored: np.ndarray, h: int
@@ -104,13 +89,10 @@ class Arcs:
         ok = gradients.any(axis=(1, 2))
         n, i, gradients = n[ok], i[ok], gradients[ok]
         weights = self._eliminate_landmark(gradients, marks[i], stored[i])
-        features = np.empty((n.size, len(self.pairs), 3, 3))
-        for f, (k, m) in enumerate(self.pairs):
-            both = gradients[:, k, :, None] * gradients[:, m, None, :]
-            features[:, f] = weights[f][:, None, None] * both
-        size = self.upper[0].size
-        information = np.zeros((*visible.shape, size))
-        information[n, i] = features.reshape(n.size, 9 * len(self.pairs)) @ self._maps[h]
+        # The gradient of a bearing is -(a_x A_0 + a_y A_1 + A_2); by the landmark (a_x, a_y).
+        by_unknowns = np.einsum("nsi,sid->nsd", gradients, self._by_unknowns[h])
+        information = np.zeros((*visible.shape, self.d, self.d))
+        information[n, i] = by_unknowns.swapaxes(1, 2) @ weights @ by_unknowns
         seen = np.zeros(visible.shape, bool)
         seen[n, i] = True
         return Information(information, seen, seen & stored)
@@ -128,74 +110,46 @@ class Arcs:
 
     def _eliminate_landmark(
         self, gradients: np.ndarray, marks: np.ndarray, stored: np.ndarray
-    ) -> list[np.ndarray]:
-        """Return, for each pair of stops, the weight (m,) of the product of their bearings.
+    ) -> np.ndarray:
+        """Return the information (m, s, s) of bearings without the landmark's position.
 
         With the derivatives by the landmark as rows of G, the projection I - G (G'G)^-1 G'
-        eliminates its position. Its entries are computed as sums of products of cross products,
-        which stay accurate where rows are nearly parallel.
+        eliminates its position. For C, the cross products of all pairs of rows, it is
+        I - 2 C C' / |C|^2, which is accurate where rows are nearly parallel.
         """
         plan = self.plan
         dx, dy = (marks - (plan.home.x, plan.home.y)).T
         weight = stored / (plan.sensor.home_sigma * np.maximum(dx * dx + dy * dy, 1e-6))
-        known = np.full(len(marks), 1 / (plan.landmark_sigma or WEAK_PRIOR_M))
-        zero = np.zeros(len(marks))
-        rows = [tuple(g.T / plan.sensor.bearing_sigma) for g in np.moveaxis(gradients, 1, 0)]
-        rows = [(g[0], g[1]) for g in rows]
-        rows += [(-dy * weight, dx * weight), (known, zero), (zero, known)]
-        count = len(rows)
-        cross = [[g[0] * o[1] - g[1] * o[0] for o in rows] for g in rows]
-        squares = {(k, m): cross[k][m] ** 2 for k in range(count) for m in range(k + 1, count)}
-        determinant = sum(squares.values(), zero)
-        weights = []
-        for k, m in self.pairs:
-            if k == m:
-                entry = sum((v for pair, v in squares.items() if k not in pair), zero)
-            else:
-                entry = -sum((cross[k][o] * cross[m][o] for o in range(count)), zero)
-            weights.append(entry / determinant)
-        return weights
+        known = np.eye(2) / (plan.landmark_sigma or WEAK_PRIOR_M)
+        rows = np.concatenate(
+            [
+                gradients[..., :2] / plan.sensor.bearing_sigma,
+                (np.stack([-dy, dx], axis=1) * weight[:, None])[:, None],
+                np.broadcast_to(known, (len(marks), 2, 2)),
+            ],
+            axis=1,
+        )
+        x, y = np.moveaxis(rows, -1, 0)
+        cross = x[:, :, None] * y[:, None] - y[:, :, None] * x[:, None]
+        half = (cross**2).sum(axis=(1, 2), keepdims=True) / 2
+        stops = gradients.shape[1]
+        lost = cross[:, :stops] @ cross[:, :stops].swapaxes(1, 2) / half
+        return np.asarray((np.eye(stops) - lost) / plan.sensor.bearing_sigma**2)
 
     def fix(self, information: np.ndarray) -> Fix:
-        """Return the bound on the last pose from summed information (n, d (d + 1) / 2)."""
-        size = self.d
-        table = [[np.empty(0)] * size for _ in range(size)]
-        for row, column, entry in zip(
-            *self.upper, np.ascontiguousarray(information.T), strict=True
-        ):
-            table[row][column] = entry
-        for i in range(POSE):
-            table[i][i] = table[i][i] + 1 / WEAK_PRIOR_M**2
-        for pivot in reversed(range(POSE, size)):
-            inverse = 1 / (table[pivot][pivot] + 1.0)  # the prior variance of an error is 1
-            for i in range(pivot):
-                factor = table[i][pivot] * inverse
-                for j in range(i, pivot):
-                    table[i][j] = table[i][j] - factor * table[j][pivot]
-        return _invert(table)
+        """Return the bound on the last pose from summed information (n, d, d)."""
+        # The prior variance of an error of odometry, in sigmas, is 1.
+        prior = np.diag(np.r_[np.full(POSE, 1 / WEAK_PRIOR_M**2), np.ones(self.d - POSE)])
+        covariance = np.linalg.inv(information + prior)
+        x, y, heading = (covariance[:, k, k] for k in range(POSE))
+        known = (x + y > 0) & (x + y <= UNOBSERVABLE_M**2) & (heading > 0)
+        return Fix(*(np.sqrt(np.where(known, v, np.inf)) for v in (x + y, heading)))
 
     def score(self, fix: Fix, common: np.ndarray) -> np.ndarray:
         """Return the larger error relative to its limit; infinite with too few landmarks."""
         limits = self.plan.limits
         worse = np.maximum(fix.position / limits.position, fix.heading / limits.heading)
         return np.asarray(np.where(common >= limits.landmarks, worse, np.inf))
-
-
-def _invert(H: list[list[np.ndarray]]) -> Fix:
-    """Return the bound on a pose from the upper triangle of its information (3, 3)."""
-    # The heading before the position: stable for long lever arms.
-    xx = np.maximum(H[0][0], 0.0) + 1 / WEAK_PRIOR_M**2
-    yx, hx = H[0][1] / xx, H[0][2] / xx
-    yy = np.maximum(H[1][1] - yx * H[0][1], 0.0) + 1 / WEAK_PRIOR_M**2
-    hy = (H[1][2] - yx * H[0][2]) / yy
-    hh = np.maximum(H[2][2] - hx * H[0][2] - hy * hy * yy, 0.0) + 1 / WEAK_PRIOR_M**2
-    # L^-1 of the factors L D L'.
-    lx, mx = yx, yx * hy - hx
-    var_x = 1 / xx + lx * lx / yy + mx * mx / hh
-    var_y = 1 / yy + hy * hy / hh
-    position, heading = np.sqrt(var_x + var_y), np.sqrt(1 / hh)
-    unknown = position > UNOBSERVABLE_M
-    return Fix(np.where(unknown, np.inf, position), np.where(unknown, np.inf, heading))
 
 
 def _stops(plan: Plan, heading: float) -> np.ndarray:
