@@ -80,11 +80,11 @@ class Scene:
 
     def outputs(self, unknowns: np.ndarray) -> np.ndarray:
         """Return all measurements [rad; distances m] for given unknowns."""
-        return self._measure(unknowns)[0]
+        return np.array(self._measure(unknowns)[0])[:, 0]
 
     def jacobian(self) -> np.ndarray:
         """Return the derivatives of `outputs` at the true values, shape (rows, 3 + 2 q + c)."""
-        return self._measure(self.truth)[1]
+        return np.array(self._measure(self.truth)[1])
 
     def rank(self) -> Rank:
         """Return the rank; its null space is in the units of the unknowns."""
@@ -96,69 +96,43 @@ class Scene:
 
     def compare(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the differences of the measurements from their true values, and the Jacobian."""
-        measured, jacobian = self._measure(unknowns)
-        difference = measured - self._measured
+        measured, jacobian = (np.array(part) for part in self._measure(unknowns))
+        difference = measured[:, 0] - self._measured
         angles = len(difference) - (self.distances and len(self.landmarks))
         difference[:angles] = wrap(difference[:angles])
         return difference, jacobian
 
-    def _measure(self, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        q, size = len(self.landmarks), unknowns.size
-        home, marks = unknowns[:POLAR], unknowns[POLAR : POLAR + 2 * q].reshape(q, 2)
-        constants = np.array(IDEAL)
-        which = [CALIBRATIONS.index(name) for name in self.unknown]
-        constants[which] = unknowns[POLAR + 2 * q :]
-        poses, twists, by_constants = self._path(constants)
-
-        n, i = np.nonzero(self.visible)
-        seen, gradient = _sightings(poses[n], twists[n], marks[i], constants)
-        rows = np.zeros((n.size, size))
-        _put_marks(rows, i, gradient[:, POLAR : POLAR + 2])
-        chained = np.einsum("kp,kpc->kc", gradient[:, :POLAR], by_constants[n])
-        rows[:, POLAR + 2 * q :] = (chained + gradient[:, POLAR + 2 :])[:, which]
-
-        kept = np.flatnonzero(self.stored)
-        still = np.zeros((kept.size, INPUTS))
-        stored, by_home = _sightings(np.tile(home, (kept.size, 1)), still, marks[kept], constants)
-        home_rows = np.zeros((kept.size, size))
-        home_rows[:, :POLAR] = by_home[:, :POLAR]
-        _put_marks(home_rows, kept, by_home[:, POLAR : POLAR + 2])
-        home_rows[:, POLAR + 2 * q :] = by_home[:, POLAR + 2 :][:, which]
-
-        values, blocks = [seen, stored], [rows, home_rows]
+    @cached_property
+    def _measure(self) -> ca.Function:
+        """Return all measurements and their derivatives as a function of the unknowns."""
+        q, unknowns = len(self.landmarks), ca.SX.sym("unknowns", len(self.truth))
+        home, marks = unknowns[:POLAR], ca.reshape(unknowns[POLAR : POLAR + 2 * q], 2, q)
+        constants = ca.SX(IDEAL)
+        for k, name in enumerate(self.unknown):
+            constants[CALIBRATIONS.index(name)] = unknowns[POLAR + 2 * q + k]
+        poses, twists = self._path(constants)
+        seen, stored = np.argwhere(self.visible).tolist(), np.flatnonzero(self.stored).tolist()
+        still = ca.SX.zeros(INPUTS)
+        values = [
+            *(_sighting()(poses[:, k], twists[:, k], marks[:, j], constants) for k, j in seen),
+            *(_sighting()(home, still, marks[:, j], constants) for j in stored),
+        ]
         if self.compass:
-            compass = np.zeros((1, size))
-            compass[0, 2] = 1.0
-            values.append(home[2:3])
-            blocks.append(compass)
+            values.append(home[2])
         if self.distances:
             away = marks - home[:2]
-            far = np.hypot(*away.T)
-            surveyed = np.zeros((q, size))
-            surveyed[:, :2] = -away / far[:, None]
-            _put_marks(surveyed, np.arange(q), away / far[:, None])
-            values.append(far)
-            blocks.append(surveyed)
-        return np.concatenate(values), np.vstack(blocks)
+            values.append(ca.sqrt(ca.sum1(away**2)).T)
+        measured = ca.vertcat(*values)
+        derivatives = ca.densify(ca.jacobian(measured, unknowns))
+        return ca.Function("measure", [unknowns], [measured, derivatives])
 
-    def _path(self, constants: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return poses (n, 3), the true twists before them (n, 2), and d(poses)/d(constants)."""
-        n = len(self.poses)
-        arrived = np.zeros((n, INPUTS))
-        by_constants = np.zeros((n, POLAR, len(CALIBRATIONS)))
-        if not self.unknown or self.twists is None or self.intervals is None:
-            return self.poses, arrived, by_constants
-        poses = self.poses.copy()
-        for k in range(1, n):
-            end, by_pose, by_own, used = (
-                np.array(m)
-                for m in _advance()(
-                    poses[k - 1], constants, self.twists[k - 1], self.intervals[k - 1]
-                )
-            )
-            poses[k], arrived[k] = end[:, 0], used[:, 0]
-            by_constants[k] = by_pose @ by_constants[k - 1] + by_own
-        return poses, arrived, by_constants
+    def _path(self, constants: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Return poses (3, n), and the true twists before them (2, n)."""
+        poses, twists = ca.SX(self.poses.T), ca.SX.zeros(INPUTS, len(self.poses))
+        if self.unknown and self.twists is not None and self.intervals is not None:
+            for k, (twist, dt) in enumerate(zip(self.twists, self.intervals, strict=True)):
+                poses[:, k + 1], twists[:, k + 1] = _advance()(poses[:, k], constants, twist, dt)
+        return poses, twists
 
 
 def drive(start: Pose, twists: np.ndarray, intervals: np.ndarray) -> np.ndarray:
@@ -169,43 +143,21 @@ def drive(start: Pose, twists: np.ndarray, intervals: np.ndarray) -> np.ndarray:
     return np.array(poses)
 
 
-def _put_marks(rows: np.ndarray, which: np.ndarray, gradient: np.ndarray) -> None:
-    """Write gradients (k, 2) by landmarks `which` (k,) into rows (k, ...)."""
-    k = np.arange(which.size)
-    rows[k, POLAR + 2 * which], rows[k, POLAR + 2 * which + 1] = gradient.T
-
-
 @lru_cache(maxsize=1)
 def _advance() -> ca.Function:
-    """Return a step of miscalibrated odometry: end pose, its derivatives, and the true twist."""
+    """Return a step of miscalibrated odometry: end pose, and the true twist."""
     pose, constants = ca.SX.sym("pose", POLAR), ca.SX.sym("c", len(CALIBRATIONS))
     twist, interval = ca.SX.sym("twist", INPUTS), ca.SX.sym("dt")
     true = ca.vertcat(constants[0] * twist[0], constants[1] * twist[1] + constants[2])
-    step = discretise(unicycle_rates, pose, true, interval)
-    by_constants = step.by_input @ ca.jacobian(true, constants)
-    outputs = [ca.densify(m) for m in (step.state, step.by_state, by_constants, true)]
-    return ca.Function("advance", [pose, constants, twist, interval], outputs)
+    after = discretise(unicycle_rates, pose, true, interval).state
+    return ca.Function("advance", [pose, constants, twist, interval], [after, true])
 
 
-@lru_cache(maxsize=256)
-def _sighting(k: int) -> ca.Function:
-    """Return k delayed bearings of a rotated camera, and gradients by pose, mark, constants."""
+@lru_cache(maxsize=1)
+def _sighting() -> ca.Function:
+    """Return the delayed bearing of a landmark from a rotated camera [rad]."""
     pose, twist, mark = ca.SX.sym("p", POLAR), ca.SX.sym("u", INPUTS), ca.SX.sym("m", 2)
     constants = ca.SX.sym("c", len(CALIBRATIONS))
     then = discretise(unicycle_rates, pose, twist, -constants[3]).state
     seen = bearing(Pose(then[0], then[1], then[2]), mark[0], mark[1]) - constants[4]
-    unknowns = ca.vertcat(pose, mark, constants)
-    gradient = ca.densify(ca.jacobian(seen, unknowns))
-    return ca.Function("sighting", [pose, twist, mark, constants], [seen, gradient]).map(k)
-
-
-def _sightings(
-    poses: np.ndarray, twists: np.ndarray, marks: np.ndarray, constants: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return bearings (k,) [rad] and their gradients (k, 3 + 2 + 5)."""
-    k = len(poses)
-    size = POLAR + 2 + len(CALIBRATIONS)
-    if not k:
-        return np.zeros(0), np.zeros((0, size))
-    seen, gradient = _sighting(k)(poses.T, twists.T, marks.T, np.tile(constants[:, None], (1, k)))
-    return np.array(seen)[0], np.array(gradient).reshape(k, size)
+    return ca.Function("sighting", [pose, twist, mark, constants], [seen])
