@@ -8,9 +8,10 @@ from pathlib import Path
 import pytest
 
 from benchmarks import ablate, mechanisms
+from benchmarks.consistency.scenarios import Family
 from benchmarks.mechanisms import MECHANISMS, by_result, returns
 from benchmarks.paired import drives
-from benchmarks.paired.drives import Family, Input
+from benchmarks.paired.drives import Input
 from benchmarks.paired.variants import Variant, measured
 from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive
@@ -75,7 +76,7 @@ def test_a_mechanism_is_off_in_a_process_of_its_own(tmp_path):
 def two_families(monkeypatch):
     """Two families of drives in place of those of the benchmarks."""
     given = Input(open_drive(FOLDER / "moved"), frozenset(), folder=FOLDER / "moved")
-    families = {name: Family(lambda _: given) for name in ("room", "walkers")}
+    families = {name: Family("", lambda _: given) for name in ("room", "walkers")}
     monkeypatch.setattr(drives, "BENCHMARKS", {"gate": lambda: families, "mrclam": dict})
     drives.families.cache_clear()
     yield

@@ -10,10 +10,11 @@ import pytest
 from lab.studies.chores import in_this_process
 
 from benchmarks import against
+from benchmarks.consistency.scenarios import Family
 from benchmarks.monte_carlo import Run
 from benchmarks.paired import comparison, drives, variants
 from benchmarks.paired.comparison import NO_WORSE, OPEN, SAME, WORSE, Row
-from benchmarks.paired.drives import Case, Family, Input
+from benchmarks.paired.drives import Case, Input
 from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive
 
@@ -79,7 +80,7 @@ def short(tmp_path, monkeypatch):
     begin = {n: (c := getattr(drive, n)).rows(c.t < 15.0) for n in ("odometry", "sightings")}
     write_folder(replace(drive, **begin), tmp_path / "drive")
     given = Input(drive, frozenset(), folder=tmp_path / "drive")
-    monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": Family(lambda _: given)})
+    monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": Family("", lambda _: given)})
     monkeypatch.setattr("homeward.lab.studies.blocks.finish.on_processes", in_this_process)
     drives.families.cache_clear()
     yield
@@ -134,7 +135,7 @@ def test_a_drive_without_truth_gets_that_of_the_last_variant(short, monkeypatch)
         return {"rmse": float(variant.without != "")}
 
     make = drives.families("short")["moved"].make
-    family = Family(lambda k: replace(make(k), needs_truth=True))
+    family = Family("", lambda k: replace(make(k), needs_truth=True))
     monkeypatch.setitem(drives.BENCHMARKS, "short", lambda: {"moved": family})
     drives.families.cache_clear()
     monkeypatch.setattr(variants, "measured", measured)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from lab.studies.chores import in_this_process
 
+from benchmarks.consistency.scenarios import Family
 from benchmarks.leaderboard import __main__ as command
 from benchmarks.leaderboard.board import (
     Entry,
@@ -14,7 +15,7 @@ from benchmarks.leaderboard.board import (
     page,
     ratio,
 )
-from benchmarks.leaderboard.families import FIRST, Family, numbers
+from benchmarks.leaderboard.families import FIRST, numbers
 from benchmarks.leaderboard.runs import BASELINE, every, one
 from benchmarks.monte_carlo import Run
 
@@ -107,7 +108,7 @@ def test_real_drives_are_those_of_the_data(data_dir, name):
 
     if not (data_dir / "MRCLAM_Dataset6").is_dir():
         pytest.skip("no MRCLAM_Dataset6 in the data folder")
-    trial = real()[name].make(1)
+    trial = real()[name].drive(1)
     assert trial.drive.truth is not None
     assert len(trial.moved) == (3 if name == "utias-6-moved" else 0)
     assert np.isinf(trial.bound).all()

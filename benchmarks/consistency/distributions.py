@@ -33,8 +33,7 @@ def contained(name: Run) -> dict[str, np.ndarray]:
     if name.scenario == MRCLAM:
         drive = drive_of(1 + name.seed % 5, name.seed, HOMES[name.seed // 5])
     else:
-        named = SCENARIOS[name.scenario]
-        drive = named.make(named.first + name.seed).drive
+        drive = SCENARIOS[name.scenario].drive(name.seed).drive
     e = errors(run(drive, Localizer(drive.home, **drive.settings.robot)), drive.truth)
     inside = e.nees_position[:, None] < -2.0 * np.log1p(-LEVELS)  # quantiles of chi-square(2)
     return {"shares": e.weight @ inside / max(e.weight.sum(), 1e-9), "seconds": e.weight.sum()}

@@ -17,8 +17,7 @@ Results = dict[str, dict[str, list[Figures]]]  # figures by sabotage, scenario a
 
 def one(scenario: str, seed: int, sabotages: Sequence[str] = ()) -> dict[str, Figures]:
     """Run the localiser on one drive of a scenario; return its figures, and those of sabotages."""
-    named = SCENARIOS[scenario]
-    trial = named.make(named.first + seed)
+    trial = SCENARIOS[scenario].drive(seed)
     track = run(trial.drive, Localizer(trial.drive.home, **trial.drive.settings.robot))
     spoilt = {name: SABOTAGES[name].of(track) for name in sabotages}
     return {name: figures(t, trial) for name, t in {AS_IT_IS: track, **spoilt}.items()}

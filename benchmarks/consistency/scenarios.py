@@ -40,15 +40,20 @@ NARROW = {90: 32, 60: 48}
 
 
 @dataclass(frozen=True)
-class Named:
-    """A scenario of the gate."""
+class Family:
+    """Drives of one kind, each with a number; those of this module are scenarios of the gate."""
 
     about: str
-    make: Callable[[int], Trial]  # makes a drive from a seed of the simulator
-    first: int = 0  # first seed: scenarios with the same one are compared drive by drive
+    make: Callable[[int], Any]  # makes a drive, mostly a `Trial`, from a seed
+    first: int = 0  # seed of drive 0: scenarios with the same one are compared drive by drive
     exact: bool = True
     """Whether the estimator has all parameters, so that NEES and NIS have their expected values."""
     moves: bool = False  # whether landmarks move
+    real: bool = False  # whether the drives are recorded
+    copies: int = 1  # number of drives per seed of a benchmark; 0: one drive in all
+
+    def drive(self, number: int) -> Any:
+        return self.make(self.first + number)
 
 
 def _course(seed: int, seconds: float = DRIVE_S, **changes: Any) -> sim.Scenario:
@@ -241,90 +246,90 @@ def _three_hardships(seed: int) -> Trial:
 
 
 SCENARIOS = {
-    "room": Named("10 m across, all round, all parameters given", _room),
-    "strafing": Named(
+    "room": Family("10 m across, all round, all parameters given", _room),
+    "strafing": Family(
         "the same paths with a constant heading, as with mecanum wheels",
         lambda s: _room(s, robot=sim.Robot(drive="mecanum")),
     ),
-    "swerve": Named(
+    "swerve": Family(
         "the same paths, the robot turns as it drives",
         lambda s: _room(s, robot=sim.Robot(drive="omni")),
     ),
-    "legged": Named("as swerve, on legs that sway, with two to three times the noise", _legged),
-    "table": Named("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1)),
-    "site": Named("the same drives, 100 m across", lambda s: scaled(_room(s), 10.0)),
-    "camera-90": Named("camera of 90 deg", lambda s: _camera(s, 90), 100),
-    "camera-60": Named("camera of 60 deg", lambda s: _camera(s, 60), 200),
-    "mount-given": Named("camera extrinsics given", lambda s: _room(s, sensor=MOUNT)),
-    "mount-unknown": Named(
+    "legged": Family("as swerve, on legs that sway, with two to three times the noise", _legged),
+    "table": Family("the same drives, 1 m across", lambda s: scaled(_room(s), 0.1)),
+    "site": Family("the same drives, 100 m across", lambda s: scaled(_room(s), 10.0)),
+    "camera-90": Family("camera of 90 deg", lambda s: _camera(s, 90), 100),
+    "camera-60": Family("camera of 60 deg", lambda s: _camera(s, 60), 200),
+    "mount-given": Family("camera extrinsics given", lambda s: _room(s, sensor=MOUNT)),
+    "mount-unknown": Family(
         "the same drives, extrinsics not given",
         lambda s: without(_room(s, sensor=MOUNT), mount=True),
         exact=False,
     ),
-    "noisy": Named("bearings of 3 deg, three to five times the odometry noise", _noisy, 300),
-    "odometry-unknown": Named(
+    "noisy": Family("bearings of 3 deg, three to five times the odometry noise", _noisy, 300),
+    "odometry-unknown": Family(
         "as room, odometry noise not given", lambda s: without(_room(s), odometry=True), exact=False
     ),
-    "slipping": Named(
+    "slipping": Family(
         "the same, and wheels slip by 40 % for 1.5 s every 10 s",
         lambda s: slipping(without(_room(s), odometry=True), s, 0.4, 10.0, 1.5),
         exact=False,
     ),
-    "lagging": Named(
+    "lagging": Family(
         "as odometry-unknown, and odometry stamped 0.2 s late",
         lambda s: lagging(without(_room(s), odometry=True), 0.2),
         exact=False,
     ),
-    "outliers": Named("10 % of the ids wrong", _outliers, 400),
-    "moved": Named(
+    "outliers": Family("10 % of the ids wrong", _outliers, 400),
+    "moved": Family(
         "4 of 12 moved since home", lambda s: _room(s, moved=sim.Moved(count=4)), 500, moves=True
     ),
-    "moved-on-the-way": Named("2 of 12 move in mid-drive", _moved_on_the_way, 600, moves=True),
-    "kidnapped": Named("lifted and set down elsewhere", _kidnapped, 700),
-    "corridor": Named("a corridor of 24 m, sight of 7 m", _corridor, 800),
-    "teach-and-return": Named("out of sight of home and back", _teach_and_return, 900),
-    "moved-most": Named(
+    "moved-on-the-way": Family("2 of 12 move in mid-drive", _moved_on_the_way, 600, moves=True),
+    "kidnapped": Family("lifted and set down elsewhere", _kidnapped, 700),
+    "corridor": Family("a corridor of 24 m, sight of 7 m", _corridor, 800),
+    "teach-and-return": Family("out of sight of home and back", _teach_and_return, 900),
+    "moved-most": Family(
         "8 of 12 moved since home, by 6 to 57 deg",
         lambda s: _room(s, moved=sim.Moved(count=8, fault=(0.1, 1.0))),
         1000,
         moves=True,
     ),
-    "walkers": Named("half of 16 are people who walk", _walkers, 1100, moves=True),
-    "home-noisy": Named(
+    "walkers": Family("half of 16 are people who walk", _walkers, 1100, moves=True),
+    "home-noisy": Family(
         "ten times the noise of home bearings, not given", _home_noisy, 1200, exact=False
     ),
-    "outliers-30": Named(
+    "outliers-30": Family(
         "30 % of the ids wrong",
         lambda s: _room(s, noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01, wrong_ids=0.3)),
         1300,
     ),
-    "few": Named(
+    "few": Family(
         "3 of 10 move in mid-drive, seen at 20 Hz by a camera of 180 deg with wrong ids",
         _few,
         1900,
         moves=True,
     ),
-    "soon": Named("the first 15 s, faster", _soon, 1400),
-    "soon-lagging": Named(
+    "soon": Family("the first 15 s, faster", _soon, 1400),
+    "soon-lagging": Family(
         "the same, and odometry stamped 0.3 s late, not given",
         lambda s: lagging(without(_soon(s), odometry=True), 0.3),
         1400,
         exact=False,
     ),
-    "swapped-ids": Named("three pairs swap ids for 10 s", _swapped_ids, 1500),
-    "stalling": Named(
+    "swapped-ids": Family("three pairs swap ids for 10 s", _swapped_ids, 1500),
+    "stalling": Family(
         "odometry sometimes reports 0 for 1.5 s, noise not given",
         lambda s: faults.stalling(without(_room(s), odometry=True), s, 15.0, 1.5),
         1600,
         exact=False,
     ),
-    "cart": Named("4 of 12 moved as one body in mid-drive", _cart, 1700, moves=True),
-    "late": Named(
+    "cart": Family("4 of 12 moved as one body in mid-drive", _cart, 1700, moves=True),
+    "late": Family(
         "a warehouse, bearings stamped 0.1 to 0.4 s late, not specified",
         _late,
         2000,
         exact=False,
         moves=True,
     ),
-    "three-hardships": Named("three faults at once", _three_hardships, 1800, exact=False),
+    "three-hardships": Family("three faults at once", _three_hardships, 1800, exact=False),
 }

@@ -12,8 +12,9 @@ import sys
 from pathlib import Path
 
 from benchmarks import monte_carlo
+from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.leaderboard.board import page
-from benchmarks.leaderboard.families import numbers, real, simulated
+from benchmarks.leaderboard.families import numbers, real
 from benchmarks.leaderboard.runs import begin, every, everybody
 from homeward.registry import settings_model
 
@@ -22,7 +23,7 @@ QUICK_SEEDS = 1
 
 
 def main() -> None:
-    families = simulated() | real()
+    families = SCENARIOS | real()
     options = monte_carlo.parsed(
         __doc__,
         estimator=str,

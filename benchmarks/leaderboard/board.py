@@ -5,7 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.leaderboard.families import FIRST, Family
+from benchmarks.consistency.scenarios import Family
+from benchmarks.leaderboard.families import FIRST
 from benchmarks.leaderboard.runs import LABELS, given
 from benchmarks.measures import Figures
 from benchmarks.monte_carlo import column

@@ -1,11 +1,10 @@
 """The drives: simulated families of the consistency gate, and real ones, original and harder."""
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 
-from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.consistency.scenarios import Family
 from benchmarks.consistency.trial import SurveyedTrial
 from benchmarks.leaderboard.set_1 import DRIVES, SET_1, set_1_trial
 from benchmarks.mrclam import HOME, data, surveyed_places
@@ -18,23 +17,6 @@ FALSIFIED = 3  # of 15 home bearings
 HOME_NOISE_DEG = 0.5
 FIRST = 9000
 """First number of the drives, on which no choice was made; development uses numbers below 6000."""
-
-
-@dataclass(frozen=True)
-class Family:
-    """Drives of one kind, each with a number."""
-
-    about: str
-    make: Callable[[int], Trial]  # returns the drive of a number
-    real: bool = False
-    copies: int = 1  # number of drives per seed
-
-
-def simulated() -> dict[str, Family]:
-    return {
-        name: Family(named.about, lambda k, named=named: named.make(named.first + k))
-        for name, named in SCENARIOS.items()
-    }
 
 
 def numbers(family: Family, seeds: int) -> range:

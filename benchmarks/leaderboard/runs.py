@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.consistency.scenarios import SCENARIOS
 from benchmarks.consistency.trial import SurveyedTrial
-from benchmarks.leaderboard.families import real, simulated
+from benchmarks.leaderboard.families import real
 from benchmarks.measures import Figures, figures
 from benchmarks.monte_carlo import Run, run_all
 from benchmarks.peers.extrinsics import is_offset, of_camera, of_robot
@@ -59,7 +60,7 @@ def begin() -> None:
 
 @lru_cache(maxsize=2)
 def _trial(family: str, number: int) -> Trial:
-    return (simulated() | real())[family].make(number)
+    return (SCENARIOS | real())[family].drive(number)
 
 
 def follow_one(trial: Trial, name: str) -> Track:

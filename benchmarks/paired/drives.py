@@ -14,11 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.case2 import PARTS
-from benchmarks.consistency.scenarios import SCENARIOS
+from benchmarks.consistency.scenarios import SCENARIOS, Family
 from benchmarks.cost import make_drive
 from benchmarks.kidnapped import CARRIED, Robot, Sample, calamity, hall
 from benchmarks.leaderboard.families import HOME_NOISE_DEG, real
-from benchmarks.leaderboard.set_1 import DRIVES, SET_1, set_1_drive
+from benchmarks.leaderboard.set_1 import set_1_drive
 from benchmarks.mrclam import data
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.folder import write_folder
@@ -54,41 +54,10 @@ class Input:
     """Where it is already; None: nowhere."""
 
 
-@dataclass(frozen=True)
-class Family:
-    """Drives of one kind."""
-
-    make: Callable[[int], Input]  # returns the drive of a number
-    copies: int = 1  # number of drives per seed
-    number: int | None = None  # of drives, where it does not depend on the seeds
-
-    def numbers(self, seeds: int) -> range:
-        return range(self.copies * seeds if self.number is None else self.number)
-
-
-def _of_trial(make: Callable[[int], Trial], number: int) -> Input:
-    trial = make(number)
-    return Input(trial.drive, trial.moved)
-
-
-def gate() -> dict[str, Family]:
-    """Scenarios of benchmarks.consistency."""
-    return {
-        name: Family(partial(_of_trial, lambda k, named=named: named.make(named.first + k)))
-        for name, named in SCENARIOS.items()
-    }
-
-
 def mrclam() -> dict[str, Family]:
     """MRCLAM sets 6 and 1, the latter with a smoothed solution in place of ground truth."""
-    found = {
-        name: Family(partial(_of_trial, family.make), family.copies)
-        for name, family in real().items()
-        if name != "utias-1"
-    }
-    if (data() / SET_1).is_dir():
-        found["utias-1"] = Family(_set_1, len(DRIVES))
-    return found
+    found = real()
+    return {n: replace(f, make=_set_1) if n == "utias-1" else f for n, f in found.items()}
 
 
 def _set_1(number: int) -> Input:
@@ -102,13 +71,13 @@ def case2() -> dict[str, Family]:
         made = simulate(PAPER_HOMING.model_copy(update={**change, "seed": seed}))
         return Input(made.drive, frozenset(made.world.moved))
 
-    return {name: Family(partial(make, change)) for name, change in PARTS.items()}
+    return {name: Family("", partial(make, change)) for name, change in PARTS.items()}
 
 
 def cost() -> dict[str, Family]:
     """Time per frame, with 20 landmarks; a seed is a repetition."""
     return {
-        f"{rate:g} Hz": Family(lambda _, rate=rate: Input(make_drive(20, TIMED_S, rate=rate)))
+        f"{rate:g} Hz": Family("", lambda _, rate=rate: Input(make_drive(20, TIMED_S, rate=rate)))
         for rate in TIMED_HZ
     }
 
@@ -123,8 +92,8 @@ def kidnapped() -> dict[str, Family]:
     def carried(how: str, seed: int) -> Input:
         return Input(_recorded(*hall(seed, CARRIED[how])), frozenset())
 
-    halls = {how: Family(partial(carried, how)) for how in CARRIED}
-    return {"calamities": Family(calamities)} | halls
+    halls = {how: Family("", partial(carried, how)) for how in CARRIED}
+    return {"calamities": Family("", calamities)} | halls
 
 
 def _recorded(robot: Robot, samples: list[Sample]) -> Drive:
@@ -140,7 +109,7 @@ def _recorded(robot: Robot, samples: list[Sample]) -> Drive:
 def field() -> dict[str, Family]:
     """Field cases with ground truth."""
     return {
-        str(path.relative_to(data() / "field")): Family(partial(_field_case, path), number=1)
+        str(path.relative_to(data() / "field")): Family("", partial(_field_case, path), copies=0)
         for path in _field_folders()
     }
 
@@ -176,7 +145,7 @@ def _of_turtlebot(truth: Truth) -> Truth:
 TRUTHS = {"44-turtlebot-course": _of_turtlebot}
 """Corrections of ground truth, as the README of the field case specifies."""
 BENCHMARKS: dict[str, Callable[[], dict[str, Family]]] = {
-    "gate": gate,
+    "gate": lambda: SCENARIOS,
     "mrclam": mrclam,
     "case2": case2,
     "cost": cost,
@@ -197,14 +166,16 @@ def cases(benchmark: str, seeds: int, only: list[str] | None = None) -> list[Cas
         Case(benchmark, name, k)
         for name, family in families(benchmark).items()
         if not only or name in only
-        for k in family.numbers(seeds)
+        for k in range(seeds * family.copies or 1)
     ]
     return sorted(found, key=lambda case: case.number)
 
 
 def made(case: Case, folder: Path) -> Input:
     """Return the drive of a case, in `folder` unless it is in one already."""
-    found = families(case.benchmark)[case.family].make(case.number)
+    found = families(case.benchmark)[case.family].drive(case.number)
+    if isinstance(found, Trial):
+        found = Input(found.drive, found.moved)
     if found.folder is not None:
         return found
     write_folder(found.drive, folder)
