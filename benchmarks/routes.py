@@ -14,11 +14,12 @@ from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
+import shapely
+from shapely import LineString
 
 from benchmarks.measures import Figures
 from benchmarks.monte_carlo import Column, Run, benchmark
 from benchmarks.places.warehouse import Warehouse
-from homeward.control.following import Path as Line
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.scenario import Push, Repeat, Scenario, StartPose, Teach
 from homeward.lab.simulation.simulate import Simulation, prepare, simulate
@@ -65,8 +66,8 @@ class Lesson:
     place: Place
 
     @property
-    def line(self) -> Line:
-        return Line(self.truth[:, 1:3])
+    def line(self) -> LineString:
+        return LineString(self.truth[:, 1:3])
 
     @property
     def stops(self) -> np.ndarray:
@@ -108,7 +109,7 @@ def again(
 
 def figures(lesson: Lesson, way: np.ndarray, done: bool, since: float) -> Figures:
     """Return the errors of a true path, (n, 4), while it is on the route, again after `since`."""
-    t, off = way[:, 0], distance(lesson.line, way[:, 1:3])
+    t, off = way[:, 0], shapely.distance(lesson.line, shapely.points(way[:, 1:3]))
     went = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(way[:, 1:3], axis=0).T))])
     stays = np.array([(off[(went >= m) & (went < m + STAYS_M)] < STAYS).all() for m in went])
     on = np.flatnonzero((off < NEAR) & stays)
@@ -127,17 +128,6 @@ def figures(lesson: Lesson, way: np.ndarray, done: bool, since: float) -> Figure
         "entered": float(t[again]) - since if again < len(way) else math.inf,
         "done": done,
     }
-
-
-def distance(line: Line, points: np.ndarray) -> np.ndarray:
-    a, b = line.points[:-1], line.points[1:]
-    keep = np.hypot(*(b - a).T) > 0
-    a, way = a[keep], (b - a)[keep]
-    out = np.empty(len(points))
-    for i, point in enumerate(points):
-        share = np.clip(((point - a) * way).sum(1) / (way * way).sum(1), 0.0, 1.0)
-        out[i] = np.hypot(*(a + share[:, None] * way - point).T).min()
-    return out
 
 
 def measured(run: Run) -> Figures:

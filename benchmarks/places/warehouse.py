@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
+from shapely import LinearRing, Point
 
 from homeward.drives.drive import Drive
 from homeward.lab.simulation import scenario as sim
@@ -119,17 +120,8 @@ class Warehouse:
         return self._free()
 
     def _is_free(self, x: float, y: float) -> bool:
-        ends = np.array(ROUND)
-        a, b = ends, np.roll(ends, -1, axis=0)
-        along = np.clip(_along(a, b, x, y), 0.0, 1.0)
-        off = np.hypot(*(a + along[:, None] * (b - a) - (x, y)).T).min()
+        off = LinearRing(ROUND).distance(Point(x, y))
         others = all(math.dist((x, y), p) > APART for p in self.places.values())
         return bool(
             ROOM.free(x, y) and off > AISLE and others and math.dist((x, y), (HOME.x, HOME.y)) > 1.0
         )
-
-
-def _along(a: np.ndarray, b: np.ndarray, x: float, y: float) -> np.ndarray:
-    """Return the share of each segment before the point nearest to (x, y)."""
-    way = b - a
-    return np.asarray((((x, y) - a) * way).sum(axis=1) / (way * way).sum(axis=1))
