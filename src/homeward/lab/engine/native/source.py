@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from homeward.lab.engine.native.emit import emit
-from homeward.lab.engine.program import OBSERVE, Program
+from homeward.lab.engine.program import OBSERVE, Program, allocate
 from homeward.lab.filters.settings import Engine
 from homeward.native.cache import default_folder
 from homeward.native.compiler import NativeError
@@ -34,14 +34,10 @@ class Source:
     def __init__(self, program: Program, single: bool, extra: dict[str, int]) -> None:
         if not program.is_unrolled:
             raise NativeError("the filter has too many landmarks")
-        self.places: dict[str, int] = {}
-        """Start of each variable in the pool."""
-        self.size = 0
-        """Size of the pool."""
-        for name in program.shapes:
-            self._place(name, program.size(name))
-        for name, size in extra.items():
-            self._place(name, size)
+        sizes = {name: program.size(name) for name in program.shapes} | extra
+        *starts, size = np.cumsum([0, *sizes.values()]).tolist()
+        self.places: dict[str, int] = dict(zip(sizes, starts, strict=True))
+        """Start of each variable in the pool; they lie as `allocate` puts them."""
         lines = [emit(f"part_{name}", f, self.places) for name, f in program.parts.items()]
         calls = {name: f"part_{name}(p);" for name in program.parts}
         observe = calls.pop(OBSERVE, "(void)p;")
@@ -50,13 +46,8 @@ class Source:
         if single:
             lines += [f"void homeward_{k}(double *p) {{ {call} }}" for k, call in calls.items()]
         texts = ["#define SINGLE"] if single else []
-        texts += [_template("lanes.h"), _template("noise.h"), f"#define POOL {max(self.size, 1)}"]
+        texts += [_template("lanes.h"), _template("noise.h"), f"#define POOL {max(size, 1)}"]
         self.text = "\n".join([*texts, *lines, _template("loop.c")])
-
-    def _place(self, name: str, size: int) -> None:
-        if name not in self.places:
-            self.places[name] = self.size
-            self.size += size
 
 
 def _template(name: str) -> str:
@@ -72,14 +63,9 @@ class NativeProgram:
     engine: Engine = "native"
 
     def __init__(self, program: Program) -> None:
-        source = source_of(program, single=True)
-        self.library: Library = load(source.text)
+        self.library: Library = load(source_of(program, single=True).text)
         self.notes = self.library.notes
-        self.pool = np.zeros(source.size)
-        self.variables = {
-            name: self._view(source.places[name], shape) for name, shape in program.shapes.items()
-        }
-        """Views of the pool by name; matrices are column-major."""
+        self.pool, self.variables = allocate(program.shapes)
         self._address = ctypes.c_void_p(self.pool.ctypes.data)
         self._functions: dict[str, Any] = {}
         for part in (*program.parts, "advance"):
@@ -90,10 +76,6 @@ class NativeProgram:
     def do(self, part: str = "advance") -> None:
         """Execute a part of the program; by default all but `OBSERVE`."""
         self._functions[part](self._address)
-
-    def _view(self, place: int, shape: tuple[int, ...]) -> np.ndarray:
-        size = int(np.prod(shape))
-        return self.pool[place : place + size].reshape(shape, order="F")
 
 
 COMPILING_S = 25e-6

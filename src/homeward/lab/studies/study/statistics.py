@@ -82,11 +82,6 @@ def mean(values: np.ndarray) -> float:
     return known(values, np.mean)
 
 
-def geometric_mean(values: np.ndarray) -> float:
-    """Return the geometric mean of the known values; NaN where none is known."""
-    return known(values, lambda some: np.exp(np.mean(np.log(some))))
-
-
 def root_mean_square(values: np.ndarray) -> float:
     """Return the root of the mean square of the known values; NaN where none is known."""
     return known(values, _root_mean_square)
