@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
+import casadi as ca
 import numpy as np
 
 from homeward.geometry.angles import wrap
@@ -147,13 +149,11 @@ class FilterRunner:
 
         A negative D*_i, possible where bearings are nearly in line with home, means unknown.
         """
-        model, state, stored = self.kind.model, belief.state, self.stored
-        jacobian = _distance_jacobian(model, state, stored)
+        given = landmark_function(self.kind.model)(belief.state, self.stored)
+        home, distances, jacobian = (np.array(part) for part in given)
         variances = np.einsum("ij,jk,ik->i", jacobian, belief.covariance, jacobian)
         return LandmarkBelief(
-            wrap(_home_bearings(model, state, stored)),
-            _distances(model, state, stored),
-            np.sqrt(np.maximum(variances, 0.0)),
+            wrap(home[:, 0]), distances[:, 0], np.sqrt(np.maximum(variances, 0.0))
         )
 
     def _set_step(self, dt: float, twist: MaybeTwist) -> None:
@@ -192,25 +192,12 @@ class FilterRunner:
         return before
 
 
-def _home_bearings(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Return beta* of all landmarks (q,) [rad], from the state where they are estimated."""
-    home = stored.astype(state.dtype)
-    home[list(model.estimated)] = state[POLAR + model.q :]
-    return home
-
-
-def _distances(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    home = _home_bearings(model, state, stored)
+@lru_cache(maxsize=64)
+def landmark_function(model: PolarModel) -> ca.Function:
+    """Return state, stored -> beta* (q,), D*_i (q,), and the derivatives of these by the state."""
+    state, stored = ca.SX.sym("X", model.n), ca.SX.sym("stored", model.q)
+    home, polar = model.home_bearings(state, stored), ca.vertsplit(state[:POLAR])
     # The guard is far below any angle that a camera could resolve.
-    return np.asarray(landmark_distance(state[:POLAR], state[model.bearing_slice], home, 1e-6))
-
-
-def _distance_jacobian(model: PolarModel, state: np.ndarray, stored: np.ndarray) -> np.ndarray:
-    """Return the derivatives of D*_i by the state (q, n), from complex steps."""
-    step = 1e-30
-    columns = []
-    for j in range(model.n):
-        shifted = state.astype(complex)
-        shifted[j] += 1j * step
-        columns.append(np.imag(_distances(model, shifted, stored)) / step)
-    return np.stack(columns, axis=1)
+    far = landmark_distance(polar, state[model.bearing_slice], home, 1e-6)
+    jacobian = ca.densify(ca.jacobian(far, state))
+    return ca.Function("landmarks", [state, stored], [home, far, jacobian])
