@@ -81,9 +81,10 @@ class Rival:
         self.error = self.nees = math.nan
         if pose is None or covariance is None:
             return
-        self.error, self.nees = (
-            float(one[0]) for one in scores(np.array([pose]), covariance[None], np.array([true]))
-        )
+        off = np.array(pose) - true
+        off[2] = wrap(off[2])
+        self.error = math.hypot(off[0], off[1])
+        self.nees = float(normalised_squared(off[None], covariance[None])[0])
         self._scored += 1
         self._sum += self.nees
 
@@ -92,11 +93,11 @@ class Rival:
         pose, covariance = self.estimate.pose, self.estimate.covariance
         out: dict[str, Any] = {
             "status": self.estimate.status.value,
-            "overconfident": is_overconfident(self.nees),
+            "overconfident": self.nees > CHI_SQUARE_3_95,  # true pose outside the 95 % region
             "reason": self.failure or self.estimate.reason,
             "update_ms": 1e3 * self.update_s,
             "moved": self._moved,
-            "marks": {i: _placed(home, x, y) for i, (x, y) in self._marks.items()},
+            "marks": {i: compose(home, Pose(*at, 0.0))[:2] for i, at in self._marks.items()},
         }
         if pose is not None and covariance is not None:
             out["pose"] = [float(part) for part in compose(home, pose)]
@@ -104,25 +105,6 @@ class Rival:
             out["error"], out["nees"] = self.error, self.nees
             out["nees_mean"] = self._sum / self._scored if self._scored else None
         return out
-
-
-def _placed(home: Pose, x: float, y: float) -> list[float]:
-    there = compose(home, Pose(x, y, 0.0))
-    return [float(there.x), float(there.y)]
-
-
-def is_overconfident(nees: float) -> bool:
-    """Whether ground truth is outside the 95 % region of the estimate."""
-    return bool(nees > CHI_SQUARE_3_95)
-
-
-def scores(
-    pose: np.ndarray, covariance: np.ndarray, true: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return position errors [m] and NEES of poses (m, 3), each of shape (m,)."""
-    error = pose - true
-    error[:, 2] = wrap(error[:, 2])
-    return np.hypot(error[:, 0], error[:, 1]), normalised_squared(error, covariance)
 
 
 def ellipse(covariance: np.ndarray, turn: float = 0.0) -> list[float] | None:
