@@ -111,12 +111,12 @@ class Scene:
         for k, name in enumerate(self.unknown):
             constants[CALIBRATIONS.index(name)] = unknowns[POLAR + 2 * q + k]
         poses, twists = self._path(constants)
-        seen, stored = np.argwhere(self.visible).tolist(), np.flatnonzero(self.stored).tolist()
-        still = ca.SX.zeros(INPUTS)
-        values = [
-            *(_sighting()(poses[:, k], twists[:, k], marks[:, j], constants) for k, j in seen),
-            *(_sighting()(home, still, marks[:, j], constants) for j in stored),
-        ]
+        n, i = (rows.tolist() for rows in np.nonzero(self.visible))
+        kept = np.flatnonzero(self.stored).tolist()
+        eyes = ca.horzcat(poses[:, n], ca.repmat(home, 1, len(kept)))
+        moving = ca.horzcat(twists[:, n], ca.SX.zeros(INPUTS, len(kept)))
+        every = _sighting().map("every", "serial", len(n) + len(kept), [3], [])
+        values = [every(eyes, moving, marks[:, i + kept], constants).T]
         if self.compass:
             values.append(home[2])
         if self.distances:
