@@ -12,15 +12,17 @@ import time
 
 import pytest
 from live_rig import SCENARIO
+from typer.testing import CliRunner
 
+from homeward.cli.main import app
 from homeward.drives.drive import HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import synchronised
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient, play
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import BearingsIn, GoHome, Hello, OdometryIn, line_of
-from homeward.live.server import Address, Server, address
-from homeward.live.session import Session
+from homeward.live.server import Address, Server, address, stop_file
+from homeward.live.session import NOT_OWN_STOP, Session
 from homeward.live.settings import LiveSettings
 from homeward.localizer.localizer import Localizer
 
@@ -29,9 +31,9 @@ HELLO = line_of(Hello()).encode()
 
 
 @contextlib.asynccontextmanager
-async def serving(session=None, token=None, **where):
+async def serving(session=None, token=None, stop_file=None, **where):
     """The ports of a server, and the server."""
-    server = Server(session or Session(), token)
+    server = Server(session or Session(), token, stop_file=stop_file)
     opened = asyncio.get_running_loop().create_future()
     task = asyncio.create_task(server.serve(**where, opened=opened.set_result))
     try:
@@ -121,10 +123,74 @@ def test_an_observer_may_only_read():
             assert "only permits to read" in out[1]["text"]
             while json.loads(await reader.readline())["type"] != "diagnostics":
                 pass
-            assert not server.session._stopped
+            assert not server.session.is_stopped
             writer.close()
 
     asyncio.run(whole())
+
+
+STOP = b'{"type":"estop","engaged":true}\n'
+RELEASE = b'{"type":"estop","engaged":false}\n'
+
+
+def test_only_the_client_that_gave_a_stop_releases_it_also_after_a_restart(tmp_path):
+    file = tmp_path / "state" / "stop"
+
+    async def until(condition):
+        async with asyncio.timeout(20.0):
+            while not condition():
+                await asyncio.sleep(0.01)
+
+    async def error(reader):
+        async with asyncio.timeout(20.0):
+            while (out := json.loads(await reader.readline()))["type"] != "error":
+                pass
+        return out["text"]
+
+    async def whole():
+        async with serving(stop_file=file, tcp=ANY) as (ports, server):
+            _, _, own = await answers(ports[0], HELLO, STOP)
+            await until(file.exists)
+            assert server.session.is_stopped
+            _, reader, other = await answers(ports[0], HELLO, RELEASE)
+            assert await error(reader) == NOT_OWN_STOP
+            other.write(STOP + RELEASE)  # the release of its own stop
+            own.write(RELEASE)
+            await until(lambda: not (server.session.is_stopped or file.exists()))
+            own.write(STOP)
+            await until(file.exists)
+            own.close()
+            other.write(RELEASE)
+            assert await error(reader) == NOT_OWN_STOP
+            other.close()
+        async with serving(stop_file=file, tcp=ANY) as (ports, server):
+            assert server.session.is_stopped
+            _, reader, writer = await answers(ports[0], HELLO, STOP, RELEASE, RELEASE)
+            assert await error(reader) == NOT_OWN_STOP
+            writer.close()
+        file.unlink()  # --release-stop
+        async with serving(stop_file=file, tcp=ANY) as (ports, server):
+            assert not server.session.is_stopped
+
+    asyncio.run(whole())
+
+
+def test_a_restart_with_release_stop_releases_the_stop_of_the_same_addresses(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert stop_file() is stop_file(ANY) is None
+    stopped = [stop_file(Address("127.0.0.1", port)) for port in (7707, 7708)]
+    for file in stopped:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+
+    async def nothing(*_):
+        pass
+
+    monkeypatch.setattr(Server, "serve", nothing)
+    assert CliRunner().invoke(app, ["live", "--tcp", "7707"]).exit_code == 0
+    assert all(file.exists() for file in stopped)
+    CliRunner().invoke(app, ["live", "--tcp", "7707", "--release-stop"])
+    assert [file.exists() for file in stopped] == [False, True]
 
 
 def test_bad_lines_are_answered_and_an_endless_one_ends_the_talk():
@@ -366,7 +432,6 @@ def types_taken(session):
 
 
 ODOMETRY = b'{"type":"odometry","t":%d,"v":0.1,"omega":0.0}\n'
-STOP = b'{"type":"estop","engaged":true}\n'
 
 
 @pytest.mark.parametrize("same", [True, False])

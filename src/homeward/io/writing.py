@@ -37,6 +37,11 @@ _checked: set[str] = set()
 """Folders in which this process has looked for abandoned scratch folders."""
 
 
+def state_folder() -> Path:
+    """Return the folder of what outlasts a process on this machine."""
+    return Path(os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state") / "homeward"
+
+
 @contextmanager
 def scratch_folder(parent: Path) -> Iterator[Path]:
     """Make a folder in `parent` with the usual permissions; delete it at the end unless renamed.

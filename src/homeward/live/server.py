@@ -19,12 +19,14 @@ import threading
 import time
 from collections.abc import AsyncIterator, Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from homeward.errors import HomewardError, InputError
 from homeward.io.blas_threads import single_threaded_blas
+from homeward.io.writing import state_folder, write_whole
 from homeward.live.inbox import ClientTurn, Inbox, Line, stdin_lines, stop_in, tcp_lines
-from homeward.live.messages import MAX_LINE, EventOut, Hello, Input, Output, line_of, parse
+from homeward.live.messages import MAX_LINE, EStop, EventOut, Hello, Input, Output, line_of, parse
 from homeward.live.session import Session
 
 HELLO_S = 5.0
@@ -78,6 +80,17 @@ def address(text: str) -> Address:
     return Address(host.strip("[]") or "127.0.0.1", int(port))
 
 
+def stop_file(*addresses: Address) -> Path | None:
+    """Return the file of an emergency stop of the robot with these addresses.
+
+    None without an address, or with any port: then nothing identifies the robot.
+    """
+    if not addresses or any(where.port == 0 for where in addresses):
+        return None
+    names = (f"{where.host}_{where.port}".replace(":", "_") for where in addresses)
+    return state_folder() / "stops" / "-".join(names)
+
+
 @dataclass(eq=False)
 class _Client:
     """A connected client: functions to send a line, to get its unread bytes, and to close it."""
@@ -100,14 +113,19 @@ class Server:
     session: Session
     token: str | None = None
     observe_token: str | None = None
+    stop_file: Path | None = None
+    """File that exists while an emergency stop is engaged, so that a restart does not release it;
+    see `stop_file`."""
     watch: Callable[[Output], None] | None = None
     ports: list[int] = field(default_factory=list)
     """Ports of TCP and WebSocket that `serve` opened."""
     _clients: set[_Client] = field(default_factory=set)
     _work: threading.Event = field(default_factory=threading.Event)
     _guess: asyncio.Lock = field(default_factory=asyncio.Lock)
+    _writing: threading.Lock = field(default_factory=threading.Lock)
     _done: bool = False
     _failure: BaseException | None = None
+    _loop: asyncio.AbstractEventLoop = field(init=False)
     _end: Callable[[], object] = lambda: None
 
     async def serve(
@@ -126,8 +144,10 @@ class Server:
                 raise InputError(
                     f"{where.host}: other machines could connect; set a token in HOMEWARD_TOKEN"
                 )
+        if self.stop_file is not None and self.stop_file.exists():
+            self.session.receive(EStop(engaged=True), time.monotonic(), self.stop_file)
         sys.setswitchinterval(SWITCH_S)
-        loop = asyncio.get_running_loop()
+        self._loop = loop = asyncio.get_running_loop()
         ended = asyncio.Event()
         self._end = functools.partial(loop.call_soon_threadsafe, ended.set)
         with contextlib.suppress(RuntimeError, ValueError):  # not on the main thread
@@ -215,6 +235,22 @@ class Server:
             self.session.receive(message, time.monotonic(), client)
         finally:
             self._work.set()
+        if isinstance(message, EStop) and self.stop_file is not None:
+            self._loop.run_in_executor(None, self._keep_stop, self.stop_file)
+
+    def _keep_stop(self, file: Path) -> None:
+        """Write or delete the file of the emergency stop, not on the loop's thread."""
+        with self._writing:
+            try:
+                if self.session.is_stopped:
+                    file.parent.mkdir(parents=True, exist_ok=True)
+                    write_whole(file, b"")
+                else:
+                    file.unlink(missing_ok=True)
+            except (HomewardError, OSError) as error:
+                text = f"the emergency stop would not outlast a restart: {error}"
+                event = EventOut(type="error", text=text)
+                self._loop.call_soon_threadsafe(self._send, event)
 
     def _receive_line(self, line: Line, client: _Client) -> bool:
         """Process a line; return whether it is a valid message."""

@@ -19,7 +19,7 @@ from homeward.control.following import STAND
 from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings, OtherCamera
-from homeward.errors import HomewardError, InternalError
+from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
@@ -34,6 +34,10 @@ from homeward.reasons import Reason
 
 MEMORY_S = 3.0
 """Odometry is kept for this time, for late bearings [s]."""
+
+NOT_OWN_STOP = (
+    "only the client that gave the emergency stop can release it, or a restart with --release-stop"
+)
 
 _Queued = msg.Input | msg.PlaceChanged
 """Messages in the queue of `process`."""
@@ -80,7 +84,8 @@ class Session:
         """Last command, and its time [s]."""
         self._last_odometry = -math.inf
         self._obstacle: tuple[float, float] | None = None
-        self._stopped = False
+        self._stops = set[object]()
+        """Senders whose emergency stop is engaged."""
         self._queue: deque[tuple[_Queued, Pose | None, float, object]] = deque()
         self._lock = threading.Lock()
         self._answered = -math.inf
@@ -106,10 +111,13 @@ class Session:
         """Check a message and queue it for `process`. Fast.
 
         If the queue is full, a message of the sender with the most of them is dropped.
-        `InternalError` at any error; the drive fails then, and the message is ignored.
+        `InputError` at the release of an emergency stop of another sender. `InternalError` at any
+        other error; the drive fails then. The message is then ignored.
         """
         try:
             self._receive(message, now, sender)
+        except InputError:
+            raise
         except Exception as error:
             raise self._failure(error, f"a message {message.type} is ignored", now) from error
 
@@ -133,7 +141,12 @@ class Session:
                 if t > self._twists.newest - MEMORY_S:
                     odom = self._odometry_pose(t)
             case msg.EStop(engaged=engaged):
-                self._stopped = engaged
+                if engaged:
+                    self._stops.add(sender)
+                elif self._stops and sender not in self._stops:
+                    raise InputError(NOT_OWN_STOP)
+                else:
+                    self._stops.discard(sender)
                 # The release also ends a drive: the robot must not move before a new goal.
                 self._driver.fail("emergency stop", now)
             case msg.Cancel():
@@ -263,7 +276,7 @@ class Session:
     def faults(self, now: float) -> tuple[Fault, ...]:
         """Return the reasons for which the robot must not drive."""
         settings, found = self.settings, list[Fault]()
-        if self._stopped:
+        if self._stops:
             found.append(Fault("emergency stop"))
         if self._obstacle is not None:
             (distance, since), minimum = self._obstacle, settings.limits.obstacle_distance
@@ -332,6 +345,11 @@ class Session:
             waiting=self.waiting,
             work_ms=1e3 * work,
         )
+
+    @property
+    def is_stopped(self) -> bool:
+        """Whether an emergency stop is engaged."""
+        return bool(self._stops)
 
     @property
     def driving(self) -> bool:

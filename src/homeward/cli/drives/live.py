@@ -67,6 +67,10 @@ def live(
             help="Token of clients that may only read [an environment variable].",
         ),
     ] = None,
+    release_stop: Annotated[
+        bool,
+        typer.Option("--release-stop", help="Release an emergency stop of an earlier session."),
+    ] = False,
     schema: Annotated[
         bool, typer.Option("--schema", help="Print the JSON Schema of all messages and exit.")
     ] = False,
@@ -88,7 +92,7 @@ def live(
     from homeward.live.messages import schema as everything
     from homeward.live.recording import Recorder
     from homeward.live.recording import replay as repeat
-    from homeward.live.server import Server, address, given_token
+    from homeward.live.server import Server, address, given_token, stop_file
     from homeward.live.session import Session
     from homeward.live.settings import LiveSettings
 
@@ -120,7 +124,10 @@ def live(
     recorder = None if record is None else Recorder(record, settings, known, homes, visited)
     if recorder is not None:
         session.watch(recorder.keep)
-    server = Server(session, given_token(), observe_token)
+    stop = stop_file(*filter(None, (at_tcp, at_websocket)))
+    if release_stop and stop is not None:
+        stop.unlink(missing_ok=True)
+    server = Server(session, given_token(), observe_token, stop)
 
     def opened(ports: list[int]) -> None:
         typer.echo(f"listening on port {' and '.join(map(str, ports))}", err=True)
