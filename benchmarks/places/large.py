@@ -21,7 +21,8 @@ from homeward.places.files import load_place, save_place
 from homeward.places.joint_map import JointMap
 from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import Place, StoredHome, Visit
-from homeward.places.visit_data import VisitData, VisitFrames
+from homeward.places.views import VisitFrames
+from homeward.places.visit_data import VisitData
 from homeward.places.visiting import merged
 
 HALL = 60.0, 40.0  # [m]

@@ -60,7 +60,7 @@ class Warehouse:
             self._put_new()
         self.day += 1
 
-    def drive(self) -> Drive:
+    def drive(self, seconds: float = 150.0) -> Drive:
         """Return a drive of this day from a random start; home bearings are of this day, too."""
         rng = np.random.default_rng([self.seed, self.day, 1])
         first, way = int(rng.integers(len(ROUND))), int(rng.choice([-1, 1]))
@@ -70,7 +70,7 @@ class Warehouse:
             sim.StartPose(
                 x=start[0], y=start[1], heading=rng.uniform(-math.pi, math.pi), prior=False
             ),
-            sim.Waypoints(speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=150.0),
+            sim.Waypoints(speed=0.4, points=tuple(points[1:]), max_turn_rate=2.5, duration=seconds),
             1000 * self.seed + self.day,
         )
         return simulate(scenario).drive

@@ -14,13 +14,14 @@ from homeward.live.fleet.merger import Merger
 from homeward.live.fleet.merging import SharedPlace
 from homeward.live.fleet.messages import visit_message
 from homeward.live.fleet.robot import RobotLink
-from homeward.places.visit_data import VisitCounts, VisitData
+from homeward.places.views import Views
+from homeward.places.visit_data import VisitData
 
 PUSH = np.array([0.6, -0.5])
 """How a landmark is moved [m]."""
 
 
-def visited(visit, places, seed=1, ages=(), ended=False, vague=(), frames=()):
+def visited(visit, places, seed=1, ages=(), ended=False, vague=(), views=None):
     """The message of a visit that maps landmarks; some were seen `ages` ago [s], some `vague`."""
     rng = np.random.default_rng(seed)
     own = mapped(places, rng, (1.0, -2.0, 2.5))
@@ -28,7 +29,7 @@ def visited(visit, places, seed=1, ages=(), ended=False, vague=(), frames=()):
     own = replace(own, covariance=own.covariance + more)
     data = VisitData(visit, f"{visit}-{seed}", 0.0, own)
     seen = dict.fromkeys(places, 1.0) | dict(ages)
-    return visit_message(data, VisitCounts(dict(frames)), seen, "home", ended)
+    return visit_message(data, views or Views(), seen, "home", ended)
 
 
 def pushed(places, *names, by=PUSH):

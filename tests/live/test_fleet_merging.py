@@ -37,7 +37,8 @@ from homeward.live.fleet.messages import (
 from homeward.live.messages import BearingsIn, line_of
 from homeward.places.files import load_place, newest, save_place
 from homeward.places.place import StoredHome
-from homeward.places.visit_data import VisitCounts, VisitData
+from homeward.places.views import Views
+from homeward.places.visit_data import VisitData
 
 
 @pytest.fixture
@@ -210,7 +211,7 @@ def test_a_vague_position_does_not_confirm_a_distant_one(shared):
     own = visit_of(visited("v1", pushed(room(), "L3"), 2), 1.0)
     more = np.diag([0.04 if n == "L3" else 0.0 for n in own.map.names for _ in range(2)])
     wide = replace(own, map=replace(own.map, covariance=own.map.covariance + more))
-    message = visit_message(wide, VisitCounts({}), dict.fromkeys(room(), 1.0), "home", False)
+    message = visit_message(wide, Views(), dict.fromkeys(room(), 1.0), "home", False)
     shared.add("b", message, 2.0, 1.0)
     assert not found(shared, 2.0).get("L3", ("", False, []))[1]
 
@@ -316,7 +317,7 @@ def test_homes_and_places_are_equal_after_the_way_through_a_message(folder, shar
     pose, spread = Pose(1.0, 2.0, 0.5), np.diag([1e-4, 2e-4, 1e-5])
     home = StoredHome(1.5, seen), Estimate(0.0, Status.LOCALISED, "", pose, spread)
     data = VisitData("one", "1f", 2.0, mapped(room(), rng), None, "home", {"dock": home})
-    message = visit_message(data, VisitCounts({"L1": (9, 4)}), {}, "home", True)
+    message = visit_message(data, Views(), {}, "home", True)
     there = visit_of(parse_visit(line_of(message)), 2.0)
     assert there.map.covariance == pytest.approx(data.map.covariance, abs=1e-7)
     assert np.array_equal(there.map.mean, data.map.mean)

@@ -35,7 +35,7 @@ def test_rates_are_learnt_of_each_landmark():
 def test_one_that_is_missed_is_gone_and_one_that_is_back_was_not():
     s, beliefs = LandmarkPersistence(0.0, 0.0), []
     for day in (1.0, 2.0, 3.0):
-        s = s.was_missed(day, 0.05, MIN_HIDDEN)
+        s = s.was_missed(day, 0.05, 0.1)
         beliefs.append(s.stands)
     assert beliefs[0] > 0.5 > beliefs[1] > beliefs[2]
     back = s.seen_in_place(4.0)

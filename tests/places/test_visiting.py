@@ -16,9 +16,9 @@ from homeward.geometry.frames import Pose, bearing
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.faces import MapSnapshot
 from homeward.places.files import load_place, save_place
-from homeward.places.joint_map import JointMap
 from homeward.places.place import DRIFT
-from homeward.places.visit_data import VisitFrames, collect_visit, last_frame
+from homeward.places.views import VisitFrames
+from homeward.places.visit_data import collect_visit, last_frame
 from homeward.places.visiting import MAX_EVENTS, first_place, merged, merged_places
 from homeward.track import run
 
@@ -53,6 +53,7 @@ def test_what_moved_is_named_and_follows(moved):
 def test_what_is_in_view_and_not_seen_fades_and_is_forgotten():
     rng, places = np.random.default_rng(0), room()
     place = new_place(places, rng)
+    place = merged(place, visit_data(places, rng, 0.0, frames=frames(places)))
     gone = places.pop("L3")
     counts = []
     for day in (1.0, 2.0, 3.0, 4.0):
@@ -69,6 +70,7 @@ def test_what_is_in_view_and_not_seen_fades_and_is_forgotten():
 def test_what_was_out_of_view_is_not_said_to_be_gone():
     rng, places = np.random.default_rng(0), room()
     place = new_place(places, rng)
+    place = merged(place, visit_data(places, rng, 0.0, frames=frames(places)))
     ahead = {n: p for n, p in places.items() if p[0] > -1.0}
     seen = frames(places, 0.5)
     after = merged(
@@ -82,6 +84,7 @@ def test_unseen_tags_share_the_fate_of_the_seen_tag_on_their_box():
     rng, places = np.random.default_rng(0), room()
     groups = (("L1", "L2"), ("L3", "L4"))
     place = new_place(places, rng)
+    place = merged(place, visit_data(places, rng, 0.0, frames=frames(places)))
     places["L1"] = places["L1"] + (0.5, -0.4)
     seen = {n: p for n, p in places.items() if n not in ("L2", "L4", "L5")}
     visit = visit_data(seen, rng, frames=frames(seen), together=groups)
@@ -262,18 +265,3 @@ def test_a_map_of_too_few_landmarks_is_no_place(number):
     localizer = SimpleNamespace(snapshot=lambda: own, landmarks=list)
     with pytest.raises(HomewardError, match=f"{number} landmarks are mapped accurately"):
         first_place("hall", localizer, visit)
-
-
-def test_a_landmark_is_missed_only_where_another_one_behind_it_was_seen():
-    """Landmarks ahead: one in front of another one, and one with nothing behind it."""
-    places = {"near": (2.0, 0.1), "behind": (4.0, 0.0), "alone": (3.0, 3.0), "far": (5.0, -2.0)}
-    there = JointMap(tuple(places), (), np.array([*places.values()]).ravel(), 1e-4 * np.eye(8))
-    cameras = np.column_stack([np.linspace(0.0, 0.2, 10), np.zeros(10), np.zeros(10)])
-    frames = VisitFrames(cameras, 10 * [["behind", "far"]], None)
-    origin = Pose(0.0, 0.0, 0.0)
-    assert frames.counts(there, origin)[0].tolist()[:3] == [10, 10, 10]
-    in_view, seen = frames.counts(there, origin, needs_sight=True)
-    assert in_view.tolist()[:3] == [10, 10, 0]
-    assert seen.tolist()[:3] == [0, 10, 0]
-    vague = replace(there, covariance=0.2 * np.eye(8))
-    assert frames.counts(vague, origin, needs_sight=True)[0][0] == 0

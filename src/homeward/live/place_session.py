@@ -36,7 +36,7 @@ from homeward.runs.report.place_words import visit_words
 from homeward.runs.report.words import count
 
 COLUMNS = 5
-"""Columns of a stored answer: stamp, pose, and the position's sigma, NaN unless localised."""
+"""Columns of an answer: stamp, pose, and the position's sigma, NaN unless localised."""
 READ_ONLY = (
     "the place is read-only: start homeward live with --update, or the node with place_update"
 )
@@ -115,7 +115,7 @@ class PlaceSession:
         with_ranges = message.sigmas, message.ranges, message.range_sigmas, message.camera
         self._samples.add_bearings(message.t, message.bearings, *with_ranges)
         if estimate.pose is not None:
-            self._poses.extend((message.t, *estimate.pose, _sigma(estimate)))
+            self._poses.extend((message.t, *estimate.pose, localised_sigma(estimate)))
 
     def store_home(self, name: str, first: str, seen: BearingsIn, estimate: Estimate) -> str:
         """Store the robot's pose as a home of the place, from the next merge on; return a report.
@@ -151,7 +151,7 @@ class PlaceSession:
         `InputError` where the robot is not well localised, or the place is read-only.
         """
         self._require_localised(estimate, "the route cannot begin")
-        if (sigma := _sigma(estimate)) > LOOKAHEAD:
+        if (sigma := localised_sigma(estimate)) > LOOKAHEAD:
             raise InputError(
                 f"the route cannot begin: position sigma is {sigma:.2f} m, at most {LOOKAHEAD:g} m"
                 " is needed"
@@ -214,9 +214,9 @@ class PlaceSession:
         drive = replace(drive, sightings=self._samples.sightings())
         stamps = drive.sightings.t[drive.sightings.begins]
         rows = last_of_equal(table(self._poses, COLUMNS))
-        poses = np.full((stamps.size, 3), np.nan)
+        poses = np.full((stamps.size, 4), np.nan)
         known = np.isin(stamps, rows[:, 0])
-        poses[known] = rows[np.searchsorted(rows[:, 0], stamps[known]), 1:4]
+        poses[known] = rows[np.searchsorted(rows[:, 0], stamps[known]), 1:]
         visit = collect_visit_along(localizer, drive, poses, self.when, home)
         require_enough(visit.map)
         visit = self._with_stored(visit)
@@ -259,7 +259,7 @@ class PlaceSession:
             ) from error
 
 
-def _sigma(estimate: Estimate) -> float:
+def localised_sigma(estimate: Estimate) -> float:
     """Return the position sigma in the worst direction [m]; NaN if not localised."""
     if estimate.status is not Status.LOCALISED or estimate.covariance is None:
         return math.nan

@@ -2,21 +2,23 @@
 
 Each landmark changes its place at its own rate, at exponentially distributed intervals. The rate
 has a Gamma distribution, whose prior is the rate of the whole place, so that the time until the
-next change has a Lomax distribution. A landmark in view that is not seen is evidence against it
+next change has a Lomax distribution. A landmark in sight that is not seen is evidence against it
 (Bayes), as in the persistence filter of Rosen, Mason and Leonard (2016).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 
 USUAL_DAYS = 9.0
 """Prior interval between changes of a landmark: it changes within one day with probability 0.1,
 like the localiser's `moved_prior` [days]."""
-MIN_HIDDEN = 0.1
-"""Minimum probability that a landmark in place is hidden throughout a visit."""
+MIN_HIDDEN, MIN_VIEWS = 0.01, 2
+"""Minimum probability that a landmark in place is hidden throughout a visit, and minimum number of
+views in which it must be missed: parts of one view may be hidden by a corner."""
 GONE = 0.5
 """A landmark that is in place with a lower probability is reported as gone ..."""
 FORGOTTEN = 0.02
@@ -45,6 +47,8 @@ class LandmarkPersistence:
     """Number of times that it was then seen elsewhere ..."""
     returned: int = 0
     """... and that it was seen in place after it was gone."""
+    seen_from: tuple[float, ...] = ()
+    """Maximum distance in each sector from which it was seen where it is, as `Views.seen` [m]."""
 
     def rate(self, usual: float) -> float:
         """Return its rate of changes [1 / day], given the usual rate of the place."""
@@ -57,16 +61,26 @@ class LandmarkPersistence:
         changes = 1.0 + self.moved + self.returned
         return min(self.stands * math.pow(lasts, changes), MAX_STAYS)
 
-    def seen_in_place(self, when: float) -> LandmarkPersistence:
-        """Return the persistence after a visit that saw it where it is mapped."""
+    def seen_in_place(self, when: float, seen: Sequence[float] = ()) -> LandmarkPersistence:
+        """Return the persistence after a visit that saw it where it is mapped.
+
+        `seen` are the distances from which it was seen, as `seen_from`.
+        """
         back = self.stands < GONE
         return replace(
-            self.updated(when, 1.0), seen=self.seen + 1, missed=0, returned=self.returned + back
+            self.updated(when, 1.0),
+            seen=self.seen + 1,
+            missed=0,
+            returned=self.returned + back,
+            seen_from=tuple(
+                float(max(both)) for both in zip_longest(self.seen_from, seen, fillvalue=0.0)
+            ),
         )
 
     def seen_elsewhere(self, when: float) -> LandmarkPersistence:
         """Return the persistence after it was seen elsewhere, where it is now mapped."""
-        return replace(self.updated(when, 1.0), since=when, seen=1, missed=0, moved=self.moved + 1)
+        now = self.updated(when, 1.0)
+        return replace(now, since=when, seen=1, missed=0, moved=self.moved + 1, seen_from=())
 
     def was_missed(self, when: float, usual: float, unseen: float) -> LandmarkPersistence:
         """Return the persistence after a visit that missed it.
@@ -82,6 +96,7 @@ class LandmarkPersistence:
         newer = self if self.last >= other.last else other
         return replace(
             newer,
+            seen_from=self.seen_from,  # those of the other are in the frame of another place
             since=min(self.since, other.since),
             watched=max(self.watched, other.watched),  # perhaps in the same days
             seen=self.seen + other.seen,
@@ -107,9 +122,9 @@ def usual_rate(changes: float, watched: float) -> float:
     return (1.0 + changes) / (USUAL_DAYS + watched)
 
 
-def missed_probability(seen_share: float, frames: int) -> float:
-    """Return the probability that a landmark in place and in view of N `frames` is never seen.
+def missed_probability(seen_share: float, views: int) -> float:
+    """Return the probability that a landmark in place and in sight of N `views` is never seen.
 
-    `seen_share` is the share of such frames in which other landmarks were seen.
+    `seen_share` is the share of such views in which other landmarks were seen; see `Views`.
     """
-    return max(MIN_HIDDEN, (1.0 - min(seen_share, 1.0)) ** frames)
+    return max(MIN_HIDDEN, (1.0 - min(seen_share, 1.0)) ** views)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import zipfile
+from collections import defaultdict
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import Field, astuple, fields
+from dataclasses import Field, astuple, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from homeward.places.joint_map import JointMap
 from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import FIRST_DAY, LAST_DAY, Event, Place, StoredHome, Visit
 from homeward.places.route import Node, Route
+from homeward.places.views import SECTORS
 
 FORMAT = 1
 SETTINGS, LANDMARKS, HOMES, BEARINGS = (
@@ -41,7 +43,7 @@ SETTINGS, LANDMARKS, HOMES, BEARINGS = (
     "homes.csv",
     "home_bearings.csv",
 )
-VISITS, EVENTS, COVARIANCE = "visits.csv", "events.csv", "covariance.npz"
+VISITS, EVENTS, VIEWS, COVARIANCE = "visits.csv", "events.csv", "views.csv", "covariance.npz"
 ROUTES = "routes.csv"
 DAYS = ("when", "since", "last")
 """Fields of records that are days since 1970."""
@@ -67,6 +69,8 @@ class PlaceSettings(Strict):
     """Number of nodes of all routes; missing in old files without routes."""
     together: tuple[tuple[str, ...], ...] = ()
     """Groups of landmarks that move together."""
+    views: int = 0
+    """Number of rows of `VIEWS`; missing in old files without it."""
 
 
 def write_version(place: Place, folder: Path) -> None:
@@ -79,6 +83,12 @@ def write_version(place: Place, folder: Path) -> None:
 def write_tables(place: Place, folder: Path) -> None:
     """Write the files of a version but its covariance."""
     joint = place.map
+    views = [
+        (name, sector, round(distance, 2))
+        for name in joint.names
+        for sector, distance in enumerate(place.persistence[name].seen_from)
+        if distance > 0.0
+    ]
     settings = PlaceSettings(
         format=FORMAT,
         name=place.name,
@@ -89,15 +99,21 @@ def write_tables(place: Place, folder: Path) -> None:
         forgotten_days=place.past[1],
         nodes=sum(len(route.nodes) for route in place.routes.values()),
         together=place.together,
+        views=len(views),
     )
     text = yaml.safe_dump(settings.model_dump(mode="json"), sort_keys=False, allow_unicode=True)
     (folder / SETTINGS).write_text(text, encoding="utf-8")
-    columns = [f.name for f in fields(LandmarkPersistence)]
+    columns = [f.name for f in _fields(LandmarkPersistence)]
     write_csv(
         folder / LANDMARKS,
         ["landmark", "x", "y", "sigma", *columns],
         (
-            [name, *map(repr, (x, y)), f"{sigma:.4f}", *astuple(place.persistence[name])]
+            [
+                name,
+                *map(repr, (x, y)),
+                f"{sigma:.4f}",
+                *(getattr(place.persistence[name], column) for column in columns),
+            ]
             for name, (x, y), sigma in zip(
                 joint.names, joint.positions.tolist(), joint.sigmas.tolist(), strict=True
             )
@@ -120,6 +136,7 @@ def write_tables(place: Place, folder: Path) -> None:
     )
     for file, kind, rows in ((VISITS, Visit, place.visits), (EVENTS, Event, place.events)):
         write_csv(folder / file, [f.name for f in fields(kind)], map(astuple, rows))
+    write_csv(folder / VIEWS, ["landmark", "sector", "distance"], views)
     write_csv(
         folder / ROUTES,
         ["route", "taught", *(f.name for f in fields(Node))],
@@ -166,10 +183,13 @@ def read_tables(folder: Path, covariance: Callable[[int], np.ndarray]) -> Place:
         read_csv(folder / file, _parsers(kind)) for file, kind in ((VISITS, Visit), (EVENTS, Event))
     )
     visits.require_rows()
+    persistence = dict(zip(names, _records(table, LandmarkPersistence), strict=True))
+    if settings.views:
+        persistence = _with_views(persistence, folder / VIEWS, settings.views)
     return Place(
         settings.name,
         joint,
-        dict(zip(names, _records(table, LandmarkPersistence), strict=True)),
+        persistence,
         _homes(folder / BEARINGS, dict(zip(stored, homes["stored"].tolist(), strict=True))),
         tuple(_records(visits, Visit)),
         tuple(_records(events, Event)),
@@ -186,7 +206,12 @@ def _require_rows(table: Table, number: int, path: Path) -> None:
 
 def _parsers(kind: Any) -> dict[str, Parser]:
     """Return the parsers of the columns of records."""
-    return {f.name: _parser(f) for f in fields(kind)}
+    return {f.name: _parser(f) for f in _fields(kind)}
+
+
+def _fields(kind: Any) -> list[Field[Any]]:
+    """Return the fields of records that are columns of a table."""
+    return [f for f in fields(kind) if f.name != "seen_from"]
 
 
 def _parser(of: Field[Any]) -> Parser:
@@ -211,10 +236,29 @@ def _days(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> n
 
 def _records(table: Table, kind: Any) -> Iterable[Any]:
     """Yield the rows of a table as records, from the columns named like their fields."""
-    kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in fields(kind)]
-    columns = [table[f.name].tolist() for f in fields(kind)]
+    kinds = [{"int": int, "float": float, "str": str}[str(f.type)] for f in _fields(kind)]
+    columns = [table[f.name].tolist() for f in _fields(kind)]
     for row in zip(*columns, strict=True):
         yield kind(*(cast(value) for cast, value in zip(kinds, row, strict=True)))
+
+
+def _with_views(
+    persistence: dict[str, LandmarkPersistence], path: Path, rows: int
+) -> dict[str, LandmarkPersistence]:
+    """Return the persistence of landmarks with `seen_from` from this number of rows."""
+    table = read_csv(path, {"landmark": identifiers, "sector": numbers, "distance": numbers})
+    _require_rows(table, rows, path)
+    sectors, distances = table["sector"], table["distance"]
+    table.require("sector", np.isin(sectors, np.arange(SECTORS)), "not a sector")
+    table.require("distance", distances >= 0, "less than nothing")
+    found = defaultdict[str, np.ndarray](lambda: np.zeros(SECTORS))
+    columns = table["landmark"].tolist(), sectors.astype(int).tolist(), distances.tolist()
+    for name, sector, distance in zip(*columns, strict=True):
+        found[name][sector] = distance
+    return {
+        n: replace(p, seen_from=tuple(found[n].tolist())) if n in found else p
+        for n, p in persistence.items()
+    }
 
 
 def _routes(path: Path, nodes: int) -> dict[str, Route]:

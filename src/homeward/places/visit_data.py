@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -13,22 +13,15 @@ import numpy as np
 from homeward.drives.drive import Drive, HomeBearing
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import NO_BEARINGS_S, Estimate, Status
-from homeward.geometry.angles import wrap
-from homeward.geometry.frames import Pose
-from homeward.geometry.se2 import MIN_DISTANCE, compose, sight
+from homeward.geometry.frames import Pose, position_sigma
+from homeward.geometry.se2 import compose
 from homeward.io.table import is_identifier, quoted
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.tunables import INLIER
 from homeward.places.joint_map import JointMap
 from homeward.places.place import StoredHome
 from homeward.places.route import Route, map_of_estimates, taught
+from homeward.places.views import Views, VisitFrames
 from homeward.track import Track
-
-SIGHT_ANGLE, SIGHT_SHARE = 0.17, 0.8
-"""Maximum angle between two landmarks [rad], and minimum distance of the one that was seen, as a
-share of that of the other one, for which both have a free line of sight."""
-RANGE_QUANTILE = 0.9
-"""Range of the camera, as a quantile of the distances of all sightings."""
 
 
 def fingerprint(drive: Drive) -> str:
@@ -37,59 +30,6 @@ def fingerprint(drive: Drive) -> str:
     digest = hashlib.sha256(np.stack([seen.t, seen.bearing]).astype("<f8").tobytes())
     digest.update("\0".join(map(str, seen.landmark.tolist())).encode())
     return digest.hexdigest()[:16]
-
-
-@dataclass(frozen=True)
-class VisitFrames:
-    """Poses of the camera and landmarks seen, in m frames."""
-
-    cameras: np.ndarray
-    """(m, 3), in the frame of the drive's home."""
-    seen: Sequence[Collection[str]]
-    field_of_view: float | None
-    """[rad]"""
-
-    def counts(
-        self, places: JointMap, origin: Pose, needs_sight: bool = False
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the number of frames with each landmark (n,) in view, and with it seen.
-
-        `origin` is the pose of the drive's home in the frame of the place. If it `needs_sight`, a
-        landmark that was not seen is in view only in the frames with a free line of sight: another
-        landmark in almost the same direction was seen, which is at least almost as far away. Its
-        uncertainty must be within the view, too.
-        """
-        index = {name: i for i, name in enumerate(places.names)}
-        saw = np.zeros((len(self.seen), len(places.names)), bool)
-        for row, names in enumerate(self.seen):
-            saw[row, [index[n] for n in names if n in index]] = True
-        there = sight(compose(np.array(origin), self.cameras)[:, None], places.positions[None])
-        distances = np.hypot(there.offset[..., 0], there.offset[..., 1])
-        reach = float(np.quantile(distances[saw], RANGE_QUANTILE)) if saw.any() else 0.0
-        half = np.inf if self.field_of_view is None else 0.5 * self.field_of_view
-        bearings = wrap(there.bearing)
-        in_view = (distances < reach) & (np.abs(bearings) < half)
-        if needs_sight:
-            around = INLIER * places.sigmas / np.maximum(distances, MIN_DISTANCE)
-            inside = (distances * (1.0 + around) < reach) & (np.abs(bearings) + around < half)
-            for k, (angles, far) in enumerate(zip(bearings, distances, strict=True)):
-                near = np.abs(wrap(angles[:, None] - angles[saw[k]])) < SIGHT_ANGLE
-                is_free = (near & (far[saw[k]] >= SIGHT_SHARE * far[:, None])).any(axis=1)
-                in_view[k] &= saw[k] | (is_free & inside[k] & (around[k] < SIGHT_ANGLE))
-        return in_view.sum(axis=0), (in_view & saw).sum(axis=0)
-
-
-@dataclass(frozen=True)
-class VisitCounts:
-    """Result of `VisitFrames.counts`, by landmark."""
-
-    by_landmark: Mapping[str, tuple[int, int]]
-
-    def counts(self, places: JointMap, origin: Pose) -> tuple[np.ndarray, np.ndarray]:
-        """Return the numbers (n,) as `VisitFrames.counts`; `origin` is not used."""
-        rows = [self.by_landmark.get(name, (0, 0)) for name in places.names]
-        in_view, seen = np.array(rows, int).reshape(-1, 2).T
-        return in_view, seen
 
 
 @dataclass(frozen=True)
@@ -103,7 +43,7 @@ class VisitData:
     """[days since 1970]"""
     map: JointMap
     """Map from this drive alone, in any frame."""
-    frames: VisitFrames | VisitCounts | None = None
+    frames: VisitFrames | Views | None = None
     """None: landmarks that were not seen are not tested."""
     home: str | None = None
     """The home whose frame the estimates are in; None: the first."""
@@ -181,23 +121,29 @@ def collect_visit(
     track is in the frame of `home`, by default the place's first; `when` [days since 1970].
     """
     row = np.searchsorted(track.t, drive.sightings.t[drive.sightings.begins])
-    poses = np.column_stack([track.x, track.y, track.heading])[row]
+    sure = np.array([status is Status.LOCALISED for status in track.status])[row]
+    sigmas = np.where(sure, position_sigma(track.covariance[row]), np.nan)
+    poses = np.column_stack([track.x[row], track.y[row], track.heading[row], sigmas])
     return collect_visit_along(localizer, drive, poses, when, home)
 
 
 def collect_visit_along(
     localizer: Localizer, drive: Drive, poses: np.ndarray, when: float, home: str | None = None
 ) -> VisitData:
-    """Return the visit data of a drive, given poses (m, 3) at its frames, NaN where missing."""
+    """Return the visit data of a drive, given poses at its frames, NaN where missing.
+
+    `poses` (m, 4) are x, y, heading, and the position's standard deviation, NaN unless localised.
+    """
     seen = [list(now) for _, now, _ in drive.sightings.stamps()]
     good = np.isfinite(poses[:, 0])
     sensor = localizer.mount or drive.settings.sensor.pose
-    mounts = np.broadcast_to(np.array(sensor), poses.shape)
+    poses, sigmas = poses[good, :3], poses[good, 3]
+    mounts = np.broadcast_to(np.array(sensor), (len(seen), 3))
     offsets = drive.settings.offsets([*drive.sightings.cameras()])
     mounts = mounts if offsets is None else compose(mounts, offsets)
-    cameras, poses = compose(poses[good], mounts[good]), poses[good]
     known = [names for names, keep in zip(seen, good.tolist(), strict=True) if keep]
-    frames = VisitFrames(cameras, known, drive.settings.sensor.field_of_view)
+    fov = drive.settings.sensor.field_of_view
+    frames = VisitFrames(compose(poses, mounts[good]), known, fov, sigmas)
     together = drive.settings.together
     found = drive.name, fingerprint(drive), when, own_map(localizer), frames, home
     return VisitData(*found, together=together)

@@ -9,19 +9,22 @@ from itertools import chain, count
 import numpy as np
 
 from homeward.errors import HomewardError
+from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose, rotation
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.output.faces import moved_probabilities
-from homeward.localizer.tunables import CLOSE, GIVEN_WRONG, INLIER, MIN_SIGHTINGS, VERIFIED
+from homeward.localizer.tunables import CLOSE, GIVEN_WRONG, INLIER, VERIFIED
 from homeward.places.joint_map import JointMap, fused
 from homeward.places.persistence import (
     FORGOTTEN,
     GONE,
+    MIN_VIEWS,
     LandmarkPersistence,
     missed_probability,
     tally,
 )
 from homeward.places.place import Event, Place, StoredHome, Visit
+from homeward.places.views import Views
 from homeward.places.visit_data import VisitData, require_name
 
 MIN_STAYED_SHARE = 0.5
@@ -54,7 +57,11 @@ def first_place(name: str, localizer: Localizer, data: VisitData, home: str = FI
     if len(there.names) < VERIFIED:
         raise _too_few(len(there.names))
     when = data.when
-    persistence = {n: LandmarkPersistence(since=when, last=when) for n in there.names}
+    seen = _views(data, there, Pose(0.0, 0.0, 0.0)).seen
+    persistence = {
+        n: LandmarkPersistence(when, when, seen_from=tuple(map(float, seen.get(n, ()))))
+        for n in there.names
+    }
     place = Place(name, there, persistence, {home: StoredHome(when, dict(observed))})
     events = tuple(_events(place, place, dict.fromkeys(there.names, "new")))
     number, new = place.next_visit, len(events)
@@ -129,7 +136,8 @@ def merged_places(place: Place, other: Place) -> Place:
     if there is None:
         raise differ
     now = there.map
-    both = {**place.persistence, **{n: other.persistence[n] for n in theirs.names}}
+    others = {n: replace(other.persistence[n], seen_from=()) for n in theirs.names}  # other frame
+    both = {**place.persistence, **others}
     both |= {n: place.persistence[n].combined(other.persistence[n]) for n in stayed}
     persistence = {n: both[n] for n in now.names}
     homes = {**place.homes, **{names[h]: s for h, s in other.homes.items()}}
@@ -194,7 +202,8 @@ def _updated(
 ) -> Place:
     """Return a place with the persistence of each landmark, events and the visit updated."""
     when, usual = data.when, before.usual_rate
-    persistence, missed = dict[str, LandmarkPersistence](), _missed(before, data)
+    views = _views(data, before.map, before.home_pose(before.required(data.home)))
+    persistence, missed = dict[str, LandmarkPersistence](), _missed(before, data, views)
     by_body = _in_place_by_bodies(before, data, tested)
     what = dict.fromkeys(moved, "moved") | dict.fromkeys(new, "new")
     for name in place.map.names:
@@ -204,7 +213,7 @@ def _updated(
         elif name in moved:
             persistence[name] = was.seen_elsewhere(when)
         elif name in tested and tested[name] <= 0.5:
-            persistence[name] = was.seen_in_place(when)
+            persistence[name] = was.seen_in_place(when, list(views.seen.get(name, ())))
             if was.stands < GONE:
                 what[name] = "returned"
         elif name in tested:  # moved, to an uncertain position
@@ -283,18 +292,18 @@ def _in_place_by_bodies(
     return found
 
 
-def _missed(place: Place, data: VisitData) -> dict[str, float]:
-    """Return landmarks in view that were never seen, with the probability of that if static."""
-    if data.frames is None:
-        return {}
-    origin = place.home_pose(place.required(data.home))
-    frames, seen = data.frames.counts(place.map, origin)
-    found = seen > 0
-    share = float(seen[found].sum() / frames[found].sum()) if found.any() else 0.0
+def _views(data: VisitData, places: JointMap, origin: Pose) -> Views:
+    return Views() if data.frames is None else data.frames.views(places, origin)
+
+
+def _missed(place: Place, data: VisitData, views: Views) -> dict[str, float]:
+    """Return landmarks in sight that were never seen, with the probability of that if static."""
+    known = {name: np.array(p.seen_from) for name, p in place.persistence.items() if p.seen_from}
+    in_sight, share = views.in_sight(known)
     return {
-        name: missed_probability(share, n)
-        for name, n, k in zip(place.map.names, frames.tolist(), seen.tolist(), strict=True)
-        if n >= MIN_SIGHTINGS and not k and name not in data.map.names
+        name: missed_probability(share, number)
+        for name, number in in_sight.items()
+        if number >= MIN_VIEWS and name not in views.seen and name not in data.map.names
     }
 
 

@@ -33,7 +33,8 @@ from homeward.localizer.tunables import INLIER
 from homeward.places import files
 from homeward.places.joint_map import JointMap, datum
 from homeward.places.place import Place
-from homeward.places.visit_data import VisitCounts, VisitData
+from homeward.places.views import Views
+from homeward.places.visit_data import VisitData
 from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
 from homeward.runs.report.place_words import visit_words
 from homeward.runs.report.words import count, listing
@@ -363,8 +364,8 @@ def robot_lines(found: Mapping[str, RobotRecord]) -> list[str]:
 
 def _claims(place: Place, data: VisitData, now: float) -> dict[str, Claim] | None:
     """Return the claims of a visit by landmark; None if it contradicts the place."""
-    frames = data.frames.by_landmark if isinstance(data.frames, VisitCounts) else {}
-    local = _part(place, {*data.map.names, *frames})
+    viewed = data.frames.passed if isinstance(data.frames, Views) else {}
+    local = _part(place, {*data.map.names, *viewed})
     after = _with(local, replace(data, homes={}, routes={}))
     if after.visits[-1].verdict == "apart":
         return None
@@ -437,9 +438,12 @@ def _agree(one: Placed, other: Placed) -> bool:
 def _without(data: VisitData, names: Collection[str]) -> VisitData:
     """Return a visit without all that it found about some landmarks."""
     kept = data.map.marginal([n for n in data.map.names if n not in names])
-    if isinstance(data.frames, VisitCounts):
-        frames = {n: f for n, f in data.frames.by_landmark.items() if n not in names}
-        data = replace(data, frames=VisitCounts(frames))
+    if isinstance(data.frames, Views):
+        passed, seen = (
+            {n: at for n, at in views.items() if n not in names}
+            for views in (data.frames.passed, data.frames.seen)
+        )
+        data = replace(data, frames=Views(passed, seen))
     return replace(data, map=kept)
 
 

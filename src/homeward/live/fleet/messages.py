@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import math
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import astuple
 from functools import partial
@@ -26,12 +26,13 @@ from homeward.io.checks import AfterValidator, Field
 from homeward.io.keys import Strict
 from homeward.io.table import quoted
 from homeward.io.validation_messages import parsed
-from homeward.live.messages import Bearings, Bounded, Id, Name, Sigmas, line_of
+from homeward.live.messages import MAX_LENGTH, Bearings, Bounded, Id, Name, Sigmas, line_of
 from homeward.places.joint_map import JointMap
 from homeward.places.place import Place, StoredHome
 from homeward.places.route import Node, Route
 from homeward.places.version import read_tables, write_tables
-from homeward.places.visit_data import VisitCounts, VisitData
+from homeward.places.views import SECTORS, Views
+from homeward.places.visit_data import VisitData
 
 MAX_LANDMARKS = 1000
 """Maximum number of landmarks of a visit."""
@@ -51,6 +52,12 @@ def _visit_id(text: str) -> str:
 VisitId = Annotated[str, AfterValidator(_visit_id)]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 Count = Annotated[int, Field(ge=0)]
+
+
+Distance = Annotated[float, Field(ge=0, le=MAX_LENGTH)]
+View = tuple[Annotated[int, Field(ge=0, lt=SECTORS)], Distance, Distance]
+"""Sector of a landmark, minimum distance with it in the field of view, and maximum distance from
+which it was seen [m]."""
 
 
 class MapData(Strict):
@@ -94,8 +101,8 @@ class VisitMessage(Strict):
     evidence: VisitId
     home: Name
     map: MapData
-    frames: dict[Id, tuple[Count, Count]] = {}
-    """Number of frames with each landmark in view, and with it seen."""
+    views: dict[Id, Annotated[tuple[View, ...], Field(max_length=SECTORS)]] = {}
+    """Views of the landmarks of the place, as `Views`."""
     ages: dict[Id, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Time since each landmark was last seen where `map` has it [s]."""
     homes: Annotated[dict[Name, HomeData], Field(max_length=MAX_HOMES)] = {}
@@ -170,7 +177,7 @@ def parse_visit(content: bytes | str) -> VisitMessage:
 
 
 def visit_message(
-    visit: VisitData, counts: VisitCounts, ages: Mapping[str, float], home: str, ended: bool
+    visit: VisitData, views: Views, ages: Mapping[str, float], home: str, ended: bool
 ) -> VisitMessage:
     """Return the message with a visit; its `drive` is the identifier of the visit."""
     homes = {
@@ -197,7 +204,7 @@ def visit_message(
         evidence=visit.evidence,
         home=home,
         map=_map_data(visit.map),
-        frames=dict(counts.by_landmark),
+        views={name: tuple(_views(views, name)) for name in views.passed},
         ages=dict(ages),
         homes=homes,
         routes=routes,
@@ -227,12 +234,32 @@ def visit_of(message: VisitMessage, when: float) -> VisitData:
         message.evidence,
         when,
         _joint_map(message.map),
-        VisitCounts(message.frames),
+        _views_of(message),
         message.home,
         homes,
         routes,
         message.together,
     )
+
+
+def _views(views: Views, name: str) -> Iterator[View]:
+    """Yield the views of a landmark, with distances in centimetres."""
+    passed, seen = views.passed[name], views.seen.get(name, np.zeros(SECTORS))
+    for sector in np.flatnonzero(np.isfinite(passed)).tolist():
+        near, far = float(passed[sector]), float(seen[sector])
+        yield sector, math.ceil(1e2 * near) / 1e2, math.floor(1e2 * far) / 1e2
+
+
+def _views_of(message: VisitMessage) -> Views:
+    views = Views()
+    for name, rows in message.views.items():
+        passed, seen = np.full(SECTORS, np.inf), np.zeros(SECTORS)
+        for sector, near, far in rows:
+            passed[sector], seen[sector] = near, far
+        views.passed[name] = passed
+        if seen.any():
+            views.seen[name] = seen
+    return views
 
 
 def _map_data(joint: JointMap) -> MapData:

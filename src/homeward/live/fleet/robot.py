@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import math
-import os
 import secrets
 import threading
 import time
-from collections import defaultdict
+from collections import defaultdict, deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose
 from homeward.io.table import quoted
 from homeward.io.validation_messages import parsed
-from homeward.io.writing import write_whole
+from homeward.io.writing import state_folder, write_whole
 from homeward.live.fleet.changes import is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.fits import Fits
@@ -49,13 +48,15 @@ from homeward.live.messages import BearingsIn, PlaceChanged, line_of
 from homeward.live.place_session import (
     READ_ONLY,
     PlaceSession,
+    localised_sigma,
     open_place,
     require_default,
     require_enough,
 )
 from homeward.localizer.localizer import Localizer
 from homeward.places.place import DAY_S, Place
-from homeward.places.visit_data import VisitCounts, VisitData, VisitFrames, fingerprint, own_map
+from homeward.places.views import Views
+from homeward.places.visit_data import VisitData, fingerprint, own_map
 from homeward.runs.report.words import count, listing
 
 SHARE_S = 3.0
@@ -67,13 +68,12 @@ TIMEOUT_S = 20.0
 FINISH_S = 30.0
 """Timeout for the merge of the last version of a visit [s]."""
 FRAME_S, MAX_FRAMES = 0.5, 4000
-"""Interval of the frames that are kept [s]; with more than the maximum number it is doubled."""
+"""Interval of the frames whose views are added [s], and maximum number that waits for that."""
 
 
 def undelivered() -> Path:
     """Return the folder of visits that are not acknowledged yet."""
-    state = os.environ.get("XDG_STATE_HOME") or Path.home() / ".local" / "state"
-    return Path(state) / "homeward" / "undelivered"
+    return state_folder() / "undelivered"
 
 
 class RobotLink:
@@ -254,8 +254,8 @@ class SharedPlaceSession(PlaceSession):
         if self._last is not None:
             self._link.share(self._last.model_copy(update={"ended": True}))
             self._link.visit, self._last = secrets.token_hex(8), None
-        self._frames: list[tuple[Pose, list[str]]] = []
-        self._frame_s, self._frame_at, self._newest = FRAME_S, -1e300, 0.0
+        self._frames = deque[tuple[Pose, float, list[str]]](maxlen=MAX_FRAMES)
+        self._views, self._frame_at, self._newest = Views(), -1e300, 0.0
         self._fits, self._shared_at, self._began = Fits(), -1e300, math.nan
 
     def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
@@ -274,13 +274,10 @@ class SharedPlaceSession(PlaceSession):
         super().see(message, estimate)
         self._newest = message.t
         self._fits.add(message, estimate)
-        if estimate.pose is None or abs(message.t - self._frame_at) < self._frame_s:
+        if estimate.pose is None or abs(message.t - self._frame_at) < FRAME_S:
             return
         self._frame_at = message.t
-        self._frames.append((estimate.pose, list(message.bearings)))
-        if len(self._frames) > MAX_FRAMES:
-            del self._frames[::2]
-            self._frame_s *= 2.0
+        self._frames.append((estimate.pose, localised_sigma(estimate), list(message.bearings)))
 
     def share(self, localizer: Localizer, drive: Drive, home: str, estimate: Estimate) -> None:
         """Send the visit while localised, every `CHANGE_S` after a change, else `SHARE_S`."""
@@ -318,20 +315,20 @@ class SharedPlaceSession(PlaceSession):
         own, together = own_map(localizer), drive.settings.together
         require_enough(own := own.marginal({*own.names} - self._fits.outdated(together)))
         sensor = drive.settings.sensor
-        poses = np.array([pose for pose, _ in self._frames]).reshape(-1, 3)
-        cameras = compose(poses, np.broadcast_to(np.array(sensor.pose), poses.shape))
-        frames = VisitFrames(cameras, [names for _, names in self._frames], sensor.field_of_view)
-        origin = self.place.home_pose(home)
-        in_view, seen = frames.counts(self.place.map, origin, needs_sight=True)
-        both = zip(in_view.tolist(), seen.tolist(), strict=True)
-        counts = VisitCounts(dict(zip(self.place.map.names, both, strict=True)))
+        if self._frames:
+            poses, sigmas, seen = zip(*self._frames, strict=True)
+            self._frames.clear()
+            robot = compose(np.array(self.place.home_pose(home)), np.array(poses))
+            cameras = compose(robot, np.broadcast_to(np.array(sensor.pose), robot.shape))
+            spread, field_of_view = np.array(sigmas), sensor.field_of_view
+            self._views.add(self.place.map, cameras, spread, seen, field_of_view)
         evidence = self._link.visit
         if is_last:  # a recording of this session is then recognised
             evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
         about = self._link.visit, evidence, self.when, own, None, home
         visit = self._with_stored(VisitData(*about, together=together))
         ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
-        return visit_message(visit, counts, ages, home, is_last)
+        return visit_message(visit, self._views, ages, home, is_last)
 
     def _receive(self, place: Place) -> None:
         before, self._latest = self._latest, place
