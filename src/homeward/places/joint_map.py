@@ -91,16 +91,18 @@ class JointMap:
 
     def in_frame_of(self, pose: np.ndarray, covariance: np.ndarray) -> JointMap:
         """Return the map in the frame of a pose (3,) with an independent error, (3, 3)."""
-        mean, by_self, by_pose = self._transform(pose)
-        spread = by_self @ self.covariance @ by_self.T + by_pose @ covariance @ by_pose.T
+        mean, by_pose = self._transform(pose)
+        spread = self._turned(pose[2]) + by_pose @ covariance @ by_pose.T
         return replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
 
     def in_home_frame(self, home: str) -> JointMap:
         """Return the map in the frame of one of its homes, and without that home."""
         at = self.home_columns(home)
-        mean, jacobian, by_pose = self._transform(self.mean[at])
-        jacobian[:, at] += by_pose
-        spread = jacobian @ self.covariance @ jacobian.T
+        pose = self.mean[at]
+        mean, by_pose = self._transform(pose)
+        of_pose = self._turned(pose[2], self.covariance[:, at])
+        spread = self._turned(pose[2]) + by_pose @ self.covariance[np.ix_(at, at)] @ by_pose.T
+        spread += of_pose @ by_pose.T + by_pose @ of_pose.T
         there = replace(self, mean=mean, covariance=0.5 * (spread + spread.T))
         return there.marginal(self.names, [h for h in self.homes if h != home])
 
@@ -114,9 +116,10 @@ class JointMap:
         n, weights = 2 * len(there.names), np.repeat(np.maximum(there.sigmas, 1e-4) ** -2.0, 2)
         by_motion = there._by_rigid_motion()
         weighted = by_motion[:n].T * weights
-        project = np.eye(there.mean.size)
-        project[:, :n] -= by_motion @ np.linalg.solve(weighted @ by_motion[:n], weighted)
-        return replace(there, covariance=project @ there.covariance @ project.T)
+        datum = np.linalg.solve(weighted @ by_motion[:n], weighted)
+        of_datum = there.covariance[:, :n] @ datum.T
+        removed = (of_datum - 0.5 * by_motion @ (datum @ of_datum[:n])) @ by_motion.T
+        return replace(there, covariance=there.covariance - removed - removed.T)
 
     def with_vague_datum(self) -> JointMap:
         """Return the map with an uncertain datum, which makes its covariance invertible."""
@@ -143,10 +146,24 @@ class JointMap:
     def _by_rigid_motion(self) -> np.ndarray:
         """Return the derivative of the mean by a rigid motion about the map's centre, (m, 3)."""
         middle = np.append(self.positions.mean(axis=0), 0.0)
-        return -self._transform(middle)[2]
+        return -self._transform(middle)[1]
 
-    def _transform(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the mean in the frame of a pose, and its derivatives by the mean and the pose."""
+    def _turned(self, heading: float, columns: np.ndarray | None = None) -> np.ndarray:
+        """Return the covariance, or the rows of some `columns`, in a frame with a heading [rad]."""
+        n, (c, s) = len(self.names), (np.cos(heading), np.sin(heading))
+        first = np.concatenate([2 * np.arange(n), 2 * n + 3 * np.arange(len(self.homes))])
+
+        def rows(of: np.ndarray) -> np.ndarray:
+            turned, x, y = of.copy(), of[first], of[first + 1]
+            turned[first], turned[first + 1] = c * x + s * y, c * y - s * x
+            return turned
+
+        if columns is not None:
+            return rows(columns)
+        return rows(np.ascontiguousarray(rows(self.covariance).T))
+
+    def _transform(self, pose: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the mean in the frame of a pose, and its derivative by the pose."""
         n, h = len(self.names), len(self.homes)
         points = np.zeros((n + h, 3))
         points[:n, :2], points[n:] = self.positions, self.poses
@@ -156,8 +173,7 @@ class JointMap:
         back = rotation(pose[2]).T
         mean = between(pose, points).ravel()[rows]
         by_pose = (-back @ lever(points - pose)).reshape(-1, 3)[rows]
-        by_self = np.kron(np.eye(n + h), back)[np.ix_(rows, rows)]
-        return mean, by_self, by_pose
+        return mean, by_pose
 
     def with_home(
         self,
