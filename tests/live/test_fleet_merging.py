@@ -37,7 +37,7 @@ from homeward.live.fleet.messages import (
 from homeward.live.messages import BearingsIn, line_of
 from homeward.places.files import load_place, newest, save_place
 from homeward.places.place import StoredHome
-from homeward.places.views import Views
+from homeward.places.views import SECTORS, Views
 from homeward.places.visit_data import VisitData
 
 
@@ -233,6 +233,40 @@ def test_a_robot_that_lies_again_and_again_does_not_win_against_three(folder, sh
     ignoring = opened(folder, ignored=("liar",))
     add(ignoring, "liar", pushed(room(), "L3"), 0.0, visit="v9")
     assert found(ignoring, 1000.0) == {}
+
+
+def seen_within(folder, reach):
+    """A shared place whose landmarks were seen from all around, up to a distance."""
+    place = load_place(folder)
+    around = {n: replace(p, seen_from=(reach,) * SECTORS) for n, p in place.persistence.items()}
+    save_place(replace(place, persistence=around), folder, newest(folder))
+    return opened(folder)
+
+
+def test_a_robot_that_claims_to_see_landmarks_far_apart_at_once_does_not_win(folder):
+    """It has one position: only the newest of its sightings can be as new as it claims."""
+    shared = seen_within(folder, 0.5)
+    ends = sorted(ROOM, key=lambda n: ROOM[n][0])
+    left, right = ends[0], ends[-1]
+    lie = pushed(room(), left, right)
+    for now in (10.0, 12.0):
+        ages = dict.fromkeys(lie, 5.0) | {left: 0.0, right: 0.1}
+        add(shared, "liar", lie, now + 0.5, ages=ages)
+        for robot, name in (("b", left), ("c", right)):
+            ages = dict.fromkeys(room(), 5.0) | {name: 0.5}
+            add(shared, robot, room(), now, seed=ord(robot), ages=ages)
+    assert found(shared, 12.5) == {left: ("moved", False, ["liar"])}
+
+
+@pytest.mark.parametrize(("seconds", "what"), [(1.0, {}), (30.0, {"L3": "gone"})])
+def test_a_landmark_is_not_gone_where_the_robot_cannot_have_been(folder, seconds, what):
+    shared = seen_within(folder, 6.0)
+    around = np.full(SECTORS, 5.0)  # of both, and did not see the first one
+    views = Views({"L3": around, "L4": around}, {"L4": around})
+    rest = {n: p for n, p in room().items() if n != "L3"}
+    add(shared, "a", rest, 10.0)
+    add(shared, "a", rest, 10.0 + seconds, seed=2, views=views)
+    assert {n: w for n, (w, *_) in found(shared, 10.0 + seconds).items()} == what
 
 
 def test_ended_visits_that_wait_are_bounded(shared):

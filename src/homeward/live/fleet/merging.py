@@ -28,6 +28,7 @@ from homeward.io.writing import remove_abandoned, write_whole
 from homeward.live.fleet.changes import spread
 from homeward.live.fleet.messages import Change, Placed, VisitMessage, parse_visit, visit_of
 from homeward.live.fleet.parcels import MAX_VISIT_PARTS, PART
+from homeward.live.fleet.plausibility import is_plausible, plausible_ages
 from homeward.live.messages import line_of
 from homeward.localizer.tunables import INLIER
 from homeward.places import files
@@ -87,6 +88,8 @@ class LiveVisit:
     place only has no position."""
     claims: Mapping[str, Claim] | None
     """By landmark; None if the visit contradicts the place."""
+    began: float
+    """When its first version arrived; -infinity if an earlier merger received it."""
 
 
 class RobotRecord(Strict):
@@ -149,7 +152,7 @@ class SharedPlace:
                 ):  # the merger was killed before it deleted it
                     file.unlink()
                 else:
-                    self._set(robot, message, now, when)
+                    self._set(robot, message, now, when, -math.inf)
             except (HomewardError, OSError, UnicodeDecodeError) as error:
                 self.problems.append(f"{file}: is skipped: {error}")
 
@@ -162,7 +165,7 @@ class SharedPlace:
         if not self.is_merged(robot, message.visit):
             data = visit_of(message, when)
             write_whole(self._file(robot, message.visit), line_of(message).encode())
-            self._set(robot, message, now, when, data)
+            self._set(robot, message, now, when, now, data)
 
     def is_merged(self, robot: str, visit: str) -> bool:
         """Return whether a visit is a part of the place, or listed there."""
@@ -309,18 +312,28 @@ class SharedPlace:
         message: VisitMessage,
         now: float,
         when: float,
+        began: float,
         data: VisitData | None = None,
     ) -> None:
-        """Replace the version of a visit, and compare it with the place."""
+        """Replace the version of a visit, and compare it with the place.
+
+        What the robot cannot have seen in the time since the visit `began` is not used.
+        """
         data = replace(
             data or visit_of(message, when),
             drive=f"{robot} {message.visit}",
             scale_sigma=SCALE_SIGMA,
         )
-        seen = {n: now - message.ages[n] for n in data.map.names if n in message.ages}
+        ages = plausible_ages(data.map, message.ages, self.place)
+        seen = {n: now - ages[n] for n in data.map.names if n in ages}
         before = self.visits.get((robot, message.visit))
         claims = before.claims if before is not None else None
-        visit = LiveVisit(robot, message, data, seen, claims)
+        began = began if before is None else before.began
+        if isinstance(data.frames, Views):
+            seconds = now - began
+            if not is_plausible(data.frames, self.place.map, seconds):
+                data = replace(data, frames=None)
+        visit = LiveVisit(robot, message, data, seen, claims, began)
         self.visits[robot, message.visit] = self._compared(visit, now)
 
     def _compared(self, visit: LiveVisit, now: float) -> LiveVisit:
