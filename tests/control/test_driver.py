@@ -169,6 +169,7 @@ def test_the_simulator_and_a_live_session_command_the_same_for_the_same_estimate
     command = {}
     session.belief = lambda now: command["belief"]
     session.faults, session._blind = lambda now: (), lambda now: None
+    session._unseen.add = lambda *_: None
     pose, commands = Pose(-1.0, 0.4, 2.5), []
     for k in range(2000):
         t = k * DT

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from live_rig import QUICK, Rig, driving
 
+from homeward.control.driver import RESUME_S
 from homeward.control.limits import Limits
 from homeward.drives.settings import DriveSettings, OdometryNoise
 from homeward.estimator import Status
@@ -312,9 +313,9 @@ def test_the_robot_stops_before_an_obstacle_and_without_obstacle_messages():
     rig.step()
     assert rig.standing()
     assert "obstacle" in rig.commands[-1][1].reason
-    rig.session.receive(Obstacle(distance=5.0), rig.robot.t)
-    rig.step()
-    assert rig.state == "driving"
+    rig.spoil = lambda message: [message, Obstacle(distance=5.0)]
+    rig.until(lambda r: r.state == "driving", RESUME_S)
+    rig.spoil = lambda message: [message]
     rig.until(Rig.standing)
     assert "no obstacle message for" in rig.commands[-1][1].reason
 

@@ -15,6 +15,11 @@ AFTERWARDS_S = 1.0
 """Time after the end of a drive for which zero commands are sent [s]."""
 LOST_S = 2.0
 """A pose that comes back at rest does so within this time, before a lost robot turns [s]."""
+SLOW_S, SLOW_SHARE = 0.5, 0.15
+"""Without a landmark in view, or not localised, for this time [s], the robot drives at most at this
+share of `limits.speed`: at the default limits it stops within 0.3 m."""
+RESUME_S = 1.0
+"""Minimum time between two starts of a robot that is held meanwhile [s]."""
 MAX_STEP_S = 0.1
 """Maximum time step for the limits of acceleration [s]."""
 
@@ -35,8 +40,8 @@ class Driver:
         self._twist, self._last = STAND, -math.inf
         self.vy = 0.0
         """Speed to the left of the last command [m/s]."""
-        self._since = -math.inf
-        """When the state began."""
+        self._since = self._started = -math.inf
+        """When the state began, and when the robot last began to drive."""
         self._unlocalised = DrivingTime(math.inf)
         """Since the robot was last localised."""
         self._accurate = limits.accuracy()
@@ -76,11 +81,13 @@ class Driver:
         belief: Belief,
         faults: tuple[Fault, ...] = (),
         blind: Blind | None = None,
+        unseen_s: float = 0.0,
     ) -> Twist | None:
         """Return the command at `now` [s], or None to send none, given faults of the sensors.
 
-        A `blind` robot without other faults turns on the spot until it is not, at most once round;
-        so does one that has lost its pose on this drive.
+        `unseen_s` is the time for which the robot drove without a landmark in view [s]. A `blind`
+        robot without other faults turns on the spot until it is not, at most once round; so does
+        one that has lost its pose on this drive.
         """
         self._unlocalised.add(now - self._last, self._twist, self.vy)
         dt, self._last = min(now - self._last, MAX_STEP_S), now
@@ -109,11 +116,18 @@ class Driver:
             return self._hold(output.reason, now, self._controller.patience)
         if output.state is not GoalState.DRIVING:
             return self._stand(output.state, output.reason, now)
+        if self.state is GoalState.HELD and now - self._started < RESUME_S:
+            return self._hold(self.reason, now, self._controller.patience)
         if self.state is not GoalState.DRIVING:
             self._enter(GoalState.DRIVING, "", now)
+            self._started = now
         self.reason = output.reason
-        sideways = self.vy, output.vy
-        self._twist, self.vy = self._limits.accelerated(self._twist, output.twist, dt, sideways)
+        wanted, vy = output.twist, output.vy
+        if max(unseen_s, self._unlocalised.seconds) > SLOW_S and not self._controller.by_odometry:
+            speed = math.hypot(wanted.v, vy)
+            slower = min(1.0, SLOW_SHARE * self._limits.speed / speed) if speed else 1.0
+            wanted, vy = Twist(slower * wanted.v, slower * wanted.omega), slower * vy
+        self._twist, self.vy = self._limits.accelerated(self._twist, wanted, dt, (self.vy, vy))
         if self._twist.v or self.vy:
             self._looked = 0.0
         return self._twist

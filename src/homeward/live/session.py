@@ -250,7 +250,8 @@ class Session:
             if self._goal_message is None:
                 self.homing.aim(self.localisation.goal)
                 belief = self.belief(now)
-            twist = self.homing.command(now, belief, self.faults(now), self._blind(now))
+            about = self.faults(now), self._blind(now), self._unseen.seconds
+            twist = self.homing.command(now, belief, *about)
         self._twist = twist or STAND
         if twist is None:
             return None
