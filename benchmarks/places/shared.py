@@ -1,11 +1,12 @@
 """A fleet of ten robots in one place, in real time.
 
-`python -m benchmarks.places.shared [--robots 10] [--seconds 75] [--mqtt mqtt://127.0.0.1]`, with a
-broker there (`mosquitto`): robots drive in the warehouse of `benchmarks.places`, of which the
-merger has the map of one drive on the day before; each is a process of `homeward live` on one core,
-together with the merger. One robot has mirrored bearings, and one a wheel scale of 1.15. A landmark
-is pushed by 1 m at 40 % of the time, and the merger is killed (SIGKILL) at 70 %, and started again
-2 s later.
+`python -m benchmarks.places.shared [--robots 10] [--seconds 100] [--seed 0] [--cores 2]
+[--mqtt mqtt://127.0.0.1]`, with a broker there (`mosquitto`): robots drive in the warehouse of
+`benchmarks.places`, of which the merger has the map of one drive on the day before; each is a
+process of `homeward live`. One robot has mirrored bearings, and one a wheel scale of 1.15. Three
+landmarks are pushed by 1 m, one after the other, and the merger is killed (SIGKILL) at 80 % of the
+time, and started again 2 s later. A landmark is seen again at its first sighting in the new
+position. `--join` measures joining places of 400 and 2,000 landmarks instead.
 """
 
 import argparse
@@ -25,17 +26,22 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.places.__main__ import visit
+from benchmarks.places.large import made, random_places
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
 from homeward.drives.folder import write_folder
 from homeward.geometry.frames import Pose, bearing, between
-from homeward.live.fleet.merging import LIVE
+from homeward.live.fleet.connection import Broker
+from homeward.live.fleet.merger import Merger
+from homeward.live.fleet.merging import LIVE, SharedPlace
+from homeward.live.fleet.robot import RobotLink
 from homeward.live.messages import BearingsIn, OdometryIn, line_of
 from homeward.places.files import load_place, save_place
 from homeward.places.place import DAY_S, Place
 
 STAGGER_S = 1.0  # between the starts of two robots
 PUSH = (0.6, -0.8)
+PUSH_AT, KILL_AT = (0.3, 0.45, 0.6), 0.8  # shares of the time
 NEAR = 0.25  # distance from the landmark at which its position is known [m]
 FIVE = 5
 MIRRORED, SCALED, SCALE = 1, 2, 1.15
@@ -52,13 +58,26 @@ class Robot:
     ready: threading.Event = field(default_factory=threading.Event)
     five_at: float = math.inf
     localised_at: float = math.inf
-    known_at: float = math.inf
     status: str = ""
     events: list[tuple[float, str]] = field(default_factory=list)
 
 
-def messages(drive: Drive, landmark: str, new: tuple[float, float], since: float) -> Timed:
-    """Return the messages of a drive, in which a landmark is at a new position later."""
+@dataclass
+class Push:
+    """A landmark that is pushed during the run."""
+
+    landmark: str
+    at: float
+    """When [s]."""
+    new: tuple[float, float]
+    seen: dict[int, float] = field(default_factory=dict)
+    """By robot, when it first saw the landmark there [s]."""
+    known: dict[int, float] = field(default_factory=dict)
+    """By robot, when it first had the landmark there [s]."""
+
+
+def messages(drive: Drive, pushes: list[Push], began: float) -> Timed:
+    """Return the messages of a drive that began at a time [s], in which landmarks are pushed."""
     assert drive.truth is not None
     truth, rng = drive.truth, np.random.default_rng(0)
     found: Timed = []
@@ -67,14 +86,16 @@ def messages(drive: Drive, landmark: str, new: tuple[float, float], since: float
         found.append((t, line_of(OdometryIn(t=t, v=v, omega=omega))))
     for t, seen, _ in drive.sightings.stamps():
         frame = dict(seen)
-        if t >= since:
-            frame.pop(landmark, None)
+        for push in pushes:
+            if t + began < push.at:
+                continue
+            frame.pop(push.landmark, None)
             i = int(np.searchsorted(truth.t, t).clip(0, len(truth.t) - 1))
             pose = Pose(float(truth.x[i]), float(truth.y[i]), float(truth.heading[i]))
-            angle = float(bearing(pose, *new))
-            near = math.dist(pose[:2], new) < 6.0 and abs(angle) < math.radians(120)
+            angle = float(bearing(pose, *push.new))
+            near = math.dist(pose[:2], push.new) < 6.0 and abs(angle) < math.radians(120)
             if near and rng.random() < 0.9:
-                frame[landmark] = angle + float(rng.normal(0.0, BEARING_SIGMA))
+                frame[push.landmark] = angle + float(rng.normal(0.0, BEARING_SIGMA))
         found.append((float(t), line_of(BearingsIn(t=float(t), bearings=frame))))
     return sorted(found, key=lambda m: m[0])
 
@@ -113,47 +134,49 @@ def cpu(process: subprocess.Popen[str]) -> float:
 class Run:
     """One run of the benchmark."""
 
-    def __init__(self, number: int, seconds: float, mqtt: str, work: Path) -> None:
+    def __init__(
+        self, number: int, seconds: float, seed: int, cores: int, mqtt: str, work: Path
+    ) -> None:
         self.number, self.seconds, self.mqtt, self.work = number, seconds, mqtt, work
-        self.core = max(os.sched_getaffinity(0))
+        self.cores = sorted(os.sched_getaffinity(0))[-cores:]
         self.folder = work / "hall"
-        hall = Warehouse(0)
+        hall = Warehouse(seed)
         _, place = visit(hall.drive(), None, time.time() / DAY_S - 1.0)
         save_place(place, self.folder)
         home = Pose(HOME.x, HOME.y, HOME.heading)
         own = {n: between(home, Pose(*p, 0.0)) for n, p in hall.places.items()}
         self.truth = {n: np.array(p[:2]) for n, p in own.items()}
-        self.moves_at = 0.4 * seconds
         drives = []
         for i in range(number):
             hall.day = i + 1
             drives.append(hall.drive())
-        self.landmark = self._often_seen(drives)
-        new = tuple((self.truth[self.landmark] + PUSH).tolist())
         self.before = shape_error(place, self.truth)
-        self.truth[self.landmark] = np.array(new)
+        self.pushes = list[Push]()
+        for share in PUSH_AT:
+            name = self._often_seen(drives, share * seconds)
+            new = self.truth[name] = self.truth[name] + PUSH
+            self.pushes.append(Push(name, share * seconds, tuple(new.tolist())))
         self.server = self._serve()
         self.began, self.robots = time.monotonic(), list[Robot]()
-        self.first_seen = math.inf
         for i, drive in enumerate(drives):
             began = i * STAGGER_S
-            timed = messages(drive, self.landmark, new, self.moves_at - began)
+            timed = messages(drive, self.pushes, began)
             timed = spoilt(timed, i == MIRRORED, SCALE if i == SCALED else 1.0)
             write_folder(drive, work / f"robot{i}")
             self.robots.append(Robot(self._live(i), timed))
 
-    def _often_seen(self, drives: list[Drive]) -> str:
-        """Return the landmark that robots see most after the move, mapped before."""
+    def _often_seen(self, drives: list[Drive], at: float) -> str:
+        """Return the landmark that robots see most after a time, mapped before and in place."""
         seen = list[str]()
         for i, drive in enumerate(drives):
-            t = drive.sightings.t - self.moves_at + i * STAGGER_S
+            t = drive.sightings.t - at + i * STAGGER_S
             if i not in (MIRRORED, SCALED):
                 seen += set(drive.sightings.landmark[(t > 0.0) & (t < 6.0)].tolist())
-        known = {*load_place(self.folder).map.names}
+        known = {*load_place(self.folder).map.names} - {p.landmark for p in self.pushes}
         return max(sorted(known & {*seen}), key=lambda n: (seen.count(n), n))
 
     def _pinned(self) -> None:
-        os.sched_setaffinity(0, {self.core})
+        os.sched_setaffinity(0, self.cores)
 
     def _serve(self) -> "subprocess.Popen[str]":
         arguments = ["place", "serve", str(self.folder), "--mqtt", self.mqtt]
@@ -198,8 +221,9 @@ class Run:
                 seen |= json.loads(line)["bearings"].keys()
             if len(seen) >= FIVE:
                 robot.five_at = min(robot.five_at, self.now)
-            if at >= self.moves_at and f'"{self.landmark}"' in line and i not in (MIRRORED, SCALED):
-                self.first_seen = min(self.first_seen, self.now)
+            for push in self.pushes:
+                if at >= push.at and f'"{push.landmark}"' in line:
+                    push.seen.setdefault(i, self.now)
 
     def _listen(self, i: int) -> None:
         robot = self.robots[i]
@@ -214,24 +238,25 @@ class Run:
                         robot.localised_at = min(robot.localised_at, self.now)
                 case "event" | "error":
                     robot.events.append((self.now, message["text"]))
-                    self._note(robot, message["text"])
+                    self._note(i, message["text"])
                 case "landmarks":
                     for m in message["landmarks"]:
-                        if m["landmark"] == self.landmark and self.now > self.moves_at:
-                            at = m.get("x"), m.get("y")
-                            if None not in at and math.dist(at, self.truth[self.landmark]) < NEAR:
-                                robot.known_at = min(robot.known_at, self.now)
+                        for push in self.pushes:
+                            if m["landmark"] == push.landmark and self.now > push.at:
+                                at = m.get("x"), m.get("y")
+                                if None not in at and math.dist(at, push.new) < NEAR:
+                                    push.known.setdefault(i, self.now)
 
-    def _note(self, robot: Robot, text: str) -> None:
-        """Note whether an update of the place has the new position of the landmark."""
-        if self.now > self.moves_at and "updated" in text:
-            parts = text.replace(" and ", ", ").split("), ")
-            if any(
-                self.landmark in p.replace("(", " ").replace(")", " ").replace(",", " ").split()
-                for p in parts
-                if " moved (" in p or " new (" in p
-            ):
-                robot.known_at = min(robot.known_at, self.now)
+    def _note(self, i: int, text: str) -> None:
+        """Note whether an update of the place has the new position of a landmark."""
+        if "updated" not in text:
+            return
+        for part in text.replace(" and ", ", ").split("), "):
+            if " moved (" in part or " new (" in part:
+                names = part.replace("(", " ").replace(")", " ").replace(",", " ").split()
+                for push in self.pushes:
+                    if push.landmark in names and self.now > push.at:
+                        push.known.setdefault(i, self.now)
 
     def run(self) -> None:
         """Drive, and print the figures."""
@@ -246,7 +271,7 @@ class Run:
             thread.start()
         time.sleep(max(15.0 - self.now, 0.0))
         began = self.now, [cpu(r.process) for r in self.robots], cpu(self.server)
-        time.sleep(max(0.7 * self.seconds - self.now, 0.0))
+        time.sleep(max(KILL_AT * self.seconds - self.now, 0.0))
         over = self.now - began[0]
         robots = [(cpu(r.process) - c) / over for r, c in zip(self.robots, began[1], strict=True)]
         server = (cpu(self.server) - began[2]) / over
@@ -277,15 +302,28 @@ class Run:
             f"fifth landmark to localised: median {np.median(fix):.1f} s, worst {max(fix):.1f} s "
             f"({len(good)} robots)"
         )
-        known = [r.known_at - self.moves_at for r in good]
+        delays = list[float]()
+        for push in self.pushes:
+            seen = sorted((t, i) for i, t in push.seen.items() if i not in (MIRRORED, SCALED))[:2]
+            if len(seen) < 2:
+                print(f"{push.landmark}: not seen again by two robots")
+                continue
+            second = seen[1][0]
+            others = {*range(self.number)} - {MIRRORED, SCALED, *(i for _, i in seen)}
+            after = [max(push.known.get(i, math.inf) - second, 0.0) for i in others]
+            delays += after
+            print(
+                f"{push.landmark} pushed at {push.at:.0f} s, seen by a second robot at {second:.1f}"
+                f" s, had by the others: median {np.median(after):.1f} s, worst {max(after):.1f} s"
+            )
+        if delays:
+            print(
+                "from the second robot's sighting to all others: median"
+                f" {np.median(delays):.1f} s, worst {max(delays):.1f} s"
+            )
         print(
-            f"{self.landmark} moved by 1 m: seen by a robot after "
-            f"{self.first_seen - self.moves_at:.1f} s, known to all {len(good)} after "
-            f"{max(known):.1f} s (median {np.median(known):.1f} s)"
-        )
-        print(
-            f"CPU on one core: {self.number} robots {100 * sum(robots):.0f} %, "
-            f"merger {100 * server:.0f} %"
+            f"CPU on {len(self.cores)} cores: {self.number} robots {100 * sum(robots):.0f} %, "
+            f"merger {100 * server:.0f} % of one core"
         )
         back = [
             min(
@@ -314,15 +352,44 @@ class Run:
             print(f"map {words}: RMSE {100 * rmse:.1f} cm, worst landmark {100 * worst:.1f} cm")
 
 
+def join(number: int, mqtt: str, work: Path) -> None:
+    """Print how long a robot takes to join a place of a number of landmarks."""
+    rng = np.random.default_rng(number)
+    folder = work / f"hall{number}"
+    save_place(made(folder.name, random_places(rng, number, (60.0, 40.0)), rng), folder)
+    ended, ready = threading.Event(), threading.Event()
+    merger = Merger(SharedPlace(folder), Broker(mqtt, "merger"))
+    merging = threading.Thread(target=merger.run, args=(ended, ready.set))
+    merging.start()
+    ready.wait()
+    for what in ("at once", "again"):
+        began = time.monotonic()
+        link = RobotLink(Broker(mqtt, f"robot-{number}"), folder.name)
+        print(f"{number} landmarks: joined {what} in {time.monotonic() - began:.2f} s", flush=True)
+        link.close()
+    ended.set()
+    merging.join()
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=75.0)
+    parser.add_argument("--seconds", type=float, default=100.0)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--mqtt", default="mqtt://127.0.0.1")
+    parser.add_argument("--join", action="store_true")
     given = parser.parse_args()
     work = Path(tempfile.mkdtemp())
     try:
-        Run(given.robots, given.seconds, given.mqtt, work).run()
+        print(f"load before: {os.getloadavg()[0]:.1f}")
+        if given.join:
+            for number in (400, 2000):
+                join(number, given.mqtt, work)
+        else:
+            about = given.seconds, given.seed, given.cores, given.mqtt, work
+            Run(given.robots, *about).run()
+        print(f"load after: {os.getloadavg()[0]:.1f}")
     finally:
         shutil.rmtree(work, ignore_errors=True)
 

@@ -199,7 +199,7 @@ def test_a_quarantined_robot_is_informed(broker, folder):
 
 def test_a_place_that_nobody_serves_is_refused(broker, folder, monkeypatch):
     monkeypatch.setattr(fleet_robot, "TIMEOUT_S", 0.2)
-    with pytest.raises(InputError, match="nobody merges the place 'hall'"):
+    with pytest.raises(InputError, match="no merger of the place 'hall'"):
         RobotLink(Broker(broker.url, "a"), "hall")
     broker.kill()
     with pytest.raises(InputError, match="no MQTT broker at"):

@@ -426,6 +426,9 @@ def test_a_moved_landmark_is_in_the_place_two_seconds_after_the_robot_has_mapped
     rig.until(suspected)
     assert rig.robot.t - mapped_at < 2.0
     rig.until(lambda _: rig.robot.t > mapped_at + 8.0)
+    views = link.versions[-1][1].views
+    assert all(view[2] >= 0.0 for view in views["L03"])
+    assert len(views) > 8
     intervals = np.diff([t for t, _ in link.versions])
     assert intervals.min() > fleet_robot.CHANGE_S - 0.1
     assert intervals.max() > fleet_robot.SHARE_S - 0.1  # while nothing changes

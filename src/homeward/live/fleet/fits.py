@@ -1,4 +1,4 @@
-"""Sightings that fit a robot's own map: when each landmark was last where the map has it."""
+"""Sightings that agree with a robot's own map: when each landmark was last seen in place."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from homeward.localizer.tunables import MIN_SIGHTINGS
 
 
 class Fits:
-    """Times of sightings that fitted the own map of a robot, on the clock of its drive."""
+    """Times of sightings that agree with a robot's own map, on the clock of its drive."""
 
     def __init__(self) -> None:
         self.last: dict[str, float] = {}
-        """When a sighting of each landmark last fitted [s]."""
+        """Time of the last sighting of each landmark that agreed [s]."""
         self.changed_at = -math.inf
-        """When a landmark was last mapped, or mapped elsewhere [s]."""
+        """When the map last got a landmark, or another position of one [s]."""
         self._misfits: dict[str, tuple[float, int]] = {}
-        """Time of the first misfit of each landmark after that [s], and their number."""
+        """Time of the first sighting since then that disagreed [s], and their number."""
         self._moved: dict[str, float] = {}
-        """When landmarks began to be elsewhere [s]."""
+        """When each landmark that moved was first seen elsewhere [s]."""
 
     def add(self, message: BearingsIn, estimate: Estimate) -> None:
         """Add bearings and the answer to them.
 
-        A landmark that fits after `MIN_SIGHTINGS` misfits in a row was mapped, or mapped elsewhere.
+        A landmark that agrees after `MIN_SIGHTINGS` that disagreed is new in the map, or moved.
         """
         fits = {i.landmark for i in estimate.innovations if i.accepted}
         for name in message.bearings.keys() - fits:

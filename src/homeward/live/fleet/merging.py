@@ -64,7 +64,7 @@ QUARANTINED = "this visit contradicts the place and is not merged: other robots 
 
 @dataclass(frozen=True)
 class Claim:
-    """What a visit finds about a landmark, in contrast to the place."""
+    """Difference of a landmark between a visit and the place."""
 
     what: str
     """new, moved, gone or returned."""
@@ -93,12 +93,12 @@ class LiveVisit:
 
 
 class RobotRecord(Strict):
-    """What became of the visits of a robot."""
+    """Results of the visits of a robot."""
 
     decided: int = 0
-    """Number of claims ..."""
+    """Number of claims that were confirmed or refuted."""
     refuted: int = 0
-    """... and of those that other robots refuted."""
+    """Number of claims that other robots refuted."""
     apart: int = 0
     """Number of visits that contradict the place."""
 
@@ -189,7 +189,7 @@ class SharedPlace:
                 yield robot, name, self._merge(key, now)
 
     def waiting_words(self, robot: str, visit: str, now: float) -> str:
-        """Describe what the end of a visit waits for."""
+        """Describe why a visit that ended is not merged yet."""
         claims = self.visits[robot, visit].claims or {}
         names = [n for n in claims if self._outcome(robot, n, now) is None]
         if not names:

@@ -1,4 +1,4 @@
-"""Session of a robot in the place of a fleet: the connection, and the visit that is shared."""
+"""Session of a robot in the place of a fleet, and its exchange with the merger."""
 
 from __future__ import annotations
 
@@ -59,16 +59,15 @@ from homeward.places.views import Views
 from homeward.places.visit_data import VisitData, fingerprint, own_map
 from homeward.runs.report.words import count, listing
 
-SHARE_S = 3.0
-"""Interval at which the visit is sent [s] ..."""
-CHANGE_S = 1.0
-"""... during that time after a change of the robot's map."""
+SHARE_S, CHANGE_S = 3.0, 1.0
+"""Interval at which a robot sends its visit, and that in the `SHARE_S` after a change of its map
+[s]."""
 TIMEOUT_S = 20.0
 """Timeout for the place at the start, and for the acknowledgement of a version [s]."""
 FINISH_S = 30.0
 """Timeout for the merge of the last version of a visit [s]."""
 FRAME_S, MAX_FRAMES = 0.5, 4000
-"""Interval of the frames whose views are added [s], and maximum number that waits for that."""
+"""Interval of the frames whose views are used [s], and maximum number of frames in the queue."""
 
 
 def undelivered() -> Path:
@@ -77,10 +76,11 @@ def undelivered() -> Path:
 
 
 class RobotLink:
-    """Exchange of a robot with the merger of a place; `InputError` where the broker refuses.
+    """Exchange of a robot with the merger of a place.
 
-    Every visit is in an outbox until the merger has it on its disk: the newest version of the
-    visit in progress, and each visit that ended, also in a file.
+    The outbox has all visits that the merger has not acknowledged: the newest version of the visit
+    in progress, and visits that ended, which are also files. `InputError` if the broker refuses the
+    connection or no merger answers.
     """
 
     def __init__(self, broker: Broker, place: str) -> None:
@@ -90,7 +90,7 @@ class RobotLink:
         self.on_event: Callable[[str, bool], None] = lambda *_: None
         self._news = threading.Condition(threading.RLock())
         self._outbox: dict[str, VisitMessage] = {}
-        """By visit, the oldest first; only that one is at the broker."""
+        """By visit, the oldest first; only the oldest one is published."""
         self._sent: VisitMessage | None = None
         self._sent_at, self._num_parts = math.inf, MAX_VISIT_PARTS
         self._number, self._results = int(time.time()), dict[str, str]()
@@ -111,13 +111,13 @@ class RobotLink:
         with self._news:
             if not self._news.wait_for(lambda: self._place is not None, TIMEOUT_S):
                 self._connection.close()
-                raise InputError(f"nobody merges the place {quoted(place)} at {broker.url}")
+                raise InputError(f"no merger of the place {quoted(place)} answers at {broker.url}")
             assert self._place is not None
             self.first: Place = self._place
             self._send()
 
     def share(self, visit: VisitMessage) -> None:
-        """Send a visit in place of its earlier version."""
+        """Send a visit, which replaces its earlier version."""
         with self._news:
             self._number += 1
             visit = visit.model_copy(update={"number": self._number})
@@ -132,14 +132,14 @@ class RobotLink:
     def finish(self, visit: VisitMessage) -> str:
         """Send the last version of a visit; return the result in words.
 
-        Without an answer in time, the next session of this robot in this place sends it.
+        If the merger does not answer, the next session of this robot in this place sends it again.
         """
         self.share(visit)
         with self._news:
             if self._news.wait_for(lambda: visit.visit in self._results, FINISH_S):
                 return self._results.pop(visit.visit)
         file = self._file(visit.visit)
-        return f"the place did not answer: the visit is saved in {file} until it does"
+        return f"the merger did not answer: the visit is saved in {file}, and sent again later"
 
     def close(self) -> None:
         """End the connection."""
@@ -160,10 +160,10 @@ class RobotLink:
     def _lost(self, why: str) -> None:
         if not self._is_lost:
             self._is_lost = True
-            self.on_event(f"nobody merges the visit, which is kept here: {why}", True)
+            self.on_event(f"no merger: the visit is kept here, and sent again later: {why}", True)
 
     def _send(self) -> None:
-        """Publish the oldest visit of the outbox, unless its newest version is at the broker."""
+        """Publish the oldest visit of the outbox, unless it is published already."""
         visit = next(iter(self._outbox.values()), None)
         if visit is None or visit is self._sent or self._place is None:
             return
@@ -196,7 +196,7 @@ class RobotLink:
             self.on_event(f"a message of the merger is ignored: {error}", True)
 
     def _assemble(self) -> None:
-        """Update the place, if all parts of its newest version have arrived."""
+        """Update the place if all parts of its newest version have arrived."""
         manifest = self._manifest
         if manifest is None:
             return
@@ -238,7 +238,7 @@ class RobotLink:
 
 
 class SharedPlaceSession(PlaceSession):
-    """Session in the place of a fleet, whose visit is merged while it is in progress."""
+    """Session in the place of a fleet; the merger receives its visit during the session."""
 
     def __init__(self, link: RobotLink, update: bool) -> None:
         self._link, self._latest = link, link.first
@@ -249,7 +249,7 @@ class SharedPlaceSession(PlaceSession):
         link.on_event = lambda text, is_error: self._notify(text, is_error)
 
     def begin(self) -> None:
-        """Begin a new visit; the last one ends as it was sent last."""
+        """Begin a new visit; the last version of the previous one that was sent is final."""
         super().begin()
         if self._last is not None:
             self._link.share(self._last.model_copy(update={"ended": True}))
@@ -289,7 +289,7 @@ class SharedPlaceSession(PlaceSession):
             self._shared_at = estimate.t
             try:
                 self._last = self._message(localizer, drive, home)
-            except HomewardError:  # too little so far
+            except HomewardError:  # the map has too few landmarks yet
                 return
             self._link.share(self._last)
 
@@ -323,7 +323,7 @@ class SharedPlaceSession(PlaceSession):
             spread, field_of_view = np.array(sigmas), sensor.field_of_view
             self._views.add(self.place.map, cameras, spread, seen, field_of_view)
         evidence = self._link.visit
-        if is_last:  # a recording of this session is then recognised
+        if is_last:  # the same as that of a recording of this session
             evidence = fingerprint(replace(drive, sightings=self._samples.sightings()))
         about = self._link.visit, evidence, self.when, own, None, home
         visit = self._with_stored(VisitData(*about, together=together))
