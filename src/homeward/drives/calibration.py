@@ -27,7 +27,7 @@ def given_keys(settings: Strict) -> dict[str, Any]:
 
 
 def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
-    """Return a drive with the settings of its robot, and its odometry and stamps corrected.
+    """Return a drive with the settings of its robot, and its odometry and bearings corrected.
 
     A key of the drive replaces that of `robot`, and its standard deviation. `InputError` where the
     odometry was computed with another geometry of wheels than that of `robot`.
@@ -46,7 +46,7 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
         settings = validated(DriveSettings, nested(kept | own))
     settings = with_first_camera(settings, drive)
     given, late = settings.odometry.corrections, settings.bearings_late
-    if not given and late is None:
+    if not given and late is None and drive.tilt is None:
         return dataclasses.replace(drive, settings=settings, remarks=remarks)
     odometry, sightings = drive.odometry, drive.sightings
     if given:
@@ -57,12 +57,17 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
     if late is not None:
         remarks[DELAY_REMOVED.format(late)] = sightings.t.size
         sightings = dataclasses.replace(sightings, t=sightings.t - late)
+    if drive.tilt is not None:
+        from homeward.drives.tilt import levelled  # few drives need it
+
+        sightings = levelled(sightings, drive.tilt, settings, remarks)
     return dataclasses.replace(
         drive,
         odometry=odometry,
         sightings=sightings,
         settings=settings.uncorrected,
         remarks=remarks,
+        tilt=None,
         recorded=dataclasses.replace(drive, settings=settings),
     )
 
@@ -81,6 +86,7 @@ def as_recorded(drive: Drive) -> Drive:
         drive,
         odometry=drive.recorded.odometry,
         sightings=drive.recorded.sightings,
+        tilt=drive.recorded.tilt,
         settings=drive.settings.model_copy(update=kept),
         recorded=None,
     )

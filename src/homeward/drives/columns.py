@@ -79,9 +79,13 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "y": ("length", "y py ty pos.y position.y translation.y"),
     "z": ("length", "z pz tz pos.z position.z translation.z"),
     "heading": ("angle", "heading yaw theta orientation psi phi angle kurs"),
+    "roll": ("angle", "roll roll.angle"),
+    "pitch": ("angle", "pitch pitch.angle"),
+    "elevation": ("angle", "elevation elevation.angle"),
     "forward": ("length", "forward ahead"),
     "left": ("length", "left"),
     "right": ("length", "right"),
+    "up": ("length", "up"),
     **{role: ("wheel speed" if "speed" in role else "wheel", "") for role in sorted(WHEELS)},
     **{"left_wheel": ("wheel", "left l"), "right_wheel": ("wheel", "right r")},
     **{role: (role.rpartition("_")[2], "") for role in MODULES},
@@ -112,10 +116,11 @@ KINDS: Mapping[str, tuple[str, ...]] = {
     "bearings": ("t", "landmark", "bearing"),
     "home": ("landmark", "bearing"),
     "truth": ("t", "x", "y", "heading"),
+    "tilt": ("t", "roll", "pitch"),
 }
 """The required roles of each table of a drive."""
 OPTIONAL: Mapping[str, tuple[str, ...]] = {
-    "bearings": ("sigma", "range", "camera"),
+    "bearings": ("sigma", "range", "camera", "elevation"),
     "home": ("sigma", "camera"),
 }
 """The optional roles of these tables."""

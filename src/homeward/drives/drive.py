@@ -116,11 +116,13 @@ class Sightings(Columns):
     """[m]; NaN where not given."""
     camera: np.ndarray = field(default_factory=lambda: np.empty(0, object))
     """Names of cameras (str), as in `RobotSettings.cameras`; empty for the first one."""
+    elevation: np.ndarray = field(default_factory=lambda: np.empty(0))
+    """Above the horizontal plane of the camera [rad], for `Tilt`; NaN where not given."""
 
     def __post_init__(self) -> None:
-        for name, missing in (("range", np.nan), ("range_sigma", np.nan), ("camera", "")):
+        for name in ("range", "range_sigma", "camera", "elevation"):
             if self.t.size and not getattr(self, name).size:
-                value = np.array(missing, getattr(self, name).dtype)
+                value = np.array("" if name == "camera" else np.nan, getattr(self, name).dtype)
                 object.__setattr__(self, name, np.broadcast_to(value, self.t.size))
 
     @classmethod
@@ -164,6 +166,18 @@ class Sightings(Columns):
             ids = [str(i) for i in self.landmark[a:b]]
             value = dict(zip(ids, values[a:b].tolist(), strict=True))
             yield float(self.t[a]), value, dict(zip(ids, sigmas[a:b].tolist(), strict=True))
+
+
+@dataclass(frozen=True)
+class Tilt(Columns):
+    """Roll and pitch of the robot. All arrays have shape (n,)."""
+
+    t: np.ndarray
+    """Strictly increasing times [s]."""
+    roll: np.ndarray
+    """Positive: its left side is raised [rad]."""
+    pitch: np.ndarray
+    """Positive: its front is lowered [rad]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,6 +241,8 @@ class Drive:
     """Numbers of anomalies that the reader found, by description."""
     known: KnownLandmarks = field(default_factory=KnownLandmarks)
     """Surveyed landmarks and measured distances."""
+    tilt: Tilt | None = None
+    """For which the bearings are not corrected yet; None: a level robot."""
     recorded: Drive | None = field(default=None, repr=False, compare=False)
     """The drive before the corrections in its settings were applied; None: there are none."""
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
+from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Tilt, Truth
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.measure import motion
 from homeward.drives.one_clock import remark_other_units
@@ -38,6 +38,7 @@ from homeward.sighting_keys import is_unlabelled, numbered, without_number
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
 SETTINGS, TRUTH, KNOWN = "drive.yaml", "truth.csv", "landmarks.yaml"
+TILT = "tilt.csv"
 HOME_ADVICE = f"add a table with the columns landmark, bearing ({HOME}); or use {HOME_TIMES}"
 COMMENTED = (
     "# Settings of this drive. To set a key, remove the # before it. docs/look-up/files.md and\n"
@@ -45,11 +46,13 @@ COMMENTED = (
 )
 """Head of a commented drive.yaml."""
 IMPORT_ADVICE = "; use homeward import to convert tables with other columns"
-REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN)
-OPTIONAL_COLUMNS, CAMERA = frozenset({"sigma", "range", "range_sigma"}), "camera"
+REQUIRED, OPTIONAL = (ODOMETRY, BEARINGS, HOME), (SETTINGS, TRUTH, KNOWN, TILT)
+OPTIONAL_COLUMNS = frozenset({"sigma", "range", "range_sigma", "elevation"})
+CAMERA = "camera"
 SORTED = "rows of {} were out of order; sorted by time"
 REPEATED_ODOMETRY = "odometry rows with a repeated stamp; the last counts"
 REPEATED_TRUTH = "ground truth rows with a repeated stamp; the last counts"
+REPEATED_TILT = "rows of roll and pitch with a repeated stamp; the last counts"
 REPEATED_SIGHTINGS = "repeated sightings of a landmark at one stamp; the last counts"
 NO_ODOMETRY = (
     f"stamps of bearings without odometry ({ODOMETRY} is missing): poses use the bearings of "
@@ -101,11 +104,11 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     """Read a drive folder; `InputError` names the file, the row and the problem.
 
     The folder has odometry.csv (t, v, omega[, vy]), bearings.csv (t, landmark, bearing[, sigma]
-    [, range, range_sigma][, camera]), home.csv (landmark, bearing[, sigma][, camera]), drive.yaml,
-    landmarks.yaml and truth.csv (t, x, y, heading in the home frame), in s, m and rad. The last
-    three are optional. Other files and columns are ignored. A survey in the home frame replaces
-    home.csv and odometry.csv. A time at home in drive.yaml replaces home.csv. With `home_needed`,
-    one of these must define home.
+    [, range, range_sigma][, camera][, elevation]), home.csv (landmark, bearing[, sigma]
+    [, camera]), drive.yaml, landmarks.yaml, truth.csv (t, x, y, heading in the home frame) and
+    tilt.csv (t, roll, pitch), in s, m and rad. The last four are optional. Other files and columns
+    are ignored. A survey in the home frame replaces home.csv and odometry.csv. A time at home in
+    drive.yaml replaces home.csv. With `home_needed`, one of these must define home.
 
     Rows up to `MAX_DELAY_S` out of order are sorted by time. Bearings are wrapped, and landmark ids
     stripped of white space. The last of equal stamps counts. Remarks count these corrections, and
@@ -146,6 +149,7 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         truth=read_truth(folder / TRUTH, remarks),
         remarks=remarks,
         known=known,
+        tilt=read_tilt(folder / TILT, remarks),
     )
 
 
@@ -267,10 +271,7 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:
-    """Read a bearings.csv (t, landmark, bearing[, sigma][, range, range_sigma][, camera]).
-
-    Errors and remarks as `read_folder`.
-    """
+    """Read a bearings.csv; columns, errors and remarks as `read_folder`."""
     columns: dict[str, Parser] = {"t": numbers, "bearing": numbers}
     columns["landmark"] = identifiers_or_empty
     optional: dict[str, Parser] = dict.fromkeys(OPTIONAL_COLUMNS, numbers_or_nan)
@@ -286,6 +287,8 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
     cameras = [table[CAMERA]] if CAMERA in table.columns else []
     columns = table["t"], table["landmark"], bearings, _sigma(table), *ranges, *cameras
     sightings = Sightings(*columns)
+    if "elevation" in table.columns:
+        sightings = replace(sightings, elevation=table["elevation"])
     if cameras:
         number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
         sightings = sightings.rows(np.lexsort((number, sightings.t)))
@@ -366,6 +369,23 @@ def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
     return Truth(table["t"], table["x"], table["y"], table["heading"])
 
 
+def read_tilt(path: Path, remarks: dict[str, int]) -> Tilt | None:
+    """Read tilt.csv (t, roll, pitch), None where it is absent."""
+    if not is_there(path):
+        return None
+    columns = {"t": numbers, "roll": numbers, "pitch": numbers}
+    return tilt_of(read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
+
+
+def tilt_of(table: Table, remarks: dict[str, int]) -> Tilt:
+    """Return the tilt of a table with t, roll, pitch; as `read_tilt`."""
+    table = sorted_by_time(table, "roll and pitch", remarks)
+    table = without_repeats(table, remarks, REPEATED_TILT)
+    for name in ("roll", "pitch"):
+        table.require_angle(name)
+    return Tilt(table["t"], table["roll"], table["pitch"])
+
+
 def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> None:
     """Write all files of a drive into `scratch`; errors name files of `folder`."""
     if not drive.odometry.t.size:
@@ -413,6 +433,8 @@ def _columns(drive: Drive) -> dict[str, dict[str, np.ndarray]]:
                 del columns[name]
     if drive.truth is not None:
         files[TRUTH] = dict(vars(drive.truth))
+    if drive.tilt is not None:
+        files[TILT] = dict(vars(drive.tilt))
     return files
 
 

@@ -216,7 +216,7 @@ def save_drive(
     Raises
     ------
     InputError
-        When the path exists or cannot be written, or a log is to contain known landmarks.
+        When the path exists or cannot be written, or a log is to contain known landmarks or a tilt.
     """
     place = Path(path)
     if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
@@ -226,6 +226,8 @@ def save_drive(
         return "drive folder"
     if drive.known.is_given:
         raise InputError("a log cannot contain landmarks.yaml; write a drive folder instead", place)
+    if drive.tilt is not None:
+        raise InputError("a log cannot contain tilt.csv; write a drive folder instead", place)
     # Imported here only: rosbags loads slowly.
     from homeward.drives.ros.writing import write_log
 

@@ -34,10 +34,10 @@ def import_(
             metavar="[FILE:]ROLE=COLUMN[UNIT]",
             help="Roles of columns, separated by commas; a minus before COLUMN changes the sign. "
             "Without a header, columns are 1, 2, 3. "
-            "Roles: t, v, omega, vy, landmark, bearing, sigma, x, y, z, heading; "
-            "of positions: forward, left, right; of wheels: left_wheel, left_speed, left_step, "
-            "right_wheel, right_speed, right_step, steering, front_left_wheel (and so on); "
-            "of steps: distance, turn; "
+            "Roles: t, v, omega, vy, roll, pitch, landmark, bearing, elevation, sigma, x, y, z, "
+            "heading; of positions: forward, left, right, up; of wheels: left_wheel, "
+            "left_speed, left_step, right_wheel, right_speed, right_step, steering, "
+            "front_left_wheel (and so on); of steps: distance, turn; "
             "of pixels: column, row, column0 to row3, fx, fy, cx, cy.",
         ),
     ] = None,
@@ -46,7 +46,7 @@ def import_(
         typer.Option(
             "--as",
             metavar="FILE=KIND",
-            help="Kind of a file: odometry, detections, home, truth or gyro; repeatable.",
+            help="Kind of a file: odometry, detections, home, truth, gyro or tilt; repeatable.",
         ),
     ] = None,
     wheels: Annotated[

@@ -42,6 +42,8 @@ MAX_POSES = 2000
 """Maximum number of poses that are compared; steps between fewer poses have less noise."""
 MIN_FIT = 0.7
 """Minimum fit of a path along its headings [1]; random directions have 0."""
+MAX_TILT = 0.5
+"""Roll and pitch without a unit beyond it may be in degrees [rad]."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class ImportedColumn:
     """A recognised column, with its converted table."""
 
     kind: str
-    """Odometry, bearings, home or truth."""
+    """Odometry, bearings, home, truth, gyro or tilt."""
     table: Table
     """The whole table in SI units."""
     column: Column
@@ -127,10 +129,12 @@ class Part:
         columns = dict(self.columns)
         ordered = dataclasses.replace(table, columns=values)
         if self.source:
-            for role in {*POSITION_ROLES, *PIXEL_ROLES}.intersection(units):
+            for role in {*POSITION_ROLES, "up", *PIXEL_ROLES}.intersection(units):
                 units[role] = units[role][0], self.source.name
             for role, found in self.source.measured(values).items():
-                if role in (*KINDS[self.kind], *OPTIONAL[self.kind]):
+                if role == "elevation":  # not shown
+                    values[role] = found
+                elif role in (*KINDS[self.kind], *OPTIONAL[self.kind]):
                     unit = "m" if role == "range" else "rad"
                     columns[role] = Column(role, self.source.formula(columns, role), unit)
                     values[role], units[role] = found, (unit, self.source.reason)
@@ -214,8 +218,17 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
             )
     if column.role == "range" and largest > MAX_LENGTH:
         return "mm", f"guessed: more than {MAX_LENGTH:g}"
-    if column.role == "steering" and largest > math.pi / 2:
+    is_tilt = column.role in ("roll", "pitch")
+    if is_tilt:  # one program writes both
+        largest = max(float(np.nanmax(np.abs(table[role]))) for role in ("roll", "pitch"))
+    if (column.role == "steering" or is_tilt) and largest > math.pi / 2:
         return "deg", "guessed: more than a quarter turn"
+    if is_tilt and largest > MAX_TILT:
+        raise InputError(
+            f"roll and pitch reach {largest:.3g} and may be in degrees; give their unit, as in "
+            f"--columns '{column.role}={column.name}[deg]'",
+            table.file,
+        )
     is_pose = column.role == "heading" and {"x", "y"} <= set(table.columns)
     if is_pose and largest > 1.01 * math.tau:
         # Headings that count the turns exceed a turn in radians, too.

@@ -23,6 +23,8 @@ AXES: Mapping[str, Mapping[str, str]] = {
     "robot": {"forward": "x", "left": "y"},
 }
 """The axis of each role in an optical frame and in a robot's frame."""
+UP: Mapping[str, tuple[str, float]] = {"camera": ("y", -1.0), "robot": ("z", 1.0)}
+"""The vertical axis and its sign, for robots that roll and pitch."""
 AXIS_ROLES = ("x", "y", "z")
 POSITION_ROLES = ("forward", "left", "right")
 PLACES = (("forward", "left"), ("forward", "right"), ("x", "y"), ("x", "z"))
@@ -61,7 +63,7 @@ class Axes:
 
     def measured(self, values: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
         """Return bearings [rad] and horizontal distances [m] of positions by role, (n,) each."""
-        return bearings({role: values[role] for role in POSITION_ROLES if role in values})
+        return bearings({role: values[role] for role in (*POSITION_ROLES, "up") if role in values})
 
 
 def position_columns(
@@ -73,7 +75,7 @@ def position_columns(
         raise InputError("--columns: a position requires the role forward and either left or right")
     required = [role for role in KINDS[kind] if role != "bearing"]
     places = [place for place in PLACES if given <= set(place)]
-    optional = ("z", "camera")
+    optional = ("z", "camera", "up")
     found = (
         assigned((*required, *place), _of_point(names), specified, optional) for place in places
     )
@@ -109,14 +111,14 @@ def _of_point(names: Sequence[str]) -> Sequence[str]:
 
 
 def with_axes(
-    one: Sheet, kind: str, columns: dict[str, Column], like: Axes | None
+    one: Sheet, kind: str, columns: dict[str, Column], like: Axes | None, is_tilted: bool = False
 ) -> tuple[dict[str, Column], Axes]:
     """Return the columns of positions by `POSITION_ROLES`, with units, and their axes.
 
-    `like` are the axes of the drive's positions, which also apply to those of home. `InputError`
-    where the axes are unknown.
+    `like` are the axes of the drive's positions, which also apply to those of home; with
+    `is_tilted`, the height of positions is needed, too. `InputError` where the axes are unknown.
     """
-    by_axis = {role: c for role, c in columns.items() if role in (*POSITION_ROLES, *"xyz")}
+    by_axis = {r: c for r, c in columns.items() if r in (*POSITION_ROLES, "up", *"xyz")}
     frame = next((name for name in one.names if _is_frame(name)), None)
     parsers = dict.fromkeys((c.name for c in by_axis.values()), number_parser(one.decimal_comma))
     raw = read_csv(one.path, parsers | ({frame: names} if frame else {}), form=one.form)
@@ -125,13 +127,16 @@ def with_axes(
     if "forward" in by_axis:
         is_specified = by_axis["forward"].is_specified
         axes = Axes("", "axes as specified" if is_specified else "axes as named")
-        return others | {r: c for r, c in by_axis.items() if r in POSITION_ROLES}, axes
+        return others | {r: c for r, c in by_axis.items() if r not in AXIS_ROLES}, axes
     frames = {str(f).strip("/").lower() for f in raw[frame]} - {""} if frame else set()
     values = {
         axis: c.sign * UNITS["length"][c.unit or "m"] * raw[c.name] for axis, c in by_axis.items()
     }
     axes = _axes_of(values, by_axis, frames, kind, like, one)
     roles = {role: replace(by_axis[axis], role=role) for role, axis in AXES[axes.kind].items()}
+    axis, sign = UP[axes.kind]
+    if is_tilted and axis in by_axis:
+        roles["up"] = replace(by_axis[axis], role="up", sign=sign * by_axis[axis].sign)
     return others | roles, axes
 
 

@@ -18,6 +18,7 @@ from homeward.drives.folder import (
     REPEATED_ODOMETRY,
     home_of,
     sightings_of,
+    tilt_of,
     truth_of,
     without_repeats,
 )
@@ -120,7 +121,8 @@ def _understood(
                 )
             raise InputError(f"a second file with {kind}{advice}", extra.sheet.path)
         for part in mine:
-            part.is_alone = sum(other.sheet is part.sheet for other in parts) == 1
+            others = [p for p in parts if p.sheet is part.sheet and p.kind != "tilt"]
+            part.is_alone = len(others) == 1
             found += part.read(clock, angle)
             clock = clock or next((u.unit for u in found if u.column.role == "t"), None)
             if kind == "bearings":
@@ -180,6 +182,9 @@ def drive_of(
                 f"no {label} found: no file has the columns {needs}. "
                 "If the names of columns were not recognised, give their roles with --columns"
             )
+    if "tilt" not in tables:  # without use
+        columns = {n: c for n, c in tables["bearings"].columns.items() if n != "elevation"}
+        tables["bearings"] = dataclasses.replace(tables["bearings"], columns=columns)
     start = float(np.min(tables["odometry"]["t"], initial=math.inf))
     epoch = math.floor(start) if UNIX_S[0] <= start < UNIX_S[1] else 0
     for kind, table in tables.items():
@@ -198,6 +203,7 @@ def drive_of(
         home=home_of(_averaged(tables["home"], remarks), remarks) if "home" in tables else {},
         settings=DriveSettings(**given),
         truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
+        tilt=tilt_of(tables["tilt"], remarks) if "tilt" in tables else None,
         remarks=remarks,
     )
     truth = next((one for one in found if one.kind == "truth"), None)

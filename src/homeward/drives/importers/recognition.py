@@ -100,12 +100,30 @@ def parts_of(
             parts.append(_wide_part(one, across, t, mine))
         elif all(part.sheet is not one for part in parts):
             gyro = assigned(KINDS["gyro"], one.names, mine) if kind is None else None
-            if gyro is None:
+            if gyro is not None:
+                parts.append(Part(one, "gyro", gyro))
+            elif kind is not None or _tilt_of(one, mine, ()) is None:
                 raise InputError(_not_recognised(one, kind, mine), one.path)
-            parts.append(Part(one, "gyro", gyro))
     _find_odometry(parts, kinds or {})
+    if all(part.kind != "tilt" for part in parts):
+        for one in sheets:
+            of_file = [part.kind for part in parts if part.sheet is one]
+            if (tilt := _tilt_of(one, one.specified(specified), of_file)) is not None:
+                parts.append(Part(one, "tilt", tilt))
     _find_sources(parts, cameras or {})
     return parts
+
+
+def _tilt_of(one: Sheet, mine: Sequence[Column], kinds: Sequence[str]) -> Found:
+    """Return the columns of the robot's roll and pitch in a file with tables of some kinds.
+
+    Along with landmarks they may be those of a tag, and ground truth is for scoring only: there
+    they must be specified.
+    """
+    roles = {column.role for column in mine if column.name in one.names}
+    if not {"roll", "pitch"} <= roles and not {"odometry", "gyro"}.issuperset(kinds):
+        return None
+    return assigned(KINDS["tilt"], one.names, mine)
 
 
 def _kinds_of(
@@ -234,6 +252,7 @@ def _has_landmarks(one: Sheet, landmark: Column) -> bool:
 def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
     """Find the camera of pixels, and the axes of positions, of the drive before those of home."""
     axes, pixels = None, None
+    is_tilted = any(part.kind == "tilt" for part in parts)
     for part in sorted(parts, key=lambda part: part.kind):
         if part.kind not in POSITIONED or part.wide or "bearing" in part.columns:
             continue
@@ -242,7 +261,7 @@ def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
             part.columns, pixels = with_pixels(*given)
             part.source = pixels
         else:
-            part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes)
+            part.columns, axes = with_axes(part.sheet, part.kind, part.columns, axes, is_tilted)
             part.source = axes
     if cameras and not any(isinstance(part.source, Pixels) for part in parts):
         raise InputError(

@@ -11,8 +11,14 @@ import numpy as np
 from homeward.drives.calibration import with_calibration
 from homeward.drives.cameras.calibration import CameraRows
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
-from homeward.drives.folder import REPEATED_TRUTH, home_of, read_home, sightings_of
+from homeward.drives.drive import Drive, HomeBearing, Sightings, Tilt, Truth
+from homeward.drives.folder import (
+    REPEATED_TILT,
+    REPEATED_TRUTH,
+    home_of,
+    read_home,
+    sightings_of,
+)
 from homeward.drives.home.when import with_home
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import (
@@ -52,7 +58,7 @@ from homeward.drives.settings import (
     RobotSettings,
     Wheels,
 )
-from homeward.drives.tilt import Tilts, roll_and_pitch
+from homeward.drives.tilt import roll_and_pitch
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
@@ -178,6 +184,7 @@ class _Reading:
             home=self._home(),
             settings=self._clock.in_settings(self._settings),
             truth=self._truth(),
+            tilt=self._tilt(),
             remarks=self._known.log.cut_short | dict(self._remarks),
         )
         drive, home = with_calibration(found, robot), self._plan.home
@@ -313,10 +320,6 @@ class _Reading:
         parts = [camera.rows.columns() for camera in self._cameras]
         if not parts:
             return Sightings.of_rows(())
-        if (tilt := self._plan.tilt) is not None:
-            repeats = "orientations with the time of another, left out"
-            tilts = Tilts(*clean_rows(self._tilts, tilt, "orientations", repeats, self._remarks).T)
-            parts = [tilts.level(p, self._yaw_of(p), tilt, self._remarks) for p in parts]
         for part in parts:
             in_order(part["t"], "sightings", self._remarks)  # counted for each camera
         self._separate(parts)
@@ -324,12 +327,6 @@ class _Reading:
         order = np.argsort(columns["t"], kind="stable")
         rows = Table(self._path, order + 1, {n: c[order] for n, c in columns.items()})
         return sightings_of(rows, self._remarks)
-
-    def _yaw_of(self, part: dict[str, np.ndarray]) -> float:
-        """Return the yaw of the camera of sightings on the robot [rad]."""
-        name = part["camera"][0] if part["camera"].size else ""
-        camera: Mount = self._settings.cameras[name] if name else self._settings.sensor
-        return camera.yaw
 
     def _separate(self, parts: list[dict[str, np.ndarray]]) -> None:
         """Make the frames of cameras with the same landmark at the same stamp differ by 1 ns.
@@ -358,6 +355,13 @@ class _Reading:
         rows = np.flatnonzero(first) + 1
         table = Table(self._path, rows, {n: c[first] for n, c in columns.items()})
         return home_of(table, self._remarks)
+
+    def _tilt(self) -> Tilt | None:
+        if (topic := self._plan.tilt) is None:
+            return None
+        found = np.reshape(self._tilts, (-1, 3))
+        rows = clean_rows(found, topic, "orientations", REPEATED_TILT, self._remarks)
+        return Tilt(*rows.T.copy())
 
     def _truth(self) -> Truth | None:
         given = self._plan.truth
