@@ -5,6 +5,7 @@ from types import SimpleNamespace as Message
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import tag_poses
@@ -19,6 +20,7 @@ from homeward.ros.conversions import (
     odometry_in,
     start_in,
     tag_out,
+    tilt_in,
 )
 
 
@@ -46,6 +48,14 @@ def test_infinite_ranges_follow_rep_117(ahead, free):
 
 def test_a_scanner_with_infinite_range_reports_a_free_path():
     assert obstacle_in(scan([math.inf] * 8, 0.0, math.inf), 0.35).distance > 1e3
+
+
+def test_the_orientation_of_an_imu_is_a_tilt_and_a_missing_one_is_refused():
+    x, y, z, w = Rotation.from_euler("ZYX", [1.0, -0.2, 0.1]).as_quat()
+    tilt = tilt_in(Message(orientation=Message(x=x, y=y, z=z, w=w)), 3.0)
+    assert (tilt.t, tilt.roll, tilt.pitch) == pytest.approx((3.0, 0.1, -0.2))
+    with pytest.raises(InputError, match=r"^roll: must be"):
+        tilt_in(Message(orientation=Message(x=0.0, y=0.0, z=0.0, w=0.0)), 3.0)
 
 
 def test_a_number_that_is_none_is_refused_in_plain_words():

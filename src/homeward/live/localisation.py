@@ -115,6 +115,10 @@ class Localisation:
         """The given pose of the camera on the robot."""
         return self._robot.sensor.pose
 
+    def yaw_of(self, camera: str) -> float:
+        """Return the yaw of a camera on the robot [rad]; an unknown name is the first one's."""
+        return self._robot.cameras.get(camera, self._robot.sensor).yaw
+
     def seen_from_robot(self, name: str) -> Pose | None:
         """Return the pose of a home in the robot's frame; None unless localised and known."""
         estimate = self.fix.estimate

@@ -93,8 +93,21 @@ class BearingsIn(Strict):
     """Measured distances of some landmarks from the camera, a hint [m]."""
     range_sigmas: Sigmas = {}
     """Standard deviations of some ranges [m]."""
+    elevations: Bearings = {}
+    """Elevations of some landmarks above the horizontal plane of the camera, for `TiltIn` [rad]."""
     camera: Name | Literal[""] = ""
     """Name of one of several cameras, as under `cameras` of the robot; empty for the first."""
+
+
+class TiltIn(Strict):
+    """Roll and pitch of the robot at `t` [s], for which bearings are corrected."""
+
+    type: Literal["tilt"] = "tilt"
+    t: Time
+    roll: Bounded
+    """Positive: its left side is raised [rad]."""
+    pitch: Bounded
+    """Positive: its front is lowered [rad]."""
 
 
 class SetHome(Strict):
@@ -344,6 +357,7 @@ Input = (
     Hello
     | OdometryIn
     | BearingsIn
+    | TiltIn
     | SetHome
     | StoreHome
     | LookRound

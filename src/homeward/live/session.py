@@ -24,6 +24,7 @@ from homeward.estimator import NO_BEARINGS_S, Status, takes_sideways
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, compose
 from homeward.live import messages as msg
+from homeward.live.levelling import Levelling
 from homeward.live.localisation import Homes, Localisation
 from homeward.live.place_session import PlaceSession
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
@@ -68,6 +69,7 @@ class Session:
         self._store_after_turn = msg.StoreHome()
         self.counts: Counter[str] = Counter()
         """Samples that did not reach the estimator, by reason in words."""
+        self._levelling = Levelling(robot, self.counts)
         self._watchers = list[Callable[[_Queued | msg.Output], None]]()
         clock = Clock()
         self._gate, self._twists = StampGate(), TwistHistory()
@@ -135,8 +137,11 @@ class Session:
                         self.counts["sideways speeds ignored by the estimator"] += 1
                     corrected = dict(zip(("v", "omega", "vy"), twist, strict=True))
                     message = message.model_copy(update=corrected)
-                elif self._late:
-                    message = message.model_copy(update={"t": message.t - self._late})
+                else:
+                    if self._late:
+                        message = message.model_copy(update={"t": message.t - self._late})
+                    yaw = self.localisation.yaw_of(message.camera)
+                    message = self._levelling.levelled(message, yaw)
                 t = self._watch(message, now)
                 if t > self._twists.newest - MEMORY_S:
                     odom = self._odometry_pose(t)
@@ -153,6 +158,9 @@ class Session:
                 self._driver.fail("cancelled", now)
             case msg.Obstacle(distance=distance):
                 self._obstacle = distance, now
+                return
+            case msg.TiltIn():
+                self._levelling.add(message)
                 return
             case msg.GoHome() | msg.GoTo() | msg.GoToLandmark() | msg.FollowRoute():
                 with self._lock:

@@ -24,6 +24,7 @@ from homeward.drives.ros.measurements.sighting_rows import SightingRows
 from homeward.drives.ros.messages.presets import MOTIONS, NAV_ODOMETRY, row_of
 from homeward.drives.ros.messages.stamps import NANO, seconds
 from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.tilt import roll_and_pitch
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
@@ -129,7 +130,15 @@ def bearings_in(
     }
     ranges = zip(ids, columns["range"].tolist(), strict=True)
     known["ranges"] = {i: r for i, r in ranges if 0.0 < r <= msg.MAX_LENGTH}
+    elevations = zip(ids, columns["elevation"].tolist(), strict=True)
+    known["elevations"] = {i: e for i, e in elevations if math.isfinite(e)}
     return validated(msg.BearingsIn, known)
+
+
+def tilt_in(message: Any, t: float) -> msg.TiltIn:
+    """Return the tilt of the robot from the orientation of a sensor_msgs/Imu at `t` [s]."""
+    roll, pitch = roll_and_pitch(message.orientation)
+    return validated(msg.TiltIn, {"t": t, "roll": roll, "pitch": pitch})
 
 
 def start_in(message: Any, map_frame: str, home: Pose) -> msg.SetStart:

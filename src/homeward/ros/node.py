@@ -53,6 +53,7 @@ PARAMETERS: dict[str, Any] = {
     "rectified": False,
     "camera_frame": "",
     "base_frame": "base_link",
+    "imu_topic": "",
     "scan_topic": "",
     "scan_half_angle": 0.35,
     "cmd_vel_topic": "cmd_vel",
@@ -210,6 +211,8 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
                 topics.append(("sensor_msgs/msg/CameraInfo", given.camera, info))
         topics += [(JSON, f"~/{topic}", self._named(kind)) for topic, kind in NAMED.items()]
         topics.append((JSON, "~/dock", self._named(msg.GoHome, dock=True)))
+        if parameter("imu_topic"):
+            topics.append(("sensor_msgs/msg/Imu", parameter("imu_topic"), self._tilt))
         if parameter("scan_topic"):
             topics.append(("sensor_msgs/msg/LaserScan", parameter("scan_topic"), self._scan))
         if cameras.needs_transforms:
@@ -323,6 +326,9 @@ class HomewardNode(LifecycleNode):  # type: ignore[misc]
     def _start(self, message: Any) -> None:
         frame = self._parameter("map_frame")
         self._take(convert.start_in(message, frame, self._publish.home))
+
+    def _tilt(self, message: Any) -> None:
+        self._take(convert.tilt_in(message, self._stamps.seconds(message.header.stamp)))
 
     def _scan(self, message: Any) -> None:
         self._take(convert.obstacle_in(message, self._parameter("scan_half_angle")))
