@@ -172,13 +172,18 @@ def test_a_robot_file_of_other_wheels_is_refused():
 
 
 def test_a_live_session_corrects_its_twists_and_an_estimator_refuses_corrections():
-    given = OdometryNoise(speed_scale=0.9, turn_scale=1.2, turn_bias=0.01, turn_slip=0.1)
+    given = OdometryNoise(
+        speed_scale=0.9, sideways_scale=0.8, turn_scale=1.2, turn_bias=0.01, turn_slip=0.1
+    )
     session, heard = Session(robot=DriveSettings(odometry=given)), []
     session.watch(heard.append)
-    for t, v, omega in ((0.0, 1.0, 0.5), (0.1, 0.0, 0.0)):
-        session.receive(OdometryIn(t=t, v=v, omega=omega), t)
+    for t, v, omega, vy in ((0.0, 1.0, 0.5, 0.0), (0.1, 0.0, 0.0, 0.0), (0.2, 0.0, 0.0, -0.5)):
+        session.receive(OdometryIn(t=t, v=v, omega=omega, vy=vy), t)
     list(session.process())
-    assert [(m.v, m.omega) for m in heard] == [pytest.approx((0.839, 0.61)), (0.0, 0.0)]
+    moving, still, aside = [(m.v, m.omega, m.vy) for m in heard]
+    assert moving == pytest.approx((0.839, 0.61, 0.0))
+    assert still == (0.0, 0.0, 0.0)
+    assert aside == pytest.approx((0.0, 0.01, -0.36))
     with pytest.raises(InputError, match="speed_scale"):
         Localizer({"a": HomeBearing(0.0)}, odometry=given)
 
@@ -214,6 +219,36 @@ def test_ground_truth_gives_the_scales_of_speed_and_yaw_rate_and_the_slip(slip):
     assert _from_truth(Odometry(t, v, omega), Truth(t[:9], x[:9], y[:9], heading[:9])) == {}
     still = np.zeros(t.size)
     assert _from_truth(Odometry(t, still, still), Truth(t, still, still, still)) == {}
+
+
+@pytest.mark.parametrize("rate", [0.0, 0.2])
+def test_ground_truth_of_a_robot_that_keeps_its_yaw_rate_gives_no_scale_of_it(rate):
+    """Then the rotations of odometry vary by noise alone: the scale would be near zero."""
+    rng, dt = np.random.default_rng(5), 0.05
+    t = dt * np.arange(4000)
+    way = np.repeat(rng.uniform(-np.pi, np.pi, 80), 50)  # in the frame of home
+    heading = rate * t
+    v, vy = 0.3 * np.cos(way - heading), 0.3 * np.sin(way - heading)
+    x, y = (dt * np.cumsum(0.3 * f(way)) for f in (np.cos, np.sin))
+    late = 4
+    measured = (np.roll(a, late) + 0.02 * rng.normal(size=t.size) for a in (v / 0.95, vy / 0.9))
+    v, vy = measured
+    odometry = Odometry(t, v, rate + 0.05 * rng.normal(size=t.size), vy)
+    found = _from_truth(odometry, Truth(t, x, y, heading))
+    assert list(found) == ["odometry.speed_scale"]
+    mean, sigma = found["odometry.speed_scale"]
+    assert abs(mean - 0.95) < 3.0 * sigma < 0.03
+
+
+def test_a_robot_file_corrects_the_sideways_speed_by_both_scales():
+    t = np.arange(0.0, 3.0, 0.1)
+    odometry, none = Odometry(t, 0.0 * t + 0.2, 0.0 * t, 0.0 * t - 0.5), np.empty(0)
+    seen = Sightings(none, np.empty(0, object), none, none)
+    robot = RobotSettings(odometry=OdometryNoise(speed_scale=0.9, sideways_scale=0.8))
+    drive = with_calibration(Drive("aside", odometry, seen, {}), robot)
+    assert drive.odometry.v == pytest.approx(0.18)
+    assert drive.odometry.vy == pytest.approx(-0.36)
+    assert as_recorded(drive).odometry.vy == pytest.approx(-0.5)
 
 
 def test_the_delay_of_a_robot_that_follows_as_a_lag_is_that_without_the_lag():

@@ -51,6 +51,9 @@ NUM_GROUPS = 20
 ROBUST_STEPS, ROBUST_SCALE = 10, 3.0
 """Steps of the robust fit of paths, whose weights converge; and its scale, as residuals of normal
 errors hardly exceed it [standard deviations]."""
+MIN_EXPLAINED = 0.9
+"""Smallest share of the variance of rotations that the odometry's explain, for a scale of them: of
+a robot that hardly turns, or turns at one rate, they are noise, which makes the scale too small."""
 MIN_SLIP = 2.0
 """Smallest slip in bends that is corrected [standard deviations]."""
 LAG, LATE = "odometry.time_constant", "bearings_late"
@@ -128,8 +131,9 @@ def _from_map(localizer: Localizer) -> Estimates:
 def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
     """Return the corrections of the odometry by the motions of the ground truth.
 
-    Odometry may act late: the lag with which rotations fit best counts. Slip in bends is estimated
-    together with the speed scale, and left out where it may be zero.
+    Odometry may act late: the lag with which rotations fit best counts, or, if these are not known
+    well enough, paths. Slip in bends is estimated together with the speed scale, and left out where
+    it may be zero.
     """
     t = truth.t[(truth.t >= odometry.t[0]) & (truth.t <= odometry.t[-1])]
     t = t[np.unique(np.searchsorted(t, np.arange(t[0], t[-1], WINDOW_S)))] if t.size else t
@@ -148,10 +152,14 @@ def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
     def misfit(lag: float) -> float:
         return float(np.linalg.lstsq(turned(lag), by, rcond=None)[1].sum())
 
-    lag = min(LAGS_S, key=misfit)
-    turns = turned(lag)
-    path, rotation = _driven(dead_reckoning(odometry, _fine(t) - lag))[:, used]
-    true_path, _ = _driven(truth.at(_fine(t)))[:, used]
+    def driven(lag: float) -> np.ndarray:
+        return _driven(dead_reckoning(odometry, _fine(t) - lag))[:, used]
+
+    lag, true_path = min(LAGS_S, key=misfit), _driven(truth.at(_fine(t)))[0, used]
+    is_turning = _explained(by, *turned(lag).T) > MIN_EXPLAINED
+    if not is_turning:
+        lag = max(LAGS_S, key=lambda lag: _explained(true_path, *driven(lag)))
+    turns, (path, rotation) = turned(lag), driven(lag)
 
     def fitted(rows: np.ndarray, with_slip: bool) -> np.ndarray:
         turn, *_ = np.linalg.lstsq(turns[rows], by[rows], rcond=None)
@@ -167,12 +175,22 @@ def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
         values = map(Value, fitted(every, with_slip).tolist(), sigmas.tolist())
         return dict(zip(ASSUMED, values, strict=False))
 
+    if not is_turning:
+        key = "odometry.speed_scale"
+        return _informative({key: estimated(with_slip=False)[key]})
     found = estimated(with_slip=True)
     slip = found["odometry.turn_slip"]
     if slip.mean < MIN_SLIP * slip.sigma:
         slip = Value(0.0, math.hypot(*slip))
         found = estimated(with_slip=False)
     return _informative(found | {"odometry.turn_slip": slip})
+
+
+def _explained(true: np.ndarray, found: np.ndarray, beside: np.ndarray) -> float:
+    """Return the share of the variance of `true` that `found` explains next to `beside`, (n,)."""
+    across = np.eye(true.size) - np.outer(beside, beside) / max(beside @ beside, 1e-12)
+    true, found = across @ true, across @ found
+    return float((true @ found) ** 2 / max((true @ true) * (found @ found), 1e-300))
 
 
 def _robust(columns: np.ndarray, measured: np.ndarray) -> np.ndarray:
