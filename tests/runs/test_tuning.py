@@ -13,6 +13,8 @@ from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, RobotSettings, Sensor
 from homeward.errors import HomewardError
 from homeward.io.settings import parse_settings
+from homeward.lab.simulation import scenario as sim
+from homeward.lab.simulation.simulate import simulate
 from homeward.runs import tuning
 from homeward.runs.calibration import Value, combined
 from homeward.runs.held_out import Check, EvaluatedRun, checks
@@ -53,6 +55,26 @@ def test_the_noise_of_a_drive_is_identified_and_consistent():
     assert after.log_likelihood > before.log_likelihood
     assert abs(after.nis - 1.0) < abs(before.nis - 1.0)
     assert abs(np.log(after.nees / 3.0)) < abs(np.log(before.nees / 3.0))
+
+
+def test_a_robot_that_strafes_gets_the_scale_and_the_noise_of_its_sideways_speed(monkeypatch):
+    searched = []
+    monkeypatch.setattr(tuning, "_search", lambda _, n, fields, __: searched.append(fields) or n)
+    chance = np.random.default_rng(3)
+    points = tuple(map(tuple, chance.uniform(-1.5, 1.5, (20, 2)).tolist()))
+    scenario = sim.Scenario(
+        robot=sim.Robot(drive="mecanum"),
+        landmarks=sim.Ring(count=12, distance=(2.5, 5.0)),
+        noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
+        odometry=sim.OdometryErrors(speed_sigma=0.01, turn_sigma=0.01, sideways_scale=-0.2),
+        start=sim.StartPose(x=1.0, y=0.0, heading=0.0, prior=False),
+        trajectory=sim.Waypoints(duration=30.0, points=points),
+    )
+    drive = dataclasses.replace(simulate(scenario).drive, settings=DriveSettings())
+    found = tune([drive], lambda _: None).settings.odometry
+    assert abs(found.sideways_scale - 1.25) < 3.0 * found.sideways_scale_sigma < 0.15
+    assert searched == [Noise._fields]
+    assert found.sideways_sigma == pytest.approx(0.01, rel=1.0)
 
 
 def likelihoods_of(gain):

@@ -8,7 +8,7 @@ from drives.home.turning import TOLD, turned
 from scipy.stats import chi2
 
 from homeward.drives.drive import Drive, Odometry
-from homeward.drives.home.spin import spin
+from homeward.drives.home.spin import HomeScan, spin
 from homeward.drives.home.when import with_home
 from homeward.drives.settings import DriveSettings, HomeWhen, Mount, OdometryNoise, Sensor
 from homeward.errors import InputError
@@ -33,6 +33,24 @@ def test_bearings_all_round_from_sixty_degrees():
     assert turn.seen == pytest.approx(2.0 * np.pi)
     assert turn.turned == pytest.approx(1.05 * 2.0 * np.pi, abs=0.03)
     assert np.abs(errors).max() < 0.05
+
+
+def test_a_robot_that_turns_about_another_point_moves_sideways():
+    """Its centre is at its camera, 0.12 m ahead of that point."""
+    ahead = Sensor(x=0.12, bearing_sigma=0.009)
+    odometry, sightings, true = turned(3, sensor=ahead, view=2.0 * np.pi)
+    aside = dataclasses.replace(odometry, vy=0.12 * odometry.omega)
+    settings = DriveSettings(sensor=Sensor(bearing_sigma=0.009), odometry=TOLD)
+    scan = HomeScan(**settings.robot)
+    for t, v, omega, vy in zip(*vars(aside).values(), strict=True):
+        scan.odometry(t, v, omega, vy)
+    for t, seen, _ in sightings.stamps():
+        scan.bearings(t, seen)
+    for turn in (spin(ALL, aside, sightings, settings), scan.spin()):
+        errors = wrap(turn.bearings - np.array([true[n] for n in turn.names]))
+        assert np.abs(errors).max() < 0.02
+    wrong = spin(ALL, odometry, sightings, settings)
+    assert np.abs(wrap(wrong.bearings - np.array([true[n] for n in wrong.names]))).max() > 0.04
 
 
 @pytest.mark.parametrize(
