@@ -49,6 +49,21 @@ def test_a_session_in_order_is_a_drive_whose_run_gives_the_same_answers(recorded
         assert tuple(six.tolist()) == answer.covariance
 
 
+def test_a_recording_has_the_sideways_speed(tmp_path):
+    recorder, session = Recorder(tmp_path / "drive", LiveSettings(), DriveSettings(), {}), Session()
+    session.watch(recorder.keep)
+    for t in (0.0, 0.1):
+        for message in (
+            SetHome(bearings={"a": 0.1}),
+            OdometryIn(t=t, v=0.1, omega=0.0, vy=-0.2),
+            BearingsIn(t=t, bearings={"a": 0.1}),
+        )[t > 0.0 :]:
+            session.receive(message, t)
+    list(session.process())
+    recorder.close()
+    assert open_drive(tmp_path / "drive").odometry.vy.tolist() == [-0.2, -0.2]
+
+
 def test_a_session_of_odd_order_is_repeated_too_and_a_killed_one_up_to_its_last_line(tmp_path):
     recorder, rig = begin(tmp_path / "drive", 3)
     held = []

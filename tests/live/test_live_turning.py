@@ -3,11 +3,14 @@
 import math
 
 import pytest
+from drives.home.turning import TOLD, turned
 from live_rig import Rig, driving
 
 from homeward import HomeScan, InputError, Localizer
+from homeward.drives.settings import DriveSettings, Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
+from homeward.live.home_capture import HomeCapture
 from homeward.live.messages import (
     Answer,
     BearingsIn,
@@ -39,6 +42,22 @@ HOME = SetHome(bearings={"a": 0.1, "b": 1.5, "c": -2.0})
 
 def events(rig):
     return [e.text for e in rig.answers if isinstance(e, EventOut)]
+
+
+def test_a_turn_about_a_point_beside_the_centre_moves_the_robot_sideways():
+    """The centre is at the camera, 0.12 m ahead of that point."""
+    ahead = Sensor(x=0.12, bearing_sigma=0.009)
+    odometry, sightings, true = turned(3, sensor=ahead, view=math.tau)
+    capture = HomeCapture()
+    capture.begin(DriveSettings(sensor=Sensor(bearing_sigma=0.009), odometry=TOLD))
+    frames = list(sightings.stamps())
+    for t, omega in zip(odometry.t.tolist(), odometry.omega.tolist(), strict=True):
+        capture.odometry(t, OdometryIn(t=t, v=0.0, omega=omega, vy=0.12 * omega))
+        while frames and frames[0][0] <= t:
+            stamp, seen, _ = frames.pop(0)
+            capture.bearings(stamp, BearingsIn(t=stamp, bearings=seen))
+    found, *_ = capture.captured()
+    assert max(abs(wrap(b.bearing - true[name])) for name, b in found.items()) < 0.02
 
 
 def test_a_robot_that_sees_seventy_degrees_turns_once_at_home_and_finds_back(tmp_path):

@@ -77,8 +77,11 @@ def test_a_mecanum_robot_is_driven_home_through_json_with_a_sideways_speed(sidew
         return heard[-1:]
 
     rig.spoil = through_json
+    rig.until(driving)
+    begin = rig.session.localisation.fix.odom
     rig.until(lambda r: r.player.ending is not None)
     assert rig.player.ending.state == "arrived"
+    assert math.dist(begin[:2], rig.session.localisation.fix.odom[:2]) < 0.1
     assert rig.robot.distance < 0.05
     commands = [parse_output(line_of(command)) for _, command in rig.commands]
     measured = [m.vy for m in heard if isinstance(m, OdometryIn)]
