@@ -180,8 +180,7 @@ class Docking:
                 goal = -share * x, -share * y
             case _:
                 return None
-        c, s = math.cos(heading), math.sin(heading)
-        v, self._vy = self._limits.towards(c * goal[0] + s * goal[1], c * goal[1] - s * goal[0])
+        v, self._vy = self._limits.towards(*goal, heading)
         return Twist(v, rate)
 
     def _course(self, y: float) -> float:

@@ -159,8 +159,7 @@ class BearingGoal(NamedTuple):
 
 def _strafing(x: float, y: float, heading: float, limits: Limits) -> ControlOutput:
     """Return the output of a robot that drives straight along (x, y) [m] with any heading [rad]."""
-    c, s = math.cos(heading), math.sin(heading)
-    v, vy = limits.towards(c * x + s * y, c * y - s * x)
+    v, vy = limits.towards(x, y, heading)
     return ControlOutput(GoalState.DRIVING, "", Twist(v, 0.0), vy=vy)
 
 

@@ -71,15 +71,13 @@ class Limits(Strict):
             v, vy = last.v + share * (v - last.v), sideways[0] + share * (vy - sideways[0])
         return Twist(v, max(last.omega - domega, min(last.omega + domega, wanted.omega))), vy
 
-    def towards(self, x: float, y: float) -> tuple[float, float]:
-        """Return speeds ahead and to the left [m/s] straight to a point in the robot's frame [m].
+    def towards(self, x: float, y: float, heading: float) -> tuple[float, float]:
+        """Return speeds ahead and to the left [m/s], straight along (x, y) [m] with any heading.
 
-        For a robot with `sideways`; it slows down within 1 s of the point.
+        For a robot with `sideways`; it slows down within 1 s of the end.
         """
         assert self.sideways is not None
-        distance = math.hypot(x, y)
-        if not distance:
-            return 0.0, 0.0
-        most = 1.0 / math.hypot(x / self.speed, y / self.sideways)  # shares of the distance
-        share = min(most, 1.0)
-        return share * x, share * y
+        c, s = math.cos(heading), math.sin(heading)
+        ahead, left = c * x + s * y, c * y - s * x
+        share = 1.0 / max(math.hypot(ahead / self.speed, left / self.sideways), 1.0)
+        return share * ahead, share * left
