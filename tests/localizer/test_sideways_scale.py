@@ -1,5 +1,7 @@
 """The sideways scale of a robot that strafes is estimated, relative to the forward scale."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -73,6 +75,18 @@ def test_before_it_is_known_the_pose_is_consistent():
         accuracy = score(track, drive.truth).accuracy
         inside.append(accuracy.position_inside_sigma_shares[2])
     assert np.mean(inside) > 0.97
+
+
+def test_rotation_caused_by_strafing_needs_no_calibration():
+    """Of 0.15 rad/m, which odometry does not measure: the bearings correct it."""
+    drive = strafing(0, 0.0).drive
+    odometry = replace(drive.odometry, omega=drive.odometry.omega - 0.15 * drive.odometry.vy)
+    track = run(drive, Localizer(drive.home, **drive.settings.robot))
+    turned = replace(drive, odometry=odometry)
+    found = run(turned, Localizer(turned.home, **turned.settings.robot))
+    plain, off = (score(one, drive.truth).accuracy for one in (track, found))
+    assert off.position.rmse < 1.2 * plain.position.rmse
+    assert not any(landmark.moved for landmark in found.landmarks)
 
 
 def test_the_noise_of_odometry_is_not_taken_for_a_lag():
