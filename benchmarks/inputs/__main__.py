@@ -13,6 +13,7 @@ from pathlib import Path
 import benchmarks.inputs.data_logs
 import benchmarks.inputs.logs
 import benchmarks.inputs.odometry
+import benchmarks.inputs.pixels
 import benchmarks.inputs.refusals
 import benchmarks.inputs.tables  # noqa: F401
 from benchmarks.inputs.kinds import KINDS

@@ -22,12 +22,15 @@ def log_of(
     seen: Seen,
     tags: Callable[[LogFile, int, Seen], Messages],
     types: Mapping[str, str] | None = None,
+    odometry: Callable[[LogFile, int, int], Messages] | None = None,
+    first: Callable[[LogFile, int], Messages] = lambda log, stamp: {},
 ) -> Content:
-    """Return a writer of a log with odometry.
+    """Return a writer of a log.
 
-    `tags` makes the messages of a frame from its stamp [ns] and landmarks; `types` has the
-    definitions of types by name.
+    `tags` makes the messages of a frame from its stamp [ns] and landmarks, `odometry` those of a
+    number of `s.t`, `first` those at the start; `types` has the definitions of types by name.
     """
+    twists = odometry or (lambda log, stamp, k: {"/odom": nav(log, stamp, s, k)})
 
     def write(path: Path) -> None:
         with writing(path) as log:
@@ -36,12 +39,15 @@ def log_of(
                     log._store.register(get_types_from_msg(text, name))
             frames = [(t, seen[seen.t == t]) for t in np.unique(seen.t)]
             rows: list[tuple[float, Any]] = [*frames, *((t, k) for k, t in enumerate(s.t))]
-            for t, row in sorted(rows, key=lambda r: r[0]):
+            rows.append((0.0, None))
+            for t, row in sorted(rows, key=lambda r: (r[0], r[1] is not None)):
                 stamp = EPOCH * NANO + round(t * NANO)
                 made = (
-                    tags(log, stamp, row)
+                    first(log, stamp)
+                    if row is None
+                    else tags(log, stamp, row)
                     if isinstance(row, Seen)
-                    else {"/odom": nav(log, stamp, s, row)}
+                    else twists(log, stamp, row)
                 )
                 for topic, message in made.items():
                     log.write(topic, stamp, message)
@@ -86,6 +92,13 @@ DEFINITIONS = {
     "aruco_msgs/msg/MarkerArray": "std_msgs/Header header\naruco_msgs/Marker[] markers"
     f"{PART}aruco_msgs/Marker\nstd_msgs/Header header\nuint32 id\n"
     "geometry_msgs/PoseWithCovariance pose\nfloat64 confidence\n",
+    "ar_track_alvar_msgs/msg/AlvarMarkers": "std_msgs/Header header\n"
+    "ar_track_alvar_msgs/AlvarMarker[] markers"
+    f"{PART}ar_track_alvar_msgs/AlvarMarker\nstd_msgs/Header header\nuint32 id\n"
+    "uint32 confidence\ngeometry_msgs/PoseStamped pose\n",
+    "apriltags_ros/msg/AprilTagDetectionArray": "apriltags_ros/AprilTagDetection[] detections"
+    f"{PART}apriltags_ros/AprilTagDetection\nint32 id\nfloat64 size\n"
+    "geometry_msgs/PoseStamped pose\n",
     "fiducial_msgs/msg/FiducialTransformArray": "std_msgs/Header header\nint32 image_seq\n"
     "fiducial_msgs/FiducialTransform[] transforms"
     f"{PART}fiducial_msgs/FiducialTransform\nint32 fiducial_id\n"
@@ -93,6 +106,8 @@ DEFINITIONS = {
     "float64 fiducial_area\n",
 }
 """Definitions of types that rosbags does not know."""
+FX, CX, CY = 57.0, 228.0, 120.0
+"""A fisheye camera, of which half a pixel is the noise of the bearings [px]."""
 
 
 def tag_messages(
@@ -100,6 +115,8 @@ def tag_messages(
     file: str,
     topic: str,
     fields: Callable[[Seen, Any], dict[str, Any]],
+    topics: str = HOME,
+    camera: bool = False,
 ) -> None:
     """Register a log with messages of a type; `fields` makes one from landmarks and a header."""
     package, kind_ = name.split("/")
@@ -112,9 +129,32 @@ def tag_messages(
             own = {"header": header} if "header" in dict(log._store.fielddefs[name][1]) else {}
             return {topic: log.make(name, **own, **fields(seen, header))}
 
-        return {file: log_of(s, s.seen.ahead, tags, types), "topics.yaml": HOME}
+        first = camera_info if camera else lambda log, stamp: {}
+        return {file: log_of(s, s.seen.ahead, tags, types, first=first), "topics.yaml": topics}
 
     kind(f"{package}/{kind_}, {Path(file).suffix}", f"run {file} --topics topics.yaml")(files)
+
+
+def camera_info(log: LogFile, stamp: int) -> Messages:
+    """Return the calibration of the camera."""
+    k = np.array([FX, 0, CX, 0, FX, CY, 0, 0, 1])
+    values = {"d": np.zeros(4), "k": k, "r": np.eye(3).ravel(), "p": np.zeros(12)}
+    if "K" in dict(log._store.fielddefs["sensor_msgs/msg/CameraInfo"][1]):
+        values = {name.upper(): value for name, value in values.items()}
+    size = {"height": 240, "width": 456, "distortion_model": "equidistant"}
+    header = log.header(stamp, OPTICAL)
+    info = log.make("sensor_msgs/msg/CameraInfo", header=header, **size, **values)
+    return {"/camera/camera_info": info}
+
+
+def pixels(seen: Seen) -> list[tuple[int, float, float]]:
+    """Return ids, columns and rows of tags in the image [px]."""
+    return [(i, CX - FX * b, CY) for i, b in zip(seen.id.tolist(), seen.bearing, strict=True)]
+
+
+def square(u: float, v: float) -> list[dict[str, float]]:
+    """Return corners round a pixel, as AprilTag 3 counts them."""
+    return [{"x": u + x + 0.5, "y": v + y + 0.5} for x, y in ((-2, 2), (2, 2), (2, -2), (-2, -2))]
 
 
 tag_messages(
@@ -136,6 +176,24 @@ tag_messages(
     lambda seen, h: {
         "markers": [
             {"id": i, "pose": {"pose": p, "covariance": np.zeros(36)}} for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "ar_track_alvar_msgs/AlvarMarkers",
+    "log.bag",
+    "/ar_pose_marker",
+    lambda seen, h: {
+        "markers": [{"header": h, "id": i, "pose": {"pose": p}} for i, p in optical(seen)]
+    },
+)
+tag_messages(
+    "apriltags_ros/AprilTagDetectionArray",
+    "log.bag",
+    "/tag_detections",
+    lambda seen, h: {
+        "detections": [
+            {"id": i, "size": 0.16, "pose": {"header": h, "pose": p}} for i, p in optical(seen)
         ]
     },
 )
@@ -168,6 +226,77 @@ tag_messages(
         ]
     },
 )
+tag_messages(
+    "apriltag_msgs/AprilTagDetectionArray",
+    "log.db3",
+    "/detections",
+    lambda seen, h: {
+        "detections": [
+            {
+                "family": "36h11",
+                "id": i,
+                "centre": {"x": u, "y": v},
+                "corners": square(u, v),
+                "homography": np.zeros(9),
+            }
+            for i, u, v in pixels(seen)
+        ]
+    },
+    HOME + "bearings: {topic: /detections, pixel_sigma: 1.0}\n",
+    camera=True,
+)
+tag_messages(
+    "vision_msgs/Detection2DArray",
+    "log.mcap",
+    "/detections",
+    lambda seen, h: {
+        "detections": [
+            {
+                "header": h,
+                "id": str(i),
+                "bbox": {"center": {"position": {"x": u, "y": v}}, "size_x": 4.0, "size_y": 4.0},
+            }
+            for i, u, v in pixels(seen)
+        ]
+    },
+    camera=True,
+)
+
+
+def pose_topics(log: LogFile, stamp: int, seen: Seen) -> Messages:
+    """Return a PoseStamped on a topic of its own for each tag."""
+    make, header = log.make, log.header(stamp, OPTICAL)
+    return {
+        f"/tag_{i}/pose": make("geometry_msgs/msg/PoseStamped", header=header, pose=p)
+        for i, p in optical(seen)
+    }
+
+
+POSE_TOPICS = HOME + 'bearings: {topic: "/tag_*/pose"}\n'
+
+
+@kind("PoseStamped, a topic for each tag, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    return {"log.mcap": log_of(s, s.seen.ahead, pose_topics), "topics.yaml": POSE_TOPICS}
+
+
+@kind("tags as frames in /tf, .mcap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def transform(header: Any, child: str, place: Any, turn: Any) -> dict[str, Any]:
+        motion = {"translation": place, "rotation": turn}
+        return {"header": header, "child_frame_id": child, "transform": motion}
+
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        header = log.header(stamp, OPTICAL)
+        found = [transform(header, f"tag36h11:{i}", *p.values()) for i, p in optical(seen)]
+        return {"/tf": log.make("tf2_msgs/msg/TFMessage", transforms=found)}
+
+    def first(log: LogFile, stamp: int) -> Messages:
+        looks_ahead = {"x": -0.5, "y": 0.5, "z": -0.5, "w": 0.5}
+        camera = transform(log.header(stamp, "base_link"), OPTICAL, {"x": s.camera}, looks_ahead)
+        return {"/tf_static": log.make("tf2_msgs/msg/TFMessage", transforms=[camera])}
+
+    return {"log.mcap": log_of(s, s.seen.ahead, tags, first=first), "topics.yaml": HOME}
 
 
 def tag_list(log: LogFile, stamp: int, seen: Seen, frame: str = OPTICAL) -> Any:
@@ -188,3 +317,81 @@ def _(s: Sample) -> Files:
         return {"/tags": tag_list(log, stamp, seen)}
 
     return {"log.mcap": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": HOME}
+
+
+@kind("positions in a type of one's own, optical by values", "run log.bag --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        return {"/tags": tag_list(log, stamp, seen, "camera")}
+
+    topics = f"bearings: {{topic: /tags, id: tags.tag_id, position: tags.pose.position}}\n{HOME}"
+    return {"log.bag": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": topics}
+
+
+SCAN = {
+    "my_msgs/msg/Scan": "std_msgs/Header header\nstring[] names\nfloat64[] ranges\n"
+    "float64[] bearings_deg\n"
+}
+
+
+@kind("lists of names, ranges and bearings in degrees", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        lists = {"names": [str(i) for i in seen.id], "ranges": seen.range}
+        degrees = np.degrees(seen.bearing)
+        header = log.header(stamp, "camera")
+        return {"/scan": log.make(*SCAN, header=header, bearings_deg=degrees, **lists)}
+
+    return {"log.mcap": log_of(s, s.seen, tags, SCAN), "topics.yaml": HOME}
+
+
+@kind("odometry in a type of one's own", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        return {"/tags": tag_list(log, stamp, seen)}
+
+    def odometry(log: LogFile, stamp: int, k: int) -> Messages:
+        twist = {"linear_velocity": float(s.v[k]), "yaw_rate": float(s.omega[k])}
+        return {"/base": log.make(BASE, header=log.header(stamp, "base_link"), **twist)}
+
+    types = {BASE: "std_msgs/Header header\nfloat64 linear_velocity\nfloat64 yaw_rate\n"}
+    files = log_of(s, s.seen.ahead, tags, TAG_LIST | types, odometry)
+    return {"log.mcap": files, "topics.yaml": HOME}
+
+
+BASE = "my_msgs/msg/BaseState"
+
+
+tag_messages(
+    "isaac_ros_apriltag_interfaces/AprilTagDetectionArray",
+    "log.db3",
+    "/tag_detections",
+    lambda seen, h: {
+        "detections": [
+            {"id": i, "pose": {"header": h, "pose": {"pose": p}}} for i, p in optical(seen)
+        ]
+    },
+)
+tag_messages(
+    "vision_msgs/Detection3DArray",
+    "log.mcap",
+    "/objects",
+    lambda seen, h: {
+        "detections": [{"header": h, "id": str(i), "bbox": {"center": p}} for i, p in optical(seen)]
+    },
+)
+
+
+@kind("two cameras with an overlap", "run log.mcap --topics topics.yaml")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        behind = abs(seen.bearing) > np.radians(60.0)
+        turned = Seen(seen.t, seen.id, seen.bearing + np.pi, seen.range)[behind]
+        ahead = tag_list(log, stamp, seen.ahead, "front_optical")
+        return {"/front": ahead, "/rear": tag_list(log, stamp, turned, "rear_optical")}
+
+    topics = (
+        "bearings: [{topic: /front, sigma: 0.01, sensor: {x: 0.2}}, {topic: /rear, sigma: 0.015, "
+        f"sensor: {{x: 0.2, yaw: 3.14159265}}}}]\n{HOME}"
+    )
+    return {"log.mcap": log_of(s, s.seen, tags, TAG_LIST), "topics.yaml": topics}

@@ -4,13 +4,16 @@ import gzip
 import io
 import json
 import pickle
+import sqlite3
 import zipfile
+from pathlib import Path
 
 import numpy as np
 from PIL import Image
 
-from benchmarks.inputs.kinds import Files, Sample, kind, table
-from benchmarks.inputs.logs import log_of
+from benchmarks.inputs.kinds import Files, Sample, Seen, kind, table
+from benchmarks.inputs.logs import HOME, Messages, log_of
+from homeward.drives.ros.writing import LogFile
 
 ALL = "import odometry.csv bearings.csv home.csv"
 OTHER = "import odometry.csv {} home.csv"
@@ -76,6 +79,10 @@ refused_file("ros2 topic echo", "odom.txt", "header:\n  stamp:\n    sec: 1\n" * 
 refused_file("zeros", "tags.csv", bytes(4096), "tags.csv")
 refused_file("prose", "tags.csv", "We saw tag 3, then tag 4.\n\nIt rained.\n" * 9, "tags.csv")
 refused_file(
+    "bag without its end", "log.bag", b"#ROSBAG V2.0\n" + bytes(99), "log.bag", "run log.bag"
+)
+refused_file("text called .bag", "log.bag", "t,v\n0,1\n", "log.bag", "run log.bag")
+refused_file(
     "missing file",
     "other.csv",
     "",
@@ -89,9 +96,20 @@ def _(s: Sample) -> Files:
     return {}
 
 
+@kind("LCM event log", "run lcmlog-2024-04-15.00", refused="LCM event log.*CSV")
+def _(s: Sample) -> Files:
+    return {"lcmlog-2024-04-15.00": b"\xed\xa1\xda\x01" + bytes(19) + b"\x08\0\0\0\x04MBOT_VELdata"}
+
+
 @kind("no home bearings", "import odometry.csv bearings.csv", refused="--home during")
 def _(s: Sample) -> Files:
     return {}
+
+
+@kind("clocks that differ", ALL, refused="clock|begin")
+def _(s: Sample) -> Files:
+    seen = {"t": 1.7e9 + s.seen.t, "landmark": s.seen.id, "bearing": s.seen.bearing}
+    return {"bearings.csv": table(seen)}
 
 
 @kind("bearings of NaN", ALL, refused="bearings.csv")
@@ -100,6 +118,58 @@ def _(s: Sample) -> Files:
     return {"bearings.csv": table(seen)}
 
 
+@kind("speeds in mm/s without a unit", ALL, refused=r"too fast for m/s.*\[mm/s\]")
+def _(s: Sample) -> Files:
+    return {"odometry.csv": table({"t": s.t, "v": 1e3 * s.v, "omega": s.omega})}
+
+
+@kind("positions in the map frame", ALL, refused="fixed frame 'map'")
+def _(s: Sample) -> Files:
+    n = s.seen.t.size
+    tags = {"t": s.seen.t, "id": s.seen.id, "frame_id": ["map"] * n}
+    return {
+        "bearings.csv": table(tags | {"x": s.seen.forward, "y": s.seen.left, "z": 0 * s.seen.t})
+    }
+
+
+@kind("ROS 1 bag without odometry", "run log.bag --topics topics.yaml", refused="odometry")
+def _(s: Sample) -> Files:
+    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        places = [
+            {"position": {"x": x, "y": y}} for x, y in zip(seen.forward, seen.left, strict=True)
+        ]
+        header = log.header(stamp, "base_link")
+        return {"/poses": log.make("geometry_msgs/msg/PoseArray", header=header, poses=places)}
+
+    log = log_of(s, s.seen, tags, odometry=lambda log, stamp, k: {})
+    return {"log.bag": log, "topics.yaml": HOME}
+
+
+@kind("LaserScan with reflectors", "run log.mcap --topics topics.yaml", refused="LaserScan")
+def _(s: Sample) -> Files:
+    def scan(log: LogFile, stamp: int, seen: Seen) -> Messages:
+        values = {"angle_min": -2.0, "angle_max": 2.0, "angle_increment": 0.01, "range_max": 9.0}
+        values |= {"ranges": np.full(401, 3.0, np.float32), "intensities": np.ones(401, np.float32)}
+        header = log.header(stamp, "laser")
+        return {"/scan": log.make("sensor_msgs/msg/LaserScan", header=header, **values)}
+
+    return {"log.mcap": log_of(s, s.seen, scan), "topics.yaml": "bearings: {topic: /scan}\n"}
+
+
 @kind("odometry alone in a log", "run log.mcap", refused="bearings|landmarks")
 def _(s: Sample) -> Files:
     return {"log.mcap": log_of(s, s.seen, lambda log, stamp, seen: {})}
+
+
+@kind("CSV folder instead of a drive", "run tables", refused="homeward import")
+def _(s: Sample) -> Files:
+    return {"tables/encoders.csv": "t,v\n0,1\n", "tables/seen.csv": "t,id,bearing\n0,1,1\n"}
+
+
+@kind("database that is no log", "run log.db3", refused="log.db3")
+def _(s: Sample) -> Files:
+    def write(path: Path) -> None:
+        with sqlite3.connect(path) as base:
+            base.execute("CREATE TABLE t(x INT)")
+
+    return {"log.db3": write}

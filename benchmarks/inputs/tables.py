@@ -1,11 +1,26 @@
 """Tables, as other programs write them."""
 
+from datetime import UTC, datetime
+
 import numpy as np
 
-from benchmarks.inputs.kinds import Files, Sample, Seen, kind, table
+from benchmarks.inputs.kinds import EPOCH, Files, Sample, Seen, kind, table
 
 ALL = "import odometry.csv bearings.csv home.csv"
 TAGS = "import odometry.csv tags.csv home.csv"
+NANO = 10**9
+
+
+def stamps(t: np.ndarray, unit: float = NANO) -> list[int]:
+    """Return Unix stamps as integers, in nanoseconds or another part of a second."""
+    return [round((EPOCH + one) * unit) for one in t.tolist()]
+
+
+def poses(s: Sample) -> dict[str, np.ndarray]:
+    """Return position and quaternion of the odometry, with the names of TUM files."""
+    half, zeros = s.path.heading / 2, 0 * s.t
+    place = {"x": s.path.x, "y": s.path.y, "z": zeros}
+    return place | {"qx": zeros, "qy": zeros, "qz": np.sin(half), "qw": np.cos(half)}
 
 
 @kind("plain tables in SI units", ALL)
@@ -25,6 +40,71 @@ def _(s: Sample) -> Files:
     }
 
 
+@kind("UTF-16 with tabs, from a spreadsheet", ALL)
+def _(s: Sample) -> Files:
+    odometry = {"Zeit (s)": s.t, "Geschwindigkeit (m/s)": s.v, "Drehrate (rad/s)": s.omega}
+    return {"odometry.csv": table(odometry, "\t", comma=True).encode("utf-16")}
+
+
+@kind("rosbag to CSV (rostopic echo -p)", "import odom.csv bearings.csv home.csv")
+def _(s: Sample) -> Files:
+    odom = {"%time": stamps(s.t), "field.header.seq": range(s.t.size)}
+    odom["field.header.stamp"] = stamps(s.t)
+    odom |= {"field.header.frame_id": ["odom"] * s.t.size}
+    odom |= {f"field.pose.pose.{k}": v for k, v in poses(s).items() if len(k) == 1}
+    odom |= {"field.twist.twist.linear.x": s.v, "field.twist.twist.angular.z": s.omega}
+    seen = {"stamp": EPOCH + s.seen.t, "id": s.seen.id, "bearing": s.seen.bearing}
+    return {"odom.csv": table(odom), "bearings.csv": table(seen)}
+
+
+@kind("nav_msgs/Odometry by ros2 topic echo --csv", "import odom.csv bearings.csv home.csv")
+def _(s: Sample) -> Files:
+    n, zeros = s.t.size, {f"{k}": np.zeros(s.t.size) for k in range(36)}
+    seconds, nano = np.divmod(np.array(stamps(s.t)), NANO)
+    columns = {"s": seconds, "ns": nano, "f": ["odom"] * n, "c": ["base_link"] * n, **poses(s)}
+    columns |= zeros | {"vx": s.v, "vy": 0 * s.v, "vz": 0 * s.v}
+    columns |= {"wx": 0 * s.v, "wy": 0 * s.v, "wz": s.omega}
+    columns |= {f"twist {k}": zero for k, zero in zeros.items()}
+    seen = {"t": stamps(s.seen.t), "id": s.seen.id, "bearing": s.seen.bearing}
+    return {"odom.csv": table(columns, header=False), "bearings.csv": table(seen)}
+
+
+@kind("TUM trajectory as odometry", "import odom.tum bearings.csv home.csv")
+def _(s: Sample) -> Files:
+    return {"odom.tum": table({"t": s.t} | poses(s), " ", header=False)}
+
+
+@kind("dates as time stamps", ALL)
+def _(s: Sample) -> Files:
+    def dates(t: np.ndarray) -> list[str]:
+        return [datetime.fromtimestamp(EPOCH + one, UTC).isoformat() for one in t.tolist()]
+
+    odometry = {"datetime": dates(s.t), "speed": s.v, "yaw_rate": s.omega}
+    seen = {"datetime": dates(s.seen.t), "marker_id": s.seen.id, "bearing": s.seen.bearing}
+    return {"odometry.csv": table(odometry), "bearings.csv": table(seen)}
+
+
+@kind("wide table, a column for each landmark in degrees", "import odometry.csv wide.csv home.csv")
+def _(s: Sample) -> Files:
+    times, row = np.unique(s.seen.t, return_inverse=True)
+    wide = {f"bearing_{i}_deg": np.full(times.size, np.nan) for i in np.unique(s.seen.id)}
+    for k, i, bearing in zip(row, s.seen.id, s.seen.bearing, strict=True):
+        wide[f"bearing_{i}_deg"][k] = np.degrees(bearing)
+    return {"wide.csv": table({"time": times} | wide)}
+
+
+@kind("odometry and sightings in one file", "import log.csv home.csv")
+def _(s: Sample) -> Files:
+    t = np.concatenate([s.t, s.seen.t])
+    order, n, m = np.argsort(t, kind="stable"), s.t.size, s.seen.t.size
+    columns = {"t": t}
+    for name, values in (("v", s.v), ("omega", s.omega)):
+        columns[name] = np.append(values, np.full(m, np.nan))
+    columns["tag"] = np.array([""] * n + list(map(str, s.seen.id)))
+    columns["bearing"] = np.append(np.full(n, np.nan), s.seen.bearing)
+    return {"log.csv": table({name: values[order] for name, values in columns.items()})}
+
+
 @kind("clockwise bearings, in degrees", ALL)
 def _(s: Sample) -> Files:
     def clockwise(seen: Seen) -> dict[str, np.ndarray]:
@@ -32,6 +112,12 @@ def _(s: Sample) -> Files:
 
     seen = table({"t": s.seen.t} | clockwise(s.seen))
     return {"bearings.csv": seen, "home.csv": table(clockwise(s.home))}
+
+
+@kind("distances along with bearings, in mm", ALL)
+def _(s: Sample) -> Files:
+    seen = {"t": s.seen.t, "id": s.seen.id, "bearing": s.seen.bearing}
+    return {"bearings.csv": table(seen | {"distance": 1e3 * s.seen.range})}
 
 
 def robot_axes(
@@ -71,6 +157,15 @@ def _(s: Sample) -> Files:
     tags = {"frame": np.round(a.t * 30).astype(int), "time": a.t, "id": a.id}
     tags |= {f"rvec_{k}": np.full(a.t.size, r) for k, r in zip("xyz", (3.1, 0.0, 0.1), strict=True)}
     return {"tags.csv": table(tags | {"tvec_x": x, "tvec_y": y, "tvec_z": z})}
+
+
+@kind("pupil_apriltags: pixels of the centre and pose_t", TAGS)
+def _(s: Sample) -> Files:
+    a = s.seen.ahead
+    x, y, z = (v for k, v in optical_axes(a).items() if k in "xyz")
+    tags = {"timestamp": a.t, "tag_family": ["tag36h11"] * a.t.size, "tag_id": a.id}
+    tags |= {"center_x": 640 + 600 * x / z, "center_y": 360 + 600 * y / z}
+    return {"tags.csv": table(tags | {"pose_t_x": x, "pose_t_y": y, "pose_t_z": z})}
 
 
 @kind("tag positions, robot axes, in mm", TAGS)

@@ -113,6 +113,12 @@ LISTS = {
         {"4": 0.5},
         "id = zs[].mark_id, bearing = zs[].bearing",
     ),
+    "lists with names in the plural": (
+        "std_msgs/Header header\nstring[] names\nfloat64[] ranges\nfloat64[] bearings_deg\n",
+        {"names": ["a", "b"], "bearings_deg": np.array([90.0, -45.0])},
+        {"a": math.pi / 2, "b": -math.pi / 4},
+        "id = names[], bearing = bearings_deg[]",
+    ),
     "lists next to each other, in degrees": (
         "std_msgs/Header header\nint64[] ids\nfloat64[] ranges\nfloat64[] azimuth_deg\n",
         {"ids": np.array([8, 9]), "azimuth_deg": np.array([90.0, -45.0])},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 
 from homeward.drives.columns import UNITS, best_names, ending, matches, unit_in, words_in
@@ -13,6 +14,7 @@ MAX_DEPTH, MAX_LEAVES = 8, 1000
 INTEGER, TEXT, NUMBER, POINT, HEADER = "integer", "text", "number", "point", "header"
 OTHER_IDS = "signature", "signatures", "class", "classes", "type", "code", "index", "number"
 """Names of ids without a word for landmarks."""
+_PLURAL = re.compile(r"s(?=_|$)")
 BEARINGS = {"bearing", "bearings", "azimuth", "azimuths"}
 PLACES = {"pose", "position", "translation", "transform", "point", "location", "xyz"}
 PLACES |= {f"{word}s" for word in PLACES}
@@ -73,12 +75,12 @@ def layouts(kind: str, fields: Fields) -> tuple[Layout, ...]:
     result = []
     for scope in dict.fromkeys(map(_scope, [*points, *numbers])):
         here = [p for p in points if _scope(p) == scope]
-        angles = [p for p in numbers if _scope(p) == scope and matches(_name(p), "bearing")]
+        angles = [p for p in numbers if _scope(p) == scope and matches(_item(p), "bearing")]
         bearings = [p for p in angles if BEARINGS.intersection(words_in(_name(p)))]
         here = [p for p in here if PLACES.intersection(_words(p))] or here
         named = _ids(found, scope)
         if not (bearings or here):
-            bearings = [p for p in angles if ending(_name(p), "bearing") == ""]
+            bearings = [p for p in angles if ending(_item(p), "bearing") == ""]
         result += [Layout(i, bearing=p) for i in named for p in bearings]
         result += [Layout(i, position=p) for i in named for p in here if not bearings]
     return tuple(result)
@@ -114,7 +116,7 @@ def _ids(found: Mapping[str, str], scope: str) -> list[str]:
         own += [p[:-2] for p in ids if p.endswith("[]") and _outer(p) == scope]
     parallel = [p for p in ids if p.endswith("[]") and scope and _outer(p) == _outer(scope)]
     for paths in (own, parallel):
-        names = {p: _name(p).removesuffix("s") if p.endswith("[]") else _name(p) for p in paths}
+        names = {p: _item(p) for p in paths}
         best = best_names("landmark", list(names.values()))
         if best := [p for p in paths if names[p] in best or (not best and _name(p) in OTHER_IDS)]:
             return best
@@ -151,6 +153,11 @@ def scale_of(layout: Layout) -> float:
 
 def _name(path: str) -> str:
     return path.rpartition(".")[2].removesuffix("[]")
+
+
+def _item(path: str) -> str:
+    """Return the name of a field, that of a list in the singular."""
+    return _PLURAL.sub("", _name(path)) if path.endswith("[]") else _name(path)
 
 
 def _of(found: Mapping[str, str], *kinds: str) -> list[str]:
