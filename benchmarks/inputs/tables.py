@@ -257,6 +257,6 @@ def _(s: Sample) -> Files:
     return {"odometry.csv": table(odometry), "bearings.csv": table(seen)}
 
 
-@kind("a role without a name", ALL, refused="omega is missing.*'omega=qq'")
+@kind("a role without a name", ALL, refused="give omega, as in --columns 'omega=qq'")
 def _(s: Sample) -> Files:
     return {"odometry.csv": table({"t": s.t, "v": s.v, "qq": s.omega})}

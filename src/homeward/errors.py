@@ -30,33 +30,57 @@ class InternalError(HomewardError):
 
 
 class InputError(HomewardError):
-    """A file or an option that cannot be used.
+    """A file or an option that cannot be used: ``FILE, row ROW: PART: PROBLEM; ADVICE``.
 
     Parameters
     ----------
-    what : str
-        The problem, and what to do.
+    problem : str
+        The fault, with the value and its unit.
     file : Path, optional
         The file at fault.
     row : int, optional
         Line number in that file, counted from 1 with the header.
+    part : str, optional
+        The column, topic, key or option at fault.
+    advice : str, optional
+        What to do, as an imperative.
     """
 
-    def __init__(self, what: str, file: Path | None = None, row: int | None = None) -> None:
-        place = "" if file is None else f"{file}" + ("" if row is None else f", row {row}") + ": "
-        super().__init__(place + what)
-        self.what, self.file, self.row = what, file, row
+    def __init__(
+        self,
+        problem: str,
+        file: Path | None = None,
+        row: int | None = None,
+        *,
+        part: str | None = None,
+        advice: str | None = None,
+    ) -> None:
+        super().__init__(problem)
+        self.problem, self.file, self.row, self.part, self.advice = problem, file, row, part, advice
+
+    @property
+    def what(self) -> str:
+        """The message without the file and the row."""
+        part = "" if self.part is None else f"{self.part}: "
+        return part + self.problem + ("" if self.advice is None else f"; {self.advice}")
+
+    def __str__(self) -> str:
+        row = "" if self.row is None else f", row {self.row}"
+        return printable(self.what if self.file is None else f"{self.file}{row}: {self.what}")
+
+    def at(self, file: Path | None = None, part: str | None = None) -> None:
+        """Name a file and a part, if the error names none."""
+        self.file, self.part = self.file or file, self.part or part
 
 
 @contextmanager
-def naming_file(file: Path) -> Iterator[None]:
-    """Add the name of a file to an `InputError` that names none."""
+def naming_file(file: Path | None = None, part: str | None = None) -> Iterator[None]:
+    """Add a file, and a part of it, to an `InputError` that names none."""
     try:
         yield
     except InputError as error:
-        if error.file is not None:
-            raise
-        raise InputError(error.what, file) from error
+        error.at(file, part)
+        raise
 
 
 _EXTRAS = {

@@ -159,7 +159,7 @@ def test_nor_is_that_of_a_file_without_a_header(tmp_path):
     (secret := tmp_path / "secret").write_text("token Sesame 0 0 0\n")
     (tmp_path / "Landmark_Groundtruth.dat").symlink_to(secret)
     told = refusal(read_mrclam, tmp_path, 1, Pose(0.0, 0.0, 0.0))
-    assert "subject is not a finite number" in told
+    assert "subject: must be a finite number" in told
     assert "token" not in told
 
 

@@ -170,7 +170,7 @@ def test_steering_and_steps(tmp_path):
         ("left_ticks,right_ticks", TICKS, {}, "requires wheel_radius, ticks_per_turn, track_width"),
         ("v_left,v_right", SPEEDS, {}, r"requires track_width .* --wheels track_width=0\.16"),
         ("speed,steering", SPEEDS, {"track_width": 1}, "requires wheelbase"),
-        ("v,omega", SPEEDS, {"track_width": 1}, "--wheels is not needed"),
+        ("v,omega", SPEEDS, {"track_width": 1}, "--wheels: not needed"),
         ("v_left,v_right", SPEEDS, {"wheel_radius": 1, "track_width": 1}, "in m/s, or in rad/s"),
         ("v_left,v_right", 99 * SPEEDS, {"track_width": 1}, r"too fast for m/s.*left_speed=v_left"),
         ("left_enc,right_enc", TRAVEL, {}, r"may be in ticks, rad or m.*left_wheel=left_enc\[rad"),
@@ -256,7 +256,7 @@ def test_wheels_and_poses_in_one_table(tmp_path):
 @pytest.mark.parametrize(
     ("given", "complaint"),
     [
-        ("wheels.csv=wheel", "KIND is one of detections, odometry, gyro"),
+        ("wheels.csv=wheel", "and one of detections, odometry, gyro"),
         ("nothing.csv=home", "no file 'nothing.csv'"),
         ("b.csv", "must be FILE=KIND"),
         ("b.csv=truth", "--as b.csv=truth: its columns .* have no t, x, y, heading"),

@@ -84,7 +84,7 @@ def test_other_separators_marks_names_and_units_are_the_same_drive(tmp_path):
 
 def test_no_header_and_a_sign_are_told(tmp_path):
     bare = write(tmp_path, bare="0,0.1,10\n0.1,0.1,20\n")
-    with pytest.raises(InputError, match=r"not recognised as .* Its columns are '1', '2', '3'"):
+    with pytest.raises(InputError, match=r"not recognised as .* its columns are '1', '2', '3'"):
         understand(bare)
     found = understand(bare, ["t=1,v=2[m/s]", "omega=-3[deg/s]"])
     assert [one.source for one in found] == ["specified"] * 3
@@ -398,14 +398,14 @@ def test_units_in_names(name, quantity, unit):
             (),
             r"'c11', \.\.\. \(89 in all\)",
         ),
-        ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v is 'x'"),
+        ("t,v,w\n0,1,0\n0.1,x,0\n", (), "row 3: v: must be a finite number, not 'x'"),
         ("t,v,w\n0,,0\n0.1,,0\n", (), "no row has values for all of t, v, omega"),
-        ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t is '1.000', with a point"),
+        ("t;v;w\n0,5;1;0\n1.000;1;0\n", (), "row 3: t: '1.000' has a point"),
         ("t,v,w\n9,1,0\n0,1,0\n", (), "no bearings found"),
         (
             "t,v,w\n0,1,0\n2,1,0\n1.5,1,0\n3,1,0\n0,1,0\n",
             (),
-            "row 6: time runs backwards by 3 s: 0.0 after 3.0; at most 1 s is allowed",
+            "row 6: time runs backwards by 3 s: 0.0 after 3.0, by more than 1 s",
         ),
         ("bearing_a,bearing_b\n0,0\n", (), "row 2: two bearings of exactly 0"),
         ("bearing_a [deg],bearing_b [rad]\n1,2\n", (), "different units: deg, rad"),
@@ -481,7 +481,7 @@ def test_a_hole_among_dates_is_a_row_left_out(tmp_path):
     hours = ["2026-11-23 12:00:00", "", "nan", "2026-11-23 12:00:00.5"]
     found = understand(write(tmp_path, odom=table("date,v,w", (f"{h},1,0" for h in hours))))
     assert found[0].table["t"].tolist() == [1795435200.0, 1795435200.5]
-    with pytest.raises(InputError, match="neither a number nor a time like 2026-11-23 12:00"):
+    with pytest.raises(InputError, match="must be a number or a time like 2026-11-23 12:00"):
         understand(write(tmp_path, odom="date,v,w\n23.11.2026 12:00:00,1,0\n"))
 
 
@@ -527,7 +527,7 @@ def test_home_bearings_recorded_for_some_seconds_are_averaged(tmp_path):
     assert abs(drive.home["L2"].bearing) == pytest.approx(math.pi)
     assert "4 rows of home bearings, averaged for each landmark" in drive.remark_lines
     files[2].write_text("landmark,bearing\nL1,0.25\nL1,0.75\n")
-    with pytest.raises(InputError, match="row 3: landmark is 'L1', which already has a row"):
+    with pytest.raises(InputError, match="row 3: landmark: 'L1' already has a row"):
         drive_of(understand(files), "")
 
 

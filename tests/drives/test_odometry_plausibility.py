@@ -95,7 +95,7 @@ def test_half_a_twist_is_refused_and_a_spike_in_a_folder_is_unknown(tmp_path):
     assert any("implausible" in reason for reason in drive.remarks)
     table = tmp_path / "d" / "odometry.csv"
     table.write_text("t,v,omega\n0,1,0\n1,1,\n2,1,0\n")
-    with pytest.raises(InputError, match=r"row 3: omega is empty; leave all"):
+    with pytest.raises(InputError, match=r"row 3: omega: empty; leave all"):
         read_folder(tmp_path / "d")
 
 

@@ -116,7 +116,7 @@ def stamped(folder, odometry, bearings):
 )
 def test_clocks_that_do_not_overlap_are_refused(drive_folder, odometry, bearings, first, last):
     words = refusal(open_drive, stamped(drive_folder, odometry, bearings))
-    assert words.startswith(f"the first of the {first} after the last of the {last}: ")
+    assert words.startswith(f"the first of the {first} after the last of the {last}; ")
     assert "use stamps of one clock in seconds" in words
 
 

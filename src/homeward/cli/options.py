@@ -197,7 +197,8 @@ def key_values(changes: list[str]) -> dict[str, Any]:
         try:
             chosen[key] = parse_yaml(text, None, typed=True)
         except InputError as error:
-            raise InputError(f"--set {key}: {error.what}") from None
+            error.at(part=f"--set {key}")
+            raise
     return chosen
 
 

@@ -36,8 +36,9 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
     if robot is not None:
         if None not in (robot.wheels, settings.wheels) and robot.wheels != settings.wheels:
             raise InputError(
-                "wheels differ between the drive and the robot file, whose corrections would be"
-                " wrong here: import the drive again with the wheels of the robot file"
+                "wheels differ between the drive and the robot file, whose "
+                "corrections would be wrong here",
+                advice="import the drive again with the wheels of the robot file",
             )
         own, shared = given_keys(settings), given_keys(robot)
         if replaced := [key for key in shared if own.get(key, shared[key]) != shared[key]]:

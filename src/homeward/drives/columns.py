@@ -225,9 +225,11 @@ def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Col
     for text in (part.strip() for part in AND.split(whole if only is None else rest)):
         role, equals, name = (part.strip() for part in text.partition("="))
         if not equals or not name.lstrip("-"):
-            raise InputError(f"--columns {text}: must have the form ROLE=COLUMN[UNIT]")
+            raise InputError("must have the form ROLE=COLUMN[UNIT]", part=f"--columns {text}")
         if role not in ROLES:
-            raise InputError(f"--columns {text}: the role must be one of {', '.join(ROLES)}")
+            raise InputError(
+                f"the role must be one of {', '.join(ROLES)}", part=f"--columns {text}"
+            )
         known = [names for name, names in there.items() if only in (None, name)]
         units, sign = UNITS[ROLES[role][0]], -1.0 if name.startswith("-") else 1.0
         name = name.removeprefix("-")
@@ -237,10 +239,11 @@ def _specified(whole: str, there: Mapping[str, Collection[str]]) -> Iterator[Col
             name, unit = bracketed[1], _unit(bracketed[2])
             if unit not in units:
                 raise InputError(
-                    f"--columns {text}: units of {role} are {', '.join(units) or 'not allowed'}"
+                    f"units of {role} are {', '.join(units) or 'not allowed'}",
+                    part=f"--columns {text}",
                 )
         if not any(name in names for names in known):
-            raise InputError(f"--columns {text}: no file has a column {name!r}")
+            raise InputError(f"no file has a column {name!r}", part=f"--columns {text}")
         yield Column(role, name, unit, sign, is_specified=True, file=only)
 
 
@@ -271,7 +274,9 @@ def assigned(
         found[role] = Column(role, likeliest[0], unit_in(likeliest[0], ROLES[role][0]))
         taken.add(likeliest[0])
     for role, one, other in ambiguous:
-        raise InputError(f"{one!r} and {other!r} may both be {role}; use --columns '{role}={one}'")
+        raise InputError(
+            f"{one!r} and {other!r} may both be {role}", advice=f"use --columns '{role}={one}'"
+        )
     return found
 
 
@@ -433,7 +438,7 @@ def unit_of(columns: Sequence[str]) -> str | None:
     units = {unit_in(name, "angle") for name in columns}
     if len(units) > 1:
         several = ", ".join(sorted(map(str, units)))
-        raise InputError(f"columns of landmarks have different units: {several}; use one")
+        raise InputError(f"columns of landmarks have different units: {several}", advice="use one")
     return units.pop()
 
 
@@ -445,8 +450,9 @@ def long(raw: Table, columns: dict[str, str], t: np.ndarray | None) -> Table:
     values = np.stack([raw[name] for name in columns.values()], axis=1)
     twice = np.flatnonzero((values == 0).sum(axis=1) > 1)
     if twice.size:
-        problem = "two bearings of exactly 0; leave the cells of landmarks out of view empty"
-        raise InputError(problem, raw.file, int(raw.row[twice[0]]))
+        advice = "leave the cells of landmarks out of view empty"
+        problem, number = "two bearings of exactly 0", int(raw.row[twice[0]])
+        raise InputError(problem, raw.file, number, advice=advice)
     seen = np.isfinite(values) if t is None else np.isfinite(values) & np.isfinite(t)[:, None]
     row, column = np.nonzero(seen)
     cells = {"landmark": np.array(list(columns), object)[column], "bearing": values[row, column]}

@@ -118,12 +118,13 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     require_folder(folder)
     missing = missing_files(folder, home_needed)
     if missing:
-        advice = ""
+        advice = None
         if missing == [HOME]:
             from homeward.drives.home.rest import with_proposal  # only a refusal needs it
 
-            advice = f"; {with_proposal(HOME_ADVICE, read_folder(folder, home_needed=False))}"
-        raise InputError(f"not a complete drive folder: no {', '.join(missing)}{advice}", folder)
+            advice = with_proposal(HOME_ADVICE, read_folder(folder, home_needed=False))
+        problem = f"not a complete drive folder: no {', '.join(missing)}"
+        raise InputError(problem, folder, advice=advice)
     surveyed = is_there(folder / KNOWN)
     known = read_settings(folder / KNOWN, KnownLandmarks) if surveyed else KnownLandmarks()
     remarks: dict[str, int] = {}
@@ -181,10 +182,10 @@ def sorted_by_time(table: Table, what: str, remarks: dict[str, int]) -> Table:
         i = int(np.argmax(late > MAX_DELAY_S))
         raise InputError(
             f"time runs backwards by {float(late[i]):.6g} s: {float(t[i])!r} after "
-            f"{float(t[: i + 1].max())!r}; at most {MAX_DELAY_S:g} s is allowed. Split the table "
-            "where a clock was set back or another drive begins",
+            f"{float(t[: i + 1].max())!r}, by more than {MAX_DELAY_S:g} s",
             table.file,
             int(table.row[i]),
+            advice="split the table where a clock was set back or another drive begins",
         )
     order = np.argsort(t, kind="stable")
     remarks[SORTED.format(what)] = int((late > 0).sum())
@@ -202,10 +203,6 @@ def _by_landmarks(table: Table) -> bool:
 
 MIN_ROWS, MIN_STAMPS = 20, 0.1
 """Minimum share of different stamps in a table with at least this number of rows."""
-EQUAL_STAMPS = (
-    "the {:,} rows have {:,} different stamps; a spreadsheet may have rounded them: export all "
-    "digits of the times"
-)
 
 
 def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table:
@@ -217,7 +214,12 @@ def without_repeats(table: Table, remarks: dict[str, int], reason: str) -> Table
     table.require_order()
     kept = table.last_of_equal_stamps()
     if len(table) >= MIN_ROWS and len(kept) < MIN_STAMPS * len(table):
-        raise InputError(EQUAL_STAMPS.format(len(table), len(kept)), table.file)
+        raise InputError(
+            f"the {len(table):,} rows have {len(kept):,} different stamps, as if a spreadsheet had "
+            "rounded them",
+            table.file,
+            advice="export all digits of the times",
+        )
     if len(kept) < len(table):
         remarks[reason] = len(table) - len(kept)
     return kept
@@ -257,8 +259,13 @@ def read_odometry(path: Path, remarks: dict[str, int]) -> Odometry:
     for name in sorted(table.columns.keys() - {"t"}):
         empty = np.isnan(table[name]) & ~(np.isnan(table["v"]) & np.isnan(table["omega"]))
         if empty.any():
-            problem = f"{name} is empty; leave all speeds empty where the motion is unknown"
-            raise InputError(problem, path, int(table.row[np.argmax(empty)]))
+            raise InputError(
+                "empty",
+                path,
+                int(table.row[np.argmax(empty)]),
+                part=name,
+                advice="leave all speeds empty where the motion is unknown",
+            )
     return odometry_of(table, remarks)
 
 
@@ -333,7 +340,7 @@ def _sigma(table: Table, name: str = "sigma") -> np.ndarray:
         return np.full(len(table), np.nan)
     sigma = table[name]
     is_valid = (sigma > 0) & np.isfinite(sigma)
-    table.require(name, np.isnan(sigma) | is_valid, "but must be greater than 0")
+    table.require(name, np.isnan(sigma) | is_valid, "must be greater than 0, not {}")
     return sigma
 
 

@@ -64,9 +64,9 @@ def cameras_in(folder: Path) -> dict[str, Path]:
         elif videos:
             found[inner.name] = videos[0]
             if len(videos) > 1:
-                raise InputError(f"{len(videos)} videos of one camera; keep one", inner)
+                raise InputError(f"{len(videos)} videos of one camera", inner, advice="keep one")
     if bad := next((name for name in found if not is_identifier(name)), None):
-        raise InputError("not a valid name of a camera: rename the folder", folder / bad)
+        raise InputError("not a valid name of a camera", folder / bad, advice="rename the folder")
     return found
 
 

@@ -9,7 +9,7 @@ from typing import Any, cast
 from homeward.drives.drive import HomeBearing
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, Robot
-from homeward.errors import InputError
+from homeward.errors import InputError, naming_file
 from homeward.estimator import real
 from homeward.io.settings import Model, validated
 from homeward.sighting_keys import keyed
@@ -34,8 +34,8 @@ def known_robot(robot: Robot) -> DriveSettings:
     known = validated(DriveSettings, {k: v for k, v in robot.items() if v is not None})
     if given := known.odometry.corrections:
         raise InputError(
-            f"odometry: {', '.join(given)}: an estimator takes corrected twists; correct them with "
-            "OdometryNoise.corrected, and leave these keys out"
+            f"odometry: {', '.join(given)}: an estimator takes corrected twists",
+            advice="correct them with OdometryNoise.corrected, and leave these keys out",
         )
     return known
 
@@ -57,12 +57,10 @@ def known_settings(model: type[Model], settings: Model | dict[str, Any] | None) 
 
 def _home_bearing(name: object, seen: object) -> HomeBearing:
     if not isinstance(name, str):
-        raise InputError(f"home: a landmark id must be text, not {name!r}")
+        raise InputError(f"a landmark id must be text, not {name!r}", part="home")
     given = seen if isinstance(seen, HomeBearing) else HomeBearing(cast(float, seen))
-    try:
+    with naming_file(part=f"home: {name!r}"):
         bearing, sigma = real(given.bearing), real(given.sigma)
-    except InputError as error:
-        raise InputError(f"home: {name!r}: {error}") from error
-    if not math.isfinite(bearing):
-        raise InputError(f"home: {name!r}: the bearing is not finite")
+        if not math.isfinite(bearing):
+            raise InputError("the bearing is not finite")
     return HomeBearing(bearing, sigma, given.camera)

@@ -51,9 +51,8 @@ def require_overlap(
     late, early = max(spans, key=lambda n: spans[n][0]), min(spans, key=lambda n: spans[n][1])
     apart = spans[late][0] - spans[early][1]
     if apart > MAX_CLOCK_OFFSET_S:
-        raise InputError(
-            f"the first of {late} is {apart:,.1f} s after the last of {early}: {advice}", path
-        )
+        problem = f"the first of {late} is {apart:,.1f} s after the last of {early}"
+        raise InputError(problem, path, advice=advice)
 
 
 def _require_steady(t: np.ndarray, path: Path) -> None:
@@ -66,10 +65,10 @@ def _require_steady(t: np.ndarray, path: Path) -> None:
     if jump <= max(MAX_JUMP_S, 1e3 * usual):  # all stamps may be in another unit
         return
     raise InputError(
-        f"the clock was set during the recording: stamps jump from {float(t[k])!r} to "
-        f"{float(t[k + 1])!r} s, by {jump / DAY_S:,.0f} days; leave out the {k + 1:,} odometry rows"
-        " before the jump, and the sightings",
+        "the clock was set during the recording: stamps jump from "
+        f"{float(t[k])!r} to {float(t[k + 1])!r} s, by {jump / DAY_S:,.0f} days",
         path,
+        advice=f"leave out the {k + 1:,} odometry rows before the jump, and the sightings",
     )
 
 

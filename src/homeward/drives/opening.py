@@ -111,8 +111,9 @@ def open_drive(
         when = chosen
     elif when is not None and drive.home:
         raise InputError(
-            f"home is given twice, in {HOME} and under home in {SETTINGS}; remove one of them",
+            f"home is given twice, in {HOME} and under home in {SETTINGS}",
             place,
+            advice="remove one of them",
         )
     with naming_file(place):
         drive = with_sense_remark(drive)
@@ -128,7 +129,9 @@ def _truth_from_home(drive: Drive, place: Path) -> Drive:
     if drive.settings.truth is None:
         return drive
     if drive.truth is None:
-        raise InputError(f"{SETTINGS}: truth: the drive has no ground truth; remove the key", place)
+        raise InputError(
+            "truth: the drive has no ground truth", place, part=SETTINGS, advice="remove the key"
+        )
     settings = drive.settings.model_copy(update={"truth": None})
     truth = drive.truth.seen_from(Pose(*drive.settings.truth.home))
     return dataclasses.replace(drive, settings=settings, truth=truth)
@@ -156,19 +159,21 @@ def kind_of(place: Path) -> str:
             return kind
     if place.is_dir() and next(place.glob("*/place.yaml"), None) is not None:
         ways = "use homeward place PLACE to inspect it, or homeward run DRIVE --place PLACE"
-        raise InputError(f"a place, not a drive: {ways}", place)
+        raise InputError("a place, not a drive", place, advice=ways)
     if tables := tables_in(place):
         way = command("import", *tables, "--out", f"out/{place.stem}")
         others = ", and add the tables of odometry, bearings and home that it lacks"
         more = others * (tables == [place])
-        raise InputError(f"not a drive yet: convert its tables with `{way}`{more}", place)
+        raise InputError("not a drive yet", place, advice=f"convert its tables with `{way}`{more}")
     if logs := sorted(file.name for file in place.glob("*.bag")):
-        raise InputError(f"a folder of logs; give one: {', '.join(map(quoted, logs[:4]))}", place)
+        raise InputError(
+            "a folder of logs", place, advice=f"give one: {', '.join(map(quoted, logs[:4]))}"
+        )
     from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 
     if is_mrclam(place):
         ways = f"convert one of its robots ({robots_in(place)}) with `{mrclam_command(place)}`"
-        raise InputError(f"an MRCLAM folder: {ways}", place)
+        raise InputError("an MRCLAM folder", place, advice=ways)
     raise InputError(f"neither a {' nor a '.join(KINDS)}", place)
 
 
@@ -220,16 +225,22 @@ def save_drive(
     """
     place = Path(path)
     if is_there(place) and not (place.is_dir() and not any(place.iterdir())):
-        raise InputError("exists already; choose another name", place)
+        raise InputError("exists already", place, advice="choose another name")
     if place.suffix not in LOG_SUFFIXES:
         write_folder(drive, place, commented=commented)
         return "drive folder"
     if drive.known.is_given:
-        raise InputError("a log cannot contain landmarks.yaml; write a drive folder instead", place)
+        raise _not_in_a_log("landmarks.yaml", place)
     if drive.tilt is not None:
-        raise InputError("a log cannot contain tilt.csv; write a drive folder instead", place)
+        raise _not_in_a_log("tilt.csv", place)
     # Imported here only: rosbags loads slowly.
     from homeward.drives.ros.writing import write_log
 
     write_log(drive, place, on_progress)
     return {".bag": "ROS 1 bag", ".mcap": "MCAP file", ".db3": "ROS 2 bag (sqlite3)"}[place.suffix]
+
+
+def _not_in_a_log(name: str, place: Path) -> InputError:
+    """Return the error of a drive with a file that a log cannot contain."""
+    problem, advice = f"a log cannot contain {name}", "write a drive folder instead"
+    return InputError(problem, place, advice=advice)

@@ -288,4 +288,4 @@ def require_senses(drive: Drive) -> None:
     """
     for sense, problem in PROBLEMS.items():
         if sense is not Sense.REVERSED and SHOWS + problem in drive.remarks:
-            raise InputError(f"{problem}. To run it all the same, set {OVERRIDE}")
+            raise InputError(problem, advice=f"set {OVERRIDE} to run it all the same")

@@ -21,18 +21,25 @@ BITS = 8, 15, 16, 24, 31, 32
 WRAPPED = "wrap-arounds of wheel counters, corrected"
 
 
-def speeds_from_positions(
-    t: np.ndarray, positions: np.ndarray, wheels: Wheels, unit: str, remarks: dict[str, int]
+def wheel_speeds(
+    t: np.ndarray,
+    values: np.ndarray,
+    wheels: Wheels,
+    unit: str,
+    remarks: dict[str, int],
+    are_positions: bool = True,
 ) -> np.ndarray:
-    """Return wheel speeds [m/s], (n, k), from wheel positions (n, k) in a unit at `t` (n,) [s].
+    """Return wheel speeds [m/s], (n, k), of positions or rates (n, k) in a unit at `t` (n,) [s].
 
-    Each is valid until the next time; the last is 0. Wrap-arounds of counters are corrected, and
-    counted in `remarks`.
+    Speeds from positions are valid until the next time; the last is 0. Wrap-arounds of counters are
+    corrected, and counted in `remarks`.
     """
     metres = wheels.metres(unit)
-    parts = [_unwrapped(p, MIN_JUMP / metres, wheels.turn(unit), remarks) for p in positions.T]
+    if not are_positions:
+        return metres * values
+    parts = [_unwrapped(p, MIN_JUMP / metres, wheels.turn(unit), remarks) for p in values.T]
     steps = np.diff(np.stack(parts, axis=1), axis=0)
-    return metres * np.concatenate([steps / np.diff(t)[:, None], np.zeros((1, positions.shape[1]))])
+    return metres * np.concatenate([steps / np.diff(t)[:, None], np.zeros((1, values.shape[1]))])
 
 
 def missing_geometry(wheels: Wheels, names: Sequence[str], unit: str) -> list[str]:

@@ -44,7 +44,9 @@ def with_yaw_rate(
     gyro = _mean_rates(odometry.t, t, rate)
     used = np.isfinite(gyro)
     if not used.any():
-        raise InputError(f"{source} has no yaw rate during the odometry; use stamps of one clock")
+        raise InputError(
+            f"{source} has no yaw rate during the odometry", advice="use stamps of one clock"
+        )
     factor, how = _factor(odometry, t, rate, source, list(UNITS)[: 1 + may_be_deg])
     remarks[REPLACED.format(source, how)] = int(used.sum())
     if not used.all():
@@ -86,21 +88,23 @@ def _factor(
         return 1.0, NOT_COMPARED
     if gyro.std() == 0:
         raise InputError(
-            f"{source}: the yaw rate is constant, but the odometry turns; leave it out"
+            "the yaw rate is constant, but the odometry turns", part=source, advice="leave it out"
         )
     correlation = float(np.corrcoef(own, gyro)[0, 1])
     ratio = own.std() / gyro.std()
     unit = min(units, key=lambda u: abs(math.log(ratio / u)))
     if abs(correlation) < MIN_CORRELATION:
         raise InputError(
-            f"{source}: the yaw rate contradicts that of the odometry (correlation "
-            f"{correlation:.2f}); check that its z axis is vertical and its stamps are those of "
-            "the odometry's clock, or leave it out"
+            f"the yaw rate contradicts that of the odometry (correlation {correlation:.2f})",
+            part=source,
+            advice="check that its z axis is vertical and its stamps are those of the "
+            "odometry's clock, or leave it out",
         )
     if not 1 / MAX_RATIO < ratio / unit < MAX_RATIO:
         raise InputError(
-            f"{source}: the yaw rate of the odometry is {ratio:.3g} x this one; convert it to "
-            "rad/s, correct the track width of the odometry, or leave it out"
+            f"the yaw rate of the odometry is {ratio:.3g} x this one",
+            part=source,
+            advice="convert it to rad/s, correct the track width of the odometry, or leave it out",
         )
     inverted = ", with the sign inverted" if correlation < 0 else ""
     fit = f"correlation {abs(correlation):.2f}, {ratio / unit:.3g} x they fit the odometry"

@@ -16,7 +16,7 @@ from homeward.io.keys import Strict, meanings
 from homeward.io.models import jsonable
 from homeward.io.reading import read_small
 from homeward.io.table import quoted
-from homeward.io.validation_messages import validation_message
+from homeward.io.validation_messages import refused
 
 MAX_VALUES = 50_000
 """Maximum number of keys and values, aliases expanded; this number takes seconds to parse."""
@@ -167,7 +167,7 @@ def parse_settings(text: bytes | str, model: type[Model], path: Path) -> Model:
     # Values stay text: the model converts them.
     tree = _without_absent(parse_yaml(text, path, typed=False))
     if not isinstance(tree, dict):
-        raise InputError("not a mapping of keys to values; write KEY: VALUE lines", path)
+        raise InputError("not a mapping of keys to values", path, advice="write KEY: VALUE lines")
     sections = {k: _without_absent(v) for k, v in tree.items()}
     return validated(model, sections, path)
 
@@ -185,7 +185,7 @@ def validated(model: type[Model], values: Any, file: Path | None = None) -> Mode
     try:
         return model.model_validate(values)
     except ValidationError as error:
-        raise InputError(validation_message(error, model), file) from error
+        raise refused(error, model, file) from error
 
 
 def nested(values: dict[str, Any]) -> dict[str, Any]:
@@ -200,7 +200,7 @@ def nested(values: dict[str, Any]) -> dict[str, Any]:
         for head in heads:
             branch = branch.setdefault(head, {})
             if not isinstance(branch, dict):
-                raise InputError(f"{key}: {head} already has a value")
+                raise InputError(f"{head} already has a value", part=key)
         branch[last] = value
     return tree
 
@@ -209,7 +209,7 @@ def key_parts(key: str) -> list[str]:
     """Return the parts of a dotted key, outermost first; `InputError` if there are too many."""
     parts = key.split(".")
     if len(parts) > MAX_DEPTH:
-        raise InputError(f"{quoted(key)}: no key has more than {MAX_DEPTH} levels")
+        raise InputError(f"no key has more than {MAX_DEPTH} levels", part=quoted(key))
     return parts
 
 

@@ -53,16 +53,25 @@ class Table:
     def __len__(self) -> int:
         return self.row.size
 
-    def require(self, name: str, is_good: np.ndarray, problem: str) -> None:
-        """Raise InputError for the first entry of column `name` where `is_good`, (n,), is False."""
+    def require(
+        self, name: str, is_good: np.ndarray, problem: str, advice: str | None = None
+    ) -> None:
+        """Raise InputError for the first entry of column `name` where `is_good`, (n,), is False.
+
+        `problem` has the value as ``{}``.
+        """
         if not is_good.all():
             i = int(np.argmin(is_good))
-            value = quoted(str(self[name][i]))
-            raise InputError(f"{name} is {value}, {problem}", self.file, int(self.row[i]))
+            problem, row = problem.format(quoted(str(self[name][i]))), int(self.row[i])
+            raise InputError(problem, self.file, row, part=name, advice=advice)
 
     def require_angle(self, name: str) -> None:
         """Raise InputError where column `name` exceeds `MAX_ANGLE`."""
-        self.require(name, np.abs(self[name]) <= MAX_ANGLE, "too large for an angle in rad")
+        self.require(
+            name,
+            np.abs(self[name]) <= MAX_ANGLE,
+            f"must be an angle in rad, of at most {MAX_ANGLE:g}, not {{}}",
+        )
 
     def require_rows(self) -> None:
         """Raise InputError for an empty table."""
@@ -74,7 +83,7 @@ class Table:
         values = self[name].tolist()
         first = dict(zip(reversed(values), reversed(range(len(values))), strict=True))
         fresh = np.array([first[value] == i for i, value in enumerate(values)], bool)
-        self.require(name, fresh, "which already has a row; keep one of them")
+        self.require(name, fresh, "{} already has a row", "keep one of them")
 
     def require_order(self) -> None:
         """Raise InputError where `t` decreases."""
@@ -209,8 +218,8 @@ def numbers(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
         pass
     i = next(i for i, cell in enumerate(cells) if not _is_finite_number(cell))
     shown = _shown(cells[i], path)
-    problem = f"is{shown}, not a finite number" if shown else "is not a finite number"
-    raise InputError(f"{name} {problem if cells[i].strip() else 'is empty'}", path, rows[i])
+    problem = "must be a finite number" + f", not{shown}" * bool(shown)
+    raise InputError(problem if cells[i].strip() else "empty", path, rows[i], part=name)
 
 
 def with_default(parse: Parser, default: float | str) -> Parser:
@@ -242,8 +251,8 @@ def identifiers(
     clean = {cell: sys.intern(_original(cell.strip())) for cell in set(cells)}
     for cell, text in clean.items():
         if not is_identifier(text) and (text or not may_be_empty):
-            problem = f"is{_shown(text, path)}, with unprintable characters" if text else "is empty"
-            raise InputError(f"{name} {problem}", path, rows[cells.index(cell)])
+            problem = f"unprintable characters in{_shown(text, path)}" if text else "empty"
+            raise InputError(problem, path, rows[cells.index(cell)], part=name)
     # Objects, not fixed-width text: one long id would widen every row.
     return np.array([clean[cell] for cell in cells], object)
 
@@ -342,7 +351,7 @@ def _column_indices(
         indices.setdefault(name, []).append(index)
     for name in wanted:
         if len(indices.get(name, ())) > 1:
-            raise InputError(f"the header has column {name} twice; rename one", path, row)
+            raise InputError(f"the header has column {name} twice", path, row, advice="rename one")
     return {name: indices[name][0] for name in wanted if name in indices}
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from homeward.errors import InputError
@@ -28,7 +29,7 @@ def parsed(kind: Any, text: str | bytes) -> Any:
     try:
         return check(json.loads(text), True)
     except ValidationError as error:
-        raise InputError(validation_message(error, None)) from None
+        raise refused(error) from None
     except json.JSONDecodeError as error:
         where = f"line {error.lineno} column {error.colno}"
         raise InputError(f"not JSON: {error.msg} at {where}") from None
@@ -36,8 +37,10 @@ def parsed(kind: Any, text: str | bytes) -> Any:
         raise InputError(f"not JSON: {error}") from None
 
 
-def validation_message(error: ValidationError, model: type[Strict] | None) -> str:
-    """Return the first problem in one line, after its key.
+def refused(
+    error: ValidationError, model: type[Strict] | None = None, file: Path | None = None
+) -> InputError:
+    """Return the first problem of values, with its key.
 
     For an unknown key, the most similar key of `model` is suggested, or those of its block.
     """
@@ -49,7 +52,7 @@ def validation_message(error: ValidationError, model: type[Strict] | None) -> st
         advice = f"did you mean {similar}?"
         if similar in (None, key):  # the key of another member of a union
             advice = f"the keys here are {listing(first.known, MAX_KEYS)}"
-        return f"{_shown(key)}: {first.words}; {advice}"
+        return InputError(first.words, file, part=_shown(key), advice=advice)
     # A union reports one problem for each member: the most specific one counts.
     first = next((p for p in error.problems if _key(p).startswith(f"{key}.")), first)
     key = _key(first)
@@ -57,7 +60,7 @@ def validation_message(error: ValidationError, model: type[Strict] | None) -> st
     words = " or ".join([head, *(other.removeprefix("must be ") for other in others)])
     if isinstance(first.value, (str, int, float)):
         words += f", not {_shown(str(first.value))}"
-    return f"{_shown(key)}: {words}" if key else words
+    return InputError(words, file, part=_shown(key) if key else None)
 
 
 def _shown(text: str) -> str:

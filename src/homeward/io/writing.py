@@ -146,16 +146,17 @@ def check_output(directory: Path, marker: str) -> None:
         os.lstat(directory)
     existing = next(p for p in (directory, *directory.absolute().parents) if is_there(p))
     if not existing.is_dir():
-        raise InputError("is not a folder; choose another output folder", existing)
+        raise InputError("is not a folder", existing, advice="choose another output folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise InputError("is not writable; choose another output folder", existing)
+        raise InputError("is not writable", existing, advice="choose another output folder")
     if existing != directory:
         return
     names = {p.name for p in directory.iterdir() if not p.name.startswith(SCRATCH)}
     if names and marker not in names:
         raise InputError(
-            f"contains other files and no {marker} of earlier output; choose another output folder",
+            f"contains other files and no {marker} of earlier output",
             directory,
+            advice="choose another output folder",
         )
 
 

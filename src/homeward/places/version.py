@@ -160,9 +160,11 @@ def read_tables(folder: Path, covariance: Callable[[int], np.ndarray]) -> Place:
     place = {"landmark": identifiers, "x": numbers, "y": numbers}
     table = read_csv(folder / LANDMARKS, place | _parsers(LandmarkPersistence))
     table.require_unique("landmark")
-    table.require("stands", (table["stands"] >= 0) & (table["stands"] <= 1), "not a probability")
+    table.require(
+        "stands", (table["stands"] >= 0) & (table["stands"] <= 1), "must be a probability, not {}"
+    )
     for name in ("watched", "seen", "missed", "moved", "returned"):
-        table.require(name, table[name] >= 0, "less than nothing")
+        table.require(name, table[name] >= 0, "must not be negative, not {}")
     homes = read_csv(
         folder / HOMES,
         {"home": identifiers, **dict.fromkeys(("x", "y", "heading"), numbers), "stored": _days},
@@ -267,9 +269,13 @@ def _routes(path: Path, nodes: int) -> dict[str, Route]:
     _require_rows(table, nodes, path)
     table.require_angle("heading")
     for name in ("sigma", "dwell"):
-        table.require(name, table[name] >= 0, "less than nothing")
+        table.require(name, table[name] >= 0, "must not be negative, not {}")
     for name in ("x", "y"):
-        table.require(name, np.abs(table[name]) <= MAX_COORDINATE, "too far to drive there")
+        table.require(
+            name,
+            np.abs(table[name]) <= MAX_COORDINATE,
+            f"must be at most {MAX_COORDINATE:g} m from home, not {{}}",
+        )
     columns = table["route"].tolist(), table["taught"].tolist(), _records(table, Node)
     routes = dict[str, tuple[float, list[Node]]]()
     for name, when, node in zip(*columns, strict=True):
@@ -291,7 +297,7 @@ def _homes(path: Path, stored: dict[str, float]) -> dict[str, StoredHome]:
     )
     table.require_angle("bearing")
     known = np.array([name in stored for name in table["home"]], bool)
-    table.require("home", known, f"which is not in {HOMES}")
+    table.require("home", known, f"must be in {HOMES}, not {{}}")
     homes = {name: StoredHome(when, {}) for name, when in stored.items()}
     cameras = table["camera"].tolist() if "camera" in table.columns else [""] * len(table)
     columns = (table[c].tolist() for c in ("home", "landmark", "bearing", "sigma"))

@@ -114,7 +114,7 @@ def test_several_equal_topics_must_be_named(made):
 @pytest.mark.parametrize(
     ("topics", "words"),
     [
-        ("odometry: {topic: /none}\n", "the log has: /odom"),
+        ("odometry: {topic: /none}\n", "no topic /none; choose one of: /odom"),
         ("bearings: {topic: /odom}\n", "read as odometry .* cannot be used under bearings"),
         ("odometry: {topic: /odom, use: scent}\n", "odometry.use"),
         ("home: {}\n", "one of during, spin, at, topic, csv"),

@@ -188,9 +188,9 @@ def test_two_cameras_have_a_mount_each(made):
     same = made(lambda log: of_two_cameras(log, rear="front"), TWO.format("", ""))
     assert seen_by(same) == pytest.approx({"a0": 0.1, "a1": 0.1})
     for words, rear, told, tf in (
-        (r"/b0 \(frame front\) is one of several cameras", "rear", ("", ""), ()),
-        (r"/b1 \(frame rear\) is one of several cameras", "rear", (sensor(FRONT), ""), ()),
-        (r"/b1 \(frame not named\) is one of", "", ("", ""), mounts),
+        (r"/b0 \(frame front\): one of several cameras", "rear", ("", ""), ()),
+        (r"/b1 \(frame rear\): one of several cameras", "rear", (sensor(FRONT), ""), ()),
+        (r"/b1 \(frame not named\): one of", "", ("", ""), mounts),
     ):
         with pytest.raises(InputError, match=words):
             made(lambda log, r=rear, t=tf: of_two_cameras(log, None, t, r), TWO.format(*told))

@@ -92,7 +92,9 @@ def _tree(data: bytes, path: Path) -> Any:
 def _of_xml(text: str, path: Path) -> dict[str, Any]:
     """Return the keys and values of OpenCV's XML; matrices as in its YAML."""
     if "<!" in text.replace("<!--", ""):  # entities may expand without limit
-        raise InputError("XML with a document type; remove the lines that begin with <!", path)
+        raise InputError(
+            "XML with a document type", path, advice="remove the lines that begin with <!"
+        )
     try:
         root = ElementTree.fromstring(text)
     except ElementTree.ParseError as error:
@@ -108,7 +110,9 @@ def _of_colmap(line: str, path: Path) -> tuple[str, dict[str, Any]]:
     name, model, width, height, *numbers = re.split(r"[,\s]+", line.strip())
     if model not in COLMAP:
         raise InputError(
-            f"the model {quoted(model)} is not supported; use one of {', '.join(COLMAP)}", path
+            f"the model {quoted(model)} is not supported",
+            path,
+            advice=f"use one of {', '.join(COLMAP)}",
         )
     kind, focal, count = COLMAP[model]
     values = [float(number) for number in numbers]
@@ -132,9 +136,9 @@ def _values(tree: Mapping[str, Any], camera: str, path: Path) -> dict[str, Any]:
     if camera not in cameras and (camera or len(cameras) > 1):
         names, first = [quoted(name) for name in cameras], next(iter(cameras))
         raise InputError(
-            f"contains {'several cameras' if len(names) > 1 else 'the camera'}, {listing(names)}; "
-            f"name one, as in {path.name}#{first}",
+            f"contains {'several cameras' if len(names) > 1 else 'the camera'}, {listing(names)}",
             path,
+            advice=f"name one, as in {path.name}#{first}",
         )
     return _of_one(cameras.get(camera) or next(iter(cameras.values())), path)
 
@@ -176,9 +180,10 @@ def _model_of(d: list[float], fisheye: Any, path: Path) -> str:
         return "equidistant"
     if len(d) == 4 and any(d) and fisheye is None:
         raise InputError(
-            "4 distortion coefficients of an unknown model; add the line distortion_model: "
-            "plumb_bob (of cv2.calibrateCamera), or equidistant (of cv2.fisheye.calibrate)",
+            "4 distortion coefficients of an unknown model",
             path,
+            advice="add the line distortion_model: plumb_bob (of cv2.calibrateCamera), "
+            "or equidistant (of cv2.fisheye.calibrate)",
         )
     return "plumb_bob" if len(d) <= 5 else "rational_polynomial"
 
@@ -209,8 +214,9 @@ def _of_kalibr(camera: Mapping[str, Any], path: Path) -> dict[str, Any]:
     kind, model = camera.get("camera_model"), camera.get("distortion_model")
     if kind != "pinhole" or len(camera["intrinsics"]) != 4:
         raise InputError(
-            f"camera_model {quoted(str(kind))} is not supported; use pinhole with 4 intrinsics",
+            f"camera_model {quoted(str(kind))} is not supported",
             path,
+            advice="use pinhole with 4 intrinsics",
         )
     width, height = camera.get("resolution", (None, None))
     return {
@@ -239,8 +245,8 @@ class CameraRows:
         try:
             return None if self._first is None else from_camera_info(self._first, self._rectified)
         except (ValueError, IndexError, AttributeError):
-            problem = f"{self._topic}: the camera is not calibrated, or its model is unknown"
-            raise InputError(problem) from None
+            problem = "the camera is not calibrated, or its model is unknown"
+            raise InputError(problem, part=self._topic) from None
 
 
 def from_camera_info(message: Any, rectified: bool) -> Lens:

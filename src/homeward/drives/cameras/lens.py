@@ -95,7 +95,8 @@ class Lens(Camera):
         if known != shape:
             raise InputError(
                 f"{shape[1]}x{shape[0]} pixels, but the camera is calibrated for "
-                f"{known[1]}x{known[0]}; calibrate it for this resolution"
+                f"{known[1]}x{known[0]}",
+                advice="calibrate it for this resolution",
             )
 
     def directions(

@@ -37,9 +37,10 @@ class Cameras:
         if name and name != self.first:
             if self.first:
                 raise InputError(
-                    f"cameras {quoted(self.first)} and {quoted(name)}: only one may have the"
-                    f" extrinsics under sensor:; add cameras: {{{quoted(name)}: {{x: ..., y: ...,"
-                    " yaw: ...}} to drive.yaml or the robot file"
+                    f"cameras {quoted(self.first)} and {quoted(name)}: only one "
+                    "may have the extrinsics under sensor:",
+                    advice=f"add cameras: {{{quoted(name)}: {{x: ..., y: ..., yaw: "
+                    "...}} to drive.yaml or the robot file",
                 )
             self.first = name
         return None

@@ -43,11 +43,12 @@ def with_home(
     first, last = time_in(drive, times[0]), drive.span[0] + times[1]
     if drive.settings.home_sensor is not None:
         raise InputError(
-            "home_sensor does not apply if home comes from this drive; remove it from drive.yaml"
+            "home_sensor does not apply if home comes from this drive",
+            advice="remove it from drive.yaml",
         )
     if drive.known.surveyed_from_home:
         raise InputError(
-            "landmarks.yaml already defines home (frame: home); remove the time at home"
+            "landmarks.yaml already defines home (frame: home)", advice="remove the time at home"
         )
     drive = _seen_from(drive, first)
     drive = dataclasses.replace(drive, settings=drive.settings.model_copy(update={"home": None}))
@@ -95,8 +96,9 @@ def _home_at(
     nearest = float(stamps[np.abs(stamps - t).argmin()])
     if abs(nearest - t) > MAX_AGE_S:
         raise InputError(
-            f"no home at {since:g} s: the map of the drive gives {mapped} bearings there, and no "
-            f"sighting is within {MAX_AGE_S:g} s; choose a time with landmarks in view"
+            f"no home at {since:g} s: the map of the drive gives {mapped} "
+            f"bearings there, and no sighting is within {MAX_AGE_S:g} s",
+            advice="choose a time with landmarks in view",
         )
     home = _mean_directions(drive, nearest, nearest)
     return home, {SEEN.format(nearest - drive.span[0], MIN_MAPPED): len(home)}
@@ -111,8 +113,8 @@ def _require_still(first: float, last: float, odometry: Odometry) -> None:
     turn = np.abs(odometry.omega) @ within
     if path > MAX_STILL_M or turn > MAX_STILL_RAD:
         raise InputError(
-            f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad; give an "
-            "interval without motion"
+            f"the robot moves at home: it drives {path:.2f} m and turns {turn:.2f} rad",
+            advice="give an interval without motion",
         )
 
 

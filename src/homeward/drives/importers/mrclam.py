@@ -49,7 +49,9 @@ def read_mrclam(
     _check_arguments(home, home_noise, seed)
     require_folder(folder)
     if not is_there(folder / f"Robot{robot}_Odometry.dat"):
-        raise InputError(f"no robot {robot} in it; choose one of: {robots_in(folder)}", folder)
+        raise InputError(
+            f"no robot {robot} in it", folder, advice=f"choose one of: {robots_in(folder)}"
+        )
     landmarks = _read_landmarks(folder / "Landmark_Groundtruth.dat")
     subjects = _read_barcodes(folder / BARCODES)
     remarks: dict[str, int] = {}
@@ -73,9 +75,9 @@ def _check_arguments(home: Pose, home_noise: float, seed: int) -> None:
     if not all(math.isfinite(value) for value in home):
         raise InputError("home must be three finite numbers: x [m], y [m], heading [rad]")
     if not (math.isfinite(home_noise) and home_noise >= 0):
-        raise InputError(f"home noise is {home_noise}; it must be finite and not negative")
+        raise InputError(f"home noise must be finite and not negative, not {home_noise}")
     if seed < 0:
-        raise InputError(f"seed is {seed}; it must not be negative")
+        raise InputError(f"seed must not be negative, not {seed}")
 
 
 def mrclam_command(folder: Path) -> str:
@@ -154,5 +156,7 @@ def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None
 def _whole(table: Table, name: str) -> list[int]:
     """Return column `name`, which must contain whole numbers."""
     values = table[name]
-    table.require(name, (values % 1 == 0) & (np.abs(values) < 2**53), "but must be a whole number")
+    table.require(
+        name, (values % 1 == 0) & (np.abs(values) < 2**53), "must be a whole number, not {}"
+    )
     return [int(value) for value in values.tolist()]

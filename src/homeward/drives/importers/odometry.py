@@ -21,7 +21,7 @@ from homeward.drives.wheels import (
     PAIR,
     missing_geometry,
     of_wheels,
-    speeds_from_positions,
+    wheel_speeds,
 )
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
@@ -49,9 +49,10 @@ def imported_odometry(
     by_role = {one.column.role: one for one in columns}
     if wheels != Wheels() and not by_role.keys() & {*WHEELS, *MODULES, "steering"}:
         raise InputError(
-            "--wheels is not needed: the odometry does not come from wheels; give their columns, "
-            "as in --columns 'left_wheel=A, right_wheel=B', or leave it out",
+            "not needed: the odometry does not come from wheels",
             table.file,
+            part="--wheels",
+            advice="leave it out, or give columns, as in --columns 'left_wheel=A, right_wheel=B'",
         )
     table = sorted_by_time(table, "odometry", remarks)
     for role in [role for role in table.columns if role.endswith("_step")] + ["distance", "turn"]:
@@ -93,10 +94,7 @@ def _of_wheels(
         _refuse_unit(left, f"{name!r} may be in m/s, or in rad/s as wheel_radius is given")
     _require(missing_geometry(wheels, names, unit), columns, table)
     t, values = table["t"], np.stack([table[one.column.role] for one in columns], axis=1)
-    if role == "speed":
-        speeds = wheels.metres(unit) * values
-    else:
-        speeds = speeds_from_positions(t, values, wheels, unit, remarks)
+    speeds = wheel_speeds(t, values, wheels, unit, remarks, are_positions=role != "speed")
     moved = speeds[:-1] * np.diff(t)[:, None]
     if role == "wheel" and not left.column.is_specified and not any(map(accumulates, moved.T)):
         steps, positions = (
@@ -104,9 +102,9 @@ def _of_wheels(
             for what in ("step", "wheel")
         )
         raise InputError(
-            f"{name!r} and {right.column.name!r} do not accumulate: if they are steps from row to "
-            f"row, use --columns '{steps}', otherwise '{positions}'",
+            f"{name!r} and {right.column.name!r} do not accumulate",
             table.file,
+            advice=f"use --columns '{steps}' for steps from row to row, otherwise '{positions}'",
         )
     if names != PAIR:
         return of_wheels(t, speeds, names, wheels, remarks)
@@ -126,15 +124,16 @@ def _require(missing: Sequence[str], columns: Iterable[ImportedColumn], table: T
         names = " and ".join(f"{c.column.name!r} [{c.unit}]" for c in columns)
         example = ",".join(f"{key}={EXAMPLE[key]}" for key in missing)
         raise InputError(
-            f"odometry from {names} requires {', '.join(missing)} (SI units), as in --wheels "
-            f"{example}",
+            f"odometry from {names} requires {', '.join(missing)} (SI units)",
             table.file,
+            advice=f"give them, as in --wheels {example}",
         )
 
 
 def _refuse_unit(one: ImportedColumn, problem: str) -> NoReturn:
     column, unit = one.column, "rad/s" if one.column.role.endswith("speed") else "rad"
     raise InputError(
-        f"{problem}; give its unit, as in --columns '{column.role}={column.name}[{unit}]'",
+        problem,
         one.table.file,
+        advice=f"give its unit, as in --columns '{column.role}={column.name}[{unit}]'",
     )

@@ -212,9 +212,9 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
             return unit, "guessed: whole numbers" if unit == "ticks" else "guessed"
         if column.quantity == "wheel":
             raise InputError(
-                f"{column.name!r} may be in ticks, rad or m; give its unit, as in --columns "
-                f"'{column.role}={column.name}[rad]'",
+                f"{column.name!r} may be in ticks, rad or m",
                 table.file,
+                advice=f"give its unit, as in --columns '{column.role}={column.name}[rad]'",
             )
     if column.role == "range" and largest > MAX_LENGTH:
         return "mm", f"guessed: more than {MAX_LENGTH:g}"
@@ -241,9 +241,9 @@ def _unit(table: Table, column: Column, clock: str | None, angle: str | None) ->
         return angle, "as bearings"
     if column.si == "m/s" and largest > MAX_SPEED:
         raise InputError(
-            f"{column.name!r} reaches {largest:.6g}, too fast for m/s; give its unit, as in "
-            f"--columns '{column.role}={column.name}[mm/s]'",
+            f"{column.name!r} reaches {largest:.6g}, too fast for m/s",
             table.file,
+            advice=f"give its unit, as in --columns '{column.role}={column.name}[mm/s]'",
         )
     return column.si, "guessed"
 

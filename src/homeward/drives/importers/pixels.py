@@ -188,9 +188,10 @@ def with_pixels(
     used = [c.name for role, c in columns.items() if role in PIXEL_ROLES]
     if not cameras and "fx" not in columns:
         raise InputError(
-            f"{', '.join(map(repr, used[:2]))}{', ...' * (len(used) > 2)} are pixels, which need "
-            "the camera's intrinsics; add --camera FILE (a calibration), or columns fx and cx",
+            f"{', '.join(map(repr, used[:2]))}{', ...' * (len(used) > 2)} are "
+            "pixels, which need the camera's intrinsics",
             one.path,
+            advice="add --camera FILE (a calibration), or columns fx and cx",
         )
     columns = _decided(one, columns, cameras, like)
     table = _read(one, columns)
@@ -198,11 +199,11 @@ def with_pixels(
     tilted = any(any(lens.distortion) or lens.pitch or lens.roll for lens in lenses.values())
     if len(used) == 1 and tilted:
         problem = "only columns of pixels, but the camera has distortion or tilt"
-        raise InputError(f"{problem}; add their rows, as in --columns row=v", one.path)
+        raise InputError(problem, one.path, advice="add their rows, as in --columns row=v")
     join = columns["column"].join if "column" in columns else ""
     is_share = bool(join) and all(np.nanmax(table[r], initial=0.0) <= 1.0 for r in POINT)
     if wrong := _problem(table, lenses, is_share):
-        raise InputError(wrong[0], one.path, wrong[1])
+        raise wrong
     source = "--camera" if cameras else "fx, cx"
     pixels = Pixels(lenses, source, join=join, is_share=is_share)
     if "row0" in columns:
@@ -281,8 +282,11 @@ def _decided(
 def _doubtful(one: Sheet, names: Iterable[str]) -> InputError:
     """Return the error for x and y along with a size: they may be the centre or a corner."""
     x, y = names
-    problem = f"{x!r} and {y!r} may be the centre or a corner of a box"
-    return InputError(f"{problem}; of centres, use --columns 'column={x}, row={y}'", one.path)
+    return InputError(
+        f"{x!r} and {y!r} may be the centre or a corner of a box",
+        one.path,
+        advice=f"use --columns 'column={x}, row={y}' for centres",
+    )
 
 
 def _is_inside(one: Sheet, columns: dict[str, Column], cameras: Calibrations) -> bool:
@@ -342,9 +346,9 @@ def _lenses(table: Table, cameras: Calibrations) -> Calibrations:
     rest = [name for name in rows if name not in cameras]
     if len(rest) > ("" in cameras):
         raise InputError(
-            f"pixels of cameras without a calibration: {listing([quoted(n) for n in rest], 3)}; add"
-            " --camera NAME=FILE for each; --camera FILE is for rows without a name",
+            f"pixels of cameras without a calibration: {listing([quoted(n) for n in rest], 3)}",
             table.file,
+            advice="add --camera NAME=FILE for each; --camera FILE is for rows without a name",
         )
     return {name: cameras[name if name in cameras else ""] for name in rows}
 
@@ -357,7 +361,7 @@ def _lens_of(table: Table) -> Lens:
             values = table[role]
             known[role] = float(next(iter(values[np.isfinite(values)]), 0.0))
             same = np.isnan(values) | (values == known[role])
-            table.require(role, same, "other than before; write a table for each camera")
+            table.require(role, same, "must be the same in all rows of a camera, not {}")
     known.setdefault("fy", known["fx"])
     if "cy" not in known:  # the bearing of a level camera does not depend on it
         rows = _pixels(table)[1]
@@ -396,7 +400,9 @@ def _order(table: Table) -> tuple[int, ...]:
             along = np.stack([_cross(b - a, d - b), _cross(b - a, c - a)]) / _cross(c - a, d - b)
         shares.append(float(np.mean(((along > 0) & (along < 1)).all(axis=0))))
     if max(shares) < MIN_SHARE * np.isfinite(corners).all(axis=(1, 2)).mean():
-        raise InputError("corners are in no order round the tags; check their columns", table.file)
+        raise InputError(
+            "corners are in no order round the tags", table.file, advice="check their columns"
+        )
     return ORDERS[int(np.argmax(shares))]
 
 
@@ -404,10 +410,8 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.asarray(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
 
 
-def _problem(
-    table: Table, lenses: Calibrations, is_share: bool = False
-) -> tuple[str, int | None] | None:
-    """Return why values are no pixels of their camera's image, and the row; None if they are."""
+def _problem(table: Table, lenses: Calibrations, is_share: bool = False) -> InputError | None:
+    """Return the error of values that are no pixels of their camera's image; None if they are."""
     parts = [(table.rows(use), lenses[name]) for name, use in _by_camera(table.columns)]
     if is_share:
         parts = [(replace(p, columns=_in_pixels(p.columns, lens)), lens) for p, lens in parts]
@@ -415,7 +419,7 @@ def _problem(
     return next((problem for problem in found if problem), None)
 
 
-def _problem_of_one(table: Table, lens: Lens) -> tuple[str, int | None] | None:
+def _problem_of_one(table: Table, lens: Lens) -> InputError | None:
     """Return what `_problem` returns, of the rows of one camera."""
     u, v = _pixels(table)
     width, height = lens.width or 2.0 * lens.cx, lens.height or 2.0 * lens.cy
@@ -426,15 +430,17 @@ def _problem_of_one(table: Table, lens: Lens) -> tuple[str, int | None] | None:
         k, corner = np.argwhere(outside)[0]
         place = f"({u[k, corner]:g}, {v[k, corner]:g})"
         problem = f"the pixel {place} is outside the calibrated image, {image}"
-        return f"{problem}; calibrate for the size of the images", int(table.row[k])
+        row, advice = int(table.row[k]), "calibrate for the size of the images"
+        return InputError(problem, table.file, row, advice=advice)
     reach = float(np.nanmax(share, initial=0.0))
     if not np.isfinite(u).any():
         return None
     if reach < MIN_REACH:
         largest = np.nanmax([u, v], initial=0.0)
-        return f"values up to {largest:g} are no pixels of an image of {image}; give pixels", None
+        problem = f"values up to {largest:g} are no pixels of an image of {image}"
+        return InputError(problem, table.file, advice="give pixels")
     if lens.width and reach < QUARTER and len(table) >= MIN_ROWS:
         problem = f"all pixels are in the first quarter of the calibrated image, {image}"
         advice = "calibrate for the size of the images, or remove the size from the calibration"
-        return f"{problem}; {advice}", None
+        return InputError(problem, table.file, advice=advice)
     return None

@@ -72,7 +72,9 @@ def position_columns(
     """Return the columns of detections or home bearings given as positions; None without them."""
     given = {c.role for c in specified if c.name in names}.intersection(POSITION_ROLES)
     if given and ("forward" not in given or len(given) != 2):
-        raise InputError("--columns: a position requires the role forward and either left or right")
+        raise InputError(
+            "a position requires the role forward and either left or right", part="--columns"
+        )
     required = [role for role in KINDS[kind] if role != "bearing"]
     places = [place for place in PLACES if given <= set(place)]
     optional = ("z", "camera", "up")
@@ -84,8 +86,8 @@ def position_columns(
     if len({_point(c.name, c.role) for c in chosen}) > 1:
         shown = " and ".join(repr(c.name) for c in chosen)
         raise InputError(
-            f"{shown} may belong to different points; give the position, as in --columns "
-            "'forward=COLUMN, left=COLUMN'"
+            f"{shown} may belong to different points",
+            advice="give the position, as in --columns 'forward=COLUMN, left=COLUMN'",
         )
     return columns
 
@@ -164,9 +166,9 @@ def _axes_of(
     """Return the axes according to frame ids, else to the spread of coordinates."""
     if fixed := frames.intersection(FIXED_FRAMES):
         raise InputError(
-            f"positions are in the fixed frame {quoted(min(fixed))}; import requires them relative "
-            "to the camera or the robot",
+            f"positions are in the fixed frame {quoted(min(fixed))}",
             one.path,
+            advice="give them relative to the camera or the robot",
         )
     by_data = axes_by_spread(values)
     known = f"frame {quoted(min(frames))}" if frames else ""

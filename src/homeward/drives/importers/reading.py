@@ -113,13 +113,11 @@ def _understood(
     for kind in KINDS:
         mine = [part for part in parts if part.kind == kind]
         for extra in mine[1:]:
-            advice = f"; give its roles, as in --columns '{extra.sheet.path.name}: t=1, ...'"
+            advice = f"give its roles, as in --columns '{extra.sheet.path.name}: t=1, ...'"
             if not extra.sheet.headless:
-                advice = (
-                    f"; leave one out, or use --as {extra.sheet.path.name}=KIND for another kind,"
-                    " such as home"
-                )
-            raise InputError(f"a second file with {kind}{advice}", extra.sheet.path)
+                name = extra.sheet.path.name
+                advice = f"leave one out, or use --as {name}=KIND for another kind, such as home"
+            raise InputError(f"a second file with {kind}", extra.sheet.path, advice=advice)
         for part in mine:
             others = [p for p in parts if p.sheet is part.sheet and p.kind != "tilt"]
             part.is_alone = len(others) == 1
@@ -149,16 +147,16 @@ def _refuse_drives(path: Path) -> None:
     """Refuse a folder, or a log, which needs no import, with the command to use instead."""
     if is_log(path):
         ways = f"`homeward run {path}`, or `homeward convert {path} my_drive` for a drive folder"
-        raise InputError(f"a log ({Log(path).kind}) needs no import: use {ways}", path)
+        raise InputError(f"a log ({Log(path).kind}) needs no import", path, advice=f"use {ways}")
     if not path.is_dir():
         return
     if not any(recognises(path) for recognises in (*KINDS_OF_DRIVES.values(), is_mrclam)):
         files: Sequence[object] = tables_in(path) or ["FILE", "..."]
         way = command("import", *files, "--out", f"out/{path.resolve().name}")
-        raise InputError(f"a folder, not a text file; give the files in it: `{way}`", path)
+        raise InputError("a folder, not a text file", path, advice=f"give the files in it: `{way}`")
     kind = kind_of(path)
     way = command("run" if kind == DRIVE_FOLDER else "info", path)
-    raise InputError(f"a {kind.partition(' (')[0]} needs no import: use `{way}`", path)
+    raise InputError(f"a {kind.partition(' (')[0]} needs no import", path, advice=f"use `{way}`")
 
 
 def drive_of(
@@ -179,8 +177,8 @@ def drive_of(
             needs = ", ".join(KINDS[kind]) + OTHER_SOURCES.get(kind, "")
             label = kind.replace("home", "home bearings")
             raise InputError(
-                f"no {label} found: no file has the columns {needs}. "
-                "If the names of columns were not recognised, give their roles with --columns"
+                f"no {label} found: no file has the columns {needs}",
+                advice="give roles with --columns if the names of columns were not recognised",
             )
     if "tilt" not in tables:  # without use
         columns = {n: c for n, c in tables["bearings"].columns.items() if n != "elevation"}
@@ -280,10 +278,11 @@ def _kinds(texts: Sequence[str], there: Collection[str]) -> dict[str, str]:
         file, _, kind = text.rpartition("=")
         name = Path(file.strip()).name
         if kind.strip() not in AS or name not in there:
-            problem = (
-                f"no file {name!r}" if kind.strip() in AS else f"KIND is one of {', '.join(AS)}"
+            raise InputError(
+                f"no file {name!r}" if kind.strip() in AS else "must be FILE=KIND",
+                part=f"--as {text}",
+                advice=f"use one of the files, and one of {', '.join(AS)}",
             )
-            raise InputError(f"--as {text}: must be FILE=KIND; {problem}")
         found[name] = AS[kind.strip()]
     return found
 
@@ -306,9 +305,10 @@ def _without_dead_reckoning(drive: Drive, path: Path) -> Drive:
     if drift > MAX_DRIFT * length:
         if "odom" in file.lower():
             raise InputError(
-                f"poses that deviate by up to {drift:.3g} m from the other odometry; leave one of "
-                f"the files out, or use --as {file}=truth if the poses are ground truth",
+                f"poses that deviate by up to {drift:.3g} m from the other odometry",
                 path,
+                advice=f"leave one of the files out, or use --as {file}=truth if the "
+                "poses are ground truth",
             )
         return drive
     remarks = {EQUAL_POSES.format(file, drift): t.size} | {

@@ -103,7 +103,7 @@ def parts_of(
             if gyro is not None:
                 parts.append(Part(one, "gyro", gyro))
             elif kind is not None or _tilt_of(one, mine, ()) is None:
-                raise InputError(_not_recognised(one, kind, mine), one.path)
+                raise _not_recognised(one, kind, mine)
     _find_odometry(parts, kinds or {})
     if all(part.kind != "tilt" for part in parts):
         for one in sheets:
@@ -211,7 +211,7 @@ def _refuse_headings(one: Sheet, bearing: Column, others: str) -> None:
     if not bearing.is_specified and matches(bearing.name, "heading"):
         problem = f"{bearing.name!r} may be the bearing or the heading of a landmark"
         roles = f"'bearing={bearing.name}', or the roles {others}"
-        raise InputError(f"{problem}; use --columns {roles}", one.path)
+        raise InputError(problem, one.path, advice=f"use --columns {roles}")
 
 
 def _pixels(one: Sheet, mine: Sequence[Column], cameras: Calibrations) -> dict[str, Found]:
@@ -265,24 +265,23 @@ def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
             part.source = axes
     if cameras and not any(isinstance(part.source, Pixels) for part in parts):
         raise InputError(
-            "--camera is not used: no table has pixels instead of bearings; give their columns, as "
-            "in --columns 'column=u, row=v'"
+            "--camera is not used: no table has pixels instead of bearings",
+            advice="give their columns, as in --columns 'column=u, row=v'",
         )
 
 
-def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> str:
-    """Return the message for a table that is no part of a drive, or not of the specified kind."""
+def _not_recognised(one: Sheet, kind: str | None, mine: Sequence[Column]) -> InputError:
+    """Return the error of a table that is no part of a drive, or not of the specified kind."""
     if kind is not None:
         words = ", ".join(map(repr, one.names[:MAX_SHOWN]))
-        return f"--as {one.path.name}={kind}: its columns {words} have no {', '.join(KINDS[kind])}"
+        problem = f"its columns {words} have no {', '.join(KINDS[kind])}"
+        return InputError(problem, one.path, part=f"--as {one.path.name}={kind}")
     names, file = one.names, f"{one.path.name}: " if one.headless else ""
     *most, last = (f"{words} ({needs})" for words, needs in RECOGNISED.items())
     shown = ", ".join(map(repr, names[:MAX_SHOWN]))
     more = f", ... ({len(names):,} in all)" if len(names) > MAX_SHOWN else ""
-    return (
-        f"not recognised as {', '.join(most)} or {last}. Its columns are {shown}{more}: "
-        f"{_missing_roles(one, mine, file)}"
-    )
+    problem = f"not recognised as {', '.join(most)} or {last}: its columns are {shown}{more}"
+    return InputError(problem, one.path, advice=_missing_roles(one, mine, file))
 
 
 def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
@@ -304,10 +303,7 @@ def _missing_roles(one: Sheet, mine: Sequence[Column], file: str) -> str:
         f"{role}={name}" for role, name in zip(missing, [*free, *"ABCD"], strict=False)
     )
     known = ", ".join(f"{role} ({name})" for role, name in found[kind].items())
-    return (
-        f"for {kind} with {known}, {' and '.join(missing)} is missing; give its column, as in "
-        f"--columns '{file}{roles}'"
-    )
+    return f"give {' and '.join(missing)}, as in --columns '{file}{roles}', for {kind} with {known}"
 
 
 def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:
@@ -325,8 +321,8 @@ def _find_odometry(parts: Sequence[Part], kinds: Mapping[str, str]) -> None:
     if len(unknown) > 1 and len(candidates) != 1:
         files = " and ".join(part.sheet.path.name for part in unknown)
         raise InputError(
-            f"{files} have poses, and either may be the odometry: use --as FILE=odometry for one, "
-            "and --as FILE=truth for ground truth"
+            f"{files} have poses, and either may be the odometry",
+            advice="use --as FILE=odometry for one, and --as FILE=truth for ground truth",
         )
     for part in unknown:
         part.kind = "odometry" if part in candidates else "truth"

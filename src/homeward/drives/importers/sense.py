@@ -32,7 +32,7 @@ NOT_DECIDED = (
 )
 WRONG_WAY = (
     "the odometry turns the wrong way: its yaw rates and the bearings have opposite signs in {:,} "
-    "intervals, and {} show which side is left. {}"
+    "intervals, and {} show which side is left"
 )
 
 
@@ -82,13 +82,13 @@ def require_imported_senses(drive: Drive, found: Sequence[ImportedColumn]) -> Se
         if any(one.column.is_specified for one in odometry):
             return decided
         advice = _other_way({one.column.role: one.column.name for one in odometry})
-        problem = WRONG_WAY.format(decided.intervals, sided, advice)
-        raise InputError(problem, odometry[0].table.file)
+        problem = WRONG_WAY.format(decided.intervals, sided)
+        raise InputError(problem, odometry[0].table.file, advice=advice)
     given = [u.column for u in seen if u.column.role in ("forward", *LATERAL)]
     given = [c for c in given if c.role != "bearing" or len(given) == 1]
     keep = ", ".join(f"{c.role}={c.name.partition(' ... ')[0]}" for c in given)
-    advice = f"To import them all the same, use --columns '{keep}'"
-    raise InputError(f"{decided.problem}. {advice}", seen[0].table.file)
+    advice = f"use --columns '{keep}' to import them all the same"
+    raise InputError(decided.problem, seen[0].table.file, advice=advice)
 
 
 def _other_way(columns: Mapping[str, str]) -> str:
@@ -100,12 +100,12 @@ def _other_way(columns: Mapping[str, str]) -> str:
         )
         same = ", ".join(f"{role}={columns[role]}" for pair in pairs for role in pair)
         return (
-            f"If the left and right encoders are exchanged, use --columns '{exchanged}'; if they "
-            f"are right, '{same}'"
+            f"use --columns '{exchanged}' if the left and right encoders are exchanged, or "
+            f"'{same}' if they are right"
         )
     role = next((r for r in ("omega", "turn", "steering", "heading") if r in columns), "omega")
     name = columns.get(role, "COLUMN")
-    return f"Change the sign with --columns '{role}=-{name}'; if it is right, '{role}={name}'"
+    return f"change the sign with --columns '{role}=-{name}', or use '{role}={name}' if it is right"
 
 
 def is_fixed(columns: Sequence[ImportedColumn]) -> bool:

@@ -176,10 +176,13 @@ def _number(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) ->
 def _decimal(name: str, cells: Sequence[str], rows: Sequence[int], path: Path) -> np.ndarray:
     for cell, row in zip(cells, rows, strict=True):
         if THOUSANDS.fullmatch(cell.strip()):
-            problem = (
-                "with a point, but other numbers have a decimal comma; remove thousands separators"
+            raise InputError(
+                f"{quoted(cell)} has a point, but other numbers have a decimal comma",
+                path,
+                row,
+                part=name,
+                advice="remove thousands separators",
             )
-            raise InputError(f"{name} is {quoted(cell)}, {problem}", path, row)
     plain = [c.replace(".", "").replace(",", ".") if "," in c else c for c in cells]
     return _number(name, plain, rows, path)
 
@@ -189,8 +192,8 @@ def _unix(cell: str, name: str, row: int, path: Path) -> str:
     try:
         time = datetime.fromisoformat(cell.strip().replace(",", "."))
     except ValueError as error:
-        problem = "neither a number nor a time like 2026-11-23 12:00:00.5"
-        raise InputError(f"{name} is {quoted(cell)}, {problem}", path, row) from error
+        problem = f"must be a number or a time like 2026-11-23 12:00:00.5, not {quoted(cell)}"
+        raise InputError(problem, path, row, part=name) from error
     return repr((time if time.tzinfo else time.replace(tzinfo=UTC)).timestamp())
 
 
@@ -320,9 +323,11 @@ def _refuse_other_formats(begin: bytes, path: Path) -> None:
     plain = b"".join(begin[:64].split())
     for starts, what, advice in FORMATS:
         if begin.startswith(starts) or plain.startswith(starts):
-            raise InputError(f"{what}, not a text table; {advice}", path)
+            raise InputError(f"{what}, not a text table", path, advice=advice)
     if b"\0" in begin:
-        raise InputError("a binary file, not a text table; export its data as a CSV file", path)
+        raise InputError(
+            "a binary file, not a text table", path, advice="export its data as a CSV file"
+        )
 
 
 def _delimiter(rows: Sequence[str], path: Path) -> tuple[str, int]:

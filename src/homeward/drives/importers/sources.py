@@ -39,9 +39,9 @@ def text_files(files: Sequence[Path]) -> Iterator[list[Path]]:
         try:
             yield found
         except InputError as error:
-            if error.file not in origins:
-                raise
-            raise InputError(error.what, origins[error.file], error.row) from error
+            if error.file is not None:
+                error.file = origins.get(error.file, error.file)
+            raise
 
 
 def _tables(path: Path) -> Mapping[str, Mapping[str, Sequence[Any]]] | None:

@@ -37,6 +37,7 @@ from homeward.drives.ros.topics.by_fields import candidates, first_frame, shown,
 from homeward.drives.ros.topics.choosing import (
     LASER_SCAN,
     NO_IDS_IN_SCAN,
+    OTHER_THAN_SCAN,
     USES,
     choose,
     use_of,
@@ -280,7 +281,7 @@ def _candidates(known: TopicSurvey) -> Iterator[str]:
         if any(wildcard_part(pattern, topic.name) for pattern in patterns):
             continue
         if topic.type == LASER_SCAN:
-            yield f"{topic.name} {NO_IDS_IN_SCAN}."
+            yield f"{topic.name}: {NO_IDS_IN_SCAN}; {OTHER_THAN_SCAN}."
         elif words := use_of(topic.type):
             first = known.kept[topic.name]
             try:

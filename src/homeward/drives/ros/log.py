@@ -157,7 +157,7 @@ class Log:
     def _remark_cut(self, file: Path, kind: Kind, count: int, at: int, size: int) -> None:
         """Add a remark about an incomplete file; `InputError` if it has no readable message."""
         if not count and not self.cut_short:
-            raise InputError(f"damaged: no readable message; {kind.repair}", file)
+            raise InputError("damaged: no readable message", file, advice=kind.repair)
         self.cut_short.setdefault(
             f"messages read from {quoted(file.name)}, which is incomplete (not closed or cut off) "
             f"or damaged: up to byte {at:,} of {size:,}; {kind.repair}",
@@ -211,20 +211,21 @@ class Log:
             else:  # it may still write answers to this request
                 _end(process)
         if answer[0] == "damaged":
-            advice = f"; {repair}" if repair else ""
-            raise InputError(f"damaged or incomplete: {one_line(answer[1])}{advice}", file)
+            problem = f"damaged or incomplete: {one_line(answer[1])}"
+            raise InputError(problem, file, advice=repair or None)
         if answer[0] == "memory":
             raise InputError(
-                f"unpacks to more than the limit, or needs more than {memory / 2**30:.0f} GiB of "
-                "memory; split the recording if you trust it",
+                "unpacks to more than the limit, or needs more than "
+                f"{memory / 2**30:.0f} GiB of memory",
                 file,
+                advice="split the recording if you trust it",
             )
         if answer[0] == "died":
             if process.returncode == -getattr(signal, "SIGXCPU", 0):
                 problem = f"takes more than {seconds:.0f} s of processor time"
             else:
                 problem = f"crashes the process that reads it (status {process.returncode})"
-            raise InputError(f"{problem}; split the recording if you trust it", file)
+            raise InputError(problem, file, advice="split the recording if you trust it")
 
 
 _idle: defaultdict[int, list[subprocess.Popen[bytes]]] = defaultdict(list)
@@ -288,7 +289,8 @@ def _about(file: Path) -> Iterator[None]:
         with naming(file, "cannot be read"):
             yield
     except InputError as error:
-        raise InputError(error.what, file) from error
+        error.file = file
+        raise
 
 
 def _require_few(count: int, size: int, file: Path) -> None:
@@ -310,13 +312,15 @@ def _kind(path: Path) -> Kind:
         if first.startswith(magic):
             return kind
     if first.startswith(OLDER_ROSBAG):
-        raise InputError("a ROS bag of a format before 2.0; convert it with rosbag fix", path)
+        raise InputError(
+            "a ROS bag of a format before 2.0", path, advice="convert it with rosbag fix"
+        )
     if first.startswith(LCM):
         raise InputError(
-            "an LCM event log, which does not contain the definitions of its messages: export its "
-            "channels to CSV files (lcm.EventLog in Python; docs/do/csv.md), then use homeward "
-            "import",
+            "an LCM event log, which does not contain the definitions of its messages",
             path,
+            advice="export its channels to CSV files (lcm.EventLog in Python; "
+            "docs/do/csv.md), then use homeward import",
         )
     raise InputError("neither a ROS bag, an MCAP file nor a .wpilog file", path)
 
@@ -338,7 +342,9 @@ def _contents(path: Path) -> tuple[list[Path], bool]:
         raise InputError("relative_file_paths is not a list of files", file)
     if mode and metadata.get("compression_format") not in ("zstd", "", None):
         compression = quoted(str(metadata["compression_format"]))
-        raise InputError(f"compression_format {compression} is not supported; use zstd", file)
+        raise InputError(
+            f"compression_format {compression} is not supported", file, advice="use zstd"
+        )
     # File names only: a bag must not refer to files outside its folder.
     files = [path / PurePath(name).name for name in names]
     for name in files:

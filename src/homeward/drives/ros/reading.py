@@ -128,7 +128,7 @@ class _Reading:
             names = {topic.name for topic in known.topics}
             of_tf = "; for the transforms odom -> base_link, use odometry: {topic: /tf}"
             advice = "homeward info lists the topics" + of_tf * (TF in names)
-            raise InputError(f"no topic with odometry; {advice}")
+            raise InputError("no topic with odometry", advice=advice)
         self._settings, epoch = self._drive_settings()
         self._clock = MessageTimes(known, plan, epoch)
         self._remarks = Remarks()
@@ -208,8 +208,8 @@ class _Reading:
         for given, by_frame in zip(self._plan.bearings, self._seen, strict=True):
             if given.frames and not by_frame:
                 raise InputError(
-                    f"no frame in {given.topic} matches {given.frames}; homeward info without a "
-                    "topics file lists the frames that look like tags"
+                    f"no frame in {given.topic} matches {given.frames}",
+                    advice="run homeward info without a topics file to list frames of tags",
                 )
         self._cameras = [
             TopicSightings(frame, rows)
@@ -308,11 +308,14 @@ class _Reading:
                         t = clock.time(message, part)
                         for handle in self._handlers[topic]:
                             handle(t, part)
+                except InputError as error:
+                    error.at(part=topic)
+                    raise
                 except (AttributeError, TypeError, ValueError, IndexError) as error:
                     # The definition in the log lacks a field, or has another type of it.
                     kind = quoted(message.channel.type)
-                    problem = f"{topic}: the fields of its {kind} differ from the known type"
-                    raise InputError(problem) from error
+                    problem = f"the fields of its {kind} differ from the known type"
+                    raise InputError(problem, part=topic) from error
             if on_progress is not None and number % 500 == 0:
                 on_progress((1 + log.done) / 2)
 

@@ -103,7 +103,7 @@ def writing(path: Path) -> Iterator[LogFile]:
     exists or cannot be written.
     """
     if is_there(path):
-        raise InputError("exists already; choose another name", path)
+        raise InputError("exists already", path, advice="choose another name")
     with naming(path, "cannot be written"):
         try:
             with whole_file(path) as made:
@@ -150,7 +150,7 @@ def _require_writable(drive: Drive, path: Path) -> None:
     require_one_camera(drive, "logs hold the bearings of one camera; write a drive folder", path)
     odometry = drive.odometry
     if odometry.moves_sideways:
-        raise InputError("logs hold no sideways speed; write a drive folder", path)
+        raise InputError("logs hold no sideways speed", path, advice="write a drive folder")
     unknown = np.isnan(odometry.v) & np.isnan(odometry.omega)
     arrays = [odometry.t, odometry.v[~unknown], odometry.omega[~unknown]]
     arrays += [drive.sightings.t, drive.sightings.bearing]

@@ -44,7 +44,8 @@ def decoded_grey(stream: IO[bytes], path: Path) -> np.ndarray:
                 _check(image)
                 return _grey(_upright(image))
     except InputError as error:
-        raise InputError(error.what, path) from None
+        error.at(path)
+        raise
     except UnidentifiedImageError:
         raise InputError("not an image in a readable format", path) from None
     except Image.DecompressionBombError:

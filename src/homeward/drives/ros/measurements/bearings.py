@@ -60,8 +60,7 @@ def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sigh
     for path, number in ((layout.id, len(ids)), (layout.sigma, len(extra.get("sigma", places)))):
         if number != len(places):
             raise InputError(
-                f"{given.topic}: a message has {number} values of {path} and {len(places)} of "
-                f"{layout.place}"
+                f"a message has {number} values of {path} and {len(places)} of {layout.place}",
             )
     axes = _axes(message, given, layout) if layout.position else ""
     scale = scale_of(layout)
@@ -182,8 +181,8 @@ def _axes(message: Any, given: BearingsTopic, layout: Layout) -> str:
     frame = frame_of(message)
     if not layout.axes and frame in FIXED_FRAMES:
         raise InputError(
-            f"{given.topic}: its points are in the fixed frame {frame}, so they are no bearings; "
-            "use a topic with points in the frame of the camera"
+            f"its points are in the fixed frame {frame}, so they are no bearings",
+            advice="use a topic with points in the frame of the camera",
         )
     return given.axes or layout.axes or axes_of(frame, given)
 

@@ -92,8 +92,10 @@ class Transforms:
                 path = [*here][: [*here].index(above)] + [*there][: [*there].index(above)]
                 if moving := self._moving.intersection(path):
                     raise InputError(
-                        f"{TF}: {min(moving)} moves between {frame} and {base}, but the camera "
-                        "extrinsics must be constant: use a camera that is fixed on the robot"
+                        f"{min(moving)} moves between {frame} and {base}, but "
+                        "the camera extrinsics must be constant",
+                        part=TF,
+                        advice="use a camera that is fixed on the robot",
                     )
                 turn, shift = there[above]
                 return place.after(Placed(turn.T, -turn.T @ shift))
@@ -106,7 +108,7 @@ class Transforms:
         while frame in self._parents:
             parent, place = self._parents[frame]
             if parent in found:
-                raise InputError(f"{TF_STATIC}: the frames form a loop through {parent}")
+                raise InputError(f"the frames form a loop through {parent}", part=TF_STATIC)
             found[parent] = found[frame].after(place)
             frame = parent
         return found
@@ -153,7 +155,7 @@ def _rotation(q: Any) -> np.ndarray:
     """Return the matrix (3, 3) of a quaternion."""
     parts = np.array([q.x, q.y, q.z, q.w], float)
     if not 0.0 < parts @ parts < math.inf:
-        raise InputError(f"{TF_STATIC}: a quaternion is zero or not finite")
+        raise InputError("a quaternion is zero or not finite", part=TF_STATIC)
     return np.asarray(Rotation.from_quat(parts).as_matrix())
 
 
@@ -204,8 +206,10 @@ def extrinsics(
     if lacking:
         advice = "add sensor: {x: ..., y: ..., yaw: ...} to its topic in the topics file"
         raise InputError(
-            f"{lacking[0].name} is one of several cameras and has no extrinsics: {advice}, or "
-            f"record {TF_STATIC} and name the robot's frame there, as in mount: {{base: base_link}}"
+            "one of several cameras, without extrinsics",
+            part=lacking[0].name,
+            advice=f"{advice}, or record {TF_STATIC} and name the robot's frame there, as in "
+            "mount: {base: base_link}",
         )
     (first, *_), mounts = cameras, [mount for mount in found if mount is not None]
     for camera, own in zip(cameras, mounts, strict=True):

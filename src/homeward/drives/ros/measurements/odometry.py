@@ -34,7 +34,7 @@ from homeward.drives.wheels import (
     PAIR,
     missing_geometry,
     of_wheels,
-    speeds_from_positions,
+    wheel_speeds,
 )
 from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
@@ -96,10 +96,7 @@ class JointRows:
         """Return the odometry of `row` of all messages, (n, k), at `t` (n,) [s]."""
         given = self._given
         unit = "rad" if given.ticks_per_turn is None else "ticks"
-        if self._by_position:
-            speeds = speeds_from_positions(t, rows, given, unit, remarks)
-        else:
-            speeds = given.metres(unit) * rows
+        speeds = wheel_speeds(t, rows, given, unit, remarks, self._by_position)
         return of_wheels(t, speeds, list(self._wheels.values()), given, remarks)
 
 
@@ -131,12 +128,14 @@ class OdometryRows:
             missing = ["modules"] if len(given.modules) < 2 else []
         if kind in WHEELS and missing:
             raise InputError(
-                f"{given.topic}: {quoted(kind)} needs {' and '.join(missing)} under odometry in "
-                "the topics file"
+                f"{quoted(kind)} needs {' and '.join(missing)} under odometry in the topics file",
+                part=given.topic,
             )
         if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
             raise InputError(
-                f"{given.topic}: {quoted(kind)} has no {given.use}; change use in the topics file"
+                f"{quoted(kind)} has no {given.use}",
+                part=given.topic,
+                advice="change use in the topics file",
             )
         paths = {role: path for role in TWIST if (path := getattr(given, role))}
         self._paths = paths if given.v and given.omega else MOTIONS.get(kind, {})
@@ -158,8 +157,8 @@ class OdometryRows:
     def _states(self, message: Any) -> tuple[float, ...]:
         if len(message.speeds) != len(self._given.modules):
             raise InputError(
-                f"{self._given.topic}: states of {len(message.speeds)} modules, but modules has"
-                f" {len(self._given.modules)} positions"
+                f"states of {len(message.speeds)} modules, but modules has "
+                f"{len(self._given.modules)} positions"
             )
         return *message.speeds, *message.angles
 
@@ -190,7 +189,7 @@ class OdometryRows:
             what = "message contains odometry"
             if self._kind in TRANSFORMS:
                 what = "transform from {} to {}; name the frames, as in frames: [odom, base_link]"
-            raise InputError(f"{self._given.topic}: no {what.format(*self._given.frames)}")
+            raise InputError(f"no {what.format(*self._given.frames)}", part=self._given.topic)
         rows = np.array(self._rows, float)
         if self._joints is not None:
             rows = self._clean(rows, remarks)
@@ -230,10 +229,11 @@ class OdometryRows:
         first = int(np.argmax(lacking))
         advice = "use: twist" if self._kind in TWISTS else "another topic"
         raise InputError(
-            f"{self._given.topic}: the orientation (quaternion) is zero in {int(lacking.sum()):,} "
-            f"of {place.size:,} messages, first in message {first + 1} at {columns['t'][first]:.3f}"
-            f" s; poses without a heading give no motion: set {advice} under odometry in a topics "
-            "file"
+            f"the orientation (quaternion) is zero in {int(lacking.sum()):,} of "
+            f"{place.size:,} messages, first in message {first + 1} at "
+            f"{columns['t'][first]:.3f} s; poses without a heading give no motion",
+            part=self._given.topic,
+            advice=f"set {advice} under odometry in a topics file",
         )
 
     def _by_twist(self, columns: Columns, remarks: Remarks) -> bool:

@@ -44,7 +44,7 @@ def clean_rows(
     remarks.count(NOT_FINITE.format(what), int((~finite).sum()))
     table = table[finite]
     if not len(table):
-        raise InputError(f"{topic}: no message contains {what} with finite numbers")
+        raise InputError(f"no message contains {what} with finite numbers", part=topic)
     kept = last_of_equal(table[in_order(table[:, 0], what, remarks)])
     remarks.count(repeats, len(table) - len(kept))
     return kept

@@ -94,7 +94,7 @@ class SightingRows:
             elif self.kind in CORNERS and counts[seen.landmark] > 1:
                 self._remarks.count(DUPLICATE)
             elif not is_identifier(name):
-                raise InputError(f"{self.given.topic}: {quoted(name)} is not a valid landmark id")
+                raise InputError(f"{quoted(name)} is not a valid landmark id")
             else:
                 self._t.append(t)
                 self._kept.append(seen._replace(landmark=name))
@@ -183,7 +183,9 @@ class SightingRows:
         camera = self._camera()
         if camera is None:
             raise InputError(
-                f"{self.given.topic}: points in an image need a camera model; add camera to the "
-                "topic in the topics file: a CameraInfo topic, a calibration file, or the model"
+                "points in an image need a camera model",
+                part=self.given.topic,
+                advice="add camera to the topic in the topics file: a CameraInfo topic, "
+                "a calibration file, or the model",
             )
         return camera.model_copy(update=self.given.tilt)

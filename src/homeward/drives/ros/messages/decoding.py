@@ -23,7 +23,7 @@ from homeward.drives.ros.log import Channel, Fields, one_line
 from homeward.drives.ros.messages import wpilib
 from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import PICTURES
-from homeward.errors import InputError
+from homeward.errors import InputError, naming_file
 from homeward.io.table import quoted
 
 MAX_DEFINITION = 2**16
@@ -59,14 +59,12 @@ class Decoder:
         `InputError` names the topic where the message does not match its type, or the type is
         unknown.
         """
-        if channel.encoding != "wpilog" and channel not in self._stores:
-            self._characters += len(channel.definition)
-            if self._characters > MAX_DEFINITIONS:
-                raise InputError(
-                    f"{channel.topic}: the message definitions of the log are too long"
-                )
-            self._stores[channel] = _store(channel)
         try:
+            if channel.encoding != "wpilog" and channel not in self._stores:
+                self._characters += len(channel.definition)
+                if self._characters > MAX_DEFINITIONS:
+                    raise InputError("the message definitions of the log are too long")
+                self._stores[channel] = _store(channel)
             if len(data) > MAX_MESSAGE:
                 raise ValueError(f"{len(data)} bytes; the limit is {MAX_MESSAGE}")
             if channel.encoding == "wpilog":
@@ -74,6 +72,9 @@ class Decoder:
             if channel.encoding == "ros1":
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
             return self._stores[channel].deserialize_cdr(bytes(data), channel.type)
+        except InputError as error:
+            error.at(part=channel.topic)
+            raise
         except (
             SerdeError,
             ValueError,
@@ -83,8 +84,8 @@ class Decoder:
             struct.error,
         ) as error:
             raise InputError(
-                f"{channel.topic}: a message does not match its type {channel.type}: "
-                f"{one_line(error)}"
+                f"a message does not match its type {channel.type}: {one_line(error)}",
+                part=channel.topic,
             ) from error
 
 
@@ -99,7 +100,8 @@ def is_well_known(kind: str) -> bool:
 
 def field_types(channel: Channel) -> Fields:
     """Return the fields of the types in a channel's messages; `InputError` without a definition."""
-    known = {} if channel.encoding == "wpilog" else _store(channel).fielddefs
+    with naming_file(part=channel.topic):
+        known = {} if channel.encoding == "wpilog" else _store(channel).fielddefs
 
     def fields(kind: str) -> list[tuple[str, str, bool]]:
         found = []
@@ -124,7 +126,7 @@ def _store(channel: Channel) -> Any:
     """Return a type store with a channel's type."""
     if channel.encoding not in ("ros1", "cdr"):
         encoding = quoted(channel.encoding)
-        raise InputError(f"{channel.topic}: the message encoding {encoding} is not supported")
+        raise InputError(f"the message encoding {encoding} is not supported")
     known = typestore(channel.encoding == "ros1")
     if channel.type in PICTURES:
         # Images exceed the limit of elements, so their types are the known ones.
@@ -134,10 +136,10 @@ def _store(channel: Channel) -> Any:
     if not channel.definition:
         if channel.type not in known.fielddefs:
             kind = quoted(channel.type)
-            raise InputError(f"{channel.topic}: the log contains no definition of {kind}")
+            raise InputError(f"the log contains no definition of {kind}")
         return known
     types = {**known.fielddefs, **_parsed(channel)}
-    shapes = _Shapes(channel, types)
+    shapes = _Shapes(channel.type, types)
     shapes.of(channel.type, ())
     store = Typestore(max_sequence_length=MAX_ELEMENTS)
     try:
@@ -145,8 +147,7 @@ def _store(channel: Channel) -> Any:
         store.get_msgdef(channel.type)
     except Exception as error:  # generated code can raise any type
         raise InputError(
-            f"{channel.topic}: the log's definition of {channel.type} cannot be used: "
-            f"{one_line(error)}"
+            f"the log's definition of {channel.type} cannot be used: {one_line(error)}"
         ) from error
     return store
 
@@ -155,9 +156,9 @@ def _parsed(channel: Channel) -> dict[str, Any]:
     """Return the types in a channel's definition."""
     text = channel.definition
     if len(text) > MAX_DEFINITION:
-        raise InputError(f"{channel.topic}: a definition of {len(text):,} characters is too long")
+        raise InputError(f"a definition of {len(text):,} characters is too long")
     if not _NAME.fullmatch(channel.type):
-        raise InputError(f"{channel.topic}: {quoted(channel.type)} is not a valid name of a type")
+        raise InputError(f"{quoted(channel.type)} is not a valid name of a type")
     try:
         if channel.syntax == "msg":
             return dict(get_types_from_msg(text, channel.type))
@@ -169,9 +170,7 @@ def _parsed(channel: Channel) -> dict[str, Any]:
             known |= make_typesdict(_Idl(part).specification())
         return known
     except Exception as error:  # the parsers raise many types for an invalid text
-        raise InputError(
-            f"{channel.topic}: the log's definition of {channel.type} cannot be read"
-        ) from error
+        raise InputError(f"the log's definition of {channel.type} cannot be read") from error
 
 
 class _Idl(IDLParser):
@@ -206,8 +205,8 @@ class _Shapes:
     Every field counts at least once, since the decoder visits it.
     """
 
-    def __init__(self, channel: Channel, types: dict[str, Any]) -> None:
-        self._channel, self._types = channel, types
+    def __init__(self, kind: str, types: dict[str, Any]) -> None:
+        self._type, self._types = kind, types
         self.known: dict[str, tuple[int, int]] = {}
         """By type, nested types first."""
 
@@ -244,4 +243,4 @@ class _Shapes:
         return many * numbers, depth
 
     def _refused(self, problem: str) -> InputError:
-        return InputError(f"{self._channel.topic}: {self._channel.type} {problem}")
+        return InputError(f"{self._type} {problem}")

@@ -94,14 +94,13 @@ def with_fields(survey: TopicSurvey, given: Named) -> Named:
         what, keys = "an id with a position or bearing", "id, and position or bearing"
     else:
         what, keys = "a speed with a yaw rate", "v and omega"
-    problem = f"{given.topic} is a {kind}, in which no fields look like {what}: name a topic of "
-    problem += f"another type, or add the paths of the fields ({keys}) in a topics file"
+    problem = f"{given.topic} is a {kind}, in which no fields look like {what}"
+    advice = "name a topic of another type, or add the paths of the fields"
+    advice += f" ({keys}) in a topics file"
     if found:
-        problem = (
-            f"{given.topic} is a {kind} with several fields for {what}; choose one in a topics "
-        )
-        problem += f"file: {shown(found)}"
-    raise InputError(problem, survey.log.path)
+        problem = f"{given.topic} is a {kind} with several fields for {what}"
+        advice = f"choose one in a topics file: {shown(found)}"
+    raise InputError(problem, survey.log.path, advice=advice)
 
 
 def first_frame(survey: TopicSurvey, given: BearingsTopic) -> str:
@@ -153,9 +152,10 @@ def _checked(survey: TopicSurvey, topic: str, wanted: dict[str, str]) -> dict[st
         if (whole := canonical(path, known, suitable)) is None:
             paths = [p for p, leaf in known.items() if leaf in suitable]
             raise InputError(
-                f"{topic}: {kind} has no {' or '.join(suitable)} {path} for {name}; it has "
-                f"{listing(paths, 20) if paths else 'none'}",
+                f"{kind} has no {' or '.join(suitable)} {path} for {name}; it "
+                f"has {listing(paths, 20) if paths else 'none'}",
                 survey.log.path,
+                part=topic,
             )
         found[name] = whole
     return found

@@ -39,13 +39,12 @@ from homeward.drives.ros.topics.survey import Topic, TopicSurvey
 from homeward.errors import InputError
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"
-NO_PICTURES = "the log contains no images; use homeward run for a log with detected tags"
 
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
 NO_IDS_IN_SCAN = (
-    f"is a {LASER_SCAN}: its points have no ids, even if their intensities show reflectors, so it "
-    "contains no bearings of landmarks; record the output of a node that recognises each reflector"
+    f"a {LASER_SCAN}, whose points have no ids, even if their intensities show reflectors"
 )
+OTHER_THAN_SCAN = "record the output of a node that recognises each reflector"
 
 USES: tuple[tuple[tuple[str, ...], str], ...] = (
     ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
@@ -93,7 +92,8 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
         BearingsTopic(topic=t.name) for t in _of_best_type(survey, "bearings", types, taken)
     )
     if pictures and not bearings:
-        raise InputError(NO_PICTURES, survey.log.path)
+        advice = "use homeward run for a log with detected tags"
+        raise InputError("the log contains no images", survey.log.path, advice=advice)
     if not bearings and survey.tag_frames:
         bearings = (_with_frames(survey, BearingsTopic(topic=survey.tag_frames[0].topic)),)
     if not (bearings or pictures) and (found := only_candidate(survey, BearingsTopic)):
@@ -111,7 +111,8 @@ def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> L
 def _usable(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
     """Return a topic with its camera, the frames of its landmarks, or the fields of its type."""
     if survey.topic(given.topic).type == LASER_SCAN:
-        raise InputError(f"{given.topic} {NO_IDS_IN_SCAN}", survey.log.path)
+        path, advice = survey.log.path, OTHER_THAN_SCAN
+        raise InputError(NO_IDS_IN_SCAN, path, part=given.topic, advice=advice)
     return with_fields(survey, _with_frames(survey, _with_camera(survey, given)))
 
 
@@ -125,7 +126,7 @@ def _of_best_type(
         kind, names = found[0].type, ", ".join(t.name for t in found)
         advice = f"name one under {what} in a topics file"
         advice += ", or several, each with its sensor" if what == "bearings" else ""
-        raise InputError(f"several topics of {kind}: {names}; {advice}", survey.log.path)
+        raise InputError(f"several topics of {kind}: {names}", survey.log.path, advice=advice)
     return found
 
 
@@ -149,13 +150,14 @@ def _with_frames(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
     kind = survey.topic(given.topic).type
     if kind in POSES_OF_TAGS and given.landmark is None:
         raise InputError(
-            f"{given.topic} is a {kind}, read as the pose of one landmark: add landmark: ID to it "
-            'under bearings, or write the landmark id as *, as in {topic: "/tag_*/pose"}',
+            f"{given.topic} is a {kind}, read as the pose of one landmark",
             survey.log.path,
+            advice="add landmark: ID to it under bearings, or write the landmark id as "
+            '*, as in {topic: "/tag_*/pose"}',
         )
     if given.frames and kind not in TRANSFORMS:
-        problem = f"{given.topic}: frames are for {TRANSFORMS[0]}, but it is a {kind}"
-        raise InputError(problem, survey.log.path)
+        problem = f"frames are for {TRANSFORMS[0]}, but it is a {kind}"
+        raise InputError(problem, survey.log.path, part=given.topic)
     if given.frames or kind not in TRANSFORMS:
         return given
     found = [tags for tags in survey.tag_frames if tags.topic == given.topic]
@@ -164,9 +166,11 @@ def _with_frames(survey: TopicSurvey, given: BearingsTopic) -> BearingsTopic:
         sets = f": {'; '.join(map(str, found))}" if found else ""
         example = found[0].frames if found else "tag36h11:*"
         raise InputError(
-            f"{given.topic}: {problem}{sets}; name the frames of the landmarks under bearings in "
-            f'a topics file, as in {{topic: {given.topic}, frames: "{example}"}}',
+            problem + sets,
             survey.log.path,
+            part=given.topic,
+            advice="name the frames of the landmarks under bearings in a topics file, "
+            f'as in {{topic: {given.topic}, frames: "{example}"}}',
         )
     return given.model_copy(update={"frames": found[0].frames})
 
@@ -214,7 +218,7 @@ def _check(survey: TopicSurvey, plan: LogSettings, types: tuple[str, ...]) -> No
             if what == "bearings":
                 advice += ", or convert it to geometry_msgs/PoseStamped with a topic per landmark"
             raise InputError(
-                f"{name} is a {kind}, {problem}, so it cannot be used under {what}: {advice}; "
-                "homeward info lists suitable topics",
+                f"{name} is a {kind}, {problem}, so it cannot be used under {what}",
                 survey.log.path,
+                advice=f"{advice}; homeward info lists suitable topics",
             )

@@ -144,7 +144,7 @@ class TopicSurvey:
             if topic.name == name:
                 return topic
         names = ", ".join(t.name for t in self.topics) or "none"
-        raise InputError(f"no topic {name}; the log has: {names}", self.log.path)
+        raise InputError(f"no topic {name}", self.log.path, advice=f"choose one of: {names}")
 
 
 def survey(
@@ -175,10 +175,10 @@ def survey(
             if header is not None:
                 header.append(header_stamp(message))
         except (struct.error, IndexError):
-            problem = f"{channel.topic}: a message is too short for a {channel.type}"
-            raise InputError(problem, log.path) from None
+            problem = f"a message is too short for a {channel.type}"
+            raise InputError(problem, log.path, part=channel.topic) from None
         except OverflowError:
-            raise InputError(f"{channel.topic}: a time beyond the year 2262", log.path) from None
+            raise InputError("a time beyond the year 2262", log.path, part=channel.topic) from None
         if on_progress is not None and number % PROGRESS_EVERY == 0:
             on_progress(log.done)
     topics = (
@@ -226,8 +226,8 @@ def _tag_frames(log: Log, topics: Collection[str]) -> tuple[TagFrames, ...]:
 
 
 OTHER_CLOCKS = (
-    "their headers have different clocks, or they were not recorded together; try clock: receive "
-    "in a topics file"
+    "use clock: receive in a topics file if their headers have different clocks, and topics that "
+    "were recorded together"
 )
 
 
@@ -268,7 +268,7 @@ class MessageTimes:
             return seconds(message.receive - self._shift, epoch)
         residue = getattr(decoded, "residue", 0.0)
         if not np.isfinite(residue):
-            raise InputError(f"{message.channel.topic}: a residue is not finite")
+            raise InputError("a residue is not finite")
         return seconds(stamp.sec * NANO + stamp.nanosec, epoch, residue)
 
     def in_settings(self, settings: DriveSettings) -> DriveSettings:
@@ -306,8 +306,9 @@ def _recorder_ahead(topics: dict[str, Topic]) -> int:
         is_needed = topic.header is not None and not _may_lack_stamps(topic.type)
         if is_needed and topic.count and not topic.is_stamped:
             raise InputError(
-                f"{topic.name}: its headers have no stamps; set clock: receive in a topics file to "
-                "use the recorder's times"
+                "its headers have no stamps",
+                part=topic.name,
+                advice="set clock: receive in a topics file to use the recorder's times",
             )
     offsets = [t.clock.median for t in topics.values() if t.clock is not None]
     return round(float(np.median(offsets)) * NANO) if offsets else 0
@@ -321,7 +322,8 @@ def _require_steady_clock(topic: Topic) -> None:
     behind = np.maximum.accumulate(stamps) - stamps
     if behind.max() > MAX_DELAY_S * NANO:
         raise InputError(
-            f"{topic.name}: time runs backwards by {behind.max() / NANO:.3f} s at message "
-            f"{int(np.argmax(behind)) + 1}: a clock was set back; set clock: receive in a topics "
-            "file to use the recorder's times"
+            f"time runs backwards by {behind.max() / NANO:.3f} s at message "
+            f"{int(np.argmax(behind)) + 1}: a clock was set back",
+            part=topic.name,
+            advice="set clock: receive in a topics file to use the recorder's times",
         )
