@@ -195,7 +195,7 @@ PIN = points("u", "v")
         ({**PIN, "u": T * math.nan}, "pinhole", "no row has values for all of t, landmark, column"),
         ({**PIN, "u": ["a"] * 60}, "pinhole", "row 2: u: must be a finite number, not 'a'"),
         ({**PIN, "theta": T}, "pinhole", "'theta' may be the bearing or the heading"),
-        ({"t": T, "id": ID, "bearing": BEARING}, "pinhole", "--camera is not used: no table has"),
+        ({"t": T, "id": ID, "bearing": BEARING}, "pinhole", "--camera: not used: no table has"),
         ({"t": T, "id": ID, "u": PIN["u"]}, "plumb_bob", "only columns of pixels, but the camera"),
         (points("x", "y") | {"w": T + 9}, "pinhole", "may be the centre or a corner of a box"),
         (
@@ -313,5 +313,5 @@ def test_the_size_of_tags_gives_ranges(tmp_path, name):
 
 def test_the_size_of_tags_without_corners_is_refused(tmp_path):
     paths = write(tmp_path, points("u", "v"))
-    with pytest.raises(InputError, match="--tag-size is not used: no table has the corners"):
+    with pytest.raises(InputError, match="--tag-size: not used: no table has the corners"):
         understand(paths, cameras={"": LENSES["pinhole"]}, tag_size=0.16)

@@ -10,7 +10,7 @@ from benchmarks.senses import FAULTS, simulated, slipping
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.opening import open_drive, sample_drive, save_drive
-from homeward.drives.senses import PROBLEMS, SHOWS, Sense, compare_senses, senses_of
+from homeward.drives.senses import REMEDIES, SHOWS, Sense, compare_senses, senses_of
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.runs.single_run import RunSettings, opened
@@ -58,7 +58,7 @@ def fixed_frame(drive):
 
 def test_a_run_refuses_bearings_in_a_fixed_frame(plain, tmp_path):
     save_drive(fixed_frame(plain), tmp_path / "drive")
-    remark = SHOWS + PROBLEMS[Sense.FIXED_FRAME]
+    remark = SHOWS + "; ".join(REMEDIES[Sense.FIXED_FRAME])
     assert remark in open_drive(tmp_path / "drive").remarks
     with pytest.raises(InputError, match=r"do not turn with the robot.*check_senses: false"):
         opened(RunSettings(drive=str(tmp_path / "drive")))

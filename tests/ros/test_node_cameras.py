@@ -7,7 +7,7 @@ from types import SimpleNamespace as Message
 import numpy as np
 import pytest
 
-from homeward.drives.ros.settings import BEARINGS
+from homeward.drives.ros.kinds import BEARINGS
 from homeward.errors import InputError
 from homeward.live.messages import BearingsIn
 from homeward.ros import conversions

@@ -12,10 +12,10 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Tilt, Truth
 from homeward.drives.landmarks import KnownLandmarks
-from homeward.drives.measure import motion
 from homeward.drives.one_clock import remark_other_units
+from homeward.drives.plausibility import without_implausible
 from homeward.drives.ros.kinds import is_log
-from homeward.drives.settings import HOME_TIMES, DriveSettings, Wheels
+from homeward.drives.settings import HOME_TIMES, DriveSettings
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.io.naming import listing, natural
@@ -274,7 +274,8 @@ def odometry_of(table: Table, remarks: dict[str, int]) -> Odometry:
     table = sorted_by_time(table, "odometry", remarks)
     table = without_repeats(table, remarks, REPEATED_ODOMETRY)
     remark_other_units(table["t"], remarks)
-    return motion(table.columns, Wheels(), remarks)
+    twist = (table[name] for name in ("v", "omega", "vy") if name in table.columns)
+    return without_implausible(Odometry(table["t"], *twist), remarks)
 
 
 def read_sightings(path: Path, remarks: dict[str, int]) -> Sightings:

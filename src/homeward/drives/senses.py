@@ -82,20 +82,24 @@ class Sense(Enum):
         return 1.0 / abs(self.value) if self.value else 1.0
 
 
-_RATES = {
-    Sense.RATE_TOO_LARGE: "yaw rates are 57 times too large for the bearings, as in deg/s; convert "
-    "them to rad/s",
-    Sense.RATE_TOO_SMALL: "bearings turn 57 times faster than the yaw rates; convert both from "
-    "degrees to radians, or neither",
-}
-PROBLEMS = {
-    Sense.REVERSED: "bearings and yaw rates rotate in opposite senses; both must be anti-clockwise",
-    Sense.FIXED_FRAME: "the bearings do not turn with the robot: they are in a fixed frame, as of "
-    "a compass or with the heading already added, or fixed anchors measured them, or the motion is "
-    "not planar; give bearings from the axis of a camera on the robot",
-    **_RATES,
-    Sense.RATE_TOO_LARGE_REVERSED: f"{_RATES[Sense.RATE_TOO_LARGE]}, and change their sign",
-    Sense.RATE_TOO_SMALL_REVERSED: f"{_RATES[Sense.RATE_TOO_SMALL]}, and change a sign",
+_LARGE = "yaw rates are 57 times too large for the bearings, as in deg/s"
+_SMALL = "bearings turn 57 times faster than the yaw rates"
+_TO_RAD, _BOTH = "convert them to rad/s", "convert both from degrees to radians, or neither"
+REMEDIES = {
+    Sense.REVERSED: (
+        "bearings and yaw rates rotate in opposite senses",
+        "make both anti-clockwise",
+    ),
+    Sense.FIXED_FRAME: (
+        "the bearings do not turn with the robot: they are in a fixed frame, as of a compass or "
+        "with the heading already added, or fixed anchors measured them, or the motion is not "
+        "planar",
+        "give bearings from the axis of a camera on the robot",
+    ),
+    Sense.RATE_TOO_LARGE: (_LARGE, _TO_RAD),
+    Sense.RATE_TOO_LARGE_REVERSED: (_LARGE, f"{_TO_RAD}, and change their sign"),
+    Sense.RATE_TOO_SMALL: (_SMALL, _BOTH),
+    Sense.RATE_TOO_SMALL_REVERSED: (_SMALL, f"{_BOTH}, and change a sign"),
 }
 """The fault and its remedy for each sense."""
 SHOWS = "intervals of rotation show that "
@@ -112,10 +116,11 @@ class SenseTest:
     """Number of intervals that count."""
 
     @property
-    def problem(self) -> str:
+    def fault(self) -> tuple[str, str]:
         """The fault and its remedy, for the user."""
         assert self.sense is not None
-        return f"{PROBLEMS[self.sense]} ({self.intervals:,} intervals of rotation)"
+        fault, remedy = REMEDIES[self.sense]
+        return f"{fault} ({self.intervals:,} intervals of rotation)", remedy
 
     @property
     def is_fault(self) -> bool:
@@ -277,7 +282,7 @@ def with_sense_remark(drive: Drive) -> Drive:
     found = senses_of(drive) if drive.settings.check_senses else UNDECIDED
     if not found.is_fault or found.sense is None:
         return drive
-    remark = {SHOWS + PROBLEMS[found.sense]: found.intervals}
+    remark = {SHOWS + "; ".join(REMEDIES[found.sense]): found.intervals}
     return dataclasses.replace(drive, remarks={**drive.remarks, **remark})
 
 
@@ -286,6 +291,6 @@ def require_senses(drive: Drive) -> None:
 
     Opposite senses are left to the estimator, which names them as soon as it finds them.
     """
-    for sense, problem in PROBLEMS.items():
-        if sense is not Sense.REVERSED and SHOWS + problem in drive.remarks:
-            raise InputError(problem, advice=f"set {OVERRIDE} to run it all the same")
+    for sense, (fault, remedy) in REMEDIES.items():
+        if sense is not Sense.REVERSED and f"{SHOWS}{fault}; {remedy}" in drive.remarks:
+            raise InputError(fault, advice=f"{remedy}, or set {OVERRIDE} to run it all the same")

@@ -7,8 +7,8 @@ import struct
 import lz4.frame
 from backports import zstd
 
+from homeward.drives.ros.kinds import ODOMETRY
 from homeward.drives.ros.messages.types import DEFINITIONS
-from homeward.drives.ros.settings import ODOMETRY
 
 HEADER_TEXT = """\
 ================================================================================

@@ -7,7 +7,7 @@ import pytest
 from rosbags.highlevel import AnyReader
 
 from homeward.drives.drive import Odometry
-from homeward.drives.ros.settings import BEARINGS, POSE
+from homeward.drives.ros.kinds import BEARINGS, POSE
 from homeward.drives.ros.writing import writing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between

@@ -146,7 +146,7 @@ def test_ackermann_speed_and_steering_angle(made, stamped):
     drive = made(fill, "odometry: {topic: /car, wheelbase: 0.5}\n", odometry_too=False)
     assert drive.odometry.v == pytest.approx(0.5)
     assert drive.odometry.omega == pytest.approx(math.tan(0.25))
-    with pytest.raises(InputError, match=r"/car: .* needs wheelbase under odometry in the topics"):
+    with pytest.raises(InputError, match=r"/car: .* needs wheelbase; give the geometry"):
         made(fill, "odometry: {topic: /car}\n", odometry_too=False)
 
 

@@ -184,7 +184,7 @@ def _axes_of(
         return by_data
     if frames and could_be["camera"] and all("camera" in frame for frame in frames):
         return Axes("camera", known)
-    raise InputError(_unknown(values, by_axis, one, kind), one.path)
+    raise _unknown(values, by_axis, one, kind)
 
 
 def axes_by_spread(values: Mapping[str, np.ndarray]) -> Axes | None:
@@ -215,8 +215,8 @@ def _is_in_front(z: np.ndarray | None) -> bool:
 
 def _unknown(
     values: Mapping[str, np.ndarray], by_axis: Mapping[str, Column], one: Sheet, kind: str
-) -> str:
-    """Return the message for positions with unknown axes."""
+) -> InputError:
+    """Return the error of positions with unknown axes."""
     seen = {axis: v[np.isfinite(v)] for axis, v in values.items()}
     ranges = ", ".join(
         f"{axis} {v.min():.3g} to {v.max():.3g}" if v.size else f"{axis} empty"
@@ -228,7 +228,9 @@ def _unknown(
             columns = ", ".join(f"{role}={by_axis[axis].name}" for role, axis in roles.items())
             options.append(f"'{one.path.name}: {columns}' ({name} axes)")
     what = "a survey, or home positions" if kind == "home" else "positions"
-    return (
-        f"{what} in unknown axes ({ranges}); give the axes, as in --columns {' or '.join(options)}"
-        "; or, if they are pixels, the camera: --camera FILE"
+    return InputError(
+        f"{what} in unknown axes ({ranges})",
+        one.path,
+        advice=f"give the axes, as in --columns {' or '.join(options)}, or, if they are pixels, "
+        "the camera: --camera FILE",
     )

@@ -48,7 +48,7 @@ from homeward.odometry.dead_reckoning import dead_reckoning
 OTHER_SOURCES = {
     "odometry": ", and none with odom in its name has poses",
     "bearings": ", or a position or pixels instead of the bearing",
-    "home": f" without a time; {HOME_ADVICE}",
+    "home": " without a time",
 }
 """Other sources of the tables of a drive."""
 AVERAGED = "rows of home bearings, averaged for each landmark"
@@ -140,7 +140,7 @@ def _set_tag_size(parts: Sequence[Part], tag_size: float) -> None:
             part.source = dataclasses.replace(part.source, tag_size=tag_size)
             is_used = True
     if not is_used:
-        raise InputError("--tag-size is not used: no table has the corners of tags")
+        raise InputError("not used: no table has the corners of tags", part="--tag-size")
 
 
 def _refuse_drives(path: Path) -> None:
@@ -174,12 +174,12 @@ def drive_of(
     tables = {one.kind: one.table for one in found}
     for kind in ("odometry", "bearings", "home")[: 3 if home is None else 2]:
         if kind not in tables:
-            needs = ", ".join(KINDS[kind]) + OTHER_SOURCES.get(kind, "")
+            needs = ", ".join(KINDS[kind]) + OTHER_SOURCES[kind]
             label = kind.replace("home", "home bearings")
-            raise InputError(
-                f"no {label} found: no file has the columns {needs}",
-                advice="give roles with --columns if the names of columns were not recognised",
-            )
+            advice = "give roles with --columns if the names of columns were not recognised"
+            if kind == "home":
+                advice += f", {HOME_ADVICE}"
+            raise InputError(f"no {label} found: no file has the columns {needs}", advice=advice)
     if "tilt" not in tables:  # without use
         columns = {n: c for n, c in tables["bearings"].columns.items() if n != "elevation"}
         tables["bearings"] = dataclasses.replace(tables["bearings"], columns=columns)

@@ -265,7 +265,8 @@ def _find_sources(parts: Sequence[Part], cameras: Calibrations) -> None:
             part.source = axes
     if cameras and not any(isinstance(part.source, Pixels) for part in parts):
         raise InputError(
-            "--camera is not used: no table has pixels instead of bearings",
+            "not used: no table has pixels instead of bearings",
+            part="--camera",
             advice="give their columns, as in --columns 'column=u, row=v'",
         )
 

@@ -87,8 +87,9 @@ def require_imported_senses(drive: Drive, found: Sequence[ImportedColumn]) -> Se
     given = [u.column for u in seen if u.column.role in ("forward", *LATERAL)]
     given = [c for c in given if c.role != "bearing" or len(given) == 1]
     keep = ", ".join(f"{c.role}={c.name.partition(' ... ')[0]}" for c in given)
-    advice = f"use --columns '{keep}' to import them all the same"
-    raise InputError(decided.problem, seen[0].table.file, advice=advice)
+    fault, remedy = decided.fault
+    advice = f"{remedy}, or use --columns '{keep}' to import them all the same"
+    raise InputError(fault, seen[0].table.file, advice=advice)
 
 
 def _other_way(columns: Mapping[str, str]) -> str:

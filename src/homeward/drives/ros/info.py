@@ -19,13 +19,13 @@ from homeward.drives.images import IMAGES, cameras_in, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
 from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import is_image_folder, kind_of, located
+from homeward.drives.ros.kinds import OUR_SETTINGS
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import axes_of
 from homeward.drives.ros.messages.presets import POSES_OF_TAGS
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_HOME,
-    OUR_SETTINGS,
     PICTURES,
     BearingsTopic,
     LogSettings,

@@ -1,4 +1,4 @@
-"""Recognition of logs by their first bytes."""
+"""Recognition of logs by their first bytes, and the names in those that homeward writes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,15 @@ from typing import NamedTuple
 
 from homeward.io.reading import is_there, naming, opened
 
+OUR_HOME = "/homeward/home"
+OUR_TRUTH = "/homeward/truth"
+OUR_SETTINGS = "/homeward/settings"
+OUR_ODOMETRY = "/homeward/odometry"
+OUR_BEARINGS = "/homeward/bearings"
+"""Topics of the logs that homeward writes."""
+ODOMETRY = "homeward_msgs/msg/Odometry"
+BEARINGS = "homeward_msgs/msg/Bearings"
+POSE = "homeward_msgs/msg/Pose"
 METADATA = "metadata.yaml"
 """Metadata file of a ROS 2 bag folder."""
 OLDER_ROSBAG = b"#ROSBAG"
@@ -26,7 +35,9 @@ class Kind(NamedTuple):
 KINDS = {
     b"#ROSBAG V2.0\n": Kind("bag", "ROS 1 bag", "repair it with `rosbag reindex FILE`"),
     b"\x89MCAP0\r\n": Kind(
-        "mcap", "MCAP", "`mcap recover FILE -o NEW.mcap` recovers the messages before the damage"
+        "mcap",
+        "MCAP",
+        "recover the messages before the damage with `mcap recover FILE -o NEW.mcap`",
     ),
     b"SQLite format 3\x00": Kind(
         "db3",

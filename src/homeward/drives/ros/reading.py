@@ -20,6 +20,7 @@ from homeward.drives.folder import (
     sightings_of,
 )
 from homeward.drives.home.when import with_home
+from homeward.drives.ros.kinds import OUR_SETTINGS
 from homeward.drives.ros.log import Log
 from homeward.drives.ros.measurements.bearings import (
     TagDetector,
@@ -43,7 +44,6 @@ from homeward.drives.ros.messages.presets import MOTIONS, TRANSFORMS, orientatio
 from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     NAME_BEARINGS,
-    OUR_SETTINGS,
     PICTURES,
     BearingsTopic,
     LogSettings,
@@ -126,8 +126,8 @@ class _Reading:
         self._path, self._decoder = known.log.path, Decoder()
         if plan.odometry is None:
             names = {topic.name for topic in known.topics}
-            of_tf = "; for the transforms odom -> base_link, use odometry: {topic: /tf}"
-            advice = "homeward info lists the topics" + of_tf * (TF in names)
+            of_tf = ", or, for the transforms odom -> base_link, use odometry: {topic: /tf}"
+            advice = "run homeward info, which lists the topics" + of_tf * (TF in names)
             raise InputError("no topic with odometry", advice=advice)
         self._settings, epoch = self._drive_settings()
         self._clock = MessageTimes(known, plan, epoch)

@@ -20,15 +20,6 @@ from homeward.io.checks import BeforeValidator, Field
 from homeward.io.keys import Strict
 from homeward.io.models import model_validator
 
-OUR_HOME = "/homeward/home"
-OUR_TRUTH = "/homeward/truth"
-OUR_SETTINGS = "/homeward/settings"
-OUR_ODOMETRY = "/homeward/odometry"
-OUR_BEARINGS = "/homeward/bearings"
-"""Topics of the logs that homeward writes."""
-ODOMETRY = "homeward_msgs/msg/Odometry"
-BEARINGS = "homeward_msgs/msg/Bearings"
-POSE = "homeward_msgs/msg/Pose"
 PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 
 

@@ -17,9 +17,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
 
 from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
-from homeward.drives.ros.messages.stamps import NANO, split
-from homeward.drives.ros.messages.types import typestore
-from homeward.drives.ros.settings import (
+from homeward.drives.ros.kinds import (
     BEARINGS,
     ODOMETRY,
     OUR_BEARINGS,
@@ -29,6 +27,8 @@ from homeward.drives.ros.settings import (
     OUR_TRUTH,
     POSE,
 )
+from homeward.drives.ros.messages.stamps import NANO, split
+from homeward.drives.ros.messages.types import typestore
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import settings_yaml

@@ -9,6 +9,7 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY
 from homeward.drives.measure import motion
+from homeward.drives.ros.kinds import ODOMETRY
 from homeward.drives.ros.measurements.bearings import frame_of
 from homeward.drives.ros.measurements.contradiction import (
     MIN_MOTION,
@@ -27,7 +28,7 @@ from homeward.drives.ros.messages.presets import (
     row_of,
 )
 from homeward.drives.ros.messages.wpilib import MODULE_STATES
-from homeward.drives.ros.settings import ODOMETRY, OdometryTopic
+from homeward.drives.ros.settings import OdometryTopic
 from homeward.drives.wheels import (
     FOUR,
     OMNI,
@@ -128,8 +129,9 @@ class OdometryRows:
             missing = ["modules"] if len(given.modules) < 2 else []
         if kind in WHEELS and missing:
             raise InputError(
-                f"{quoted(kind)} needs {' and '.join(missing)} under odometry in the topics file",
+                f"{quoted(kind)} needs {' and '.join(missing)}",
                 part=given.topic,
+                advice="give the geometry of the wheels under odometry in the topics file",
             )
         if kind not in {"twist": TWISTS, "pose": POSES, None: (kind,)}[given.use]:
             raise InputError(
@@ -186,10 +188,11 @@ class OdometryRows:
 
     def _without_imu(self, remarks: Remarks) -> Odometry:
         if not self._rows:
-            what = "message contains odometry"
+            problem, advice = "no message contains odometry", None
             if self._kind in TRANSFORMS:
-                what = "transform from {} to {}; name the frames, as in frames: [odom, base_link]"
-            raise InputError(f"no {what.format(*self._given.frames)}", part=self._given.topic)
+                problem = "no transform from {} to {}".format(*self._given.frames)
+                advice = "name the frames, as in frames: [odom, base_link]"
+            raise InputError(problem, part=self._given.topic, advice=advice)
         rows = np.array(self._rows, float)
         if self._joints is not None:
             rows = self._clean(rows, remarks)

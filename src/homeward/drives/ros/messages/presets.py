@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from homeward.drives.ros.kinds import BEARINGS, ODOMETRY, POSE
 from homeward.drives.ros.messages.wpilib import (
     CHASSIS_SPEEDS,
     MODULE_STATES,
@@ -17,7 +18,7 @@ from homeward.drives.ros.messages.wpilib import (
     RAW_FIDUCIALS,
     ROBOT_ON_FIELD,
 )
-from homeward.drives.ros.settings import BEARINGS, ODOMETRY, PICTURES, POSE, Layout
+from homeward.drives.ros.settings import PICTURES, Layout
 
 Paths: TypeAlias = Mapping[str, str]
 """Paths by role."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Container
 
+from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
 from homeward.drives.ros.messages.presets import (
     ACKERMANN,
     ALL_SIGHTINGS,
@@ -22,11 +23,7 @@ from homeward.drives.ros.messages.presets import (
 )
 from homeward.drives.ros.messages.wpilib import MODULE_STATES
 from homeward.drives.ros.settings import (
-    BEARINGS,
-    OUR_HOME,
-    OUR_TRUTH,
     PICTURES,
-    POSE,
     BearingsTopic,
     HomeFrom,
     LogSettings,
