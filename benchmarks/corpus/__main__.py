@@ -24,7 +24,7 @@ import numpy as np
 
 from homeward.drives import opening
 from homeward.drives.importers import reading
-from homeward.errors import InputError
+from homeward.errors import InputError, printable
 
 ROOT = Path(__file__).parents[2]
 TOLERANCE = 1e-9
@@ -73,6 +73,14 @@ def of_drive(drive: Any) -> Record:
     return digest
 
 
+def of_refusal(error: InputError) -> list[str | None]:
+    """Return file and row, part, problem and advice of a refusal, without folders."""
+    row = "" if error.row is None else f", row {error.row}"
+    place = None if error.file is None else f"{error.file}{row}"
+    parts = place, error.part, error.problem, error.advice
+    return [None if text is None else PLACES.sub("", printable(text))[:240] for text in parts]
+
+
 class Recorder:
     """The records of all calls of the readers, by input and number of the call."""
 
@@ -92,7 +100,7 @@ class Recorder:
             try:
                 result = call(*args, **options)
             except InputError as error:
-                self.records[key] = {"refused": PLACES.sub("", str(error))[:240]}
+                self.records[key] = {"refused": of_refusal(error)}
                 raise
             self.records[key] = digest(result)
             return result

@@ -179,7 +179,7 @@ def test_states_of_swerve_modules_are_odometry(opened, tmp_path, kind):
 
 def test_states_of_swerve_modules_need_their_positions(opened):
     data = swerve_log(0.5, -0.4, 0.3)
-    assert "needs modules under odometry" in refused(opened, data)
+    assert "needs modules; give the geometry" in refused(opened, data)
     topics = "odometry: {topic: /Drive/States, modules: [[0.3, 0.2], [-0.3, 0.2]]}"
     assert "states of 4 modules, but modules has 2 positions" in refused(opened, data, topics)
 
