@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -13,6 +14,15 @@ def printable(text: str) -> str:
     Names in hostile files may contain sequences that clear a screen or move the cursor.
     """
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
+
+
+def as_typed(path: str | os.PathLike[str]) -> str:
+    """Return a path in the current folder relative to it, as it is typed; others unchanged."""
+    try:
+        here = os.getcwd() + os.sep
+    except OSError:  # the folder was removed
+        return os.fspath(path)
+    return os.fspath(path).removeprefix(here) or os.fspath(path)
 
 
 class HomewardError(Exception):
@@ -66,7 +76,7 @@ class InputError(HomewardError):
 
     def __str__(self) -> str:
         row = "" if self.row is None else f", row {self.row}"
-        return printable(self.what if self.file is None else f"{self.file}{row}: {self.what}")
+        return printable(self.what if self.file is None else f"{as_typed(self.file)}{row}: {self.what}")
 
     def at(self, file: Path | None = None, part: str | None = None) -> None:
         """Name a file and a part, if the error names none."""

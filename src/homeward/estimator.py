@@ -38,6 +38,10 @@ class Status(enum.Enum):
     COASTING = "coasting"
     """Localised, but without bearings now: the pose is dead-reckoned."""
 
+    def __str__(self) -> str:
+        """Return its word, as `estimate.csv` has it."""
+        return self.value
+
 
 class ByValue:
     """Base of a frozen dataclass (with ``eq=False``) that compares by value; NaN equals NaN."""

@@ -13,8 +13,10 @@ from homeward.errors import InputError
 
 def export(
     estimator: Annotated[str, typer.Argument(help="The filter: ekf.")],
-    landmarks: Annotated[int, typer.Option(help="Number of landmarks seen from home, 1 to 32.")],
-    out: Annotated[Path, typer.Option(help="The folder to write.")],
+    landmarks: Annotated[
+        int | None, typer.Option(help="Number of landmarks seen from home, 1 to 32 (needed).")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="The folder to write.")] = Path("out/ekf"),
     precision: Annotated[
         Literal["float", "double"], typer.Option(help="Type of its numbers.")
     ] = "float",
@@ -25,8 +27,11 @@ def export(
     The folder gets homeward_ekf.c and homeward_ekf.h, which need neither heap nor homeward, and
     main.c, an example with data that compares its result with that of Python.
     """
+    way = "homeward export ekf --landmarks 12"
     if estimator != "ekf":
-        raise InputError(f"only the filter ekf is exported, not {estimator}: homeward export ekf")
+        raise InputError(f"only the filter ekf is exported, not {estimator}: {way}")
+    if landmarks is None:
+        raise InputError(f"the number of landmarks that home sees is needed, as in: {way}")
     from homeward.io.settings import validated
     from homeward.io.writing import check_output, whole_folder
     from homeward.lab.engine.export.source import MARKER, exported_files

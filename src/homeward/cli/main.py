@@ -12,6 +12,7 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
+from homeward.cli import former
 from homeward.cli.options import (
     AFTER_ERROR,
     BAD_INPUT,
@@ -22,24 +23,6 @@ from homeward.cli.options import (
 )
 from homeward.errors import HomewardError, InputError, missing_extra_error
 from homeward.internal_errors import REQUEST, InternalErrorWarning
-
-FORMER = {
-    "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
-    "in images.yaml or the topics file (camera: {file: camera.yaml})",
-    "observe": "now `homeward plan --landmarks N` or `homeward plan --drive DRIVE`",
-    "render": "now `homeward simulate ROOM --images`",
-    "reproduce": "now `homeward study paper` or `homeward study layouts`",
-    "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
-}
-"""Commands of earlier versions, and their replacements."""
-FORMER_OPTIONS = {
-    **{f"--home-{kind}": f"--home {kind}:" for kind in ("during", "spin", "at")},
-    "--smoothed-lag": "--smooth ",
-}
-"""Options of earlier versions, and their replacements before the value."""
-FORMER_RUN = dict.fromkeys(("--update", "--store-home", "--store-route"), "place add PLACE DRIVE")
-"""Options that `homeward run` had, and the command that has them now."""
-
 
 GROUPS = {
     "Your robot": {
@@ -68,6 +51,7 @@ GROUPS = {
 
 
 DESIGN: dict[str, Any] = {
+    "add_completion": False,  # the command `homeward` has these options
     "pretty_exceptions_enable": False,
     "rich_markup_mode": None,
     "context_settings": {"help_option_names": ["-h", "--help"]},
@@ -135,8 +119,8 @@ class OneLineErrors(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; for a removed one, raise an error that names its replacement."""
-        if cmd_name in FORMER:
-            raise InputError(f"homeward {cmd_name} is {FORMER[cmd_name]}")
+        if hint := former.COMMANDS.get(cmd_name):
+            raise InputError(f"homeward {cmd_name} is {hint}")
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: Any) -> list[str]:
@@ -153,13 +137,7 @@ class OneLineErrors(TyperGroup):
         """Run the command."""
         words = [*getattr(ctx, "_protected_args", ()), *ctx.args]
         try:
-            for k, word in enumerate(words):
-                option, equals, value = word.partition("=")
-                if option in FORMER_OPTIONS:
-                    value = value if equals else "".join(words[k + 1 : k + 2])
-                    raise InputError(f"{option} is now {FORMER_OPTIONS[option]}{value}")
-                if words[0] == "run" and option in FORMER_RUN:
-                    raise InputError(f"run {option} is now `homeward {FORMER_RUN[option]}`")
+            former.refuse_options(words)
             with internal_errors() as found:
                 result = super().invoke(ctx)
             if found:
@@ -184,7 +162,7 @@ app = typer.Typer(
     name="homeward",
     epilog=EXIT_STATUSES,
     no_args_is_help=True,
-    **DESIGN,
+    **{**DESIGN, "add_completion": True},
 )
 
 

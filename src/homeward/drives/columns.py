@@ -60,7 +60,8 @@ ROLES: Mapping[str, tuple[str, str]] = {
     "omega": (
         "rate",
         "omega w yaw.rate yawrate turn.rate angular.z angular angular.velocity angular.velocity.z "
-        "angular.speed ang.vel v.th v.theta vth vtheta velocity.yaw omega.z omegaz w.z wz om "
+        "angular.speed ang.vel rot.vel v.th v.theta vth vtheta "
+        "velocity.yaw omega.z omegaz w.z wz om "
         "gyro.z gyroz gyro gz drehrate drehgeschwindigkeit winkelgeschwindigkeit gierrate",
     ),
     "landmark": (

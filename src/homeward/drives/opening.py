@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import difflib
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +25,7 @@ from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.ros.kinds import is_log
 from homeward.drives.senses import with_sense_remark
 from homeward.drives.settings import RobotSettings, home_when
-from homeward.errors import InputError, naming_file
+from homeward.errors import InputError, as_typed, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.naming import command
 from homeward.io.reading import is_there, shipped
@@ -144,7 +145,10 @@ def located(path: str | os.PathLike[str]) -> Path:
         return place
     if str(path) == SAMPLE:
         return sample_drive()
-    raise InputError("no such file or folder", place)
+    near = [file.name for file in place.parent.glob("*")] if place.parent.is_dir() else []
+    similar = difflib.get_close_matches(place.name, near, 1)
+    advice = f"; did you mean {as_typed(place.with_name(similar[0]))}?" if similar else ""
+    raise InputError(f"no such file or folder{advice}", place)
 
 
 def sample_drive() -> Path:

@@ -103,7 +103,7 @@ REMEDIES = {
 }
 """The fault and its remedy for each sense."""
 SHOWS = "intervals of rotation show that "
-OVERRIDE = "check_senses: false in drive.yaml"
+OVERRIDE = "check_senses: false in drive.yaml (of a log: under drive: in its topics file)"
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import shlex
+import shutil
+import sys
 from collections.abc import Sequence
+
+from homeward.errors import as_typed
 
 
 def natural(name: object) -> tuple[list[str | tuple[int, str]], str]:
@@ -40,5 +45,10 @@ def share(value: float) -> str:
 
 
 def command(*words: object) -> str:
-    """Return a homeward command to type, with its arguments quoted for a shell."""
-    return shlex.join(["homeward", *map(str, words)])
+    """Return a homeward command to type, with its arguments quoted for a shell.
+
+    A program that is not on the PATH, as that of `make demo`, is named as it was called.
+    """
+    called = sys.argv[0] if os.path.basename(sys.argv[0]) == "homeward" else "homeward"
+    program = "homeward" if shutil.which("homeward") else as_typed(called)
+    return shlex.join([program, *(as_typed(str(word)) for word in words)])

@@ -51,10 +51,12 @@ def info(
     if found.topics:
         table([head, *(_row(topic) for topic in found.topics)], left=len(head))
     warn(*found.remarks)
-    if found.settings:
+    if found.draft:
+        say("Topics file to complete (copy it to topics.yaml, and delete the topics not meant):")
+    elif found.settings:
         say("A run would use these topics (copy them to a topics file to change them):")
-        for line in found.settings.splitlines():
-            say(line)
+    for line in (found.draft or found.settings).splitlines():
+        say(line)
     if found.next:
         say(f"Next: {found.next}")
 
@@ -79,6 +81,7 @@ def _facts(found: LogInfo) -> dict[str, Any]:
         "folder": found.folder,
         "topics": topics,
         "settings": found.settings,
+        "draft": found.draft,
         "remarks": list(found.remarks),
         "next": found.next,
     }

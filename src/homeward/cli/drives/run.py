@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import os
-import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import numpy as np
 import typer
 from typer.core import TyperCommand
 
 from homeward.cli import options as shared
 from homeward.cli.options import table as print_rows
-from homeward.errors import HomewardError, InputError
+from homeward.errors import HomewardError, InputError, as_typed
+from homeward.io.naming import command
 from homeward.io.reading import is_there
 
 if TYPE_CHECKING:
@@ -217,7 +218,7 @@ def run_one(
     missing = missing_extra()
     lost: HomewardError | None = None
     words = list[str]()
-    with shared.progress(f"{settings.drive}, {settings.estimator}") as on_progress:
+    with shared.progress(f"{as_typed(settings.drive)}, {settings.estimator}") as on_progress:
         drive, estimator, complete = prepare(settings, on_progress)
         if store is not None:
             from homeward.runs.visits import check_update
@@ -260,20 +261,23 @@ def run_one(
             shared.say(f"Files: {folder}")
             shared.warn(f"no report.html and no run.mcap: {missing}")
         if track.has_pose.any() and lost is None:
-            shared.say(f"Next: {_next(settings)}")
+            robot = settings.robot_file
+            live = command("live", "--tcp", "7707", "--robot-file", robot)
+            shared.say(f"Next: {again('tune', settings) if robot is None else live}")
     if lost is not None:
         raise lost
     if not track.has_pose.any():
         raise shared.no_answer()
 
 
-def _next(settings: RunSettings) -> str:
-    """Return the next command on the way to a robot: its calibration, then the robot itself."""
-    given = {"--robot-file": settings.robot_file, "--topics": settings.topics}
-    words = [f" {option} {shlex.quote(file)}" for option, file in given.items() if file]
-    if settings.robot_file is not None:
-        return f"homeward live --tcp 7707{words[0]}"
-    return f"homeward tune {shlex.quote(settings.drive)}{''.join(words)}"
+def again(name: str, settings: RunSettings, *words: object) -> str:
+    """Return a command to type for the drive of a run, with its topics file and its home."""
+    options: list[object] = [] if settings.topics is None else ["--topics", settings.topics]
+    for kind in ("file", "during", "spin", "at"):
+        if (value := getattr(settings, f"home_{kind}")) is not None:
+            text = value if kind == "file" else ",".join(f"{t:g}" for t in np.atleast_1d(value))
+            options += ["--home", text if kind == "file" else f"{kind}:{text}"]
+    return command(name, settings.drive, *options, *words)
 
 
 def _images(drive: Path) -> tuple[Images | None, list[str]]:
@@ -332,5 +336,6 @@ def _say_several(outcomes: Sequence[Outcome], rows: list[list[str]], page: Path)
     for outcome in outcomes:
         notes = () if outcome.track is None else outcome.track.notes
         for line in filter(None, (outcome.failure, *notes)):
-            shared.warn(f"{outcome.run.estimator}: {line}" if line in notes else line)
+            is_named = line not in notes or line.startswith(f"{outcome.run.estimator} ")
+            shared.warn(line if is_named else f"{outcome.run.estimator}: {line}")
     shared.say(f"Page: {page}")

@@ -11,6 +11,7 @@ import typer
 
 from homeward.cli import options as shared
 from homeward.errors import InputError
+from homeward.io.naming import command
 
 
 def see(
@@ -73,5 +74,7 @@ def see(
         shared.say(describe_sightings(drive))
         shared.warn(*drive.remark_lines)
         shared.say(f"Drive: {out}")
+        if drive.home and drive.sightings.t.size:
+            shared.say(f"Next: {command('run', out)}")
     if not drive.sightings.t.size:
         raise shared.no_answer()

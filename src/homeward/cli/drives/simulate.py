@@ -13,6 +13,7 @@ import typer
 
 from homeward.cli.options import AsJson, Changes, key_values, no_answer, progress, say, show, warn
 from homeward.errors import InputError
+from homeward.io.naming import command
 
 if TYPE_CHECKING:
     from homeward.drives.drive import Drive
@@ -124,7 +125,7 @@ def simulate(
         simulation = run_simulation(chosen, steering, on_progress)
     with whole_folder(out, SCENARIO) as scratch:
         write_simulation(simulation, scratch)
-    show(json, _facts(simulation, out), _summary(simulation, out))
+    show(json, _facts(simulation, out), _summary(simulation, out), f"Next: {command('run', out)}")
 
 
 def _play(

@@ -9,8 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from homeward.cli.drives.run import run_settings
-from homeward.cli.options import AsJson, Topics, answer, progress, say, table, warn
+from homeward.cli.drives.run import again, home_options, run_settings
+from homeward.cli.options import (
+    AsJson,
+    Home,
+    Topics,
+    answer,
+    home_choice,
+    progress,
+    say,
+    table,
+    warn,
+)
 from homeward.errors import HomewardError, InputError
 from homeward.io.reading import is_there
 
@@ -30,6 +40,7 @@ def tune(
         list[str], typer.Argument(help="Drives or logs of one robot, as for `homeward run`.")
     ],
     topics: Topics = None,
+    home: Home = None,
     second: Annotated[
         str | None,
         typer.Option(
@@ -66,9 +77,10 @@ def tune(
 
     if is_there(out):
         raise InputError("exists already; choose another file with --out", out)
-    given = {} if topics is None else {"topics": str(topics)}
+    given = home_options(home_choice(home)) | ({} if topics is None else {"topics": str(topics)})
     with progress(count(len(drives), "drive")) as on_progress:
-        read = [opened(run_settings(drive, given)) for drive in drives]
+        runs = [run_settings(drive, given) for drive in drives]
+        read = [opened(run) for run in runs]
         if scale_covariance and all(drive.truth is None for drive in read):
             raise InputError("no drive has ground truth, which --scale-covariance needs")
         name, known, apart = second, read[0].settings.cameras, None
@@ -113,7 +125,8 @@ def tune(
     if found.less_consistent:
         worse = listing(found.less_consistent)
         warn(f"{worse} got worse with these values. Do not use them where you rely on covariances.")
-    say(f"Robot file: {out}. Use it with `homeward run DRIVE --robot-file {out}`.")
+    say(f"Robot file: {out}")
+    say(f"Next: {again('run', runs[0], '--robot-file', out)}")
 
 
 def _scaled(found: Tuning) -> Tuning:

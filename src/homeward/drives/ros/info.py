@@ -40,6 +40,7 @@ from homeward.drives.ros.topics.choosing import (
     OTHER_THAN_SCAN,
     USES,
     choose,
+    draft_of,
     use_of,
 )
 from homeward.drives.ros.topics.survey import MIN_TAGS, OnProgress, Topic, TopicSurvey, survey
@@ -51,6 +52,10 @@ from homeward.io.table import quoted
 
 FIRST_POSE = "--home", "at:0"
 """Options of a next command where home is not given: any other time works, too."""
+NO_LANDMARKS = (
+    "This log contains no landmarks: record detections of tags (or other landmarks with an id), or "
+    "camera images for `homeward see`; docs/do/logs.md lists the message types."
+)
 REFUSED = "homeward run cannot use it: {}."
 
 
@@ -69,6 +74,8 @@ class LogInfo:
     """Whether it is a folder of CSV files or images."""
     next: str = ""
     """The next command to type; empty where the remarks report the missing data."""
+    draft: str = ""
+    """A topics file to complete, where the choice of topics is not complete."""
 
     @property
     def settings(self) -> str:
@@ -95,7 +102,7 @@ def log_info(
     half = None if on_progress is None else lambda done: on_progress(done / 2)
     known = survey(
         log,
-        keep=(OUR_SETTINGS, *(kind for kinds, _ in USES for kind in kinds)),
+        keep=(OUR_SETTINGS, *(kind for kinds, *_ in USES for kind in kinds)),
         on_progress=half,
     )
     cut_short = [f"{number:,} {reason}" for reason, number in log.cut_short.items()]
@@ -103,7 +110,8 @@ def log_info(
         plan = choose(known, calibrated(settings, path if topics is None else topics))
     except InputError as error:
         remarks = (*cut_short, f"{error.what}.", *_candidates(known))
-        return LogInfo(log.kind, known.topics, None, remarks, next=_with_topics(given))
+        draft = draft_of(known.topics, None)
+        return LogInfo(log.kind, known.topics, None, remarks, False, _with_topics(given), draft)
     missing = tuple(_missing(plan))
     remarks = (
         *cut_short,
@@ -113,7 +121,12 @@ def log_info(
         *_tried(known, plan, topics, on_progress),
     )
     following = _next(given, plan, topics, known, remarks)
-    return LogInfo(log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)), next=following)
+    draft = "" if plan.bearings else draft_of(known.topics, plan)
+    if not (plan.bearings or draft or unread(known)) and following == _with_topics(given):
+        remarks, following = (*remarks, NO_LANDMARKS), ""
+    return LogInfo(
+        log.kind, known.topics, plan, tuple(dict.fromkeys(remarks)), False, following, draft
+    )
 
 
 def _next(
@@ -125,12 +138,14 @@ def _next(
         return command("see", log, "--tags", "36h11", "--out", f"out/{log.stem}")
     if plan.odometry is None or not plan.bearings or _is_refused(remarks):
         return _with_topics(log)
-    home = () if plan.home is not None else _home_options(remarks)
+    home = () if plan.home is not None else _home_options(remarks, log)
     return command("run", log, *(() if topics is None else ("--topics", topics)), *home)
 
 
-def _home_options(remarks: Sequence[str]) -> Sequence[str]:
-    """Return the options that give home where it is missing: the proposed rest, if any."""
+def _home_options(remarks: Sequence[str], log: Path | None = None) -> Sequence[object]:
+    """Return the options that give home where it is missing: a home.csv, or the proposed rest."""
+    if log is not None and (home := (log if log.is_dir() else log.parent) / csv.HOME).exists():
+        return "--home", home
     proposed = re.search(r"--home (during:\d[\d.]*,[\d.]+)", " ".join(remarks))
     return FIRST_POSE if proposed is None else ("--home", proposed[1])
 

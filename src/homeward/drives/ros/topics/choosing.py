@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 
 from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
 from homeward.drives.ros.messages.presets import (
@@ -43,27 +43,61 @@ NO_IDS_IN_SCAN = (
 )
 OTHER_THAN_SCAN = "record the output of a node that recognises each reflector"
 
-USES: tuple[tuple[tuple[str, ...], str], ...] = (
-    ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)"),
-    ((JOINT_STATE,), "odometry, with wheel_radius and track_width in the topics file"),
-    ((MODULE_STATES,), "odometry, with modules in the topics file or robot.yaml"),
-    (ACKERMANN, "odometry, with wheelbase in the topics file"),
-    ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC), or the tilt of the robot"),
-    (TWISTS, "odometry"),
-    (POSES_OF_TAGS, "odometry, ground truth, or the bearings of one landmark"),
-    (POSES, "odometry, or ground truth"),
-    (PICTURES, "images, by `homeward see LOG --tags 36h11`"),
-    (IN_IMAGE, "bearings, with a camera model"),
-    ((POINT,), "the bearings of one landmark"),
-    (TRANSFORMS, "bearings, with the names of the landmarks' frames, or odometry"),
-    (tuple(SIGHTINGS), "bearings"),
+_BEARINGS = "- {{topic: {}}}"
+USES: tuple[tuple[tuple[str, ...], str, str], ...] = (
+    ((NAV_ODOMETRY,), "odometry (use: twist, or use: pose)", "odometry: {{topic: {}}}"),
+    (
+        (JOINT_STATE,),
+        "odometry, with wheel_radius and track_width in the topics file",
+        "odometry: {{topic: {}, wheel_radius: METRES, track_width: METRES}}",
+    ),
+    ((MODULE_STATES,), "odometry, with modules in the topics file or robot.yaml", ""),
+    (
+        ACKERMANN,
+        "odometry, with wheelbase in the topics file",
+        "odometry: {{topic: {}, wheelbase: METRES}}",
+    ),
+    ((IMU,), "the yaw rate of the odometry (yaw_rate: TOPIC), or the tilt of the robot", ""),
+    (TWISTS, "odometry", "odometry: {{topic: {}}}"),
+    (
+        POSES_OF_TAGS,
+        "odometry, ground truth, or the bearings of one landmark",
+        "- {{topic: {}, landmark: NAME}}",
+    ),
+    (POSES, "odometry, or ground truth", ""),
+    (PICTURES, "images, by `homeward see LOG --tags 36h11`", ""),
+    (IN_IMAGE, "bearings, with a camera model", "- {{topic: {}, camera: camera.yaml}}"),
+    ((POINT,), "the bearings of one landmark", _BEARINGS),
+    (
+        TRANSFORMS,
+        "bearings, with the names of the landmarks' frames, or odometry",
+        '- {{topic: {}, frames: "tag36h11:*"}}',
+    ),
+    (tuple(SIGHTINGS), "bearings", _BEARINGS),
 )
-"""Message types and their possible uses; the first match counts."""
+"""Message types, their possible uses, and their entry in a topics file; the first match counts."""
 
 
 def use_of(kind: str) -> str:
     """Return the possible use of a message type; empty for one that is not read."""
-    return next((words for types, words in USES if kind in types), "")
+    return next((words for types, words, _ in USES if kind in types), "")
+
+
+def draft_of(topics: Iterable[Topic], plan: LogSettings | None) -> str:
+    """Return a topics file to complete: the odometry, and all possible bearings.
+
+    Empty where no topic can be used as bearings. `plan` has the choices that are already made.
+    """
+    motions, bearings = list[str](), list[str]()
+    for topic in topics:
+        form = next((form for kinds, _, form in USES if topic.type in kinds and topic.count), "")
+        (bearings if form.startswith("-") else motions).append(form.format(topic.name))
+    if plan is not None and plan.odometry is not None:
+        motions = [f"odometry: {{topic: {plan.odometry.topic}}}"]
+    if not any(bearings):
+        return ""
+    motion = next(filter(None, motions), "odometry: {topic: TOPIC}")
+    return "\n".join([motion, "bearings:", *bearings, "home: {at: 0}"])
 
 
 def choose(survey: TopicSurvey, given: LogSettings, pictures: bool = False) -> LogSettings:
