@@ -150,6 +150,7 @@ def test_every_page_with_python_is_run():
         "do/estimators.md": "test_plugins.py",
     }
     elsewhere["do/cameras.md"] = "vision/test_tags.py"
+    elsewhere["do/extend.md"] = "test_extend.py"
     elsewhere["do/sources.md"] = "drives/test_sources.py"
     elsewhere["do/live.md"] = "live/test_live_client.py"
     elsewhere["do/known-landmarks.md"] = "drives/test_landmarks_yaml.py"
