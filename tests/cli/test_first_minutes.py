@@ -292,12 +292,18 @@ def test_what_an_extra_needs_is_said_with_a_way_that_works():
 def test_settings_are_listed_for_all_that_has_any():
     listed = call("settings").stdout
     assert all(f"homeward settings {name}" in listed for name in OTHERS)
-    shared = [key.name for name in ("robot", "drive") for key in keys(other_model(name))]
+    every = {name: {k.name for k in keys(other_model(name))} for name in OTHERS}
+    pattern = re.compile(r"^(\S*)\*  # as (?:`(\w+)` of )?`homeward settings (\w+)`$", re.M)
     for name in OTHERS:
         reported = call("settings", name).stdout
-        for key in keys(other_model(name)):
-            elsewhere = key.name.removeprefix("drive.") in shared and "# as `homeward" in reported
-            assert f"{key.name}=" in reported or elsewhere
+        elsewhere = {
+            head + key.removeprefix(f"{part}." if part else "")
+            for head, part, other in pattern.findall(reported)
+            for key in every[other]
+            if key.startswith(part)
+        }
+        for key in every[name]:
+            assert f"{key}=" in reported or key in elsewhere, (name, key)
     assert "window=40  # Keyframes" in call("settings", "robust").stdout
     assert "choose one of: robust" in refused(call("settings", "kalman"))
 

@@ -29,6 +29,16 @@ OTHERS = {
     "topics": ("the topics file of a log", "drives.ros.settings:LogSettings"),
 }
 """Settings other than those of estimators: where to set them, and their model."""
+LISTED_ONCE: dict[str, tuple[str, str, tuple[str, ...] | None]] = {
+    "drives.settings:DriveSettings": ("drive", "", None),
+    "drives.settings:RobotSettings": ("robot", "", None),
+    "drives.settings:Wheels": ("robot", "wheels", None),
+    "drives.cameras.lens:Lens": ("images", "camera", ("topics",)),
+    "lab.simulation.scenario:Course": ("simulate", "", ("rooms",)),
+    "lab.filters.settings:FilterSettings": ("ekf", "", ("a-ekf", "pi-ekf", "schmidt")),
+}
+"""Models by the listing that has their keys, the key there, and the listings that name it (None:
+all)."""
 
 
 def settings(
@@ -72,12 +82,19 @@ def settings(
 
 
 def listed_elsewhere(of: str) -> dict[type[Strict], str]:
-    """Return the models that files share, and the commands that list them."""
-    shared = [name for name in ("drive", "robot") if name != of]
-    return {other_model(name): f"`homeward settings {name}`" for name in shared}
+    """Return the models that are listed once for all, and the commands that list them."""
+    return {
+        _imported(model): f"{part and f'`{part}` of '}`homeward settings {name}`"
+        for model, (name, part, readers) in LISTED_ONCE.items()
+        if name != of and (readers is None or of in readers)
+    }
 
 
 def other_model(name: str) -> type[Strict]:
     """Return the settings model of one of `OTHERS`."""
-    module, _, model = OTHERS[name][1].partition(":")
-    return getattr(import_module(f"homeward.{module}"), model)  # type: ignore[no-any-return]
+    return _imported(OTHERS[name][1])
+
+
+def _imported(model: str) -> type[Strict]:
+    module, _, name = model.partition(":")
+    return getattr(import_module(f"homeward.{module}"), name)  # type: ignore[no-any-return]

@@ -44,13 +44,14 @@ def keys(
 
     Defaults are the values of `given` where that is an instance of the model. The keys of models
     that are listed `elsewhere`, by the place that lists them, are one key each: all of them are
-    nested in `model` or its bases.
+    nested in `model` or its bases. A key of a base with another default here is listed.
     """
     known, seen = meanings(model), set[str]()  # type: ignore[arg-type]
+    of_bases = set[Key]()
     for base in model.__bases__:
         if base in elsewhere:
             yield Key(f"{head}{ANY}", "", f"as {elsewhere[base]}")
-            seen |= {key.name for key in keys(base, head)}
+            of_bases |= {*keys(base, head), *keys(base, head, None, elsewhere)}
     for name, field in model.model_fields.items():
         own = getattr(given, name) if isinstance(given, model) else field.make_default()
         full = head + (field.alias or name)
@@ -61,7 +62,7 @@ def keys(
             else:
                 inner += keys(part, full + path, own, elsewhere)
         for key in inner or [Key(full, _as_yaml(own), known.get(name, ""))]:
-            if key.name not in seen:
+            if key.name not in seen and key not in of_bases:
                 seen.add(key.name)
                 yield key
 

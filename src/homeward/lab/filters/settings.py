@@ -17,6 +17,10 @@ DEFAULT_BEARING_SIGMA = 0.02
 DEFAULT_SPEED_SIGMA = 0.05
 DEFAULT_TURN_SIGMA = 0.05
 """Used where neither settings nor drive specify one; units as in `FilterSettings`."""
+BEARING_WALK = 0.05
+"""White noise of the bearing states of the paper's filters [rad/sqrt(s)], for an error that their
+covariance does not contain: the rates divide by estimated distances, which are poor for a new
+landmark. It covers an error of the rates of 0.05 rad/s for one second."""
 Matrix = tuple[tuple[Finite, ...], ...]
 
 
@@ -43,10 +47,6 @@ class NoiseSettings(Strict):
 class FilterSettings(NoiseSettings):
     """Settings of the filters in the paper's state."""
 
-    bearing_walk: NonNegative = 0.05
-    """White noise of the bearing states [rad/sqrt(s)], for an error that their covariance does not
-    contain: the rates divide by estimated distances, which are poor for a new landmark. The default
-    covers an error of the rates of 0.05 rad/s for one second."""
     integration: Integration = "rk4"
     guard: NonNegative = 0.01
     """Keeps the model finite at home and where robot, home and a landmark are in line [m]."""

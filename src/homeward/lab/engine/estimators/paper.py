@@ -32,6 +32,7 @@ from homeward.lab.filters.ekf import (
 from homeward.lab.filters.invariant import InvariantFilter
 from homeward.lab.filters.particle import ParticleFilter
 from homeward.lab.filters.settings import (
+    BEARING_WALK,
     DEFAULT_BEARING_SIGMA,
     DEFAULT_SPEED_SIGMA,
     DEFAULT_TURN_SIGMA,
@@ -127,7 +128,7 @@ class FilterConfig(Generic[Settings]):
     ) -> FilterRunner:
         """Return a filter in the paper's state with its tuning; errors as of `start`."""
         q, parameters = kind.model.q, np.ones(len(kind.model.estimated))
-        walk, nothing = self.settings.bearing_walk**2, np.zeros((0, 0))
+        walk, nothing = BEARING_WALK**2, np.zeros((0, 0))
         before = [np.square(self.start_sigmas), np.ones(q), parameter_variance * parameters]
         density = [np.zeros(POLAR), np.full(q, walk), parameter_density * parameters]
         tuning = Tuning(

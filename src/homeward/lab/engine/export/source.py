@@ -17,6 +17,7 @@ from homeward.lab.engine.batch.job import MAX_BELIEF
 from homeward.lab.engine.estimators.runner import FilterRunner, Tuning
 from homeward.lab.filters.ekf import ExtendedKalmanFilter, steps
 from homeward.lab.filters.settings import (
+    BEARING_WALK,
     DEFAULT_BEARING_SIGMA,
     DEFAULT_SPEED_SIGMA,
     DEFAULT_TURN_SIGMA,
@@ -84,7 +85,7 @@ def _step_values(kind: ExtendedKalmanFilter, settings: FilterSettings) -> dict[s
         "largest": f"{MAX_BELIEF:g}",
         "speed_variance": c_number(speed_sigma**2),
         "turn_variance": c_number(turn_sigma**2),
-        "walk_variance": c_number(settings.bearing_walk**2),
+        "walk_variance": c_number(BEARING_WALK**2),
         "bearing_variance": c_number(bearing_sigma**2),
         "gate": c_number(settings.gate_threshold),
         "minimum_visible": settings.minimum_visible,
@@ -130,7 +131,7 @@ def _example(
         stored=angles,
         bearing_sigma=bearing_sigma,
         input_density=np.square(input_sigmas),
-        state_density=np.concatenate([np.zeros(POLAR), np.full(q, settings.bearing_walk**2)]),
+        state_density=np.concatenate([np.zeros(POLAR), np.full(q, BEARING_WALK**2)]),
         gate=settings.gate_threshold,
         minimum_visible=settings.minimum_visible,
         proportional=np.zeros((0, 0)),

@@ -25,7 +25,7 @@ from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Driven, Log, before, drive_course
 from homeward.lab.simulation.render.rays.raycast import Viewpoint, trace, viewpoint
 from homeward.lab.simulation.render.room.furnish import furnished
-from homeward.lab.simulation.render.room.settings import RenderScenario
+from homeward.lab.simulation.render.room.settings import HOME_TIME, RenderScenario
 from homeward.lab.simulation.render.scene import RoomScene, build_scene
 from homeward.lab.simulation.render.shading.picture import (
     NOTHING,
@@ -77,12 +77,12 @@ class Eye:
         robot = scenario.home.pose._replace(heading=scenario.home.heading + turned)
         view = self._view(compose(robot, mount), number)
         chance = self._chance(number)
-        return picture(self.then, view, scenario.home_time, scenario.camera, chance)
+        return picture(self.then, view, HOME_TIME, scenario.camera, chance)
 
     def home_truth(self) -> PixelTruth:
         """Return the ground truth of each pixel of the home image."""
         scenario = self.scenario
-        return pixel_truth(self.then, self.home_view, scenario.home_time, scenario.camera)
+        return pixel_truth(self.then, self.home_view, HOME_TIME, scenario.camera)
 
     def view(self, robot: Pose, number: int) -> Viewpoint:
         """Return the viewpoint of image `number` (from 1) for a robot pose in the home frame."""
@@ -214,7 +214,7 @@ def moved_boxes(eye: Eye) -> dict[str, bool]:
 def things_seen(eye: Eye, home: Features) -> list[str]:
     """Return the name of the object of each feature of the home image."""
     camera, view = eye.scenario.camera, eye.home_view
-    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
+    surfaces, _ = eye.then.at(HOME_TIME, view)
     tilt = tilt_matrix(camera.roll, camera.pitch)
     met = trace(surfaces, view, unit_vectors(home.azimuth, home.elevation) @ tilt).surface
     return [eye.then.things[i] for i in surfaces.thing[met].tolist()]

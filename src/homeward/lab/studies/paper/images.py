@@ -16,7 +16,13 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Polar, Pose, between, compose, from_polar
 from homeward.lab.simulation.render.drive import Eye, panorama_of, things_seen
 from homeward.lab.simulation.render.rays.raycast import points, trace
-from homeward.lab.simulation.render.room.settings import Furnish, RenderScenario, RoomCamera, Walls
+from homeward.lab.simulation.render.room.settings import (
+    HOME_TIME,
+    Furnish,
+    RenderScenario,
+    RoomCamera,
+    Walls,
+)
 from homeward.lab.simulation.scenario import Homing, RoomPose, StartPose
 from homeward.lab.studies.paper.settings import PaperSettings
 from homeward.lab.studies.paper.world import CaseName, PaperWorld, draw_world, fault_count
@@ -174,7 +180,7 @@ def _choose(
 def _places(eye: Eye, home: Features, rows: np.ndarray) -> np.ndarray:
     """Return the landmark positions during the drive, (q, 2) in the home frame [m]."""
     view = eye.home_view
-    surfaces, _ = eye.then.at(eye.scenario.home_time, view)
+    surfaces, _ = eye.then.at(HOME_TIME, view)
     rays = unit_vectors(home.azimuth[rows], home.elevation[rows])
     hits = trace(surfaces, view, rays)
     found = points(hits, view, rays)

@@ -23,6 +23,8 @@ from homeward.vision.cameras.ring import Ring
 
 MIN_TILT_SIGMA = 0.002
 """Minimum tilt noise that a front-end assumes [rad]."""
+HOME_TIME = -100.0
+"""Time of the home image [s], which determines where movers were."""
 LENSES = {"pinhole": "plumb_bob", "fisheye": "equidistant"}
 RIM = 2.0
 """Distance of a ring from the image edge [px]."""
@@ -253,8 +255,6 @@ class RenderScenario(Course):
     movers: dict[str, Mover] = Field(default_factory=dict)
     tags: Tags | None = None
     camera: RoomCamera = RoomCamera()
-    home_time: Finite = -100.0
-    """Time of the home image [s], which determines where movers were."""
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
     """`bearings` is the rate of images."""
 
