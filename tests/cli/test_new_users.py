@@ -85,6 +85,9 @@ def test_info_prints_a_topics_file_to_complete_where_a_run_needs_one():
         (["help"], "use `homeward --help`"),
         (["export", "robust"], "homeward export ekf --landmarks 12"),
         (["export", "ekf"], "homeward export ekf --landmarks 12"),
+        (["place", "serve", "hall", "--tcp", "7710"], "an MQTT broker"),
+        (["run", "mine", "--home-during=0,5"], "is now --home during:0,5"),
+        (["run", "mine", "--store-home", "dock"], "now `homeward place add PLACE DRIVE`"),
     ],
 )
 def test_words_of_other_programs_get_a_command(words, answer):

@@ -30,17 +30,21 @@ COMMANDS = {
 }
 """Commands that do not exist, and their replacement."""
 _TIMES = {f"--home-{kind}": f"--home {kind}:{{}}" for kind in ("during", "spin", "at")}
-_MOVED = dict.fromkeys(("--update", "--store-home", "--store-route"), "`homeward place add`")
+_MOVED = dict.fromkeys(
+    ("--update", "--store-home", "--store-route"), "`homeward place add PLACE DRIVE`"
+)
 OPTIONS: dict[str, dict[str, str]] = {
     "": {**_TIMES, "--smoothed-lag": "--smooth {}"},
-    "run": {name: f"{words} PLACE DRIVE" for name, words in _MOVED.items()},
+    "run": _MOVED,
+    "place serve": {"--tcp": "--mqtt mqtt://HOST, the address of an MQTT broker"},
 }
 """Options that do not exist, of the commands named and of all; ``{}`` is the value given."""
 
 
 def refuse_options(words: Sequence[str]) -> None:
     """Raise `InputError` for an option of an earlier version that names its replacement."""
-    known = OPTIONS[""] | OPTIONS.get(words[0] if words else "", {})
+    of = ("", *words[:1], " ".join(words[:2]))
+    known = {option: hint for one in of for option, hint in OPTIONS.get(one, {}).items()}
     for k, word in enumerate(words):
         option, equals, value = word.partition("=")
         if option in known:

@@ -158,7 +158,6 @@ def serve(
     ignore: Annotated[
         list[str] | None, typer.Option(metavar="ROBOT", help="Ignore a robot; repeatable.")
     ] = None,
-    tcp: Annotated[str | None, typer.Option(hidden=True)] = None,
 ) -> None:
     """Share a place between live sessions, and merge their visits while they drive.
 
@@ -173,7 +172,7 @@ def serve(
     from homeward.live.fleet.merging import SharedPlace
 
     broker = given_broker(mqtt, user, password_file, ca) if mqtt is not None else None
-    if broker is None or tcp is not None:
+    if broker is None:
         raise InputError(
             "a place is shared by an MQTT broker: homeward place serve PLACE --mqtt mqtt://HOST;"
             " homeward place broker-config PLACE --robots A,B prints the broker's configuration"
