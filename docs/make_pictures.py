@@ -1,4 +1,4 @@
-"""Make the pictures of README and docs again: `.venv/bin/python docs/make_pictures.py`.
+"""Make the pictures of README and docs again: `.venv/bin/python docs/make_pictures.py [NAME ...]`.
 
 Pages are drawn by Chromium, which must be on the PATH; the recording by Rerun's viewer without a
 window, which needs a Vulkan driver. Where the machine has none, Chromium's will do:
@@ -12,6 +12,8 @@ import tempfile
 import time
 from pathlib import Path
 
+from PIL import Image
+from PIL.PngImagePlugin import PngInfo
 from rerun.experimental import ViewerClient
 
 from homeward.lab.observability.study import observe
@@ -35,20 +37,42 @@ PORT, SETTLE_S = 9896, 10.0
 
 
 def main() -> None:
-    """Draw observability, a plan, a room, the studio, and the sample's report and recording."""
-    (IMAGES / "observe-two.png").write_bytes(png(draw_family(observe(2)), dpi=90))
-    plan = analyse(load_plan("warehouse"))
-    (IMAGES / "plan-warehouse.png").write_bytes(png(draw_begin(plan), dpi=90))
-    _picture_room(IMAGES / "rendered-room.jpg")
+    """Draw the pictures with these names, or all; the report of the sample has its summary."""
+    pictures = {
+        "observe-two.png": lambda file: file.write_bytes(png(draw_family(observe(2)), dpi=90)),
+        "plan-warehouse.png": _picture_plan,
+        "rendered-room.jpg": _picture_room,
+        "studio.png": _picture_studio,
+        "sample-report.png": _picture_report,
+        "sample-recording.png": _picture_recording,
+    }
     if CHROMIUM is None:
         sys.exit("no chromium on the PATH")
-    _picture_studio(IMAGES / "studio.png")
+    for name in sys.argv[1:] or pictures:
+        pictures[name](IMAGES / name)
+
+
+def _picture_plan(file: Path) -> None:
+    """Draw where homing can begin in the warehouse."""
+    file.write_bytes(png(draw_begin(analyse(load_plan("warehouse"))), dpi=90))
+
+
+def _run_sample(folder: Path) -> str:
+    """Write a run of the sample drive; return its summary."""
     drive, estimator, settings = prepare(RunSettings(drive=SAMPLE))
     track = finish(drive, estimator, settings)
+    return write_run(folder, drive, track, settings.model_dump(mode="json"))
+
+
+def _picture_report(file: Path) -> None:
+    """Draw the top of the report of the sample; a test compares its summary with the README."""
     with tempfile.TemporaryDirectory() as scratch:
-        write_run(Path(scratch) / "run", drive, track, settings.model_dump(mode="json"))
-        _picture_page(Path(scratch) / "run" / "report.html", IMAGES / "sample-report.png")
-        _picture_recording(Path(scratch) / "run", IMAGES / "sample-recording.png")
+        summary = _run_sample(Path(scratch) / "run")
+        _picture_page(Path(scratch) / "run" / "report.html", file)
+    words = PngInfo()
+    words.add_itxt("summary", summary)
+    with Image.open(file) as picture:
+        picture.save(file, pnginfo=words, optimize=True)
 
 
 def _picture_room(file: Path) -> None:
@@ -95,8 +119,14 @@ def _picture_page(page: Path, file: Path) -> None:
     )
 
 
-def _picture_recording(run: Path, file: Path) -> None:
-    """Draw a run in Rerun's viewer, at a moment of its drive."""
+def _picture_recording(file: Path) -> None:
+    """Draw the run of the sample in Rerun's viewer, at a moment of its drive."""
+    with tempfile.TemporaryDirectory() as scratch:
+        _run_sample(Path(scratch) / "run")
+        _picture_viewer(Path(scratch) / "run", file)
+
+
+def _picture_viewer(run: Path, file: Path) -> None:
     size = f"{VIEWER_SIZE[0]}x{VIEWER_SIZE[1]}"
     words = [str(RERUN), "--headless", "--port", str(PORT), "--window-size", size]
     words += [str(run / "rerun.rbl"), str(run / "run.mcap")]
