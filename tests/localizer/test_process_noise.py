@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from rig import Rig, ring
 
 from benchmarks.odometry_noise import drive_of, row
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, Sensor, noise_rates
@@ -234,3 +235,22 @@ def test_a_table_top_is_a_small_room():
         return float(np.sqrt(np.average(e.position**2, weights=e.weight))) / size
 
     assert rmse(0.1) < 1.25 * rmse(1.0)
+
+
+def test_poses_of_a_speed_6_percent_too_low_are_inside_3_sigma():
+    """As of some real drives; bearings do not observe the scale."""
+    inside = []
+    for seed in range(3):
+        rig = Rig(ring(8), seed, promise=None)
+        given = rig.settings.robot["odometry"].model_copy(update={"speed_scale_sigma": None})
+        localizer = Localizer(rig.home, **rig.settings.robot | {"odometry": given})
+        inner, rig.localizer = localizer.odometry, localizer
+        localizer.odometry = lambda t, v, omega, add=inner: add(t, v / 1.06, omega)
+        rig.drive(40.0)
+        known = [(a, p) for a, p in rig.answers if a.pose is not None]
+        off = np.array([[a.pose.x - p.x, a.pose.y - p.y] for a, p in known])
+        spread = np.array([a.covariance[:2, :2] for a, _ in known])
+        inside += (
+            (off * np.linalg.solve(spread, off[:, :, None])[:, :, 0]).sum(axis=1) < 9.0
+        ).tolist()
+    assert np.mean(inside) > 0.97

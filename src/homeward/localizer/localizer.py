@@ -56,7 +56,7 @@ WITHOUT_IDS_NOTE = (
     " and wrong for some seconds. Give ids or classes where you can."
 )
 SCALE_NOTE = (
-    "Distances have the error of the wheels' speed, often 3 %. One measured distance removes it: in"
+    "Distances have the error of the wheels' speed, often 4 %. One measured distance removes it: in"
     " landmarks.yaml of the drive folder, `distances: [{between: [ID, ID], distance: METRES}]`."
 )
 NOISY_NOTE = (
