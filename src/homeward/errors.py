@@ -75,8 +75,10 @@ class InputError(HomewardError):
         return part + self.problem + ("" if self.advice is None else f"; {self.advice}")
 
     def __str__(self) -> str:
+        if self.file is None:
+            return printable(self.what)
         row = "" if self.row is None else f", row {self.row}"
-        return printable(self.what if self.file is None else f"{as_typed(self.file)}{row}: {self.what}")
+        return printable(f"{as_typed(self.file)}{row}: {self.what}")
 
     def at(self, file: Path | None = None, part: str | None = None) -> None:
         """Name a file and a part, if the error names none."""
