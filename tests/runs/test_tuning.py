@@ -57,24 +57,36 @@ def test_the_noise_of_a_drive_is_identified_and_consistent():
     assert abs(np.log(after.nees / 3.0)) < abs(np.log(before.nees / 3.0))
 
 
-def test_a_robot_that_strafes_gets_the_scale_and_the_noise_of_its_sideways_speed(monkeypatch):
-    searched = []
-    monkeypatch.setattr(tuning, "_search", lambda _, n, fields, __: searched.append(fields) or n)
+def strafing(kind):
+    """Drive of 30 s without noise settings, whose sideways speed is 20 % too small."""
     chance = np.random.default_rng(3)
     points = tuple(map(tuple, chance.uniform(-1.5, 1.5, (20, 2)).tolist()))
     scenario = sim.Scenario(
-        robot=sim.Robot(drive="mecanum"),
+        robot=sim.Robot(drive=kind),
         landmarks=sim.Ring(count=12, distance=(2.5, 5.0)),
         noise=sim.Noise(bearing_sigma=0.01, home_sigma=0.01),
         odometry=sim.OdometryErrors(speed_sigma=0.01, turn_sigma=0.01, sideways_scale=-0.2),
         start=sim.StartPose(x=1.0, y=0.0, heading=0.0, prior=False),
         trajectory=sim.Waypoints(duration=30.0, points=points),
     )
-    drive = dataclasses.replace(simulate(scenario).drive, settings=DriveSettings())
-    found = tune([drive], lambda _: None).settings.odometry
+    return dataclasses.replace(simulate(scenario).drive, settings=DriveSettings())
+
+
+def test_a_robot_that_strafes_gets_the_scale_and_the_noise_of_its_sideways_speed(monkeypatch):
+    searched = []
+    monkeypatch.setattr(tuning, "_search", lambda _, n, fields, __: searched.append(fields) or n)
+    found = tune([strafing("mecanum")], lambda _: None).settings.odometry
     assert abs(found.sideways_scale - 1.25) < 3.0 * found.sideways_scale_sigma < 0.15
     assert searched == [Noise._fields]
     assert found.sideways_sigma == pytest.approx(0.01, rel=1.0)
+
+
+def test_the_map_of_a_robot_that_keeps_its_yaw_rate_gives_no_scale_of_it():
+    """Noise alone varies the yaw rates of odometry, and the scale would be too small."""
+    drive = dataclasses.replace(strafing("omni"), truth=None)
+    found = tuning._mapped(drive)[2]
+    assert "odometry.sideways_scale" in found
+    assert "odometry.turn_scale" not in found
 
 
 def likelihoods_of(gain):

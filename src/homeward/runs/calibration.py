@@ -34,7 +34,7 @@ from homeward.localizer.motions import (
 )
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MIN_CALIBRATION_SIGMA
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.dead_reckoning import dead_reckoning, dead_reckoning_unwrapped
 
 WINDOW_S = 4.0
 """Length of the motions that are compared with ground truth [s]: far longer than a lag."""
@@ -54,6 +54,9 @@ errors hardly exceed it [standard deviations]."""
 MIN_EXPLAINED = 0.9
 """Smallest share of the variance of rotations that the odometry's explain, for a scale of them: of
 a robot that hardly turns, or turns at one rate, they are noise, which makes the scale too small."""
+MIN_VARIATION = 4.0
+"""Smallest standard deviation of rotations about their mean rate for a scale from the map, over
+that by noise [1]: noise makes the scale too small by the inverse of its square."""
 MIN_SLIP = 2.0
 """Smallest slip in bends that is corrected [standard deviations]."""
 LAG, LATE = "odometry.time_constant", "bearings_late"
@@ -101,6 +104,8 @@ def estimates(drive: Drive, localizer: Localizer) -> Estimates:
     they are not given and the bearings contradict zero.
     """
     found = _from_map(localizer)
+    if not _varies(drive.odometry, localizer.calibration().process_rates):
+        found.pop("odometry.turn_scale", None)
     by_truth = {} if drive.truth is None else _from_truth(drive.odometry, drive.truth)
     if by_truth:  # its scale is that next to its own slip
         found.pop("odometry.turn_slip", None)
@@ -184,6 +189,16 @@ def _from_truth(odometry: Odometry, truth: Truth) -> Estimates:
         slip = Value(0.0, math.hypot(*slip))
         found = estimated(with_slip=False)
     return _informative(found | {"odometry.turn_slip": slip})
+
+
+def _varies(odometry: Odometry, process_rates: np.ndarray) -> bool:
+    """Whether the yaw rate varies beyond its noise; rates as those of the localiser (3, 3)."""
+    known = odometry.bridged
+    t = np.arange(known.t[0], known.t[-1], WINDOW_S)
+    turned = np.diff(dead_reckoning_unwrapped(known, t).heading)
+    speed, rate = np.hypot(known.v, known.vy).mean(), np.abs(known.omega).mean()
+    variance = WINDOW_S * float(process_rates[2] @ [1.0, speed, rate])
+    return turned.size > 1 and float(np.var(turned)) > MIN_VARIATION**2 * variance
 
 
 def _explained(true: np.ndarray, found: np.ndarray, beside: np.ndarray) -> float:
