@@ -138,15 +138,14 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
     )
     projected = project(surfaces, *view)
     matrix, limits = projected.matrix.astype(kind), projected.limits.astype(kind)
+    planes = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
     if kind == np.float32 and (native := compiled()) is not None:
-        planes = np.ascontiguousarray(np.moveaxis(directions, -1, 0))
         given = projected.index.astype(np.int64), planes, matrix, limits
         found = hits.distance, hits.across, hits.along, hits.surface
         native(hits.surface.size, len(matrix), *given, TINY, *found)
         return hits
     for k, index in enumerate(projected.index.tolist()):
-        q = np.moveaxis(directions @ matrix[k].T, -1, 0)
-        _meet(hits, index, limits[k].tolist(), q)
+        _meet(hits, index, limits[k].tolist(), np.tensordot(matrix[k], planes, 1))
     return hits
 
 
