@@ -188,7 +188,7 @@ bench: install
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --smooth)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.mrclam --falsify 3 --seeds 5)
 	$(if $(QUICK),,$(BIN)/python -m benchmarks.vision)
-	$(if $(QUICK),,$(BIN)/python -m benchmarks.render --homings 50 --width 1024)
+	$(if $(QUICK),,$(BIN)/python -m benchmarks.render)
 
 # Re-run the cheap commands of docs/figures.json, and report figures of the pages that differ.
 figures: install

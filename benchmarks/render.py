@@ -1,32 +1,30 @@
-"""Homing by images in rendered sparse rooms, and the runtime of a picture.
+"""Homing by images in rendered sparse rooms.
 
-The rooms of `benchmarks.rooms` in turn, furnished according to the seed: from up to 4 m with
-unknown heading, three boxes moved since home, a person walking through; in four of five the camera
+The rooms of `benchmarks.rooms`, furnished according to the seed: from up to 4 m with unknown
+heading, three boxes moved since home, a person walking through; in four of five seeds the camera
 has another tilt in each picture. `benchmarks.vision` compares pairs of pictures.
 
-    python -m benchmarks.render --homings 50 --width 1024
+    python -m benchmarks.render [--rooms NAME ...] [--seeds 5] [--width 1024]
 
-`--first 1000` uses rooms with other furniture: for the development of methods.
+Rows are rooms: shares of homings that end within 2 and 5 cm (goal of the first: 0.98) and that
+report home elsewhere; the distance from home; NEES of (x, y, heading) while localised (3 expected),
+and its share beyond 4 sigma; landmarks detected as moved, of those tested, on moved boxes, at their
+edges, and elsewhere; the moved boxes of which most landmarks are; processor time of an image.
+`--first 100` uses rooms with other furniture: for the development of methods.
 """
 
-import math
 import time
-from collections import Counter
-from collections.abc import Callable
-from dataclasses import dataclass, field
-from functools import partial
-from multiprocessing import Pool
-from typing import TypeVar
+from collections import Counter, defaultdict
 
 import numpy as np
 
-from benchmarks import monte_carlo
+from benchmarks.measures import Figures
+from benchmarks.monte_carlo import Column, Run, benchmark
 from benchmarks.rooms import PLANS, room
 from homeward.errors import InputError
-from homeward.estimator import Status
+from homeward.estimator import LandmarkEstimate, Status
 from homeward.lab.simulation.course import Ending
-from homeward.lab.simulation.render.drive import Eye, ImageLoop, things_seen
-from homeward.lab.simulation.render.room.settings import RenderScenario
+from homeward.lab.simulation.render.drive import Eye, ImageLoop, moved_boxes, things_seen
 from homeward.registry import make_estimator
 from homeward.runs.scoring import errors
 from homeward.track import track_of
@@ -42,83 +40,92 @@ MOVED, EDGE, STATIC = "moved", "edge", "static"
 IMAGES_PER_S = 2.5  # about one every 6 cm
 TILTS = (0.0, 0.01, 0.02, 0.02, 0.03)
 """Standard deviation of roll and pitch in all pictures of the five homings of each room [rad]."""
-T = TypeVar("T")
+COLUMNS = (
+    Column("within 2 cm", "near", np.nanmean, 2),
+    Column("5 cm", "within5", np.nanmean, 2),
+    Column("elsewhere", "false", np.nanmean, 2),
+    Column("distance [cm]", "distance", digits=1),
+    Column("worst", "distance", np.nanmax, 1),
+    Column("NEES", "nees", np.nanmean, 1),
+    Column("beyond", "beyond", np.nanmean, 3),
+    *(Column(where, by=np.nanmean, digits=2) for where in (MOVED, EDGE, STATIC)),
+    Column("boxes", by=np.nanmean, digits=2),
+    Column("images", by=np.nanmean, digits=0),
+    Column("rendering [ms]", "rendering", np.nanmean, 0),
+    Column("others [ms]", "rest", np.nanmean, 0),
+)
 
 
-def scenario(number: int, width: int) -> RenderScenario:
-    """Return room number `number`, in which `robust` drives home by images of `width` columns."""
-    names = list(PLANS)
-    made = room(names[number % len(names)], number // len(names))
-    camera = made.camera.model_copy(update={"width": width, "height": width // 4})
-    return made.model_copy(update={"camera": camera, "estimator": "robust"})
+def timed_look(eye: Eye) -> list[float]:
+    """Return a list to which each later image of an eye adds its processor time [s]."""
+    taken, look = list[float](), eye.look
+
+    def timed(*given: object) -> np.ndarray:
+        began = time.process_time()
+        picture = look(*given)  # type: ignore[arg-type]
+        taken.append(time.process_time() - began)
+        return picture
+
+    eye.look = timed  # type: ignore[method-assign]
+    return taken
 
 
-def moved_boxes(eye: Eye) -> frozenset[str]:
-    return frozenset(n for n, box in eye.scenario.boxes.items() if box.stood is not None)
-
-
-def timed(add: Callable[[float], object], call: Callable[..., T], *given: object) -> T:
-    """Return the result of a call, and pass its processor time [s] to `add`."""
-    began = time.process_time()
-    made = call(*given)
-    add(time.process_time() - began)
-    return made
-
-
-@dataclass
-class Homing:
-    """Result of one homing by images."""
-
-    words: str
-    distance: float = math.inf  # from home at the end [m]; infinite if the drive failed
-    done: bool = False  # whether the robot reported to be home
-    counts: dict[tuple[str, str], Counter[bool | None]] = field(default_factory=dict)
-    """By position and object: the number of home's landmarks with each value of `moved`."""
-    nees: np.ndarray = field(default_factory=lambda: np.empty(0))
-    """Of (x, y, heading), at each image where the robot was localised."""
-    rendering: list[float] = field(default_factory=list)  # processor time of each image [s]
-    seconds: float = 0.0  # processor time of everything
-    images: int = 0
-
-    def count(self, where: str, moved: bool | None) -> int:
-        return sum(v[moved] for (place, _), v in self.counts.items() if place == where)
-
-
-def homing(number: int, width: int) -> Homing:
+def homing(run: Run, width: int) -> Figures:
+    """Return the figures of one homing by images."""
     opencv().setNumThreads(1)
-    made = scenario(number, width)
-    tilt = TILTS[number // len(PLANS) % len(TILTS)]
+    made = room(run.scenario, run.seed)
+    camera = {"width": width, "height": width // 4, "tilt_sigma": TILTS[run.seed % len(TILTS)]}
     changes = {
         "rates": made.rates.model_copy(update={"bearings": IMAGES_PER_S}),
-        "camera": made.camera.model_copy(update={"tilt_sigma": tilt}),
+        "camera": made.camera.model_copy(update=camera),
+        "estimator": "robust",
     }
-    made = made.model_copy(update=changes)
-    result = Homing(f"{made.name}-{made.seed} from {made.start.R:.2f} m, tilt {tilt:g} rad")
     began = time.process_time()
     try:
-        loop = ImageLoop(Eye(made))
-        loop.eye.look = partial(timed, result.rendering.append, loop.eye.look)  # type: ignore[method-assign]
+        loop = ImageLoop(Eye(made.model_copy(update=changes)))
+        rendering = timed_look(loop.eye)
         estimator = make_estimator("robust", loop.drive)
         drive = loop.run(estimator)
-    except InputError as error:
-        result.words += f": {error}"
-        return result
-    result.seconds, result.images = time.process_time() - began, drive.images
-    result.words += f": {drive.ending.value}"
-    result.distance, result.done = drive.final_distance, drive.ending is Ending.DONE
-    if drive.drive.truth is not None:
-        localised = [e for e in drive.estimates if e.status is Status.LOCALISED]
-        result.nees = errors(track_of(estimator, localised), drive.drive.truth).nees
+    except InputError:
+        return {"near": 0.0, "within5": 0.0, "false": 0.0, "distance": np.inf}
+    seconds, near = time.process_time() - began, drive.final_distance < MAX_END_M
+    found: Figures = {
+        "near": near,
+        "within5": drive.final_distance < 0.05,
+        "false": drive.ending is Ending.DONE and not near,
+        "distance": 100.0 * drive.final_distance,
+        "images": drive.images,
+        "rendering": 1e3 * sum(rendering) / drive.images,
+        "rest": 1e3 * (seconds - sum(rendering)) / drive.images,
+    }
+    localised = [e for e in drive.estimates if e.status is Status.LOCALISED]
+    if localised and drive.drive.truth is not None:
+        nees = errors(track_of(estimator, localised), drive.drive.truth).nees
+        found |= {"nees": nees.mean(), "beyond": np.mean(nees > CHI_SQUARE_4_SIGMA)}
+    counts = tested(loop, drive.landmarks)
+    for where in (MOVED, EDGE, STATIC):
+        yes, no = (sum(c[v] for (w, _), c in counts.items() if w == where) for v in (True, False))
+        found[where] = yes / (yes + no) if yes + no else None
+    boxes = [c for (where, _), c in counts.items() if where == MOVED and c.total() >= MIN_TESTED]
+    found["boxes"] = np.mean([c[True] > c[False] for c in boxes]) if boxes else None
+    return found
+
+
+def tested(loop: ImageLoop, landmarks: list[LandmarkEstimate]) -> dict[tuple[str, str], Counter]:
+    """Return the number of home's tested landmarks that moved or did not, by position and object.
+
+    Those on people do not count.
+    """
     home, moved = loop.front_end.home, moved_boxes(loop.eye)
-    things, edge = things_seen(loop.eye, home), at_edge(loop.eye, home, moved)
-    for landmark in drive.landmarks:
-        if landmark.landmark.startswith("h") and landmark.sightings:
-            row = int(landmark.landmark[1:])
-            thing = things[row]
-            where = MOVED if thing in moved else EDGE if edge[row] else STATIC
-            if not thing.startswith("mover"):
-                result.counts.setdefault((where, thing), Counter())[landmark.moved] += 1
-    return result
+    things, edge = things_seen(loop.eye, home), at_edge(loop.eye, home, frozenset(moved))
+    counts = defaultdict[tuple[str, str], Counter](Counter)
+    for mark in landmarks:
+        if mark.landmark.startswith("h") and mark.sightings and mark.moved is not None:
+            row = int(mark.landmark[1:])
+            where = MOVED if things[row] in moved else EDGE if edge[row] else STATIC
+            if not things[row].startswith("mover"):
+                counts[where, things[row]][mark.moved] += 1
+    return counts
 
 
 def at_edge(eye: Eye, home: Features, moved: frozenset[str]) -> np.ndarray:
@@ -137,69 +144,8 @@ def at_edge(eye: Eye, home: Features, moved: frozenset[str]) -> np.ndarray:
     return nearest <= home.size
 
 
-def print_homings(first: int, number: int, width: int) -> None:
-    made = []
-    with Pool(2) as pool:
-        for one in pool.imap(partial(homing, width=width), range(first, first + number)):
-            made.append(one)
-            done = "" if one.done else ", not reported"
-            print(f"  {one.words}, {100 * one.distance:.1f} cm from home{done}", flush=True)
-    distance = np.array([h.distance for h in made])
-    false = sum(h.done and h.distance >= MAX_END_M for h in made)
-    nees = np.concatenate([h.nees for h in made if h.nees.size] or [[math.nan]])
-    print(
-        f"{number} homings from up to 4 m, {width}x{width // 4}: "
-        f"{np.sum(distance < MAX_END_M)} within {100 * MAX_END_M:.0f} cm (goal 49 of 50), "
-        f"{np.sum(distance < 0.05)} within 5 cm; median {100 * np.median(distance):.1f} cm; "
-        f"home reported elsewhere: {false}\n"
-        f"  NEES while localised: mean {nees.mean():.1f} (expected 3), median "
-        f"{np.median(nees):.1f} (2.4), beyond 4 sigma {np.mean(nees > CHI_SQUARE_4_SIGMA):.1%}"
-    )
-    for where, words in (
-        (MOVED, "landmarks on moved boxes"),
-        (EDGE, "landmarks at their edges"),
-        (STATIC, "static landmarks (false detections)"),
-    ):
-        yes, no, none = (sum(h.count(where, v) for h in made) for v in (True, False, None))
-        print(f"  {words}: {yes} of {yes + no} detected as moved, {none} not tested")
-    tested = [v for h in made for (where, _), v in h.counts.items() if where == MOVED]
-    boxes = [v for v in tested if v[True] + v[False] >= MIN_TESTED]
-    images, rendering = sum(h.images for h in made), sum(sum(h.rendering) for h in made)
-    rest = sum(h.seconds for h in made) - rendering
-    print(
-        f"  moved boxes with at least {MIN_TESTED} tested landmarks: "
-        f"{sum(v[True] > v[False] for v in boxes)} of {len(boxes)} detected\n"
-        f"  {images / number:.0f} images per homing; processor time per image: "
-        f"{1000 * rendering / images:.0f} ms for rendering, {1000 * rest / images:.0f} ms for "
-        "front-end and localiser"
-    )
-
-
-def print_speed(width: int) -> None:
-    opencv().setNumThreads(1)
-    each = []
-    for number in range(len(PLANS)):
-        eye = Eye(scenario(number, width))
-        robot = eye.scenario.start.in_home_frame(eye.scenario.home.pose)
-        times: list[float] = []
-        for k in range(30):
-            timed(times.append, eye.look, 0.0, robot, k + 1)
-        each.append((1000 * min(times), 1000 * float(np.median(times))))
-    best, median = np.median(each, axis=0)
-    print(
-        f"a picture of {width}x{width // 4}: best {best:.1f} ms, median {median:.1f} ms of one core"
-        f"{' (goal 20)' if width == 512 else ''}"
-    )
-
-
 def main() -> None:
-    options = monte_carlo.parsed(
-        __doc__, homings=50, first=0, width=[1024], speed=[512, 1024, 2048]
-    )
-    for width in options.speed:
-        print_speed(width)
-    for width in options.width if options.homings else ():
-        print_homings(options.first, options.homings, width)
+    benchmark(__doc__, homing, [*PLANS], COLUMNS, seeds=5, names="rooms", width=1024)
 
 
 if __name__ == "__main__":
