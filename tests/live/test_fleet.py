@@ -25,7 +25,7 @@ from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.broker_config import broker_files
 from homeward.live.fleet.connection import Broker, Connection, given_broker
 from homeward.live.fleet.merging import QUARANTINED
-from homeward.live.fleet.parcels import MAX_NAME, PART, Mailbox, digest, require_topic_name, split
+from homeward.live.fleet.parcels import MAX_NAME, PART, Parts, digest, require_topic_name, split
 from homeward.live.fleet.robot import RobotLink, join_place
 from homeward.live.messages import BearingsIn, Reset
 from homeward.places.files import load_place
@@ -51,17 +51,20 @@ def test_a_move_goes_from_two_robots_to_a_third(broker, folder):
 
 def test_parts_are_whole_in_any_order(broker, folder):
     content = bytes(range(256)) * 3000
-    parts, box = split(content), Mailbox(8)
+    parts, box = split(content), Parts(6)
     digests = [digest(part) for part in parts]
     assert max(map(len, parts)) <= PART
     for number in (2, 0, 0, 3, 1):
         assert box.whole(digests) is None
-        box.put(str(number), parts[number])
+        box.add(parts[number])
     assert box.whole(digests) == content
-    for number in ("9", "x", "-1", "", "0000000000", "²"):
-        box.put(number, b"")
-    box.put("1", b"x" * (PART + 1))
+    box.add(b"x" * (PART + 1))
+    assert box.whole([digest(b"x" * (PART + 1))]) is None
+    for garbage in (b"", b"x"):  # of another version
+        box.add(garbage)
     assert box.whole(digests) == content
+    box.add(b"y")  # the first part is the oldest one
+    assert box.whole(digests) is None
 
 
 @pytest.mark.parametrize(

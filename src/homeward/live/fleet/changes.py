@@ -59,6 +59,8 @@ def _changed(
     new: Mapping[str, Placed],
 ) -> JointMap:
     """Return a map with changed landmarks, whose errors are independent of all others."""
+    if not (moved or suspected or new):
+        return joint
     mean, covariance = joint.mean.copy(), joint.covariance.copy()
     for name, at in moved.items():
         rows = joint.columns([name])

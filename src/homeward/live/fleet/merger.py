@@ -26,7 +26,7 @@ from homeward.live.fleet.parcels import (
     MAX_VISIT_PARTS,
     STATE,
     VISIT,
-    Mailbox,
+    Parts,
     PlaceManifest,
     VisitManifest,
     require_topic_name,
@@ -57,7 +57,8 @@ class Merger:
     ) -> None:
         self._shared, self._broker, self._write = shared, broker, log
         self._lock, self._news = threading.Lock(), threading.Event()
-        self._boxes = dict[str, Mailbox]()
+        self._parts_of = dict[str, Parts]()
+        """By robot."""
         self._manifests = dict[str, VisitManifest]()
         self._done = dict[str, VisitManifest]()
         """By robot, the version that was processed last."""
@@ -163,11 +164,11 @@ class Merger:
                 case ["visit", robot, number]:
                     require_topic_name("robot", robot)
                     with self._lock:
-                        if robot not in self._boxes and len(self._boxes) >= MAX_ROBOTS:
+                        if robot not in self._parts_of and len(self._parts_of) >= MAX_ROBOTS:
                             return
-                        box = self._boxes.setdefault(robot, Mailbox(MAX_VISIT_PARTS))
+                        parts = self._parts_of.setdefault(robot, Parts(MAX_VISIT_PARTS))
                         if number != MANIFEST:
-                            box.put(number, payload)
+                            parts.add(payload)
                         elif payload and len(payload) < 2**16:
                             self._manifests[robot] = parsed(VisitManifest, payload)
                     self._news.set()
@@ -194,7 +195,7 @@ class Merger:
             return
         with self._lock:
             new = {r: m for r, m in self._manifests.items() if m != self._done.get(r)}
-            whole = {r: self._boxes[r].whole(m.parts) for r, m in new.items()}
+            whole = {r: self._parts_of[r].whole(m.parts) for r, m in new.items()}
         added, results = list[str](), dict[tuple[str, str], str]()
         for robot, content in whole.items():
             if content is not None and self._add(robot, new[robot], content):

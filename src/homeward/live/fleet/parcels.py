@@ -79,22 +79,28 @@ def split(content: bytes) -> list[bytes]:
     return [content[i : i + PART] for i in range(0, len(content), PART)] or [b""]
 
 
-class Mailbox:
-    """Newest parts of one sender, by their number."""
+class Parts:
+    """Parts of content from one sender, in any order; the last ones are kept."""
 
     def __init__(self, max_parts: int) -> None:
         self._parts: dict[str, bytes] = {}
+        """By digest."""
         self._max = max_parts
 
-    def put(self, number: str, part: bytes) -> None:
-        """Replace a part; numbers and lengths that no sender uses are ignored."""
-        is_number = number.isascii() and number.isdecimal() and len(number) < 4
-        if is_number and int(number) < self._max and len(part) <= PART:
-            self._parts[number] = part
+    def add(self, part: bytes) -> None:
+        """Add a part; one that is too long is ignored."""
+        if len(part) <= PART:
+            key = digest(part)
+            self._parts.pop(key, None)
+            self._parts[key] = part
+            self.keep_last(self._max)
+
+    def keep_last(self, number: int) -> None:
+        """Remove all but the last parts."""
+        for key in list(self._parts)[: max(len(self._parts) - number, 0)]:
+            del self._parts[key]
 
     def whole(self, digests: Sequence[str]) -> bytes | None:
-        """Return the content with these digests of its parts; None until all arrived."""
-        parts = [self._parts.get(str(i)) for i in range(len(digests))]
-        if any(p is None or digest(p) != d for p, d in zip(parts, digests, strict=True)):
-            return None
-        return b"".join(p for p in parts if p is not None)
+        """Return the content with these digests of its parts; None until all have arrived."""
+        parts = [self._parts.get(key) for key in digests]
+        return None if None in parts else b"".join(p for p in parts if p is not None)

@@ -6,7 +6,7 @@ import math
 import secrets
 import threading
 import time
-from collections import defaultdict, deque
+from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -40,7 +40,7 @@ from homeward.live.fleet.parcels import (
     MAX_MAP_PARTS,
     MAX_VISIT_PARTS,
     VISIT,
-    Mailbox,
+    Parts,
     PlaceManifest,
     VisitManifest,
 )
@@ -95,8 +95,7 @@ class RobotLink:
         self._sent_at, self._num_parts = math.inf, MAX_VISIT_PARTS
         self._number, self._results = int(time.time()), dict[str, str]()
         self._manifest: PlaceManifest | None = None
-        self._maps = defaultdict[str, Mailbox](lambda: Mailbox(MAX_MAP_PARTS))
-        self._changed = Mailbox(MAX_MAP_PARTS)
+        self._parts = Parts(2 * MAX_MAP_PARTS)
         self._map: tuple[str, Place] | None = None
         self._assembled: tuple[str, tuple[str, ...]] | None = None
         self._place: Place | None = None
@@ -181,12 +180,8 @@ class RobotLink:
             match topic:
                 case ["ack", _]:
                     self._acknowledge(parsed(Ack, payload))
-                case ["map", version, _] if not payload:  # deleted
-                    self._maps.pop(version, None)
-                case ["map", version, number]:
-                    self._maps[version].put(number, payload)
-                case ["change", number]:
-                    self._changed.put(number, payload)
+                case ["map", _, _] | ["change", _]:
+                    self._parts.add(payload)
                 case ["manifest"]:
                     manifest = parsed(PlaceManifest, payload)
                     if self._manifest is None or manifest.epoch >= self._manifest.epoch:
@@ -201,14 +196,16 @@ class RobotLink:
         if manifest is None:
             return
         if self._map is None or self._map[0] != manifest.map:
-            content = self._maps[manifest.map].whole(manifest.map_parts)
+            content = self._parts.whole(manifest.map_parts)
             if content is None:
                 return
             self._map = manifest.map, place_of(content)
-        changes = self._changed.whole(manifest.change_parts)
+        changes = self._parts.whole(manifest.change_parts)
         if changes is None or self._assembled == (manifest.map, manifest.change_parts):
             return
         self._assembled = manifest.map, manifest.change_parts
+        # Of this version, and of the next one.
+        self._parts.keep_last(2 * len(manifest.map_parts + manifest.change_parts) + 8)
         found: Changes = parsed(Changes, changes)
         when = time.time() / DAY_S
         place = with_changes(self._map[1], found.changes, self._robot, when)
