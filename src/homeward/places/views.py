@@ -26,6 +26,9 @@ RANGE_QUANTILE = 0.9
 MAX_DISTANCES = 4000
 """Maximum number of distances for that quantile."""
 
+MAX_PAIRS = 500_000
+"""Maximum number of pairs of a frame and a landmark at a time, for 50 MB of memory."""
+
 
 def _none() -> np.ndarray:
     return np.zeros(SECTORS)
@@ -55,6 +58,20 @@ class Views:
         `sigmas` (m,) are the standard deviations of the positions [m]; NaN for a pose that is not
         certain. `field_of_view` [rad] is None if it is unknown.
         """
+        step = max(MAX_PAIRS // max(len(places.names), 1), 1)
+        for k in range(0, len(seen), step):
+            some = slice(k, k + step)
+            self._add(places, cameras[some], sigmas[some], seen[some], field_of_view)
+
+    def _add(
+        self,
+        places: JointMap,
+        cameras: np.ndarray,
+        sigmas: np.ndarray,
+        seen: Sequence[Collection[str]],
+        field_of_view: float | None,
+    ) -> None:
+        """Add frames, as `add`."""
         index = {name: i for i, name in enumerate(places.names)}
         saw = np.zeros((len(seen), len(places.names)), bool)
         for row, names in enumerate(seen):
