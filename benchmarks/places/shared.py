@@ -6,7 +6,8 @@
 process of `homeward live`. One robot has mirrored bearings, and one a wheel scale of 1.15. Three
 landmarks are pushed by 1 m, one after the other, and the merger is killed (SIGKILL) at 80 % of the
 time, and started again 2 s later. A landmark is seen again at its first sighting in the new
-position. `--join` measures joining places of 400 and 2,000 landmarks instead.
+position. `--join` measures joining places of 400 and 2,000 landmarks instead, and `--messages` the
+merger alone, with visits of robots that do not localise, in a place of 40 landmarks.
 """
 
 import argparse
@@ -20,13 +21,13 @@ import sys
 import tempfile
 import threading
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from benchmarks.places.__main__ import visit
-from benchmarks.places.large import made, random_places
+from benchmarks.places.large import made, mapped, random_places
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
 from homeward.drives.drive import Drive
 from homeward.drives.folder import write_folder
@@ -34,10 +35,14 @@ from homeward.geometry.frames import Pose, bearing, between
 from homeward.live.fleet.connection import Broker
 from homeward.live.fleet.merger import Merger
 from homeward.live.fleet.merging import LIVE, SharedPlace
-from homeward.live.fleet.robot import RobotLink
+from homeward.live.fleet.messages import visit_message
+from homeward.live.fleet.robot import SHARE_S, RobotLink
 from homeward.live.messages import BearingsIn, OdometryIn, line_of
 from homeward.places.files import load_place, save_place
+from homeward.places.persistence import LandmarkPersistence
 from homeward.places.place import DAY_S, Place
+from homeward.places.views import SECTORS, Views
+from homeward.places.visit_data import VisitData
 
 STAGGER_S = 1.0  # between the starts of two robots
 PUSH = (0.6, -0.8)
@@ -371,6 +376,69 @@ def join(number: int, mqtt: str, work: Path) -> None:
     merging.join()
 
 
+def exchanged(robots: int, mqtt: str, work: Path) -> None:
+    """Print how long a move takes from the second robot to the others, and the merger's cost."""
+    rng, moves, number = np.random.default_rng(robots), 6, 40
+    places = random_places(rng, number, (20.0, 12.0))
+    folder = work / "hall"
+    place, yesterday = made("hall", places, rng), time.time() / DAY_S - 1.0
+    persistence = {n: LandmarkPersistence(yesterday, yesterday) for n in places}
+    visits = (replace(place.visits[0], when=yesterday),)
+    save_place(replace(place, persistence=persistence, visits=visits), folder)
+    views = Views({n: np.full(SECTORS, 5.0) for n in places}, {n: np.ones(SECTORS) for n in places})
+    ended, ready, cost = threading.Event(), threading.Event(), list[float]()
+
+    def merge() -> None:
+        Merger(SharedPlace(folder), Broker(mqtt, "merger")).run(ended, ready.set)
+        cost.append(time.thread_time())
+
+    merging = threading.Thread(target=merge)
+    merging.start()
+    ready.wait()
+    links = [RobotLink(Broker(mqtt, f"robot{i}"), "hall") for i in range(robots)]
+    had = dict[str, dict[int, float]]()
+    first = links[0].first.map
+    before = dict(zip(first.names, first.positions.tolist(), strict=True))
+    for i, link in enumerate(links):
+
+        def receive(place: Place, i: int = i) -> None:
+            at = dict(zip(place.map.names, place.map.positions.tolist(), strict=True))
+            for name, when in had.items():
+                if math.dist(at[name], before[name]) > 0.5 * math.hypot(*PUSH):
+                    when.setdefault(i, time.monotonic())
+
+        link.on_place = receive
+
+    def share(i: int) -> None:
+        own = mapped(places, np.random.default_rng(i))
+        visit = VisitData(f"visit{i}", f"{i}", 0.0, own)
+        ages = dict.fromkeys(places, 0.1)
+        links[i].share(visit_message(visit, views, ages, "home", False))
+
+    began, delays = time.monotonic(), list[float]()
+    for k in range(moves):
+        for i in range(robots):  # one version each, spread over their interval
+            if i == 0:
+                name = f"P{k}"
+                places[name] = places[name][0] + PUSH[0], places[name][1] + PUSH[1]
+                had[name] = {}
+            share(i)
+            if i == 1:
+                second = time.monotonic()
+            time.sleep(SHARE_S / robots)
+        delays += [had[f"P{k}"].get(i, math.inf) - second for i in range(2, robots)]
+    over = time.monotonic() - began
+    ended.set()
+    merging.join()
+    for link in links:
+        link.close()
+    print(
+        f"{robots} robots, {moves} moves: from the second robot's visit to the others: median"
+        f" {np.median(delays):.2f} s, worst {max(delays):.2f} s; merger"
+        f" {100 * cost[0] / over:.0f} % of a core"
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--robots", type=int, default=10)
@@ -379,6 +447,7 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=2)
     parser.add_argument("--mqtt", default="mqtt://127.0.0.1")
     parser.add_argument("--join", action="store_true")
+    parser.add_argument("--messages", action="store_true")
     given = parser.parse_args()
     work = Path(tempfile.mkdtemp())
     try:
@@ -386,6 +455,8 @@ def main() -> None:
         if given.join:
             for number in (400, 2000):
                 join(number, given.mqtt, work)
+        elif given.messages:
+            exchanged(given.robots, given.mqtt, work)
         else:
             about = given.seconds, given.seed, given.cores, given.mqtt, work
             Run(given.robots, *about).run()
