@@ -3,8 +3,8 @@
 `python -m benchmarks.closed_loop [--seeds 5] [--first 9000] [--seconds 10] [--fault NAME ...]`: a
 simulated robot with 25 frames a second drives home by the commands of a live session, on the clock
 of the simulator. Each fault begins while it drives. For each, the worst of the drives: distance
-driven to the first stop after a sensor died, distance driven while the estimate is wrong by more
-than 0.1 m or the robot is without a landmark in view [m], shortest time between two starts [s], and
+driven to the first stop after a sensor died, distance driven with an error of the pose of more than
+0.1 m, longest distance without a landmark in view [m], shortest time between two starts [s], and
 how the drives end. `--list` prints the faults.
 """
 
@@ -44,7 +44,7 @@ SCENARIO = {
 }
 WRONG_M = 0.1
 MAX_S, AFTER_S = 120.0, 20.0  # until the robot drives home, and after the fault [s]
-MIN_SPEED = 1e-3  # a robot that is slower stands [m/s]
+MIN_SPEED = 1e-3  # a robot that is slower is at rest [m/s]
 
 
 class Fault(NamedTuple):
