@@ -1,6 +1,7 @@
 """Version and authors are the same in every file that names them."""
 
 import re
+import tomllib
 from pathlib import Path
 
 import yaml
@@ -38,3 +39,21 @@ def test_the_authors_are_the_same_everywhere():
         "README.md": re.search(r"author = \{\{(.*?)\}\}", text("README.md"))[1],
     }
     assert named == dict.fromkeys(named, author)
+
+
+def test_other_packagings_have_the_dependencies_of_the_package():
+    """The recipe all of them; image and pixi file, with ROS 2, those that are not of commands."""
+    project = tomllib.loads(text("pyproject.toml"))
+    needed = [one.replace(">=", " >=") for one in project["project"]["dependencies"]]
+    recipe = yaml.safe_load(text("packaging/recipe.yaml"))
+    python = f"python {project['project']['requires-python']}"
+    assert recipe["requirements"]["run"] == [python, *needed]
+    host = recipe["requirements"]["host"]
+    assert project["build-system"]["requires"][0].replace(">=", " >=") in host
+    node = {one.split(" ")[0] for one in needed} - {"typer", "rich"}
+    image, pixi = text("packaging/Dockerfile"), tomllib.loads(text("packaging/pixi.toml"))
+    assert {f"python3-{one.replace('pyyaml', 'yaml')}" for one in node} <= set(image.split())
+    assert node - {"numpy"} <= pixi["dependencies"].keys()  # SciPy brings NumPy
+    assert "ros-jazzy-apriltag-msgs" in image
+    assert "ros-jazzy-apriltag-msgs" in pixi["dependencies"]
+    assert "ros-jazzy-apriltag-msgs" in text("docs/do/ros.md")
