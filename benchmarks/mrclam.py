@@ -1,11 +1,11 @@
 """Real drives: MRCLAM set 6 without a map or a prior, home at (2.0, 0.0, 0.3), noise 0.5 deg.
 
 `python -m benchmarks.mrclam [--robots 1 2 ...] [--seeds 1] [--falsify 3] [--lag 5] [--smooth]
-[--known survey] [--wrong 3] [--ranges 0.1]` prints time-weighted figures after 300 s, causal ones
+[--known survey] [--wrong 3] [--ranges]` prints time-weighted figures after 300 s, causal ones
 unless smoothed: with `--lag`, that many seconds late. `--falsify` is the number of home bearings
 that are made wrong. `--known` gives the surveyed positions of all landmarks, of which `--wrong` are
-wrong, or the two longest distances that share no landmark (`distances`). `--ranges` is the sigma
-with which the ranges of the data set are used, as a share. The last rows are those of all drives.
+wrong, or the two longest distances that share no landmark (`distances`). `--ranges`
+uses the ranges of the data set, too. The last rows are those of all drives.
 The data are read from HOMEWARD_DATA, else from ../shared/data.
 """
 
@@ -64,8 +64,19 @@ def surveyed_places(folder: str = SET_6) -> dict[str, np.ndarray]:
 
 
 def drive_of(robot: int, seed: int = 0, home: Pose = HOME) -> Drive:
-    """Return the drive of a robot of set 6, with noise of 0.5 deg in home's bearings."""
-    return read_mrclam(data() / SET_6, robot, home, math.radians(0.5), seed)
+    """Return the drive of a robot of set 6, with noise of 0.5 deg in home's bearings, no ranges."""
+    return without_ranges(read_mrclam(data() / SET_6, robot, home, math.radians(0.5), seed))
+
+
+def without_ranges(drive: Drive) -> Drive:
+    """Return a drive with bearings alone."""
+    return with_range_sigma(drive, math.inf)
+
+
+def with_range_sigma(drive: Drive, sigma: float | None) -> Drive:
+    """Return a drive with a relative standard deviation of ranges; infinite: they are not used."""
+    sensor = drive.settings.sensor.model_copy(update={"range_sigma": sigma})
+    return replace(drive, settings=drive.settings.model_copy(update={"sensor": sensor}))
 
 
 def known(what: str, wrong: int, seed: int) -> tuple[KnownLandmarks, set[str]]:
@@ -106,9 +117,7 @@ def measured(run: Run, falsify: int, lag: float, **given: Any) -> Figures:
     facts, false = known(given["known"], given["wrong"], run.seed)
     drive = replace(drive, known=facts)
     if given["ranges"]:
-        sensor = drive.settings.sensor.model_copy(update={"range_sigma": given["ranges"]})
-        settings = drive.settings.model_copy(update={"sensor": sensor})
-        drive = replace(drive, settings=settings)
+        drive = with_range_sigma(drive, None)
     localizer = Localizer(drive.home, known=drive.known, **drive.settings.robot)
     if given["smooth"]:
         track = smooth(drive)
@@ -142,7 +151,7 @@ def main() -> None:
         smooth=False,
         known="nothing",
         wrong=0,
-        ranges=0.0,
+        ranges=False,
     )
 
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.measures import SURE, Figures
 from benchmarks.monte_carlo import Column, Run, benchmark
-from benchmarks.mrclam import HOME, data
+from benchmarks.mrclam import HOME, data, without_ranges
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.settings import DriveSettings
@@ -215,7 +215,7 @@ def two_rooms(seed: int) -> Pair:
 def mrclam(folder: str, robots: tuple[int, ...], seed: int) -> Pair:
     """The real drive of one of some robots, without barcodes."""
     robot = robots[seed % len(robots)]
-    drive = read_mrclam(data() / folder, robot, HOME, math.radians(0.5), 0)
+    drive = without_ranges(read_mrclam(data() / folder, robot, HOME, math.radians(0.5), 0))
     seen, rng = drive.sightings, np.random.default_rng(seed)
     names, begins = seen.landmark.astype(str), seen.begins.tolist()
     order = np.concatenate(

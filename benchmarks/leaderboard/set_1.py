@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.consistency.trial import SurveyedTrial
-from benchmarks.mrclam import data, surveyed_places
+from benchmarks.mrclam import data, surveyed_places, without_ranges
 from homeward.drives.drive import Drive, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.landmarks import KnownLandmarks
@@ -41,7 +41,7 @@ def set_1_drive(number: int, home_noise: float) -> Drive:
     """Return the drive of `set_1_trial`, without ground truth, with the survey of its landmarks."""
     seed, k = divmod(number, len(DRIVES))
     robot, home = DRIVES[k]
-    drive = read_mrclam(data() / SET_1, robot, home, home_noise, seed)
+    drive = without_ranges(read_mrclam(data() / SET_1, robot, home, home_noise, seed))
     names = np.array([EXCHANGED.get(n, n) for n in drive.sightings.landmark])
     at = {n: between(home, Pose(*xy, 0.0)) for n, xy in surveyed_places(SET_1).items()}
     places = {n: {"x": float(p.x), "y": float(p.y)} for n, p in at.items()}

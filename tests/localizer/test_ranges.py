@@ -10,13 +10,21 @@ from rig import Rig, Wheels, ring
 
 import homeward
 from homeward.drives.landmarks import KnownLandmarks
-from homeward.drives.settings import DriveSettings
+from homeward.drives.settings import DriveSettings, Sensor
+from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import compose
+from homeward.io.settings import validated
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.localizer import Localizer
-from homeward.localizer.map.ranges import RangeInput, ScaleErrors, place_by_ranges, range_residuals
-from homeward.localizer.map.sightings import Frames
+from homeward.localizer.map.ranges import (
+    RangeInput,
+    ScaleErrors,
+    place_by_ranges,
+    range_residuals,
+    weigh_ranges,
+)
+from homeward.localizer.map.sightings import AGE, COLUMNS, GAP, OWN, RANGE_SIGMA, SIGMA, Frames
 from homeward.localizer.motions import NC, SPEED_SCALE, camera_after
 from homeward.localizer.settings import LocalizerSettings
 from homeward.track import run
@@ -27,6 +35,7 @@ class RangedRig(Rig):
     """A rig whose camera measures ranges, with an error of 5 % that each landmark keeps."""
 
     scale: float = 1.0
+    range_sigma: float | None = None
     spoil: Callable[[np.random.Generator, dict[str, float]], dict[str, float]] | None = None
     range_scale_sigma: float | None = None
     tuned: LocalizerSettings = dataclasses.field(default_factory=LocalizerSettings)
@@ -34,7 +43,7 @@ class RangedRig(Rig):
     def __post_init__(self):
         super().__post_init__()
         robot = self.settings.robot
-        given = {"range_sigma": 0.1, "range_scale_sigma": self.range_scale_sigma}
+        given = {"range_sigma": self.range_sigma, "range_scale_sigma": self.range_scale_sigma}
         robot["sensor"] = robot["sensor"].model_copy(update=given)
         robot["odometry"] = robot["odometry"].model_copy(update={"speed_scale_sigma": 0.03})
         self.localizer = Localizer(self.home, settings=self.tuned, **robot)
@@ -67,6 +76,10 @@ def ten_times_too_long(rng, found):
 
 def two_landmarks_ten_times_too_far(rng, found):
     return {n: 10.0 * r if n in ("L0", "L1") else r for n, r in found.items()}
+
+
+def tags_of_two_sizes(rng, found):
+    return {n: 1.5 * r if int(n[1:]) % 2 else r for n, r in found.items()}
 
 
 def always_the_same(rng, found):
@@ -127,7 +140,7 @@ def test_a_landmark_starts_from_one_place_among_wrong_ranges():
     assert place_by_ranges(cameras, bearings, np.full(10, 0.01), vague) is None
 
 
-def test_without_the_setting_nothing_depends_on_ranges():
+def test_nothing_depends_on_ranges_of_infinite_standard_deviation():
     drive = homeward.open_drive("sample")
     start = drive.span[0]
     odometry, seen = (
@@ -135,19 +148,27 @@ def test_without_the_setting_nothing_depends_on_ranges():
     )
     ranged = dataclasses.replace(seen, range=np.linspace(0.1, 9.0, seen.t.size))
     tracks = []
-    for sightings in (seen, ranged):
+    unused = drive.settings.sensor.model_copy(update={"range_sigma": math.inf})
+    for sightings, sensor in (seen, drive.settings.sensor), (ranged, unused):
         short = dataclasses.replace(drive, odometry=odometry, sightings=sightings)
-        tracks.append(run(short, Localizer(short.home, **short.settings.robot)))
+        robot = short.settings.robot | {"sensor": sensor}
+        tracks.append(run(short, Localizer(short.home, **robot)))
     bare, same = tracks
     for column in ("x", "y", "heading", "covariance"):
         assert np.array_equal(getattr(bare, column), getattr(same, column), equal_nan=True)
     assert bare.counts == same.counts
-    assert [n for n in same.notes if "range_sigma: 0.1" in n]
-    assert not [n for n in bare.notes if "anges" in n]
+    assert not [n for n in bare.notes + same.notes if "anges" in n]
 
 
-def test_ranges_bring_the_first_pose_and_the_notes_report_them():
-    rig = RangedRig(ring(8), scale=1.1)
+def test_a_standard_deviation_in_percent_is_refused():
+    assert Sensor(range_sigma=math.inf).range_sigma == math.inf
+    with pytest.raises(InputError, match="at most 1"):
+        validated(Sensor, {"range_sigma": 10.0})
+
+
+@pytest.mark.parametrize("sigma", [None, 0.1])
+def test_ranges_bring_the_first_pose_and_the_notes_report_them(sigma):
+    rig = RangedRig(ring(8), scale=1.1, range_sigma=sigma)
     rig.drive(12.0)
     assert rig.first_pose() < 1.0
     assert rig.wrong_share() == 0.0
@@ -171,11 +192,13 @@ def test_keyframes_with_ranges_leave_the_window():
         {"spoil": missing},
         {"spoil": ten_times_too_long},
         {"spoil": two_landmarks_ten_times_too_far},
+        {"spoil": tags_of_two_sizes},
         {"spoil": always_the_same},
         {"scale": 0.8},
         {"scale": 3.28},
         {"scale": 10.0},
         {"scale": 0.8, "range_scale_sigma": 0.1},
+        {"scale": 3.28, "range_sigma": 0.1},
     ],
     ids=lambda fault: fault["spoil"].__name__ if "spoil" in fault else str(fault),
 )
@@ -203,4 +226,32 @@ def test_ranges_that_cannot_be_are_counted_and_own_standard_deviations_count():
     assert usable == {"a": (math.log(2.0), 0.05)}
     assert bad == 3
     assert RangeInput(0.1, True).usable(seen, ranges, None) == ({}, 0)
-    assert RangeInput(None, False).usable(seen, ranges, None) == ({}, 0)
+    assert RangeInput(math.inf, False).usable(seen, ranges, None) == ({}, 0)
+    by_default, _ = RangeInput(None, False).usable(seen, ranges, None)
+    assert by_default == {"a": (math.log(2.0), pytest.approx(0.075))}  # 5 % and 5 cm
+
+
+def test_errors_of_ranges_that_last_do_not_average_out():
+    """The information of 1,000 s with two ranges a second is that of few independent ranges."""
+    rows = np.full((2000, COLUMNS), np.nan)
+    rows[:, AGE], rows[:, GAP] = 0.5 * np.arange(2000), 0.5
+    rows[:, SIGMA], rows[:, OWN], rows[:, RANGE_SIGMA] = 0.01, 0.01, 0.05
+    seen, one = (np.zeros(2000), np.ones((2000, 5 + NC))), np.zeros(2000, int)
+    jacobian = weigh_ranges(rows, seen, np.ones(2000), one, one).jacobian
+    independent = np.cumsum(jacobian[:, 0] ** 2) * 0.05**2
+    assert independent[-1] < 3.0
+    assert independent[19] > 0.4  # of the first 10 s
+
+
+def test_ranges_are_not_used_after_the_odometry_has_changed():
+    """Their scale is a multiple of its scale."""
+    rig = RangedRig(ring(8), scale=1.1)
+    rig.drive(20.0)
+    smoother = rig.localizer.chart.map.smoother
+    before = smoother.range_over_odometry
+    smoother.change_odometry(smoother.newest - 5)
+    assert smoother.range_over_odometry == before
+    assert before[0] == pytest.approx(1.1, abs=0.1)
+    assert not smoother.range_deviations(0).size
+    rig.drive(10.0)
+    assert rig.wrong_share() == 0.0

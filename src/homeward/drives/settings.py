@@ -27,6 +27,16 @@ Scale = Annotated[float, Field(ge=0.5, le=2)]
 Number = TypeVar("Number", float, np.ndarray)
 
 
+def _share_or_inf(value: float) -> float:
+    """Return a share; a ValueError if it is above 1 and not infinite."""
+    if 1.0 < value < math.inf:
+        raise ValueError("must be at most 1 (100 %), or .inf")
+    return value
+
+
+RangeSigma = Annotated[float, Field(gt=0), AfterValidator(_share_or_inf)]
+
+
 class Mount(Strict):
     """Camera extrinsics: the pose of the camera on the robot."""
 
@@ -67,8 +77,9 @@ class Sensor(OtherCamera):
     """Standard deviation of a bearing [rad]; None when unknown."""
     field_of_view: Annotated[float, Field(gt=0, le=2 * math.pi + 1e-9)] | None = None
     """Full opening angle around its axis [rad]; None when unknown."""
-    range_sigma: Annotated[float, Field(gt=0, le=1)] | None = None
-    """Relative standard deviation of a range without its own [1]; None: ranges are not used."""
+    range_sigma: RangeSigma | None = None
+    """Relative standard deviation of a range without its own [1]; None: 0.05, and 0.05 m. ``.inf``:
+    ranges are not used."""
     range_scale_sigma: Positive | None = None
     """Relative standard deviation of the scale that all ranges have in common, as of a tag's size
     [1]; None: unknown, so that ranges have no effect on the scale of the map."""

@@ -243,7 +243,6 @@ class Localizer:
         `camera` is the name of their camera in `cameras`; a robot with one camera needs none.
 
         Some may have a range [m] with a standard deviation [m], else `sensor.range_sigma` of it.
-        Ranges are used only where `sensor.range_sigma` is given.
 
         If odometry is late, they wait for it, and the estimate is without them for now. A frame
         without sightings has no effect: the estimate is that of `estimate`.

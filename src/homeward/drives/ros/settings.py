@@ -128,8 +128,8 @@ class BearingsTopic(Strict):
     """Standard deviation of each coordinate of a tag's corner [px], where the message has none:
     detectors find corners to a fraction of a pixel."""
     tag_size: TagSize | None = None
-    """Length of the sides of tags [m], of all or by id, for ranges from their corners, which
-    `Sensor.range_sigma` switches on; None: no ranges. For tags on vertical surfaces."""
+    """Length of the sides of tags [m], of all or by id, for ranges from their corners; None:
+    no ranges. For tags on vertical surfaces."""
     rectified: bool = False
     """Whether points are in the rectified image."""
     axes: Literal["body", "optical"] | None = None

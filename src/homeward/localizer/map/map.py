@@ -18,7 +18,7 @@ from homeward.localizer.map.landmarks import Landmarks
 from homeward.localizer.map.learning.changes import ChangeTest, ModelChange
 from homeward.localizer.map.learning.learner import Learner
 from homeward.localizer.map.ranges import ScaleErrors
-from homeward.localizer.map.sightings import GAP, LANDMARK, MIN_COVARIANCE, SIGMA
+from homeward.localizer.map.sightings import AGE, GAP, LANDMARK, MIN_COVARIANCE, SIGMA
 from homeward.localizer.map.smoother import NO_TAIL, Smoother
 from homeward.localizer.map.survey.survey import Registration, Survey
 from homeward.localizer.motion.extrinsics import Extrinsics
@@ -120,8 +120,8 @@ class Map:
         """Path from the newest keyframe to the last frame [m]."""
         self._counts_here: dict[str, int] = {}
         """Sightings of each landmark from the newest keyframe."""
-        self._last_seen = ById[float]()
-        """When each landmark was last seen [s]."""
+        self._seen = ById[tuple[float, float]]()
+        """When each landmark was first and last seen [s]."""
         self._is_vague, self._num_vague = False, 0
         """Whether odometry to the newest frame is too uncertain for the map, so that its bearings
         only show landmarks that are new or moved; number of such frames since the keyframe."""
@@ -396,7 +396,8 @@ class Map:
         """
         t, names, skipped = frame.t, frame.names, 0
         kept = np.zeros(len(names), bool)
-        rows[:, GAP] = [t - self._last_seen.get(name, -math.inf) for name in names]
+        before = [self._seen.get(name, (t, -math.inf)) for name in names]
+        rows[:, [AGE, GAP]] = t - np.array(before).reshape(-1, 2)
         for i, name in enumerate(names):
             if self._is_vague and fits.get(name, False):
                 self._counts.reject(Rejection.VAGUE_ODOMETRY)
@@ -405,16 +406,14 @@ class Map:
             if taken > MAX_PER_KEYFRAME:
                 skipped += 1
                 continue
-            self._last_seen[name] = t
+            self._seen[name] = before[i][0], t
             if not fits.get(name, True):
                 self._counts.reject(Rejection.OUTSIDE_GATE)
                 self.landmarks.add_rejected(t, name, rows[i])
             else:
                 kept[i] = True
-        if len(self._last_seen) > MAX_IDS:
-            self._last_seen.prune(
-                lambda last: last < t - CANDIDATE_MEMORY_S
-            )  # no error lasts so long
+        if len(self._seen) > MAX_IDS:
+            self._seen.prune(lambda seen: seen[1] < t - CANDIDATE_MEMORY_S)
         if skipped:
             self._counts.reject(Rejection.STANDING, skipped)
         self._counts.used += int(np.count_nonzero(kept))

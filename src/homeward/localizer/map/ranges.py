@@ -5,7 +5,11 @@ scale s of odometry's speed is unknown, too. Bearings and ranges observe only th
 d = s + b; how it is shared follows from their priors, of standard deviations S and B: the mean of s
 is d S^2 / (S^2 + B^2), and b = s B^2 / S^2. So the state needs no further unknown: it contains that
 mean of s. What remains of s, of standard deviation S B / hypot(S, B), is not observable: the map
-may have any size within it, as it may without ranges within S.
+may have any size within it, as it may without ranges within S. Where B is unknown, that is all of
+S, and s stays fixed.
+
+Errors of ranges last: of an edge, a viewing angle, a tag's size. Their correlation falls with the
+logarithm of the time, so ranges of a landmark count less the longer it has been in view.
 """
 
 from __future__ import annotations
@@ -20,11 +24,12 @@ from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings
 from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import MIN_SQUARED_DISTANCE, Sight, sight
-from homeward.localizer.map.sightings import GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
+from homeward.localizer.map.sightings import AGE, GAP, LOG_RANGE, OWN, RANGE_SIGMA, SIGMA
 from homeward.localizer.motions import HEAD, NC, SPEED_SCALE
 from homeward.localizer.reference.factors import WeighedSightings, weigh_sightings
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import (
+    FIXED_SPEED_SCALE,
     INLIER,
     LINEAR,
     MAJORITY,
@@ -35,6 +40,8 @@ from homeward.localizer.tunables import (
     MIN_RANGE_SIGMA,
     MIN_SPEED_SCALE,
     RANGE_CORRELATION_S,
+    RANGE_ERROR,
+    RANGE_ERROR_M,
     UNKNOWN_RANGE_SCALE,
 )
 
@@ -57,10 +64,10 @@ class ScaleErrors(NamedTuple):
         speed = settings.odometry.speed_scale if given is None else given
         if known.is_given:
             return ScaleErrors(speed, None)
-        if drive.sensor.range_sigma is None:
-            return ScaleErrors(0.0, speed)
+        ranges = drive.sensor.range_scale_sigma
+        if ranges is None:
+            return ScaleErrors(FIXED_SPEED_SCALE, speed, UNKNOWN_RANGE_SCALE / FIXED_SPEED_SCALE)
         speed = max(speed, MIN_SPEED_SCALE)
-        ranges = drive.sensor.range_scale_sigma or UNKNOWN_RANGE_SCALE
         both = math.hypot(speed, ranges)
         return ScaleErrors(speed**2 / both, speed * ranges / both, (ranges / speed) ** 2)
 
@@ -110,7 +117,8 @@ def weigh_ranges(
     """
     odometry, sigma = _odometry_variance(rows), range_sigmas(rows)
     gaps = np.maximum(rows[:, GAP], MIN_GAP_S)
-    correlated = rows[:, RANGE_SIGMA] ** 2 / np.tanh(gaps / (2.0 * RANGE_CORRELATION_S))
+    times = np.maximum(rows[:, AGE], RANGE_CORRELATION_S)
+    correlated = rows[:, RANGE_SIGMA] ** 2 / np.tanh(gaps / (2.0 * times))
     effective = np.sqrt((correlated + odometry) / p_static)
     return weigh_sightings(*seen, sigma, effective, pose, landmark)
 
@@ -156,10 +164,6 @@ def place_by_ranges(
 
 
 NOTE = "Ranges: {:,} used, {:,} rejected. They are {:.3f} +- {:.3f} x the distances from odometry."
-UNUSED_NOTE = (
-    "Bearings came with {:,} ranges, which are not used. To use them, add `range_sigma: 0.1` (10 %)"
-    " under `sensor:` in drive.yaml."
-)
 SURVEYED_NOTE = (
     "Bearings came with {:,} ranges, which are not used: landmarks.yaml gives the scale."
 )
@@ -168,8 +172,8 @@ SURVEYED_NOTE = (
 class RangeInput:
     """Validation of ranges.
 
-    `sigma` is the relative standard deviation of a range without its own. With None, or if
-    landmarks or distances are `surveyed`, ranges are not used.
+    `sigma` is the relative standard deviation of a range without its own; None: 0.05, and 0.05 m.
+    If it is infinite, or landmarks or distances are `surveyed`, ranges are not used.
     """
 
     def __init__(self, sigma: float | None, surveyed: bool) -> None:
@@ -187,7 +191,7 @@ class RangeInput:
         logarithm of each, and the relative standard deviation.
         """
         given = {n: r for n, r in ranges.items() if n in names and not math.isnan(r)}
-        if self._sigma is None or self._surveyed:
+        if self._sigma == math.inf or self._surveyed:
             self._unused += len(given)
             return {}, 0
         usable = {}
@@ -195,6 +199,8 @@ class RangeInput:
             if 0.0 < distance < math.inf:
                 own = (sigmas or {}).get(name, math.nan) / distance
                 sigma = own if 0.0 < own < math.inf else self._sigma
+                if sigma is None:
+                    sigma = RANGE_ERROR + RANGE_ERROR_M / distance
                 bounded = min(max(sigma, MIN_RANGE_SIGMA), MAX_RANGE_SIGMA)
                 usable[name] = math.log(distance), bounded
         return usable, len(given) - len(usable)
@@ -205,6 +211,5 @@ class RangeInput:
         `scale` is that of ranges over distances from odometry, `sigma` its standard deviation [1].
         """
         if self._unused:
-            note = SURVEYED_NOTE if self._surveyed else UNUSED_NOTE
-            return (note.format(self._unused),)
+            return (SURVEYED_NOTE.format(self._unused),) if self._surveyed else ()
         return (NOTE.format(used, rejected, scale, sigma),) if used + rejected else ()

@@ -23,12 +23,13 @@ from homeward.localizer.reference.factors import (
 from homeward.localizer.tunables import MEAN_S
 from homeward.table import GrowingTable
 
-KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, TIME, LOG_RANGE, RANGE_SIGMA = range(10)
-COLUMNS = 10
+KEYFRAME, FRAME, LANDMARK, BEARING, SIGMA, OWN, GAP, AGE, TIME, LOG_RANGE, RANGE_SIGMA = range(11)
+COLUMNS = 11
 """Columns of the table of sightings: numbers of keyframe, frame and landmark (-1: not mapped), the
 bearing [rad], its standard deviation [rad] with and without the odometry noise since the keyframe,
-the time since the landmark's last sighting [s] (infinite for the first), the stamp [s], and the
-logarithm of the range [m] and its standard deviation (NaN where there is none)."""
+the times since the landmark's last sighting (infinite for the first) and its first one [s], the
+stamp [s], and the logarithm of the range [m] and its standard deviation (NaN where there is none).
+"""
 
 
 class Frames:
@@ -80,7 +81,7 @@ class Frames:
         """
         rows = np.empty((len(frame.names), COLUMNS))
         rows[:, KEYFRAME], rows[:, LANDMARK], rows[:, GAP] = keyframe, -1, np.inf
-        rows[:, FRAME], rows[:, TIME] = self.next, frame.t
+        rows[:, FRAME], rows[:, AGE], rows[:, TIME] = self.next, 0.0, frame.t
         rows[:, BEARING], rows[:, SIGMA], rows[:, OWN] = frame.bearings, frame.sigmas, frame.sigmas
         rows[:, LOG_RANGE:] = np.nan if frame.ranges is None else frame.ranges
         if frame.offset is not None:

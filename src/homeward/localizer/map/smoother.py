@@ -155,6 +155,8 @@ class Smoother:
         """Which of the calibration are kept at zero, since they would be negative without that."""
         self.range_ratio = 0.0
         """Scale of ranges over the speed scale; see `homeward.localizer.map.ranges`."""
+        self._found_ranges: tuple[float, float] | None = None
+        """`range_over_odometry` before the odometry changed; ranges are not used since."""
         self._poses = GrowingTable((3,))
         """(w, 3): poses of the keyframes in the window."""
         self._poses.add(np.zeros(3))
@@ -184,6 +186,7 @@ class Smoother:
         whole = Smoother(unused, self._drift, self.mount_sigmas, self._correlated, 0.0)
         closed = self._closed or []
         whole.slip_sigma, whole.range_ratio = self.slip_sigma, self.range_ratio
+        whole._found_ranges = self._found_ranges
         whole.one_sided, whole._bounded = self.one_sided, self._bounded
         whole.time_constant_prior = self.time_constant_prior
         whole.first = self.first - sum(len(part.poses) for part in closed)
@@ -247,6 +250,8 @@ class Smoother:
     @property
     def range_over_odometry(self) -> tuple[float, float]:
         """Ranges over distances from odometry, and the standard deviation of that [1]."""
+        if self._found_ranges is not None:
+            return self._found_ranges
         both, state = 1.0 + self.range_ratio, self.state
         scale = math.exp(both * state.calibration[SPEED_SCALE])
         return scale, scale * both * math.sqrt(state.calibration_variances[SPEED_SCALE])
@@ -500,9 +505,12 @@ class Smoother:
     def change_odometry(self, keyframe: int) -> None:
         """Free the scale of the speed from a keyframe on, and solve the window.
 
+        Ranges are not used any more: their scale is a multiple of that.
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
         self.marginalise(keyframe - self.first, {SPEED_SCALE: 1.0})
+        self._found_ranges = self.range_over_odometry
+        self.range_ratio = 0.0
         self.solve()
 
     def marginalise(self, count: int, changes: Mapping[int, float] | None = None) -> None:
@@ -553,7 +561,7 @@ class Smoother:
 
     def range_deviations(self, since: int) -> np.ndarray:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
-        rows = self.sightings
+        rows = self.sightings if self.range_ratio else self.sightings[:0]
         rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
         residual, _ = self._range_residuals(rows, self.poses, self.state.mean[3:])
         return np.asarray(residual / range_sigmas(rows))
@@ -602,7 +610,7 @@ class Smoother:
     def _add_ranges(self, rows: np.ndarray) -> AddMore | None:
         """Return what adds the ranges in rows of the table; None: there are none."""
         rows = rows[rows[:, RANGE_SIGMA] > 0.0]
-        if not len(rows):
+        if not (len(rows) and self.range_ratio):
             return None
         pose, landmark = rows[:, KEYFRAME].astype(int) - self.first, self.index(rows[:, LANDMARK])
         p_static = self.p_static[landmark]
