@@ -173,7 +173,15 @@ class Localizer:
         ranges = self._range_notes()
         wheels = *self._plausibility.notes, *self._dead.notes
         without_ids = () if self.unlabelled is None else (WITHOUT_IDS_NOTE,)
-        return (*without_ids, *wheels, *robot, *self.chart.home.notes, *ranges, *noisy, *scale)
+        return (
+            *without_ids,
+            *wheels,
+            *robot,
+            *self.chart.home.notes(self.chart.map),
+            *ranges,
+            *noisy,
+            *scale,
+        )
 
     def _without_ids(self) -> UnlabelledLandmarks:
         """Begin the identification of landmarks without ids, which few drives need."""

@@ -446,6 +446,11 @@ BEND, NUM_BENDS = 0.125, 33
 """Width [rad/m] and number of the classes of turn per metre into which the path is sorted."""
 NOTABLE_RATIO = 2.0
 """Ratio of standard deviations that a note reports [1]."""
+MAX_NARROW = 2.0
+"""Span of home bearings up to which a note asks for a turn at home [rad]: that of one look of a
+camera of 115 degrees."""
+NOTABLE_HEADING = 0.02
+"""Standard deviation of the heading of home from which that note is of use [rad]."""
 
 # Output
 UNSEEN_S = 2.0

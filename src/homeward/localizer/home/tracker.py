@@ -22,7 +22,9 @@ from homeward.localizer.home.hypotheses import (
 )
 from homeward.localizer.home.observation import HomeObservation
 from homeward.localizer.home.problem import HomeProblem
+from homeward.localizer.home.turn_note import turn_notes
 from homeward.localizer.inputs.bearing_noise import BearingNoise
+from homeward.localizer.map.landmarks import numbers
 from homeward.localizer.map.map import Map
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.map.survey.survey import exchange_notes
@@ -68,12 +70,16 @@ class HomeTracker:
         self._searched = 0
         """Keyframe of the last search from scratch."""
 
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Notes for the user on the given start, and on exchanged home bearings."""
+    def notes(self, known: Map) -> tuple[str, ...]:
+        """Return notes for the user: on the start, exchanged home bearings, and a turn at home."""
         found = self.hypotheses
-        start = () if found is None or found.best.problem.assumed.start else (START_NOTE,)
-        return *start, *exchange_notes(self.exchanged, "in the home bearings")
+        if found is None:
+            return ()
+        start = () if found.best.problem.assumed.start else (START_NOTE,)
+        exchanged = exchange_notes(self.exchanged, "in the home bearings")
+        mapped = known.landmarks.mapped.items()
+        others = numbers(m for n, m in mapped if n not in self.observation.bearings)
+        return *start, *exchanged, *turn_notes(found.best, others, known.smoother.all_landmarks)
 
     @property
     def exchanged(self) -> dict[str, str]:
