@@ -41,6 +41,14 @@ def test_no_class_name_has_two_meanings_in_one_house():
     assert {name: files for name, files in found.items() if len(files) > 1} == {}
 
 
+def test_no_two_test_files_have_one_name():
+    """Folders of tests are no packages, so pytest cannot collect both in one run."""
+    found: dict[str, list[str]] = {}
+    for file in Path(__file__).parent.rglob("test_*.py"):
+        found.setdefault(file.name, []).append(file.as_posix())
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}
+
+
 RUN = """
 import sys, tempfile
 from typer.testing import CliRunner
