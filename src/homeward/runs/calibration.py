@@ -201,9 +201,9 @@ def _varies(odometry: Odometry, process_rates: np.ndarray) -> bool:
     return turned.size > 1 and float(np.var(turned)) > MIN_VARIATION**2 * variance
 
 
-def _explained(true: np.ndarray, found: np.ndarray, beside: np.ndarray) -> float:
-    """Return the share of the variance of `true` that `found` explains next to `beside`, (n,)."""
-    across = np.eye(true.size) - np.outer(beside, beside) / max(beside @ beside, 1e-12)
+def _explained(true: np.ndarray, found: np.ndarray, other: np.ndarray) -> float:
+    """Return the share of the variance of `true` that `found` explains in addition to `other`, (n,)."""
+    across = np.eye(true.size) - np.outer(other, other) / max(other @ other, 1e-12)
     true, found = across @ true, across @ found
     return float((true @ found) ** 2 / max((true @ true) * (found @ found), 1e-300))
 

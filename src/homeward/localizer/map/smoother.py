@@ -236,11 +236,11 @@ class Smoother:
 
     @property
     def is_unsolved(self) -> bool:
-        """Whether the solutions of the last two keyframes have not converged.
+        """Whether the solutions of the last two keyframes have not converged, but one before has.
 
         Then the covariance is not that of a minimum: bearings and odometry contradict each other.
         """
-        return self.newest - self._converged_at >= 2
+        return 0 < self._converged_at <= self.newest - 2
 
     @property
     def range_scale(self) -> float:

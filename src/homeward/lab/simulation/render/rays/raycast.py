@@ -145,7 +145,7 @@ def trace(surfaces: Surfaces, view: Viewpoint, directions: np.ndarray) -> Hits:
         native(hits.surface.size, len(matrix), *given, TINY, *found)
         return hits
     for k, index in enumerate(projected.index.tolist()):
-        _meet(hits, index, limits[k].tolist(), np.tensordot(matrix[k], planes, 1))
+        _meet(hits, index, limits[k].tolist(), list(np.tensordot(matrix[k], planes, 1)))
     return hits
 
 
