@@ -145,9 +145,10 @@ wheel: dev
 	if ls out/wheel/built/*-any.whl 2>/dev/null; then cp out/wheel/built/*.whl out/wheel; \
 		else PATH="$(CURDIR)/$(BIN):$$PATH" $(BIN)/auditwheel repair -w out/wheel out/wheel/built/*.whl; fi
 
-# Installation on a clean Debian 12 with and without a C++ compiler; needs Debian's mmdebstrap.
-rehearsal: install
-	$(BIN)/python packaging/rehearsal.py
+# Installation of the source archive, with and without a C++ compiler, and of the wheel on a clean
+# Debian 12; needs Debian's mmdebstrap. SYSTEMS=arm64: emulated; SYSTEMS=ubuntu: needs its mirror.
+rehearsal: wheel
+	$(BIN)/python packaging/rehearsal.py $(SYSTEMS)
 
 # In an environment of its own, with an empty PATH.
 test-wheel: wheel

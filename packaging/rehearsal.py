@@ -1,9 +1,11 @@
-"""Install homeward on a clean Debian 12 with and without a C++ compiler: `make rehearsal`.
+"""Install homeward in clean systems, from its source archive and from its wheel: `make rehearsal`.
 
 `python packaging/rehearsal.py [SYSTEM ...]` makes each system with Debian's mmdebstrap, without a
 network for pip: packages come from out/rehearsal/wheels, which pip downloads first. It prints what
-`homeward --version` reports, the time of the installation, and the largest difference of a pose of
-the sample drive, and fails where one of them is not as expected.
+`homeward --version` reports, the time of the installation, the memory of a run of the sample drive,
+and the largest difference of a pose, and fails where one of them is not as expected. Without names
+it makes those of Debian 12 on this processor. `arm64` needs qemu-user-static with binfmt_misc,
+`ubuntu` a mirror of Ubuntu and its keyring (ubuntu-keyring).
 """
 
 import csv
@@ -12,81 +14,135 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import NamedTuple
 
 ROOT = Path(__file__).resolve().parents[1]
 PLACE = ROOT / "out" / "rehearsal"
+
+
+class System(NamedTuple):
+    """A root file system."""
+
+    packages: tuple[str, ...] = ()
+    has_core: bool = False
+    """Whether homeward then has its compiled core."""
+    wheel: bool = False
+    """Whether the wheel of `make wheel` is installed, not the source archive."""
+    suite: str = "bookworm"
+    architecture: str = "amd64"
+
+
+COMPILER = ("g++", "python3-dev")
 SYSTEMS = {
-    "no-compiler": ((), False),
-    "c-compiler": (("gcc", "libc6-dev"), False),
-    "no-headers": (("g++",), False),
-    "all": (("g++", "python3-dev"), True),
+    "no-compiler": System(),
+    "c-compiler": System(("gcc", "libc6-dev")),
+    "no-headers": System(("g++",)),
+    "all": System(COMPILER, has_core=True),
+    "wheel": System(has_core=True, wheel=True),
+    "arm64": System(architecture="arm64"),
+    "ubuntu": System(COMPILER, has_core=True, suite="noble"),
 }
-"""Packages of each system, and whether it can build the compiled core."""
+ELSEWHERE = ("arm64", "ubuntu")
+"""Systems that are made only where they are named."""
+PYTHON = {"bookworm": "3.11", "noble": "3.12"}
+MACHINES = {"amd64": "x86_64", "arm64": "aarch64"}
+GLIBC = (17, 24, 26, 27, 28, 34)
+"""Minor versions of glibc of the wheels that these systems can use."""
 MAX_DIFFERENCE = 1e-6
 """Of a number in estimate.csv [m, rad]."""
+MAX_MB = 2000
+"""Memory of a run [MB]."""
 INSTALL = """
 set -e
 python3 -m venv /env
 date +%s > /result/begin
-/env/bin/pip install --no-index --find-links /wheels --no-compile --log /result/log /source
+/env/bin/pip install --no-index --find-links /wheels --no-compile --log /result/log /given/*
 date +%s > /result/end
 cd /result
 /env/bin/homeward --version > version
-/env/bin/homeward run sample --out run
+/env/bin/python - > memory <<'END'
+import resource, subprocess
+subprocess.run(["/env/bin/homeward", "run", "sample", "--out", "run"], check=True)
+print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss // 1000)
+END
 """
 
 
 def main() -> None:
-    """Try the systems of the command line, or all."""
-    shutil.rmtree(PLACE / "source", ignore_errors=True)
-    source = PLACE / "source"
-    for folder in ("cpp", "src"):
-        left = shutil.ignore_patterns("*.so", "__pycache__")
-        shutil.copytree(ROOT / folder, source / folder, ignore=left)
-    for file in ("LICENSE", "README.md", "pyproject.toml"):
-        shutil.copy(ROOT / file, source)
-    (source / "install.sh").write_text(INSTALL)
-    download()
+    """Try the systems of the command line, or all of this processor."""
+    shutil.rmtree(PLACE / "sdist", ignore_errors=True)
     expected: list[list[float]] | None = None
     is_wrong = False
-    for name in sys.argv[1:] or SYSTEMS:
-        packages, can_build = SYSTEMS[name]
-        result = install(name, packages)
+    for name in sys.argv[1:] or [name for name in SYSTEMS if name not in ELSEWHERE]:
+        system = SYSTEMS[name]
+        result = install(name, system)
         version = (result / "version").read_text().strip()
         seconds = int((result / "end").read_text()) - int((result / "begin").read_text())
+        memory = int((result / "memory").read_text().split()[-1])
         answer = poses(result / "run" / "estimate.csv")
         expected = answer if expected is None else expected
         largest = difference(answer, expected)
-        print(f"{name}: {version}, installed in {seconds} s, difference {largest:.1e}")
-        is_wrong |= ("(compiled core)" in version) != can_build or not largest <= MAX_DIFFERENCE
+        print(
+            f"{name}: {version}, installed in {seconds} s, run in {memory} MB, "
+            f"difference {largest:.1e}",
+            flush=True,
+        )
+        is_wrong |= ("(compiled core)" in version) != system.has_core
+        is_wrong |= memory > MAX_MB or not largest <= MAX_DIFFERENCE
     sys.exit(is_wrong)
 
 
-def download() -> None:
-    """Download what the package needs to be built and to run, for Debian's Python."""
+def download(system: System) -> Path:
+    """Download what the package needs to be built and to run; return the folder."""
+    folder = PLACE / "wheels" / f"{system.suite}-{system.architecture}"
     settings = tomllib.loads((ROOT / "pyproject.toml").read_text())
     needed = [*settings["build-system"]["requires"], "cmake", "ninja"]
     needed += settings["project"]["dependencies"]
+    machine = MACHINES[system.architecture]
     pip = [sys.executable, "-m", "pip", "download", "--quiet", "--disable-pip-version-check"]
-    pip += ["--only-binary=:all:", "--python-version", "3.11", "-c", str(ROOT / "constraints.txt")]
-    subprocess.run([*pip, "-d", str(PLACE / "wheels"), *needed], check=True)
+    pip += ["--only-binary=:all:", "--python-version", PYTHON[system.suite]]
+    pip += [word for minor in GLIBC for word in ("--platform", f"manylinux_2_{minor}_{machine}")]
+    pip += ["-c", str(ROOT / "constraints.txt"), "-d", str(folder)]
+    subprocess.run([*pip, *needed], check=True)
+    return folder
 
 
-def install(name: str, packages: tuple[str, ...]) -> Path:
+def given(system: System) -> Path:
+    """Return the folder with the wheel, or with the source archive, which is built first."""
+    if system.wheel:
+        if not list((ROOT / "out" / "wheel").glob("*.whl")):
+            sys.exit("no wheel in out/wheel: make wheel")
+        return ROOT / "out" / "wheel"
+    folder, tools = PLACE / "sdist", PLACE / "tools"
+    if not folder.exists():
+        subprocess.run([sys.executable, "-m", "venv", str(tools)], check=True)
+        pip = [str(tools / "bin" / "python"), "-m", "pip", "install", "--quiet"]
+        subprocess.run([*pip, "-c", "constraints.txt", "scikit-build-core"], cwd=ROOT, check=True)
+        build = f"import scikit_build_core.build as b; b.build_sdist({str(folder)!r})"
+        subprocess.run([str(tools / "bin" / "python"), "-c", build], cwd=ROOT, check=True)
+    return folder
+
+
+def install(name: str, system: System) -> Path:
     """Make a system, install homeward in it, run the sample drive; return the folder of results."""
     result = PLACE / name
     shutil.rmtree(result, ignore_errors=True)
-    result.mkdir()
-    command = ["mmdebstrap", "--quiet", "--variant=apt"]
-    command += [f"--include={','.join(('python3-venv', *packages))}"]
+    result.mkdir(parents=True)
+    (PLACE / "install.sh").write_text(INSTALL)
+    wheels, source = download(system), given(system)
+    command = ["mmdebstrap", "--quiet", "--variant=apt", f"--arch={system.architecture}"]
+    command += [f"--include={','.join(('python3-venv', *system.packages))}"]
+    command += ["--components=main,universe"] if system.suite == "noble" else []
     for hook in (
-        'mkdir "$1/result"',
-        f"copy-in {PLACE}/source {PLACE}/wheels /",
-        'chroot "$1" sh /source/install.sh',
+        'mkdir "$1/result" "$1/wheels" "$1/given"',
+        f"sync-in {wheels} /wheels",
+        f"sync-in {source} /given",
+        f"copy-in {PLACE}/install.sh /",
+        'chroot "$1" sh /install.sh',
         f"sync-out /result {result}",
     ):
         command.append(f"--customize-hook={hook}")
-    subprocess.run([*command, "bookworm", "/dev/null"], check=True)
+    subprocess.run([*command, system.suite, "/dev/null"], check=True)
     return result
 
 
