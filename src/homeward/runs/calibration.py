@@ -202,7 +202,7 @@ def _varies(odometry: Odometry, process_rates: np.ndarray) -> bool:
 
 
 def _explained(true: np.ndarray, found: np.ndarray, other: np.ndarray) -> float:
-    """Return the share of the variance of `true` that `found` explains, besides `other`, (n,)."""
+    """Return the share of the variance of `true` that `found` explains next to `other`, (n,)."""
     across = np.eye(true.size) - np.outer(other, other) / max(other @ other, 1e-12)
     true, found = across @ true, across @ found
     return float((true @ found) ** 2 / max((true @ true) * (found @ found), 1e-300))
