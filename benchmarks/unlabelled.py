@@ -197,7 +197,7 @@ def square(seed: int, duration: float = 180.0) -> Pair:
     return simulated(Scene(places, home, seed, size=5.0, duration=duration))
 
 
-def two_rooms(seed: int) -> Pair:
+def two_rooms(seed: int, duration: float = 180.0) -> Pair:
     """Two equal rooms, of which the robot sees both before it can find home, or one of them."""
     rng = np.random.default_rng([seed, 2])
     one = np.column_stack([rng.uniform(-2.5, 2.5, 6), rng.uniform(-2.5, 2.5, 6)])
@@ -209,7 +209,7 @@ def two_rooms(seed: int) -> Pair:
         phase = np.asarray(phase) + start
         return np.column_stack([5.5 * np.cos(phase), 1.6 * np.sin(2.0 * phase)])
 
-    return simulated(Scene(places, home, seed, reach=3.9, path=path))
+    return simulated(Scene(places, home, seed, reach=3.9, path=path, duration=duration))
 
 
 def mrclam(folder: str, robots: tuple[int, ...], seed: int) -> Pair:
@@ -268,7 +268,11 @@ COLUMNS = (
 
 def measured(run: Run) -> Figures:
     """Return the figures of a drive without and with ids."""
-    pair = KINDS[run.scenario](run.seed)
+    return compared(KINDS[run.scenario](run.seed))
+
+
+def compared(pair: Pair) -> Figures:
+    """Return the figures of a drive of which both forms are run."""
     localizer, at = Localizer(pair.without.home, **pair.without.settings.robot), math.nan
     table: dict[str, Counter[str]] = defaultdict(Counter)
     stamps, keys = pair.without.sightings.t, pair.without.sightings.landmark

@@ -454,9 +454,7 @@ class Localizer:
         """Process a frame in each chart; return its innovations in the one that answers."""
         here = self.twists.at(frame.t)
         if self.unlabelled is not None:
-            twist = self.twists.before(frame.t)
-            turn_rate = 0.0 if twist is None else twist.omega
-            frame = self.unlabelled.identify(frame, here, turn_rate, self.chart)
+            frame = self.unlabelled.identify(frame, here, self.twists, self.chart)
             if not frame.sightings:
                 return []
         frozen = self._frozen.add_frame(frame.t, frame.sightings, frame.camera, here)

@@ -503,11 +503,11 @@ deviations]."""
 DISTINGUISHED = (0.008, 0.02)
 """Limits of the noise of bearings to distinguish landmarks: a good camera's, at first, and the
 default [rad]."""
-ASSOCIATION_MARGIN = 6.0
+ASSOCIATION_MARGIN = 4.0
 """Twice the log likelihood ratio (3 nats) by which a pair must beat its rivals: one in 20 wrong."""
-NOT_LIVE = 3.0
+NOT_LIVE = 2.0
 """The same for a landmark in reach that was not seen just before: a fifth of them appear."""
-CLEAR_MARGIN = 20.0
+CLEAR_MARGIN = 10.0
 """Pairs with this margin are accepted together: a conditioning hardly changes it."""
 MIN_HITS = 3
 """Hits of a track before it counts: a false bearing continues another one by chance."""
@@ -528,25 +528,37 @@ FALSE_AT_FIRST = 0.2
 MAX_FALSE, MIN_SEEN = 0.3, 2.0
 """Largest share of false bearings: a track that ends early may also be of a landmark that is seldom
 detected; and bearings in a frame at first."""
-TRACK_MEMORY_S = 1.5
+TRACK_MEMORY_S = 3.0
 """A track without hits ends: half of the landmarks in view may be missed in each frame [s]."""
-CONFIRMED_MEMORY = 3.0
-"""One that is confirmed lasts longer by this factor [1]."""
-TRACK_DRIFT = 0.005
-"""Error of dead-reckoned directions at standstill [rad/s], ..."""
-TRACK_TURN_ERROR = 0.05
-"""... by the scale of yaw rates [1] ..."""
-TURN_LAG_S = 0.15
-"""... and by the delay and time constant of the odometry, while the yaw rate changes [s] ..."""
+LIVE_S = 1.5
+"""A landmark that was hit within this time is expected to be seen again [s]."""
+TENTATIVE = 5.0
+"""Twice the negative log probability that a tentative track is a landmark: a third is."""
+MAX_TRACKS, MAX_TRACK_SIGMA = 60, 0.5
+"""Tracks of a local map, and the deviation of a predicted bearing [rad] beyond which nothing
+identifies its landmark."""
+RECENT_S = 5.0
+"""Tracks that were hit within this time may be of a landmark that was seen before [s]."""
+JOIN_S = 0.5
+"""Interval of the search for such tracks [s]."""
+DUPLICATE_MARGIN = 6.0
+"""As `ASSOCIATION_MARGIN`, for two tracks of one landmark."""
+DUPLICATE_SIGMAS = 0.003, 0.01
+"""Difference of two tracks of one landmark: bearing [rad] and inverse distance [1/m]."""
+MAX_MISSES = 4
+"""Successive misses of a track in view: by chance one in 3,000."""
+YAW_SCALE_SIGMA, YAW_LAG_S = 0.05, 0.1
+"""Error of the scale of yaw rates [1], and their delay, with as large an error [s]."""
+UNKNOWN_RATES = 0.1, 0.1, 0.1
+"""Growth of variances while the motion is unknown [m^2/s, m^2/s, rad^2/s]."""
+TURN_LAG_S = 0.05
+"""Error of the delay of the odometry, while the yaw rate changes [s], ..."""
 TURN_JITTER_S = 0.05
 """... and jitter of the stamps; see `SIGN_LAGS_S` [s]."""
 NEAR = 0.25
 """Distance of a near landmark, in median distances [1], ..."""
 NEAR_UNKNOWN_M = 0.7
 """... and before anything is mapped [m]."""
-BORN_APART = 5.0
-"""No landmark begins so close to the predicted bearing of one that is not seen [standard
-deviations]."""
 MAX_SHARP = 0.1
 """A prediction that is less certain does not keep a new landmark from beginning [rad]."""
 BREAKS = 3
@@ -569,6 +581,9 @@ NATS_APART = 7.0
 """Log evidence of home over other places: one in a thousand is wrong [nats]."""
 NATS_KEPT = 2.0
 """Below this, an assignment of home bearings is withdrawn [nats]."""
+PROVEN_S = 25.0
+"""Time for which home must stay found before a pose is localised: a place that looks the same may
+come into view [s]."""
 FIRST_SEARCH_S = 1.0
 """Interval of the searches for home after a landmark was mapped [s], ..."""
 SEARCH_GROWTH = 1.3

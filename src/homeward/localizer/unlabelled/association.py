@@ -1,7 +1,10 @@
-"""Association of bearings with predicted bearings, jointly: the least ambiguous pair first.
+"""Association of rows with columns, bearings with landmarks, by their joint covariance.
 
-After each pair, the prediction is conditioned on it (sequential joint compatibility; Neira and
-Tardos, 2001). A pair that is not better than its rivals by a margin is held back, with its rivals.
+Errors of the odometry are common to all pairs. Each pair is therefore a hypothesis: given that
+pair, the others are predicted, and the cheapest assignment is found. The best hypothesis is
+accepted pair by pair, each time given those before (joint compatibility; Neira and Tardos, 2001),
+as long as all assignments without the pair are worse by a margin. No column at all is an
+alternative, too.
 """
 
 from __future__ import annotations
@@ -10,121 +13,197 @@ from typing import NamedTuple
 
 import numpy as np
 
-from homeward.geometry.angles import wrap
-from homeward.localizer.tunables import ASSOCIATION_GATE, ASSOCIATION_MARGIN, CLEAR_MARGIN
+from homeward.localizer.tunables import ASSOCIATION_GATE, CLEAR_MARGIN
 
 
-class Forecast(NamedTuple):
-    """Predicted bearings of n landmarks."""
+class PossiblePairs(NamedTuple):
+    """Possible pairs of m rows and n columns, q of them, of which residuals have d components."""
 
-    mean: np.ndarray
-    """(n,) [rad]"""
+    rows: np.ndarray
+    """(q,), int"""
+    columns: np.ndarray
+    """(q,), int"""
+    residuals: np.ndarray
+    """(q, d)"""
     covariance: np.ndarray
-    """(n, n): of the predictions alone [rad^2]."""
-
-    def conditioned(self, of: np.ndarray, bearings: np.ndarray, variances: np.ndarray) -> Forecast:
-        """Return it after bearings (k,) of the landmarks `of` (k,), with their variances."""
-        across = self.covariance[:, of]
-        known = across[of] + np.diag(variances)
-        gain = np.linalg.solve(known, across.T).T
-        mean = self.mean + gain @ wrap(bearings - self.mean[of])
-        return Forecast(mean, self.covariance - gain @ across.T)
-
-    def squares(self, bearings: np.ndarray, variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return squared normalised innovations and their variances, (m, n) each."""
-        variance = np.maximum(self.covariance.diagonal(), 0.0) + variances[:, None]
-        return wrap(bearings[:, None] - self.mean) ** 2 / variance, variance
+    """(q, d, q, d): of the residuals."""
+    penalty: np.ndarray
+    """(q,): twice the negative log probability of the pair without its residual."""
 
 
 class Association(NamedTuple):
-    """Landmarks of m bearings."""
+    """Columns of m rows."""
 
-    landmark: np.ndarray
-    """(m,), int: index of its landmark, -1 for none."""
-    is_held: np.ndarray
-    """(m,), bool: whether it has several possible landmarks."""
-    forecast: Forecast
-    """The forecast after these bearings."""
+    column: np.ndarray
+    """(m,), int: -1 for none."""
+    is_sure: np.ndarray
+    """(m,), bool: whether the column, or none, is better than all others by the margin."""
+    likely: np.ndarray
+    """(m,), int: the columns of the best assignment, sure or not."""
 
 
 def associate(
-    forecast: Forecast,
-    bearings: np.ndarray,
-    variances: np.ndarray,
-    allowed: np.ndarray,
-    penalty: np.ndarray | float = 0.0,
+    pairs: PossiblePairs, shape: tuple[int, int], none: float, margin: float
 ) -> Association:
-    """Associate bearings (m,) with landmarks; `allowed` (m, n), bool: which pairs may be.
+    """Associate rows with columns, (m, n) in number, one to one.
 
-    `penalty` (n,) is twice the negative log probability that a landmark is seen, relative to one
-    that was seen just before.
+    `none` is the cost of a row without a column: twice the negative log density of other rows, less
+    that of a Gaussian without its constant. `margin` is twice a log likelihood ratio.
     """
-    m = len(allowed)
-    landmark, held = np.full(m, -1), np.zeros(m, bool)
-    open_pairs = allowed.copy()
-    while open_pairs.any():
-        cost = _costs(forecast, bearings, variances, open_pairs) + penalty
-        best, margins = _best_pairs(cost)
-        if not np.isfinite(margins).any() and not (margins == np.inf).any():
+    m, n = shape
+    column, is_sure, margins = np.full(m, -1), np.zeros(m, bool), np.full(m, np.inf)
+    likely = column.copy()
+    while pairs.rows.size and not is_sure.all():
+        near = pairs_cost(pairs.residuals, _own(pairs), pairs.penalty) < none + margin
+        if not near.any():
+            margins[~is_sure], likely = np.inf, column
             break
-        clear = np.flatnonzero(margins > CLEAR_MARGIN)
-        if not clear.size:
-            row = int(margins.argmax())
-            if margins[row] < ASSOCIATION_MARGIN:
-                held = np.isfinite(cost).any(axis=1) & (landmark < 0)
-                break
-            clear = np.array([row])
-        elif clear.size > 1 and not _is_compatible(forecast, best, bearings, variances, clear):
-            clear = clear[[int(cost[clear, best[clear]].argmin())]]
-        landmark[clear] = best[clear]
-        forecast = forecast.conditioned(best[clear], bearings[clear], variances[clear])
-        open_pairs[clear] = False
-        open_pairs[:, best[clear]] = False
-    return Association(landmark, held, forecast)
+        best, found = _best(chosen(pairs, near), (m, n), none)
+        margins, likely = np.where(is_sure, np.inf, found), np.where(is_sure, column, best)
+        good = np.flatnonzero((margins > margin) & (best >= 0) & ~is_sure)
+        if not good.size:
+            break
+        clear = good[margins[good] > CLEAR_MARGIN]
+        for row in clear if clear.size else good[[margins[good].argmax()]]:
+            column[row], is_sure[row] = best[row], True
+            pairs = _given(pairs, int(row), int(best[row]))
+    return Association(column, is_sure | (margins > margin), np.where(is_sure, column, likely))
 
 
-def _costs(
-    forecast: Forecast, bearings: np.ndarray, variances: np.ndarray, allowed: np.ndarray
-) -> np.ndarray:
-    """Return twice the negative log likelihood ratios (m, n), infinite outside the gate."""
-    squares, variance = forecast.squares(bearings, variances)
-    cost = squares + np.log(variance / variances[:, None])
-    cost[(squares > ASSOCIATION_GATE**2) | ~allowed] = np.inf
-    return np.asarray(cost)
+def pairs_cost(residuals: np.ndarray, covariance: np.ndarray, penalty: np.ndarray) -> np.ndarray:
+    """Return twice the negative log likelihoods (..., q), infinite outside the gate.
 
-
-def _best_pairs(cost: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the best landmark of each bearing, (m,), and its margin over rivals, (m,).
-
-    A rival is another landmark of the bearing, or another bearing of the landmark. The margin is
-    minus infinity where no landmark is possible.
+    Residuals have the shape (..., q, d), their covariances (..., q, d, d), with d of 1 or 2.
     """
-    rows, best = np.arange(len(cost)), cost.argmin(axis=1)
-    lowest = cost[rows, best]
-    others = cost.copy()
-    others[rows, best] = np.inf
-    rival = others.min(axis=1)
-    own = cost[:, best].T  # of each bearing: the costs of its best landmark
-    own[rows, rows] = np.inf
-    rival = np.minimum(rival, own.min(axis=1))
-    possible = np.isfinite(lowest)
-    margins = np.full(len(cost), -np.inf)
-    margins[possible] = rival[possible] - lowest[possible]
-    return best, margins
+    inverse, determinant = _inverse(covariance)
+    square = np.einsum("...i,...ij,...j->...", residuals, inverse, residuals)
+    return np.asarray(
+        np.where(square < ASSOCIATION_GATE**2, square + np.log(determinant) + penalty, np.inf)
+    )
 
 
-def _is_compatible(
-    forecast: Forecast,
-    best: np.ndarray,
-    bearings: np.ndarray,
-    variances: np.ndarray,
-    rows: np.ndarray,
-) -> bool:
-    """Return whether several pairs are jointly compatible."""
-    of = best[rows]
-    if np.unique(of).size < of.size:
-        return False
-    off = wrap(bearings[rows] - forecast.mean[of])
-    covariance = forecast.covariance[np.ix_(of, of)] + np.diag(variances[rows])
-    square = float(off @ np.linalg.solve(covariance, off))
-    return bool(square < of.size + ASSOCIATION_GATE * np.sqrt(2.0 * of.size))
+def _best(
+    pairs: PossiblePairs, shape: tuple[int, int], none: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the columns (m,) of the best assignment, -1 for none, and the margins (m,)."""
+    own = _own(pairs)
+    cost = pairs_cost(pairs.residuals, own, pairs.penalty)
+    across = pairs.covariance.transpose(2, 0, 1, 3)  # (k, q, d, d): of pair k with the others
+    gain = across @ _inverse(own)[0][:, None]
+    given = pairs.residuals - (gain @ pairs.residuals[:, None, :, None])[..., 0]
+    covariance = own - gain @ across.swapaxes(2, 3)
+    d = np.arange(own.shape[-1])
+    covariance[..., d, d] = np.maximum(covariance[..., d, d], 1e-3 * own[:, d, d])
+    costs = pairs_cost(given, covariance, pairs.penalty)
+    same = pairs.rows[:, None] == pairs.rows
+    costs[same | (pairs.columns[:, None] == pairs.columns)] = np.inf
+    k = np.arange(cost.size)
+    costs[k, k] = cost
+    table = np.full((cost.size, *shape), np.inf)
+    table[:, pairs.rows, pairs.columns] = costs
+    table[k, pairs.rows] = np.inf
+    table[k, pairs.rows, pairs.columns] = cost
+    lowest = table.min(axis=2)
+    chosen = np.where(lowest < none, table.argmin(axis=2), -1)
+    chosen[k, pairs.rows] = pairs.columns
+    lowest = np.minimum(lowest, none)
+    lowest[k, pairs.rows] = cost
+    total = lowest.sum(axis=1)
+    best, margins, least = assigned(table[int(total.argmin())], none)
+    rival = np.where(chosen != best, total[:, None], np.inf).min(axis=0)
+    return best, np.minimum(margins, np.maximum(rival - least, 0.0))
+
+
+def assigned(cost: np.ndarray, none: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return the cheapest assignment of m rows to n columns or none, its margins and its cost.
+
+    The margin of a row is the additional cost of the best assignment with another column for it.
+    """
+    m, n = cost.shape
+    own_none = np.where(np.eye(m, dtype=bool), none, np.inf)
+    whole = np.concatenate([cost, own_none], axis=1)
+    best = whole.argmin(axis=1)
+    if np.unique(best).size < m:
+        best = _shortest_paths(whole)
+    paid = whole[np.arange(m), best]
+    is_free = np.ones(n + m, bool)
+    is_free[best] = False
+    leave = whole[:, is_free].min(axis=1) - paid
+    replace = whole[:, best] - paid[:, None]  # a row takes the column of another one, which ...
+    for k in range(m):  # ... takes that of a third (Floyd and Warshall)
+        replace = np.minimum(replace, replace[:, k, None] + replace[k])
+    leaving = np.minimum(leave, (replace + leave).min(axis=1))
+    others = np.where(np.eye(m, dtype=bool), np.inf, replace)
+    cycle = (others + others.T).min(axis=1)
+    margins = np.minimum(cycle, leaving + np.minimum(others.min(axis=0), 0.0))
+    return np.where(best < n, best, -1), margins, float(paid.sum())
+
+
+def _shortest_paths(cost: np.ndarray) -> np.ndarray:
+    """Return the columns (m,) of the cheapest assignment (Jonker and Volgenant, 1987)."""
+    m, n = cost.shape
+    of_row, of_column = np.zeros(m), np.zeros(n)
+    row = np.full(n, -1)
+    for first in range(m):
+        shortest, before = np.full(n, np.inf), np.full(n, -1)
+        is_done, i, low = np.zeros(n, bool), first, 0.0
+        visited = [first]
+        while True:
+            reduced = low + cost[i] - of_row[i] - of_column
+            shorter = ~is_done & (reduced < shortest)
+            shortest[shorter], before[shorter] = reduced[shorter], i
+            j = int(np.where(is_done, np.inf, shortest).argmin())
+            low, is_done[j] = float(shortest[j]), True
+            if row[j] < 0:
+                break
+            i = int(row[j])
+            visited.append(i)
+        column = {int(r): k for k, r in enumerate(row.tolist()) if r >= 0}
+        of_row[first] += low
+        for i in visited[1:]:
+            of_row[i] += low - shortest[column[i]]
+        of_column[is_done] -= low - shortest[is_done]
+        while True:
+            row[j] = before[j]
+            if row[j] == first:
+                break
+            j = column[int(row[j])]
+    result = np.empty(m, int)
+    result[row[row >= 0]] = np.flatnonzero(row >= 0)
+    return result
+
+
+def chosen(pairs: PossiblePairs, use: np.ndarray) -> PossiblePairs:
+    """Return some of the pairs."""
+    rows, columns, residuals, covariance, penalty = pairs
+    return PossiblePairs(
+        rows[use], columns[use], residuals[use], covariance[use][:, :, use], penalty[use]
+    )
+
+
+def _given(pairs: PossiblePairs, row: int, column: int) -> PossiblePairs:
+    """Return the other pairs given one that is accepted."""
+    p = int(np.flatnonzero((pairs.rows == row) & (pairs.columns == column))[0])
+    across = pairs.covariance[:, :, p]
+    gain = across @ _inverse(pairs.covariance[p, :, p])[0]
+    rest = pairs._replace(
+        residuals=pairs.residuals - gain @ pairs.residuals[p],
+        covariance=pairs.covariance - np.einsum("qij,rkj->qirk", gain, across),
+    )
+    return chosen(rest, (pairs.rows != row) & (pairs.columns != column))
+
+
+def _own(pairs: PossiblePairs) -> np.ndarray:
+    """Return the covariance of each residual, (q, d, d)."""
+    q = np.arange(pairs.rows.size)
+    return pairs.covariance[q, :, q]
+
+
+def _inverse(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return inverses (..., d, d) and determinants (...,) of matrices, with d of 1 or 2."""
+    if matrix.shape[-1] == 1:
+        return 1.0 / matrix, matrix[..., 0, 0]
+    (a, b), (c, d) = (matrix[..., 0, 0], matrix[..., 0, 1]), (matrix[..., 1, 0], matrix[..., 1, 1])
+    determinant = a * d - b * c
+    adjugate = np.stack([np.stack([d, -b], -1), np.stack([-c, a], -1)], -2)
+    return adjugate / determinant[..., None, None], determinant

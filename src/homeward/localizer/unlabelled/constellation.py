@@ -54,6 +54,9 @@ class Sky:
     """Circle in which the pose is with a probability of a half: x, y, radius [m]; None: anywhere.
     """
 
+    start: np.ndarray | None = None
+    """(3,): pose that was found before."""
+
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper corner of the region in which the pose may be [m]."""
@@ -110,7 +113,8 @@ def search(sky: Sky) -> Ranked | None:
     """Return the best match; None if there is none of three landmarks."""
     if min(sky.allowed.any(axis=1).sum(), sky.allowed.any(axis=0).sum()) < MINIMAL:
         return None
-    poses = _refined(_starts(sky), sky)
+    starts = _starts(sky)
+    poses = _refined(starts if sky.start is None else np.vstack([sky.start, starts]), sky)
     matches = [m for pose in _best_first(poses, sky) if (m := match(pose, sky)) is not None]
     if not matches:
         return None

@@ -43,9 +43,12 @@ class HomeFinder:
         """Landmark of each home bearing that is assigned, by key."""
         self.margin = -math.inf
         """Log evidence of the newest search over other places [nats]."""
+        self.since = math.inf
+        """Time since when the landmarks of home bearings are known [s]; infinite if they are not.
+        """
+        self._pose: np.ndarray | None = None
+        """Pose of the assigned home in the map, (3,)."""
         self._next, self._wait, self._mapped = -math.inf, FIRST_SEARCH_S, 0
-        self._near = 0.0
-        """Time near home while it was assigned [s]."""
 
     @property
     def why(self) -> Reason | None:
@@ -80,7 +83,9 @@ class HomeFinder:
         keys = [k for k in self._home if not self._home[k].camera]
         sky = self._sky(keys, kept, chart, names, reach)
         found = search(sky) if sky is not None else None
-        return self._accept(found, keys, kept)
+        changed = self._accept(found, keys, kept)
+        self.since = min(self.since, t) if self.assigned else math.inf
+        return changed
 
     def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:
         """Accept the result of a search; return whether assignments changed."""
@@ -97,6 +102,7 @@ class HomeFinder:
             self.assigned = {k: n for k, n in kept if n not in best.values()} | best
         elif self.assigned and not (same and found.margin > NATS_KEPT):
             self.assigned = {}
+        self._pose = found.best.pose if self.assigned else None
         return self.assigned != before
 
     def _pairs(self, found: Match, keys: list[str], names: list[str]) -> list[tuple[str, str]]:
@@ -126,7 +132,8 @@ class HomeFinder:
         sigmas = np.where(np.isfinite(sigmas), sigmas, chart.noise.typical)
         bearings = np.array([self._home[k].bearing for k in keys])
         allowed = may_be(keys, names, kinds)
-        return Sky(points, covariances, bearings, sigmas**2, allowed, reach)
+        lines = bearings, sigmas**2, allowed
+        return Sky(points, covariances, *lines, reach, start=self._pose)
 
 
 def may_be(keys: Sequence[str], names: Sequence[str], kinds: Mapping[str, str]) -> np.ndarray:

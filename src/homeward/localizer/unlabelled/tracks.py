@@ -1,127 +1,73 @@
-"""Tracks: bearings of one unknown landmark, joined over a second by direction and parallax.
+"""Tracks: landmarks seen by one camera, in its local map, whether the chart has mapped them or not.
 
-Directions are bearings plus the dead-reckoned heading, so that only parallax changes them. A track
-is confirmed by three hits, and by their likelihood ratio against clutter (a sequential probability
-ratio test; Wald, 1945). Only confirmed tracks reach the map.
+A track is confirmed by three hits, and by their likelihood ratio against clutter (a sequential
+probability ratio test; Wald, 1945). Only confirmed tracks reach the chart's map. They stay in the
+local map while their landmark is out of view, so that it is identified when it is seen again.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Container
+from collections.abc import Container, Mapping
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
+from homeward.geometry.se2 import between, compose
 from homeward.localizer.tunables import (
     ASSOCIATION_GATE,
-    CLOSE,
     CLUTTER_KEPT,
     CONFIRMED,
-    CONFIRMED_MEMORY,
+    CONFIRMED_AGAIN,
     DETECTED,
+    DUPLICATE_MARGIN,
+    DUPLICATE_SIGMAS,
     FALSE_AT_FIRST,
+    JOIN_S,
+    LIVE_S,
     MAX_FALSE,
+    MAX_MISSES,
+    MAX_TRACK_SIGMA,
+    MAX_TRACKS,
     MIN_CLUTTER,
     MIN_HITS,
     MIN_SEEN,
     NEAR,
     NEAR_UNKNOWN_M,
+    NOT_LIVE,
+    RECENT_S,
     REFUTED,
-    TRACK_DRIFT,
+    TOGETHER,
     TRACK_MEMORY_S,
-    TRACK_TURN_ERROR,
+    UNKNOWN_RATES,
 )
+from homeward.localizer.unlabelled.association import PossiblePairs, associate
+from homeward.localizer.unlabelled.local_map import LocalMap
+from homeward.localizer.unlabelled.registry import in_order
+from homeward.odometry.history import Driven, Reckoned, TwistHistory
 
 
-class Instant(NamedTuple):
-    """Dead reckoning at the stamp of a frame."""
-
-    t: float
-    """[s]"""
-    place: tuple[float, float]
-    """[m]"""
-    heading: float
-    """Not wrapped [rad]."""
-    turn_rate: float
-    """[rad/s]"""
-    turned: float
-    """Accumulated rotation [rad]."""
-    late: float
-    """Error of all bearings of the frame, by delay and jitter of the stamps [rad]."""
-
-
-class Hit(NamedTuple):
-    """A bearing of a track."""
-
-    bearing: float
-    """[rad]"""
-    sigma: float
-    """[rad]"""
-    near: float
-    """Smallest distance that its landmark may have [m]."""
-
-
+@dataclass
 class BearingTrack:
-    """The recent bearings of one landmark, and its position relative to dead reckoning.
+    """A landmark of the local map."""
 
-    The state of its Kalman filter is the direction from where it was first seen, and the inverse
-    of the distance (Civera et al., 2008).
-    """
-
-    def __init__(self, name: str, kind: str, hint: str, now: Instant, seen: Hit) -> None:
-        self.name = name
-        """Id that the landmark has, or gets once the track is confirmed."""
-        self.kind, self.hint = kind, hint
-        """Class, and track number of the sensor; empty without one."""
-        self.last = now
-        """Dead reckoning at the last hit."""
-        self.hits, self.score = 1, 0.0
-        """Number of hits, and their log likelihood ratio against clutter."""
-        self.is_confirmed = False
-        self._anchor, self._direction = now.place, now.heading + seen.bearing
-        self._inverse = 0.5 / seen.near
-        self._covariance = seen.sigma**2, 0.0, self._inverse**2
-
-    def add(self, now: Instant, seen: Hit, hint: str) -> None:
-        """Add a hit."""
-        bearing, variance, (a, b) = self._predict(now)
-        xx, xy, yy = self._covariance
-        xx += self._drift(now) ** 2
-        gain_x, gain_y = (a * xx + b * xy), (a * xy + b * yy)
-        total = variance + seen.sigma**2 + now.late**2
-        off = math.remainder(seen.bearing - bearing, math.tau) / total
-        self._direction += gain_x * off
-        self._inverse = max(self._inverse + gain_y * off, 0.0)
-        rest = xx - gain_x**2 / total, xy - gain_x * gain_y / total, yy - gain_y**2 / total
-        self._covariance = rest
-        self.last, self.hint = now, hint
-        self.hits += 1
-
-    def deviation(self, now: Instant, sigma: float) -> float:
-        """Return the standard deviation of a new bearing from its prediction [rad]."""
-        return math.sqrt(self._predict(now)[1] + now.late**2 + sigma**2)
-
-    def predicted(self, now: Instant) -> tuple[float, float]:
-        """Return its bearing, and the variance of that, without the noise of a new one."""
-        return self._predict(now)[:2]
-
-    def _drift(self, now: Instant) -> float:
-        """Return the error of dead-reckoned directions since the last hit [rad]."""
-        elapsed, turned = now.t - self.last.t, now.turned - self.last.turned
-        return TRACK_DRIFT * elapsed + TRACK_TURN_ERROR * turned
-
-    def _predict(self, now: Instant) -> tuple[float, float, tuple[float, float]]:
-        """Return bearing, its variance, and its Jacobian by the state."""
-        c, s = math.cos(self._direction), math.sin(self._direction)
-        dx, dy = self._anchor[0] - now.place[0], self._anchor[1] - now.place[1]
-        x, y = c + self._inverse * dx, s + self._inverse * dy
-        square = max(x * x + y * y, CLOSE**2)
-        a, b = (x * c + y * s) / square, (x * dy - y * dx) / square
-        xx, xy, yy = self._covariance
-        xx += self._drift(now) ** 2
-        variance = a * a * xx + 2.0 * a * b * xy + b * b * yy
-        return math.remainder(math.atan2(y, x) - now.heading, math.tau), variance, (a, b)
+    name: str
+    """Id that the landmark has, or gets once the track is confirmed."""
+    kind: str
+    """Its class, empty without one, ..."""
+    hint: str
+    """... and track number of the sensor, empty without one."""
+    t: float
+    """Stamp of the last hit [s]."""
+    begun: float
+    """Stamp of the first one [s]."""
+    hits: int = 1
+    score: float = 0.0
+    """Log likelihood ratio against clutter."""
+    is_confirmed: bool = False
+    misses: int = 0
+    """Successive frames in which no bearing was near its predicted one, though it should be."""
 
 
 class Clutter:
@@ -137,15 +83,28 @@ class Clutter:
         """Width of the field of view [rad]."""
         return max(self._high - self._low, MIN_CLUTTER)
 
+    @property
+    def density(self) -> float:
+        """Density of bearings that belong to no known landmark [1/rad]."""
+        return max(self._false, FALSE_AT_FIRST) / self.width
+
+    @property
+    def _false(self) -> float:
+        """Number of false bearings in a frame."""
+        return min(self.per_frame, MAX_FALSE * self._seen)
+
     def is_in_view(self, bearing: float) -> bool:
         """Return whether a bearing [rad] is within the field of view."""
         return self._low < bearing < self._high
 
-    def add_frame(self, bearings: np.ndarray, false: int, hits: int, misses: int) -> None:
-        """Add a frame of m bearings: some false ones ended, live landmarks were hit or missed."""
+    def add_bearings(self, bearings: np.ndarray) -> None:
+        """Add the bearings (m,) of a frame [rad]."""
         self._low = min(self._low, float(bearings.min()))
         self._high = max(self._high, float(bearings.max()))
         self._seen += (bearings.size - self._seen) * CLUTTER_KEPT
+
+    def add_frame(self, false: int, hits: int, misses: int) -> None:
+        """Add that false tracks ended with a frame, and live landmarks were hit or missed."""
         self.per_frame += (false - self.per_frame) * CLUTTER_KEPT
         if hits + misses:
             self.detected += (hits / (hits + misses) - self.detected) * CLUTTER_KEPT
@@ -160,48 +119,164 @@ class Clutter:
 
     def _in_gate(self, sigma: float) -> float:
         """Return the probability of a false bearing in a gate."""
-        false = min(self.per_frame, MAX_FALSE * self._seen)
-        density = max(false, MIN_CLUTTER) / self.width
+        density = max(self._false, MIN_CLUTTER) / self.width
         return min(2.0 * ASSOCIATION_GATE * sigma * density, 0.5)
 
 
+class Instant(NamedTuple):
+    """Dead reckoning at the stamp of a frame."""
+
+    t: float
+    """[s]"""
+    pose: np.ndarray
+    """(3,): of the robot."""
+    driven: Driven
+    turn_rate: float
+    """[rad/s]"""
+    unknown_s: float
+    """Time for which the motion has been unknown [s]."""
+
+    @classmethod
+    def of(cls, t: float, here: Reckoned, twists: TwistHistory) -> Instant:
+        """Return it from dead reckoning and twists at `t` [s]."""
+        pose = np.array([here.pose.x, here.pose.y, here.pose.heading], float)
+        twist = twists.before(t)
+        turn_rate = 0.0 if twist is None else twist.omega
+        return cls(t, pose, here.driven, turn_rate, twists.unknown_time(t))
+
+
 class Tracks:
-    """The live tracks of one camera, by name."""
+    """The tracks of one camera, in the order of its local map."""
 
     def __init__(self) -> None:
-        self.live: dict[str, BearingTrack] = {}
-        self.refuted: list[str] = []
-        """Tracks that end with this frame."""
         self.clutter = Clutter()
+        self.clear()
 
-    def forget(self, t: float, mapped: Container[str]) -> int:
-        """Drop the tracks that were not hit recently before `t` [s]; return how many were false.
+    def clear(self) -> None:
+        """Begin without tracks."""
+        self.tracks: list[BearingTrack] = []
+        self.map = LocalMap()
+        self._before: Instant | None = None
+        self._nearest, self._joined_at = NEAR_UNKNOWN_M, -math.inf
 
-        A confirmed one lasts longer until its landmark is mapped: it would get another id.
-        """
-        kept, false = {}, 0
-        for name, track in self.live.items():
-            is_new = track.is_confirmed and name not in mapped
-            memory = TRACK_MEMORY_S * (CONFIRMED_MEMORY if is_new else 1.0)
-            if t - track.last.t <= memory and name not in self.refuted:
-                kept[name] = track
-            else:
-                false += track.hits < MIN_HITS
-        self.live, self.refuted = kept, []
-        return false
+    def names(self) -> list[str]:
+        """Return their names."""
+        return [x.name for x in self.tracks]
 
-    def tentative(self) -> list[BearingTrack]:
-        """Return the tracks that are not confirmed."""
-        return [x for x in self.live.values() if not x.is_confirmed]
+    def move(self, now: Instant, rates: np.ndarray, camera: np.ndarray) -> None:
+        """Predict the motion up to a frame, by noise rates (3, 3), of a camera at a pose (3,)."""
+        before, self._before = self._before, now
+        if before is None:
+            return
+        motion = between(compose(before.pose, camera), compose(now.pose, camera))
+        variances = rates @ np.array(now.driven.since(before.driven))
+        unknown = min(now.unknown_s, now.t - before.t)
+        self.map.move(motion, variances + unknown * np.array(UNKNOWN_RATES), now.turn_rate)
 
-    def test(self, track: BearingTrack, sigma: float, is_hit: bool) -> None:
+    def turn_change(self, now: Instant) -> float:
+        """Return the change of the turn rate since the last frame [rad/s]."""
+        return 0.0 if self._before is None else abs(now.turn_rate - self._before.turn_rate)
+
+    def begin(self, track: BearingTrack, bearing: float, variance: float, scale: float) -> None:
+        """Begin a track; `scale` is the median distance of mapped landmarks [m]."""
+        self._nearest = NEAR * scale if math.isfinite(scale) else NEAR_UNKNOWN_M
+        self.map.add(bearing, variance, self._nearest)
+        self.tracks.append(track)
+
+    def is_live(self, t: float) -> np.ndarray:
+        """Return which tracks were hit just before `t` [s], (n,), bool."""
+        return np.array([t - x.t <= LIVE_S for x in self.tracks], bool)
+
+    def test(
+        self, track: BearingTrack, sigma: float, is_hit: bool, is_mapped: bool = False
+    ) -> None:
         """Test a tentative track against clutter after a hit or a miss."""
         track.score += self.clutter.hit(sigma) if is_hit else self.clutter.miss(sigma)
-        track.is_confirmed = track.hits >= MIN_HITS and track.score > CONFIRMED
-        if track.score < REFUTED:
-            self.refuted.append(track.name)
+        enough = track.hits >= MIN_HITS and track.score > CONFIRMED
+        track.is_confirmed = enough or (is_mapped and track.score > CONFIRMED_AGAIN)
 
+    def forget(self, t: float, aliases: Container[str]) -> int:
+        """Drop tracks that are refuted, or too vague to be found again; return how many were false.
 
-def nearest_distance(scale: float) -> float:
-    """Return the smallest expected distance of a landmark [m], by the median of the mapped ones."""
-    return NEAR * scale if math.isfinite(scale) else NEAR_UNKNOWN_M
+        One that is missed where it should be has a wrong position here: that of the chart's map is
+        used instead.
+        If there are too many, those are dropped that were not hit for longest.
+        """
+        vague = self.map.bearing_covariance.diagonal() > MAX_TRACK_SIGMA**2
+        kept, false = [], 0
+        for i, track in enumerate(self.tracks):
+            weak = not track.is_confirmed
+            if weak and (track.score < REFUTED or t - track.t > TRACK_MEMORY_S):
+                false += track.hits < MIN_HITS
+            elif track.name not in aliases and not vague[i] and track.misses <= MAX_MISSES:
+                kept.append(i)
+        if len(kept) > MAX_TRACKS:
+            kept = sorted(sorted(kept, key=lambda i: -self.tracks[i].t)[:MAX_TRACKS])
+        self._keep(kept)
+        return false
+
+    def _keep(self, kept: list[int]) -> None:
+        if len(kept) < len(self.tracks):
+            self.map.keep(kept)
+            self.tracks = [self.tracks[i] for i in kept]
+
+    def join_duplicates(
+        self, t: float, together: Mapping[tuple[str, str], int]
+    ) -> list[tuple[str, str]]:
+        """Join tracks of one landmark; return the names of the newer and the older ones.
+
+        A landmark that was found again is first a new track; its position in the local map, and
+        those of others that were found again with it, show which old one it is. `together` counts
+        the frames in which two were seen.
+        """
+        if t - self._joined_at < JOIN_S:
+            return []
+        self._joined_at = t
+        known = [i for i, x in enumerate(self.tracks) if x.is_confirmed and x.hits > MIN_HITS]
+        pairs = [
+            (i, j) for i in known if t - self.tracks[i].t < RECENT_S
+            for j in known if self._may_be_one(self.tracks[i], self.tracks[j], together)
+        ]  # fmt: skip
+        if not pairs:
+            return []
+        new, old = np.array(pairs).T
+        difference, covariance = self.map.differences(new, old)
+        q, sigmas = np.arange(len(new)), np.array(DUPLICATE_SIGMAS)
+        for e in range(2):
+            covariance[q, e, q, e] += sigmas[e] ** 2
+        (news, rows), (olds, columns) = (np.unique(x, return_inverse=True) for x in (new, old))
+        penalty = np.full(len(new), NOT_LIVE)
+        none = 2.0 * math.log(math.sqrt(math.tau) * 0.5 / self._nearest)
+        found = associate(
+            PossiblePairs(rows, columns, difference, covariance, penalty),
+            (len(news), len(olds)), none, DUPLICATE_MARGIN,
+        )  # fmt: skip
+        joined, gone = [], set[int]()
+        for row in np.flatnonzero(found.is_sure & (found.column >= 0)).tolist():
+            i, j = int(news[row]), int(olds[found.column[row]])
+            if i in gone or j in gone:
+                continue
+            newer, older = self.tracks[i], self.tracks[j]
+            self.map.join(i, j, sigmas)
+            older.t, older.hits = max(older.t, newer.t), older.hits + newer.hits
+            older.hint, older.kind = newer.hint or older.hint, older.kind or newer.kind
+            joined.append((newer.name, older.name))
+            gone.add(i)
+        self._keep([i for i in range(len(self.tracks)) if i not in gone])
+        return joined
+
+    def rename(self, new: str, old: str) -> None:
+        """Rename the track of the landmark `new`, which turned out to be the landmark `old`."""
+        at = {x.name: i for i, x in enumerate(self.tracks)}
+        if new in at and old not in at:
+            self.tracks[at[new]].name = old
+        elif new in at:
+            self._keep([i for i in range(len(self.tracks)) if i != at[new]])
+
+    def _may_be_one(
+        self, new: BearingTrack, old: BearingTrack, together: Mapping[tuple[str, str], int]
+    ) -> bool:
+        """Return whether a newer track may be of the landmark of an older one."""
+        same_kind = not new.kind or not old.kind or new.kind == old.kind
+        seen = together.get(in_order(new.name, old.name), 0)
+        return old.begun < new.begun and old.t < new.t and same_kind and seen <= TOGETHER
