@@ -20,7 +20,7 @@ def simulate(*arguments):
 @pytest.mark.parametrize("preset", ["paper-homing", "circle"])
 def test_a_preset_becomes_a_drive_folder(preset, tmp_path):
     result = done(simulate(preset, "--out", tmp_path / "d", "--seed", 3))
-    assert result.stdout.count("\n") == 1
+    assert result.stdout.count("\n") == 2
     assert preset in result.stdout
     drive = read_folder(tmp_path / "d")
     assert drive.truth is not None

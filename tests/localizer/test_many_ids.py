@@ -40,7 +40,7 @@ def test_ids_without_end_are_forgotten():
         localizer.bearings(t, {f"{k} {i}": 0.05 * i for i in range(30)})
     chart = localizer.chart
     most = max(MAX_IDS, 2 * 30 * 121) + 30
-    for kept in (chart.noise._last, chart.map._last_seen, chart.map.landmarks._candidates):
+    for kept in (chart.noise._last, chart.map._seen, chart.map.landmarks._candidates):
         assert len(kept) <= most
     assert len(chart.noise._last) <= MAX_IDS + 30
 

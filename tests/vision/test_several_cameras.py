@@ -157,7 +157,7 @@ def without_a_tag_at_home(robot):
     [
         (without_calibration, "rear/images.yaml: no calibration of this camera; set camera"),
         (with_another_video, "rear: 2 videos of one camera; keep one"),
-        (with_a_name_that_is_no_id, "front : not a valid name of a camera: rename the folder"),
+        (with_a_name_that_is_no_id, "front : not a valid name of a camera; rename the folder"),
         (without_odometry, "odometry.csv: cannot be read"),
         (on_another_clock, "the first of the images of camera 'rear' is 99.2 s after the last of"),
         (without_a_tag_at_home, "rear/home.png: no tag in the home image"),

@@ -123,7 +123,9 @@ class Driver:
             self._started = now
         self.reason = output.reason
         wanted, vy = output.twist, output.vy
-        if max(unseen_s, self._unlocalised.seconds) > SLOW_S and not self._controller.by_odometry:
+        lost_s = self._unlocalised.seconds
+        slow_s = max(unseen_s, lost_s) if math.isfinite(lost_s) else unseen_s
+        if slow_s > SLOW_S and not self._controller.by_odometry:
             speed = math.hypot(wanted.v, vy)
             slower = min(1.0, SLOW_SHARE * self._limits.speed / speed) if speed else 1.0
             wanted, vy = Twist(slower * wanted.v, slower * wanted.omega), slower * vy

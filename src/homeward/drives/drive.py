@@ -60,7 +60,7 @@ class Odometry(Columns):
     """Speed to the left [m/s]."""
 
     def __post_init__(self) -> None:
-        if self.t.size != self.vy.size:
+        if self.t.size != self.vy.size or not self.vy.any():  # no -0
             object.__setattr__(self, "vy", np.zeros(self.t.size))
 
     @property

@@ -101,6 +101,8 @@ class Map:
         self.registration = Registration(survey, self.landmarks)
         self.camera_jump, self.odometry_change = ChangeTest(), ChangeTest()
         """Tests for a knocked camera, and for another scale of the odometry."""
+        self._num_doubted = 0
+        """Number of solutions since one of them has been suspected."""
         self._scale_before: float | None = None
         """Scale of the speed before it changed, until it is that again [1]; None: no change."""
         self.denied_at = -settings.window
@@ -190,7 +192,7 @@ class Map:
         """Test for changes of the robot, learn from the residuals of bearings, and marginalise."""
         if self._learner.is_noise_confirmed:
             self._test_changes()
-        if not self.has_doubt:  # residuals are those of the change, not of noise or walkers
+        if not self.has_doubt:
             self._learner.learn_bearings(self.smoother, self.landmarks)
         self._count_ranges()
         if self._learner.free_contradicted(self.smoother):
@@ -206,6 +208,8 @@ class Map:
             self.camera_jump = ChangeTest()
         if self.camera_jump.possible is not None or self.odometry_change.is_suspected:
             self.denied_at = self.smoother.newest
+        is_suspected = self.camera_jump.is_suspected or self.odometry_change.is_suspected
+        self._num_doubted = self._num_doubted + 1 if is_suspected else 0
         if self._scale_before is not None:
             change = abs(float(self.smoother.state.calibration[SPEED_SCALE]) - self._scale_before)
             sigma = math.sqrt(self.smoother.state.calibration_variances[SPEED_SCALE])
@@ -214,8 +218,13 @@ class Map:
 
     @property
     def has_doubt(self) -> bool:
-        """Whether the camera or the odometry may have changed: then no landmark counts as moved."""
-        return self.camera_jump.is_suspected or self.odometry_change.is_suspected
+        """Whether the camera or the odometry may have changed, by the solutions of one window.
+
+        Then no landmark counts as moved, and nothing is learnt: that would explain a change away.
+        But where it is not proved soon, or the map is young, residuals are rather those of noise or
+        of landmarks that move.
+        """
+        return self.is_window_full and 0 < self._num_doubted <= EVALUATIONS_PER_WINDOW
 
     def _learn_odometry(self) -> None:
         """Learn from the residuals of motions."""
