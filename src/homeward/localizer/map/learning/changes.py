@@ -107,17 +107,17 @@ class ChangeTest:
     def add_scale(self, smoother: Smoother, rival: float) -> None:
         """Test a solution for another scale of the odometry's speed.
 
-        It is suspected and proved by the same gates, if it is no drift, and explains more than a
-        rival by the gate of a single test; `rival` is the squared Mahalanobis distance of another
-        explanation. It is also suspected where one that was applied was none.
-        `numpy.linalg.LinAlgError` as for `add_yaw`.
+        It is suspected by the same gate if it is no drift, and proved if it explains more than a
+        rival by the gate of final decisions: moved landmarks look like both. `rival` is the squared
+        Mahalanobis distance of another explanation. It is also suspected where one that was applied
+        was none. `numpy.linalg.LinAlgError` as for `add_yaw`.
         """
         found, scale = scale_change(smoother), 1.0 + smoother.state.calibration[SPEED_SCALE]
         is_change = found is not None and abs(found.size) > MIN_CHANGE
         square = found.square if found is not None and is_change else 0.0
         # Wheels that hardly move the robot, or move it backwards, are no change of the scale.
         suspected = square > self._gate**2 or bool(scale < MIN_SCALE)
-        proved = square > max(FINAL_GATE**2, rival + INLIER**2)
+        proved = square > rival + FINAL_GATE**2
         self._add(found, suspected, suspected, proved)
 
 
