@@ -263,7 +263,15 @@ def test_ctrl_c_ends_with_one_line_and_130(when, tmp_path):
         while not Path(f"/proc/{running.pid}/maps").read_text().count("numpy"):
             time.sleep(0.01)
         running.send_signal(signal.SIGINT)
-        said = running.stderr.read()
+        try:
+            said = running.communicate(timeout=30.0)[1]
+        except subprocess.TimeoutExpired:
+            # CPython prints and drops what is raised in the callback of a weak reference, as a
+            # module is imported: then one presses again.
+            running.send_signal(signal.SIGINT)
+            said = running.communicate(timeout=30.0)[1]
+            assert "Exception ignored in" in said
+            said = said.splitlines(keepends=True)[-1]
         # 130 in a shell either way: where it comes within code that is run from a string, as a
         # dataclass is made, CPython ends by the signal itself, though it was caught.
         assert running.wait(60) in (130, -signal.SIGINT), said
