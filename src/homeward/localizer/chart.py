@@ -370,8 +370,8 @@ class Chart:
         if not self.map.inflate(gated):
             return False
         rejected = self.map.landmarks.update_rejections(gated.fits)
-        in_doubt = not rejected or self.map.has_doubt
-        moved = [] if in_doubt else self.monitor.moved_landmarks(rejected)
+        may_move = rejected and not self.map.has_doubt
+        moved = self.monitor.moved_landmarks(rejected) if may_move else []
         try:
             changed = self.map.update(gated, moved)
             carried = carried_since(self.map.landmarks) if changed else None

@@ -49,7 +49,7 @@ class Registry:
         self._distances.extend(distances)
 
     def update_reach(self) -> None:
-        """Update the reach by the distances so far."""
+        """Update the reach by all known distances."""
         if self._distances:
             self.reach = float(np.quantile(self._distances, REACH))
 
