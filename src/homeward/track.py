@@ -11,7 +11,7 @@ from itertools import repeat
 import numpy as np
 
 from homeward.drives.cameras.names import require_one_camera
-from homeward.drives.drive import Drive
+from homeward.drives.drive import Columns, Drive
 from homeward.errors import InputError
 from homeward.estimator import (
     Counts,
@@ -50,7 +50,7 @@ HISTORY_S, MAX_HISTORY = 1.0, 2000
 
 
 @dataclass(frozen=True)
-class Innovations:
+class Innovations(Columns):
     """The innovations of a whole track, one entry a sighting. All arrays have shape (m,)."""
 
     t: np.ndarray

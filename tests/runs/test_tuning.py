@@ -198,13 +198,35 @@ def test_the_scale_of_the_covariance_is_written_on_demand_only(monkeypatch, tmp_
     assert not none.exists()
 
 
-def test_values_that_make_answers_less_consistent_are_reported(monkeypatch, tmp_path):
+@pytest.mark.parametrize(
+    ("worse", "rmse_m", "nees"), [("NEES", 0.2, 10.4), ("RMSE", 0.32, 4.0), ("", 0.302, 4.0)]
+)
+def test_values_that_make_answers_worse_are_reported(monkeypatch, tmp_path, worse, rmse_m, nees):
     before = Check(nis=0.5, log_likelihood=3.0, pose_share=0.5, rmse_m=0.3, nees=4.4)
-    after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=0.2, nees=10.4)
+    after = Check(nis=1.1, log_likelihood=3.1, pose_share=0.5, rmse_m=rmse_m, nees=nees)
     tuned(monkeypatch, before, after, has_scale=False)
     said = call("tune", "sample", "--out", tmp_path / "robot.yaml").output
-    assert "NEES got worse with these values" in said
+    assert ("got worse with these values" in said) == bool(worse)
+    assert f"{worse} got worse" in said or not worse
     assert "speed scale is unknown" in said
+
+
+def test_whole_drives_are_compared_and_only_the_second_half_counts(monkeypatch):
+    """The map and the home of the first half serve the second, as on a real drive."""
+    compared = []
+
+    def evaluated(drive, estimator, since):
+        compared.append((drive.sightings.t.size, since))
+        return real(drive, estimator, since)
+
+    real = tuning.evaluated
+    monkeypatch.setattr(tuning, "evaluated", evaluated)
+    monkeypatch.setattr(tuning, "_search", lambda _, noise, *others: noise)
+    drive, _ = without_noise(24.0)
+    (check,) = tune([drive], lambda _: None).after
+    middle = float(drive.sightings.t[drive.sightings.t.size // 2])
+    assert compared == 2 * [(drive.sightings.t.size, middle)]
+    assert check.pose_share == 1.0
 
 
 def test_the_command_prints_the_error_in_one_line(tmp_path):

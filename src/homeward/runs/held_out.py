@@ -1,5 +1,7 @@
 """Comparison of two runs of a drive: consistency and accuracy where both have answers.
 
+The settings of one run may come from the first part of the drive: only the rest, held out, counts.
+
 A run that has a pose sooner includes more of the time in which poses are worst, and must not score
 worse for that.
 """
@@ -25,7 +27,7 @@ CONSISTENT = {"NIS": 1.0, "NEES": 3.0}
 
 @dataclass(frozen=True)
 class Check:
-    """Scores of one run of a held-out drive where both runs have answers."""
+    """Scores of one run of a drive, in the time held out, where both runs have answers."""
 
     nis: float
     """Mean normalised innovation squared; 1 when consistent."""
@@ -48,18 +50,21 @@ class Check:
 
 
 class EvaluatedRun(NamedTuple):
-    """Scores of one run of a drive."""
+    """Scores of one run of a drive, in the time held out."""
 
     pose_share: float
     errors: Errors | None
     innovations: Innovations
 
 
-def evaluated(drive: Drive, estimator: Estimator) -> EvaluatedRun:
-    """Run an estimator on a drive and return its scores."""
+def evaluated(drive: Drive, estimator: Estimator, since: float) -> EvaluatedRun:
+    """Run an estimator on a whole drive and return its scores from a time on [s]."""
     track, truth = run(drive, estimator), drive.truth
     off = None if truth is None else errors(track, truth)
-    return EvaluatedRun(float(track.has_pose.mean()), off, track.innovations)
+    off = off and off.rows(off.t >= since)
+    seen = track.innovations
+    share = float(track.has_pose[track.t >= since].mean())
+    return EvaluatedRun(share, off, seen.rows(seen.t >= since))
 
 
 def checks(before: EvaluatedRun, after: EvaluatedRun) -> tuple[Check, Check]:

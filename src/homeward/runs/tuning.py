@@ -2,16 +2,16 @@
 
 The search starts from the noise that the localiser estimates by variance components. It scales each
 noise up and down as long as the likelihood of the innovations grows (Mehra 1972; Abbeel and others
-2005). The first half of each log is for the search; the second half is held out, for the scores.
-The final calibration is from whole drives; the difference of their halves is in its standard
-deviations.
+2005). The first half of each log is for the search; the second half is held out, for the scores of
+runs of the whole drive. The final calibration is from whole drives; the difference of their halves
+is in its standard deviations.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, TypeVar
 
@@ -21,11 +21,20 @@ from homeward.drives.calibration import as_recorded, given_keys, with_calibratio
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.settings import DriveSettings, OdometryNoise, RobotSettings
 from homeward.errors import HomewardError, InputError
+from homeward.geometry.covariance import ROUNDING
 from homeward.io.settings import nested, validated
 from homeward.localizer.localizer import Localizer
 from homeward.runs.calibration import Estimates, as_keys, combined, estimates
 from homeward.runs.coverage import covariance_scale, coverage
-from homeward.runs.held_out import CONSISTENT, Check, checks, evaluated, log_likelihoods, stamps
+from homeward.runs.held_out import (
+    CONSISTENT,
+    Check,
+    EvaluatedRun,
+    checks,
+    evaluated,
+    log_likelihoods,
+    stamps,
+)
 from homeward.runs.scoring import Errors
 from homeward.track import Track, run
 
@@ -45,6 +54,9 @@ MAX_STEPS = 5
 """Steps in one direction: a noise that a log cannot distinguish from zero must not go to zero."""
 SPEED_SCALE_SIGMA = 0.1
 """Standard deviation of the speed scale before it is estimated [1]: of wheels never measured."""
+MAX_RMSE_RATIO = 1.03
+"""RMSE is not worse below this ratio: two runs of one drive differ by as much without a reason [1].
+"""
 MIN_SIGHTINGS = 100
 """Sightings that each half of a log needs."""
 
@@ -82,9 +94,9 @@ class Tuning:
     names: list[str]
     """Names of the drives."""
     before: list[Check]
-    """Scores with the drives' own settings."""
+    """Scores of the second halves of whole drives, with the drives' own settings."""
     after: list[Check]
-    """Scores with noise and calibration from the first halves."""
+    """The same with noise and calibration from the first halves."""
     coverage: tuple[float, ...] | None
     """Shares of the time inside the ellipsoids of `homeward.runs.coverage.LEVELS` in these runs
     [1]; None without ground truth."""
@@ -92,13 +104,16 @@ class Tuning:
     """Factor of the covariance by the errors in these runs; see `covariance_scale`."""
 
     @property
-    def less_consistent(self) -> list[str]:
-        """Which of NIS and NEES became worse, in the mean over the drives."""
+    def worse(self) -> list[str]:
+        """Which of NIS, NEES and RMSE became worse, in the mean over the drives."""
 
         def mean(checks: Sequence[Check], name: str) -> float:
             return float(np.mean([check.log_inconsistency[name] for check in checks]))
 
-        return [name for name in CONSISTENT if mean(self.after, name) > mean(self.before, name)]
+        found = [name for name in CONSISTENT if mean(self.after, name) > mean(self.before, name)]
+        pairs = zip(self.before, self.after, strict=True)
+        ratios = [after.rmse_m / (before.rmse_m or ROUNDING) for before, after in pairs]
+        return [*found, "RMSE"] if float(np.mean(ratios)) > MAX_RMSE_RATIO else found
 
 
 def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
@@ -134,14 +149,17 @@ def tune(drives: Sequence[Drive], progress: Callable[[float], None]) -> Tuning:
         keys = {**shared, **sigmas, **as_keys(combined(found, parts))}
         return validated(RobotSettings, nested({k: v for k, v in keys.items() if v is not None}))
 
-    own = [_on_clock_of_bearings(with_calibration(drive)) for drive in held_out]
-    as_is = [evaluated(drive, _localizer(drive)) for drive in own]
-    step_done()
+    def scores(drives: Iterable[Drive]) -> list[EvaluatedRun]:
+        found = [
+            evaluated(drive, _localizer(drive), half.sightings.t[0])
+            for drive, half in zip(map(_on_clock_of_bearings, drives), held_out, strict=True)
+        ]
+        step_done()
+        return found
+
+    as_is = scores(map(with_calibration, drives))
     now = settings(parts)
-    tuned = [with_calibration(_unspecified(drive), now) for drive in held_out]
-    tuned = [_on_clock_of_bearings(drive) for drive in tuned]
-    improved = [evaluated(drive, _localizer(drive)) for drive in tuned]
-    step_done()
+    improved = scores(with_calibration(_unspecified(drive), now) for drive in drives)
     parts += [_mapped(drive)[2] for drive in held_out]
     step_done()
     found = [_mapped(drive)[2] for drive in drives]

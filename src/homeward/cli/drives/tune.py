@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from homeward.runs.held_out import Check
     from homeward.runs.tuning import Tuning
 
-HEAD = ("held-out half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NEES")
+HEAD = ("second half of", "", "NIS", "log-likelihood", "pose", "RMSE [m]", "NEES")
 NO_SCALE = (
     "The speed scale is unknown: the drives have no ground truth, no survey or distances in "
     "landmarks.yaml, and no ranges with range_scale_sigma. One measured distance determines it."
@@ -63,9 +63,9 @@ def tune(
 
     Estimates the scales of speed and yaw rate, the delay of the bearings, camera extrinsics and
     noise, with standard deviations. The speed scale needs a measured distance, a survey, ranges or
-    ground truth. The first half of each drive gives the noise; the table has scores of the second
-    half before and after: NIS (consistent: 1), log-likelihood, and with ground truth RMSE and NEES
-    (consistent: 3).
+    ground truth. The table compares whole drives with their own settings and with values from the
+    first half of each, where both have answers in the second half: NIS (consistent: 1),
+    log-likelihood, and with ground truth RMSE and NEES (consistent: 3).
     """
     from homeward.io.settings import settings_yaml
     from homeward.io.writing import write_whole
@@ -109,10 +109,6 @@ def tune(
         answer(facts)
         return
     table([HEAD, *_rows(found)], left=2)
-    say(
-        "Each held-out half starts without a map, so its pose share is below that of the whole "
-        "drive. Compare whole drives with `homeward run`, with and without --robot-file."
-    )
     if found.coverage is not None:
         say(
             "Share of the time with the true pose inside its 50, 90 and 99 % ellipsoid, in the "
@@ -122,9 +118,9 @@ def tune(
         typer.echo(line)
     if not found.has_scale:
         warn(NO_SCALE)
-    if found.less_consistent:
-        worse = listing(found.less_consistent)
-        warn(f"{worse} got worse with these values. Do not use them where you rely on covariances.")
+    if found.worse:
+        worse = listing(found.worse)
+        warn(f"{worse} got worse with these values: use them only if other drives get better.")
     say(f"Robot file: {out}")
     say(f"Next: {again('run', runs[0], '--robot-file', out)}")
 
