@@ -142,6 +142,21 @@ def tested(
     return SurveyTest(wrong, exchanged, both)
 
 
+def relative_scale(residuals: Residuals) -> tuple[float, float]:
+    """Return the size of the survey over that of the map, less 1, and its standard deviation [1].
+
+    By generalised least squares of k places, at least two, and distances. Such an error is common
+    to all, so that no comparison of sets of them finds it.
+    """
+    k = len(residuals.mapped)
+    off, covariance = residuals.about(np.ones(residuals.off.size, bool), np.arange(k))
+    along = np.zeros(off.size)
+    along[: 2 * k] = (residuals.mapped - residuals.mapped.mean(axis=0)).ravel()
+    whitened = np.linalg.solve(np.linalg.cholesky(covariance), np.column_stack([along, off]))
+    information = float(whitened[:, 0] @ whitened[:, 0])
+    return -float(whitened[:, 0] @ whitened[:, 1]) / information, information**-0.5
+
+
 def _wrong_given(
     wrong: np.ndarray, rest: np.ndarray, residuals: Residuals, prior: np.ndarray, bodies: Bodies
 ) -> np.ndarray:

@@ -17,11 +17,11 @@ from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies
 from homeward.localizer.map.landmarks import Landmark, Landmarks, numbers
 from homeward.localizer.map.smoother import Smoother
 from homeward.localizer.map.state import Marginal
-from homeward.localizer.map.survey.evidence import tested
+from homeward.localizer.map.survey.evidence import Residuals, relative_scale, tested
 from homeward.localizer.map.survey.factors import SurveyFactors, coordinates, in_survey_frame
 from homeward.localizer.motions import HEAD, SPEED_SCALE
 from homeward.localizer.settings import LocalizerSettings
-from homeward.localizer.tunables import CLOSE, MINIMAL
+from homeward.localizer.tunables import CLOSE, GATE, MIN_CHANGE, MIN_SCALE, MINIMAL
 
 
 class Survey:
@@ -50,6 +50,9 @@ class Survey:
         """Pairs of landmarks that cannot both be right, and either of which may be."""
         self.exchanged: dict[str, str] = {}
         """The other landmark, of each that is exchanged with another one."""
+        self.stretch = 0.0
+        """Size of a place over that of the map, less 1, where they contradict each other [1]. The
+        place then may have any size up to that."""
 
     def _set(self, known: KnownLandmarks) -> None:
         self.known = known
@@ -114,11 +117,21 @@ class Survey:
         most = np.maximum(right, found.exchanged.max(axis=1, initial=0.0))
         self.used = [n for n, p in zip(names, most.tolist(), strict=True) if p >= self._sure]
         self.used = self.used if len(self.used) >= 2 else []
+        self._update_stretch(free, numbers, ids)
         doubtful = np.maximum(most, found.wrong[:k] - found.exchanged.sum(axis=1)) < self._sure
         apart = np.triu(doubtful[:, None] & doubtful & (found.both_right < 1.0 - self._sure), 1)
         self.contradicting = [(names[i], names[j]) for i, j in np.argwhere(apart).tolist()]
         agreeing = [i for i in pairs if self.wrong_distances[i] <= 1.0 - self._sure]
         return self.factors(self.used, agreeing, numbers)
+
+    def _update_stretch(self, free: Marginal, numbers: Mapping[str, int], ids: np.ndarray) -> None:
+        """Compare the size of a place, whose scale is that of odometry, with that of the map."""
+        self.stretch = 0.0
+        if not (self.known.is_place and self.used):
+            return
+        agreeing = self.factors(self.used, [], numbers)
+        off, sigma = relative_scale(Residuals.of(agreeing, free, ids, self.size))
+        self.stretch = off if abs(off) > GATE * sigma else 0.0
 
     def factors(
         self, names: list[str], pairs: list[int], numbers: Mapping[str, int]
@@ -146,11 +159,15 @@ class Survey:
 
     def covariance_of(self, names: list[str]) -> np.ndarray:
         """Return the covariance of surveyed coordinates, (2 k, 2 k) [m^2]."""
-        at = coordinates(np.array([self._row(n) for n in names], int))
-        return np.asarray(self._covariance[np.ix_(at, at)])
+        rows = np.array([self._row(n) for n in names], int)
+        at, along = coordinates(rows), self.stretch * self._places[rows].ravel()
+        return np.asarray(self._covariance[np.ix_(at, at)] + np.outer(along, along))
 
     def contradiction(self, in_view: frozenset[str]) -> str | None:
-        """Return why landmarks in view verify no pose, if one of them contradicts another one."""
+        """Return why the landmarks in view verify no pose, where some contradict each other."""
+        size = max(1.0 + self.stretch, MIN_SCALE)
+        if abs(math.log(size)) > math.log1p(MIN_CHANGE):
+            return f"the place is {size:.2g} times as large as by the odometry of this drive"
         for pair in self.contradicting:
             if not in_view.isdisjoint(pair):
                 a, b = map(quoted, pair)
