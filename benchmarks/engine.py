@@ -1,4 +1,4 @@
-"""The compiled engine and its peers: plain NumPy, FilterPy, Stone Soup, dynamax, hand-written C++.
+"""The compiled engine and its peers: plain NumPy, FilterPy, dynamax, hand-written C++.
 
 `python -m benchmarks.engine [--quick] [--gate] [--update-baseline]` prints medians and ratios of
 one run, in which peers and homeward alternate; each peer must first agree with homeward on the
@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks import monte_carlo, timing
-from benchmarks.peers.libraries import FilterPyFilter, Limit, StoneSoupFilter, dynamax_batch
+from benchmarks.peers.libraries import FilterPyFilter, Limit, dynamax_batch
 from benchmarks.peers.plain import PlainFilter, process_noise
 from benchmarks.peers.scene import GUARD, Scene, every_parameter, given, make_scene, series
 from homeward.lab.engine.batch.execution import run_recorded
@@ -85,11 +85,7 @@ def agreement(scene: Scene, limit: Limit) -> np.ndarray:
 
 
 def one_by_one(scene: Scene) -> dict[str, object]:
-    return {
-        "NumPy": PlainFilter(scene),
-        "FilterPy": FilterPyFilter(scene),
-        "Stone Soup": StoneSoupFilter(scene),
-    }
+    return {"NumPy": PlainFilter(scene), "FilterPy": FilterPyFilter(scene)}
 
 
 def stepped(peer, scene: Scene, k: int) -> np.ndarray:

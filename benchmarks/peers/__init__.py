@@ -1,1 +1,1 @@
-"""The same filter in plain NumPy, FilterPy, Stone Soup, dynamax and hand-written C++."""
+"""The same filter in plain NumPy, FilterPy, dynamax and hand-written C++."""

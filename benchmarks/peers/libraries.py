@@ -1,4 +1,4 @@
-"""The filter with FilterPy, Stone Soup and dynamax, and in hand-written C++ (limit.cpp)."""
+"""The filter with FilterPy and dynamax, and in hand-written C++ (limit.cpp)."""
 
 import ctypes
 import os
@@ -6,7 +6,6 @@ import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable
-from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -47,80 +46,6 @@ class FilterPyFilter:
     @property
     def x(self) -> np.ndarray:
         return np.asarray(self.filter.x)
-
-
-class StoneSoupFilter:
-    """Stone Soup's extended Kalman predictor and updater."""
-
-    def __init__(self, scene: Scene) -> None:
-        from stonesoup.base import Property
-        from stonesoup.models.measurement.linear import LinearGaussian
-        from stonesoup.models.transition.base import TransitionModel
-        from stonesoup.predictor.kalman import ExtendedKalmanPredictor
-        from stonesoup.types.array import CovarianceMatrix, StateVector
-        from stonesoup.types.detection import Detection
-        from stonesoup.types.hypothesis import SingleHypothesis
-        from stonesoup.types.state import GaussianState
-        from stonesoup.updater.kalman import ExtendedKalmanUpdater
-
-        n = scene.state.size
-
-        class Motion(TransitionModel):
-            size: int = Property()
-
-            @property
-            def ndim_state(self) -> int:
-                return self.size
-
-            def function(self, state, noise=False, **kwargs):
-                after, self.G, by_input = self.taken(state)
-                self.covariance = CovarianceMatrix(by_input @ Q @ by_input.T + WALK * np.eye(n))
-                return StateVector(after)
-
-            def taken(self, state):
-                x = np.asarray(state.state_vector, float).ravel()
-                return plain.step(x, self.u, scene.stored)
-
-            def jacobian(self, state, **kwargs):
-                return self.G
-
-            def covar(self, **kwargs):
-                return self.covariance
-
-            def rvs(self, *args, **kwargs):
-                raise NotImplementedError
-
-            def pdf(self, *args, **kwargs):
-                raise NotImplementedError
-
-        class Predictor(ExtendedKalmanPredictor):
-            def _transition_matrix(self, prior, **kwargs):
-                # Stone Soup calls `function` before.
-                return self.transition_model.jacobian(prior, **kwargs)
-
-        self.motion = Motion(size=n)
-        self.predictor = Predictor(self.motion)
-        self.updater = ExtendedKalmanUpdater(None)
-        self.now = datetime(2026, 1, 1)
-        self.state = GaussianState(
-            StateVector(scene.state), CovarianceMatrix(scene.covariance), timestamp=self.now
-        )
-        self.parts = LinearGaussian, Detection, SingleHypothesis, StateVector
-        self.n = n
-
-    def step(self, u: np.ndarray, y: np.ndarray, mask: np.ndarray) -> None:
-        LinearGaussian, Detection, SingleHypothesis, StateVector = self.parts
-        self.motion.u = u
-        self.now += timedelta(seconds=DT)
-        predicted = self.predictor.predict(self.state, timestamp=self.now)
-        rows = 3 + np.flatnonzero(mask)
-        model = LinearGaussian(self.n, tuple(rows.tolist()), BEARING_VARIANCE * np.eye(rows.size))
-        seen = Detection(StateVector(y[rows - 3]), measurement_model=model, timestamp=self.now)
-        self.state = self.updater.update(SingleHypothesis(predicted, seen))
-
-    @property
-    def x(self) -> np.ndarray:
-        return np.asarray(self.state.state_vector, float).ravel()
 
 
 def dynamax_batch(scene: Scene, process: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

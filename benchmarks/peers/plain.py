@@ -1,6 +1,6 @@
 """The EKF in idiomatic plain NumPy: manual Jacobians, stage by stage, full matrices.
 
-FilterPy and Stone Soup use `step`, too, so that only their own work differs.
+FilterPy uses `step`, too, so that only its own work differs.
 """
 
 import numpy as np
