@@ -24,6 +24,7 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.lab.simulation.render.drive import Eye
 from homeward.lab.simulation.render.rays.raycast import points, trace
+from homeward.lab.simulation.render.room.settings import HOME_TIME
 from homeward.runs.scoring import normalised_squared
 from homeward.vision import Comparison, Equirectangular, compare, extract
 from homeward.vision.cameras.image_files import read_grey
@@ -224,7 +225,7 @@ def bearing_errors(pair: Rendered, seen: Comparison) -> np.ndarray:
     """Return the errors of the bearings of the inliers [rad], from the points that they show."""
     home, now = pair.eye.home_view, pair.eye.view(pair.robot, 1)
     rays = seen.pairs.home_vectors[seen.agrees]
-    surfaces, _ = pair.eye.then.at(pair.eye.scenario.home_time, home)
+    surfaces, _ = pair.eye.then.at(HOME_TIME, home)
     x, y, _ = ((points(trace(surfaces, home, rays), home, rays) - now.position) @ now.rotation).T
     return np.abs(wrap(seen.pairs.now[seen.agrees, 0] - np.arctan2(y, x)))
 
