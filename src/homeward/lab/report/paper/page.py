@@ -410,47 +410,25 @@ def fault_rows(result: Reproduction) -> list[tuple[CaseName, int, str]]:
     return table
 
 
-def errata(result: Reproduction) -> list[str]:
+def errata(result: Reproduction) -> list[Markup]:
     """Return errors and ambiguities in the paper that affect these settings and results."""
-    printed, assumed = result.settings.printed, result.settings.assumed
-    q = printed.landmarks
+    printed, assumed, outcomes = result.settings.printed, result.settings.assumed, result.outcomes
+    q, M, Pi = printed.landmarks, printed.M, printed.Pi
     rank = min(2 * q, q + 3)
-    words = [
-        "“At least two landmarks” is not enough. With two, the printed observability matrix has"
-        " four non-zero rows, so that rank 5 is impossible. The rank is min(2q, q + 3), which for"
-        f" the q = {q} of these settings is {rank} of {q + 3}"
-        + (": home is not determined." if rank < q + 3 else "."),
-        "The printed J_i is correct; K_i, P_i and the second term of Q_i (the derivatives of the"
-        " bearing rate by theta, alpha and beta_i) have the wrong sign. The filters here use exact"
-        " derivatives of the model and are not affected.",
-        f"Q is printed {q + 3} x {q + 3} (n x n) but used with two inputs; here it is "
-        + ("2 x 2." if assumed.meaning_of_Q == "input" else "n x n, of the states."),
-        "The caption of Table 3 has closed loop, its text open loop; its values are compared with"
-        " Case 1 and Case 4.",
-    ]
-    if not any((*assumed.initial_error, *assumed.disturbance)):
-        own = median(result.outcomes["2"], DEAD_RECKONING)[0]
-        words.append(
-            "The start is exact and the robot moves as commanded, so that dead reckoning has an"
-            f" error of only {own:.2g} cm (Case 2, median of R). No filter can improve it. The"
-            " comparison shows how much wrong bearings mislead each filter."
-        )
-    if isinstance(printed.M, float) and isinstance(printed.Pi, float) and printed.Pi * printed.M:
-        shares = {
-            case: better_shares(result.outcomes[case], "PI-EKF", "EKF") for case in ("2", "4")
-        }
-        better = [f"{triple(shares[case])} of Case {case}" for case in shares]
-        words.append(
-            f"With M = {printed.M:g} in all entries the PI-EKF adds {printed.Pi * printed.M:g}"
-            " times the sum of all innovations to every state. It is better than the EKF (R,"
-            f" theta, alpha) in {' and '.join(better)}."
-        )
-    if assumed.single_fault:
-        words.append(
-            "“A 30 % error in beta*_1” is zero where beta*_1 is near zero; here it is "
-            f"{assumed.single_fault:g} rad."
-        )
-    return words
+    values: dict[str, Any] = {"q": q, "n": q + 3, "rank": rank, "fault": assumed.single_fault}
+    values["home"] = ": home is not determined" if rank < q + 3 else ""
+    values["Q"] = "2 x 2" if assumed.meaning_of_Q == "input" else "n x n, of the states"
+    others = set() if assumed.single_fault else {"fault"}
+    if any((*assumed.initial_error, *assumed.disturbance)):
+        others.add("exact")
+    else:
+        values["alone"] = median(outcomes["2"], DEAD_RECKONING)[0]
+    if isinstance(M, float) and isinstance(Pi, float) and Pi * M:
+        shares = [triple(better_shares(outcomes[c], "PI-EKF", "EKF")) for c in ("2", "4")]
+        values |= {"M": M, "times": Pi * M, "shares": shares}
+    else:
+        others.add("ones")
+    return [t.format(**values) for name, t in TEXTS["errata"].items() if name not in others]
 
 
 RUNS = ("case", "filter", "run", "moved", "R_cm", "theta_rad", "alpha_rad", "final_distance_m")
