@@ -24,7 +24,7 @@ from homeward.io.reading import naming, shipped, shipped_or_file
 from homeward.io.settings import key_parts, read_settings, validated
 from homeward.io.table import write_csv
 from homeward.lab.simulation.course import Camera, Driven, Log, before, drive_course
-from homeward.lab.simulation.scenario import Circle, Course, Moved, Scenario
+from homeward.lab.simulation.scenario import Course, Scenario
 from homeward.lab.simulation.trajectories import as_visitor
 from homeward.lab.simulation.world import World, build_world, home_bearings, quantise
 from homeward.plugins import require_confirmed
@@ -81,20 +81,12 @@ def _prepare(scenario: Scenario, world: World) -> Drive:
 
 AnyCourse = TypeVar("AnyCourse", bound=Course)
 SCENARIO, WORLD = "scenario.yaml", "world.csv"
-WAREHOUSE, PAPER_HOMING = (
-    read_settings(shipped("scenarios", f"{name}.yaml"), Scenario)
-    for name in ("warehouse", "paper-homing")
-)
-CIRCLE = PAPER_HOMING.model_copy(
-    update={
-        "name": "circle",
-        "moved": Moved(),
-        "trajectory": Circle(speed=0.125, omega=0.25, duration=60.0),
-    }
-)
-"""The paper's Case 4, open loop, with the same noise; the paper prints no yaw rate."""
-PRESETS = {scenario.name: scenario for scenario in (WAREHOUSE, PAPER_HOMING, CIRCLE)}
+PRESETS = {
+    name: read_settings(shipped("scenarios", f"{name}.yaml"), Scenario)
+    for name in ("warehouse", "paper-homing", "circle")
+}
 """Scenarios that ship with homeward, by name."""
+WAREHOUSE, PAPER_HOMING, CIRCLE = PRESETS.values()
 
 
 def load_scenario(source: str, changes: Mapping[str, Any] | None = None) -> Scenario:
