@@ -17,18 +17,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import monte_carlo
-from benchmarks.faults import (
-    Change,
-    Sample,
-    camera,
-    noisy,
-    nothing,
-    one_wheel,
-    only,
-    restamped,
-    turned,
-    wheels,
-)
+from benchmarks.faults import CHANGES, Change, Sample, camera, only, restamped, turned
 from homeward.lab.simulation.live_robot import LiveRobot, SimulatedRobotClient
 from homeward.lab.simulation.simulate import load_scenario
 from homeward.live.messages import BearingsIn, Command, Input, OdometryIn
@@ -87,21 +76,21 @@ def bursts(period: float, share: float) -> Change:
     return only(False, lambda _, s, rng: None if s.at % period < share * period else s)
 
 
-def some(share: float) -> Change:
-    """Return the loss of a share of the frames."""
-    return only(False, lambda _, s, rng: None if rng.random() < share else s)
-
-
+SHARED = ("odometry is silent", "camera is silent", "camera loses half of the frames")
+SHARED += tuple(f"wheels count {k} times the way" for k in (0.3, 0.5, 1.5, 2.0, 5.0))
+SHARED += ("one wheel is dead", "odometry is zero", "odometry is reversed", "turn rate is stuck")
+SHARED += ("turn rate has a bias of 0.1 rad/s", "bearings have noise of 0.3 rad")
+SHARED += ("bearings are reversed", "bearings are all equal")
 FAULTS: dict[str, Fault] = {
     "none": Fault(lambda: lambda _, s, rng: s),
-    "odometry is silent": Fault(lambda: only(True, nothing), True),
-    "camera is silent": Fault(lambda: only(False, nothing), True),
+    **{name: Fault(lambda name=name: CHANGES[name], "silent" in name) for name in SHARED},
     "camera sees nothing": Fault(lambda: only(False, empty), True),
     "camera is frozen": Fault(frozen(0.0), True),
     "camera is frozen, noise 0.002 rad": Fault(frozen(0.002)),
     "camera is frozen, noise 0.02 rad": Fault(frozen(0.02)),
-    "camera loses half of the frames": Fault(lambda: some(0.5)),
-    "camera loses 80 % of the frames": Fault(lambda: some(0.8)),
+    "camera loses 80 % of the frames": Fault(
+        lambda: only(False, lambda _, s, rng: None if rng.random() < 0.8 else s)
+    ),
     **{
         f"camera is silent for 0.2 of {period} s": Fault(lambda p=period: bursts(p, 0.2))
         for period in (0.8, 1.0, 1.5, 3.0)
@@ -109,21 +98,7 @@ FAULTS: dict[str, Fault] = {
     "camera sees nothing for 0.7 of 2 s": Fault(
         lambda: only(False, lambda _, s, rng: empty(_, s, rng) if s.at % 2.0 < 1.4 else s)
     ),
-    **{
-        f"wheels count {k} times the way": Fault(lambda k=k: wheels(lambda v, w: (k * v, w)))
-        for k in (0.3, 0.5, 1.5, 2.0, 5.0)
-    },
-    "one wheel is dead": Fault(lambda: one_wheel(1.0, 0.0)),
-    "odometry is zero": Fault(lambda: wheels(lambda v, w: (0.0, 0.0))),
-    "odometry is reversed": Fault(lambda: wheels(lambda v, w: (-v, -w))),
-    "turn rate is stuck": Fault(lambda: wheels(lambda v, w: (v, 0.2))),
-    "turn rate has a bias of 0.1 rad/s": Fault(lambda: wheels(lambda v, w: (v, w + 0.1))),
     **{f"camera is turned by {a} rad": Fault(lambda a=a: turned(a)) for a in (0.1, 0.3, 1.0)},
-    "bearings have noise of 0.3 rad": Fault(lambda: noisy(0.3)),
-    "bearings are reversed": Fault(
-        lambda: camera(lambda seen, _: {n: -b for n, b in seen.items()})
-    ),
-    "bearings are all equal": Fault(lambda: camera(lambda seen, _: dict.fromkeys(seen, 0.3))),
     "ids are rotated": Fault(lambda: only(False, renamed)),
     "stamps jump by 5 s": Fault(lambda: restamped(5.0)),
     "stamps jump by -5 s": Fault(lambda: restamped(-5.0)),

@@ -24,6 +24,7 @@ from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
 from homeward.localizer.localizer import Localizer
+from homeward.runs.scoring import normalised_squared
 
 MIN_WRONG_M, MIN_WRONG_SIGMA = 0.3, 4.0
 TRACK_WIDTH_M = 0.3
@@ -207,24 +208,31 @@ def only(is_twist: bool, change: Change) -> Change:
     return lambda scene, s, rng: change(scene, s, rng) if (s.twist is None) != is_twist else s
 
 
-FAULTS: dict[str, Callable[[Scene], Samples]] = {
-    "none": lambda scene: scene.samples,
+CHANGES: dict[str, Change] = {
     **{
-        f"wheels count {k} times the way": during(wheels(lambda v, w, k=k: (k * v, w)))
+        f"wheels count {k} times the way": wheels(lambda v, w, k=k: (k * v, w))
         for k in (0.3, 0.5, 1.5, 2.0, 3.0, 5.0)
     },
-    "one wheel counts 0.3 times": during(one_wheel(1.0, 0.3)),
-    "one wheel counts 3 times": during(one_wheel(1.0, 3.0)),
-    "one wheel is dead": during(one_wheel(1.0, 0.0)),
-    "odometry is zero": during(wheels(lambda v, w: (0.0, 0.0))),
-    "odometry is reversed": during(wheels(lambda v, w: (-v, -w))),
-    "odometry is silent": during(only(True, nothing)),
-    "turn rate is stuck": during(wheels(lambda v, w: (v, 0.2))),
-    "turn rate has a bias of 0.1 rad/s": during(wheels(lambda v, w: (v, w + 0.1))),
-    "camera is silent": during(only(False, nothing)),
-    "camera loses half of the frames": during(
-        only(False, lambda _, s, rng: s if rng.random() < 0.5 else None)
+    "one wheel counts 0.3 times": one_wheel(1.0, 0.3),
+    "one wheel counts 3 times": one_wheel(1.0, 3.0),
+    "one wheel is dead": one_wheel(1.0, 0.0),
+    "odometry is zero": wheels(lambda v, w: (0.0, 0.0)),
+    "odometry is reversed": wheels(lambda v, w: (-v, -w)),
+    "odometry is silent": only(True, nothing),
+    "turn rate is stuck": wheels(lambda v, w: (v, 0.2)),
+    "turn rate has a bias of 0.1 rad/s": wheels(lambda v, w: (v, w + 0.1)),
+    "camera is silent": only(False, nothing),
+    "camera loses half of the frames": only(
+        False, lambda _, s, rng: s if rng.random() < 0.5 else None
     ),
+    "bearings have noise of 0.3 rad": noisy(0.3),
+    "bearings are reversed": camera(lambda seen, _: {n: -b for n, b in seen.items()}),
+    "bearings are all equal": camera(lambda seen, _: dict.fromkeys(seen, 0.3)),
+}
+"""Faults that change each sample of their interval, also in `benchmarks.closed_loop`."""
+FAULTS: dict[str, Callable[[Scene], Samples]] = {
+    "none": lambda scene: scene.samples,
+    **{name: during(change) for name, change in CHANGES.items()},
     "camera is frozen": frozen(0.0),
     "camera is frozen, noise 0.002 rad": frozen(0.002),
     "camera is frozen, noise 0.02 rad": frozen(0.02),
@@ -232,9 +240,6 @@ FAULTS: dict[str, Callable[[Scene], Samples]] = {
         f"camera is turned by {a} rad, for good": during(turned(a), for_good=True)
         for a in (0.1, 0.3, 1.0)
     },
-    "bearings have noise of 0.3 rad": during(noisy(0.3)),
-    "bearings are reversed": during(camera(lambda seen, _: {n: -b for n, b in seen.items()})),
-    "bearings are all equal": during(camera(lambda seen, _: dict.fromkeys(seen, 0.3))),
     "ids are rotated": during(renamed(1)),
     "ids are rotated, for good": during(renamed(1), for_good=True),
     "half of the landmarks move, each by 1 m, for good": during(moved(0.5), for_good=True),
@@ -293,15 +298,6 @@ def seen_within(drive: Drive, view: float) -> Drive:
     return replace(drive, sightings=Sightings.of_rows(rows))
 
 
-def sizes(answer: Estimate, true: Pose) -> tuple[float, float]:
-    """Return the error of a position [m], and over its covariance [standard deviations]."""
-    if answer.pose is None or answer.covariance is None:
-        return 0.0, 0.0
-    off = np.array([answer.pose.x - true.x, answer.pose.y - true.y])
-    square = off @ np.linalg.solve(answer.covariance[:2, :2], off)
-    return float(np.hypot(*off)), math.sqrt(max(float(square), 0.0))
-
-
 def outcome(scene: Scene, samples: Samples) -> Outcome:
     """Return what happens in a drive with these samples."""
     truth = scene.drive.truth
@@ -310,8 +306,13 @@ def outcome(scene: Scene, samples: Samples) -> Outcome:
     answers = list(played(localizer, samples))
     times = np.array([t for t, _ in answers])
     seconds = np.minimum(np.diff(times, append=times[-1:]), 1.0)
-    found = [sizes(answer, Pose(*map(float, truth.at(t)))) for t, answer in answers]
-    off, deviations = np.array(found).T
+    nowhere = np.full(2, np.nan), np.eye(2)
+    found = [
+        nowhere if a.covariance is None else (a.pose[:2], a.covariance[:2, :2]) for _, a in answers
+    ]
+    poses, covariances = (np.array(part) for part in zip(*found, strict=True))
+    error = np.nan_to_num(poses - np.stack(truth.at(times)[:2], axis=1))
+    off, deviations = np.hypot(*error.T), np.sqrt(normalised_squared(error, covariances))
     localised = np.array([answer.status is Status.LOCALISED for _, answer in answers])
     wrong = localised & (off > MIN_WRONG_M) & (deviations > MIN_WRONG_SIGMA)
     longest = interval = 0.0

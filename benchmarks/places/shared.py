@@ -10,7 +10,6 @@ position. `--join` measures joining places of 400 and 2,000 landmarks instead, a
 merger alone, with visits of robots that do not localise, in a place of 40 landmarks.
 """
 
-import argparse
 import json
 import math
 import os
@@ -26,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.monte_carlo import parsed
 from benchmarks.places.__main__ import visit
 from benchmarks.places.large import made, mapped, random_places
 from benchmarks.places.warehouse import BEARING_SIGMA, HOME, Warehouse
@@ -440,15 +440,8 @@ def exchanged(robots: int, mqtt: str, work: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--robots", type=int, default=10)
-    parser.add_argument("--seconds", type=float, default=100.0)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--cores", type=int, default=2)
-    parser.add_argument("--mqtt", default="mqtt://127.0.0.1")
-    parser.add_argument("--join", action="store_true")
-    parser.add_argument("--messages", action="store_true")
-    given = parser.parse_args()
+    counts = {"robots": 10, "seconds": 100.0, "seed": 0, "cores": 2}
+    given = parsed(__doc__, **counts, mqtt="mqtt://127.0.0.1", join=False, messages=False)
     work = Path(tempfile.mkdtemp())
     try:
         print(f"load before: {os.getloadavg()[0]:.1f}")
