@@ -68,7 +68,8 @@ def simulated_place(data: VisitData) -> Place:
     there = data.map.with_home("home", {}, np.empty((0, 3)), *home).at_home("home")
     seen = data.frames.views(there, Pose(0.0, 0.0, 0.0)).seen
     persistence = {
-        n: LandmarkPersistence(0.0, 0.0, seen_from=tuple(seen[n].tolist())) for n in there.names
+        n: LandmarkPersistence(0.0, 0.0, seen_from=tuple(map(float, seen.get(n, ()))))
+        for n in there.names
     }
     first = Visit(1, 0.0, "first", data.evidence, "first", of=len(there.names))
     bearings = {n: HomeBearing(0.0) for n in there.names[:3]}  # are not used

@@ -129,6 +129,19 @@ def test_a_moved_landmark_is_suspected_until_a_second_robot_finds_it_there(share
     assert math.dist(*positions) > 1e-3  # each has that of the other
 
 
+def test_a_robot_reports_a_moved_landmark_that_was_suspected_before(shared):
+    link, said = DirectLink(shared), []
+    session = fleet_robot.SharedPlaceSession(link, update=False)
+    session.subscribe(lambda message: said.append(message.text))
+    for robot in "ab":
+        add(shared, robot, pushed(room(), "L3"), 1.0, seed=ord(robot))
+        link.on_place(seen_by(shared, "c", 1.0))
+    assert said == [
+        "place 'hall' updated: 20 landmarks",
+        "place 'hall' updated: 1 moved (L3) and 20 landmarks",
+    ]
+
+
 def test_a_moved_landmark_counts_when_nobody_saw_it_in_place_for_a_minute(shared):
     add(shared, "a", pushed(room(), "L3"), 10.0)
     add(shared, "b", room(), 11.0, seed=2, ages={"L3": 20.0})

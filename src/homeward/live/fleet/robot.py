@@ -337,12 +337,12 @@ class SharedPlaceSession(PlaceSession):
 
 def _change_words(before: Place, now: Place) -> str:
     """Describe what other robots changed in a place."""
-    was = dict(zip(before.map.names, before.map.positions, strict=True))
-    sigmas = dict(zip(before.map.names, before.map.sigmas.tolist(), strict=True))
-    is_at = dict(zip(now.map.names, now.map.positions, strict=True))
-    off = {n: float(np.hypot(*(is_at[n] - was[n]))) for n in was if n in is_at}
+    was, is_at = (dict(zip(p.map.names, p.map.positions, strict=True)) for p in (before, now))
+    sigmas = (dict(zip(p.map.names, p.map.sigmas.tolist(), strict=True)) for p in (before, now))
+    (wide, sharp), both = sigmas, [n for n in was if n in is_at]
+    limits = {n: max(5.0 * min(wide[n], sharp[n]), 0.05) for n in both}  # suspected ones are wide
     changes = {
-        "moved": [n for n, by in off.items() if by > max(5.0 * sigmas[n], 0.05)],
+        "moved": [n for n in both if np.hypot(*(is_at[n] - was[n])) > limits[n]],
         "new": [n for n in is_at if n not in was],
         "removed": [n for n in was if n not in is_at],
     }
