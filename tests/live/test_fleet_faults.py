@@ -16,10 +16,13 @@ from fleet_rig import kept, linked, merging, pushed, visited
 from visited import new_place, room
 
 from homeward.errors import InputError
+from homeward.live.fleet import kept_visits
 from homeward.live.fleet import merging as deciding
+from homeward.live.fleet import robot as fleet_robot
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.merging import LIVE, SharedPlace
 from homeward.live.fleet.robot import RobotLink
+from homeward.live.messages import line_of
 from homeward.places.files import load_place, save_place
 
 pytest.importorskip("paho", reason="needs the extra `fleet`")
@@ -112,7 +115,7 @@ def test_a_full_disk_is_reported_once_and_ends_nothing(broker, folder, monkeypat
 
     with merging(broker.url, folder) as running, linked(broker.url, "a", "b") as (a, b):
         with monkeypatch.context() as patch:
-            patch.setattr(deciding, "write_whole", full)
+            patch.setattr(kept_visits, "write_whole", full)
             for seed in range(3):
                 a.share(visited("a1", room(), seed))
                 time.sleep(0.3)
@@ -199,6 +202,18 @@ def test_silent_members_and_floods_do_not_delay_others(broker, folder):
         assert running.thread.is_alive()
         for connection in silent:
             connection.close()
+
+
+def test_a_damaged_file_of_a_robot_is_named_and_left(broker, folder):
+    there = fleet_robot.undelivered() / "hall" / "a"
+    there.mkdir(parents=True)
+    (there / "x.json").write_text('{"visit": "')
+    (there / "y1.json").write_text(line_of(visited("y1", room(), ended=True)))
+    with merging(broker.url, folder), linked(broker.url, "a") as (a,):
+        (problem,) = a.problems
+        assert "x.json: is skipped: " in problem
+        wait(lambda: len(load_place(folder).visits) == 2)
+    assert [file.name for file in there.iterdir()] == ["x.json"]
 
 
 class Large(SharedPlace):

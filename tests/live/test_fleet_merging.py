@@ -35,6 +35,7 @@ from homeward.live.fleet.messages import (
     visit_of,
 )
 from homeward.live.messages import BearingsIn, line_of
+from homeward.localizer.tunables import MIN_SIGHTINGS
 from homeward.places.files import load_place, newest, save_place
 from homeward.places.place import StoredHome
 from homeward.places.views import SECTORS, Views
@@ -171,6 +172,30 @@ def test_a_robot_that_only_misses_a_moved_landmark_supports_the_one_that_found_i
     add(shared, "mapping", pushed(room(), "L3"), 2.0)
     assert found(shared, 2.0) == {"L3": ("moved", True, ["mapping", "vague"])}
     assert off(seen_by(shared, "vague", 2.0), "L3", pushed(room(), "L3"))[0] < 0.1
+
+
+def test_a_doubt_supports_a_claim_and_is_none(shared):
+    """Bearings outside the gate show sooner that a landmark left than where it is."""
+    places, doubt = pushed(room(), "L3"), {"doubted": ("L3",)}
+    for k, robot in enumerate(("x", "y", "z")):
+        message = visited("v1", room(), k, ages={"L3": 10.0}).model_copy(update=doubt)
+        shared.add(robot, message, 1.0, 1.0)
+    assert found(shared, 10.0 * CONFIRM_S) == {}
+    add(shared, "a", places, 2.0)
+    assert found(shared, 2.0) == {"L3": ("moved", True, ["a", "x", "y", "z"])}
+    assert off(seen_by(shared, "x", 2.0), "L3", places)[0] < 0.1
+    for k, robot in enumerate(("x", "y", "z")):  # and it is in place again
+        add(shared, robot, room(), 5.0, seed=k, ages={"L3": 0.1})
+    assert found(shared, 5.0) == {}
+
+
+def test_a_doubt_confirms_only_the_landmark_of_a_group_that_it_is_about(shared):
+    names = "L1", "L2", "L3"
+    add(shared, "liar", pushed(room(), *names, by=np.array([1.0, 0.5])), 1.0)
+    message = visited("v1", room(), 2, ages=dict.fromkeys(names, 10.0))
+    shared.add("b", message.model_copy(update={"doubted": ("L1",)}), 2.0, 1.0)
+    confirmed = {n: is_confirmed for n, (_, is_confirmed, _) in found(shared, 2.0).items()}
+    assert confirmed == {"L1": True, "L2": False, "L3": False}
 
 
 def test_new_landmarks_are_used_with_less_confidence_until_another_robot_has_them(shared):
@@ -393,7 +418,7 @@ class DirectLink:
 
     def __init__(self, shared):
         self.shared, self.first, self.visit = shared, shared.place, "one"
-        self.clock, self.versions = lambda: 0.0, []
+        self.clock, self.versions, self.problems = lambda: 0.0, [], []
 
     def share(self, message):
         self.shared.add("me", message, self.clock(), self.shared.place.visits[-1].when)
@@ -481,6 +506,18 @@ def test_a_tag_that_was_last_seen_before_its_box_moved_is_not_shared(fit, outdat
         fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(seen, 0.0)), estimate)
     assert fits.outdated([("front", "left"), ("other",)]) == outdated
     assert fits.last == pytest.approx({"front": 2.9, "left": 0.9})
+
+
+@pytest.mark.parametrize(("wrong", "doubted"), [(1, {"L0"}), (3, set())])
+def test_a_landmark_is_doubted_where_most_others_fit(wrong, doubted):
+    fits = Fits()
+    for k in range(12):
+        accepted = {f"L{i}": k < 5 or i >= wrong for i in range(5)}
+        innovations = tuple(Innovation(n, 0.0, 0.01, fit) for n, fit in accepted.items())
+        estimate = Estimate(0.1 * k, Status.LOCALISED, "", innovations=innovations)
+        assert not fits.doubted or k >= 5 + MIN_SIGHTINGS
+        fits.add(BearingsIn(t=0.1 * k, bearings=dict.fromkeys(accepted, 0.0)), estimate)
+    assert fits.doubted == doubted
 
 
 @pytest.mark.parametrize("number", [2, 4, 6])

@@ -92,8 +92,9 @@ def is_same(before: Place, now: Place) -> bool:
     off = np.hypot(*(now.map.positions - before.map.positions).T)
     sigmas = before.map.sigmas, now.map.sigmas
     is_near = (off <= sigmas[0]) & (sigmas[1] < 2.0 * sigmas[0]) & (sigmas[0] < 2.0 * sigmas[1])
-    return bool(is_near.all()) and _left(before) == _left(now)
+    return bool(is_near.all()) and doubtful(before) == doubtful(now)
 
 
-def _left(place: Place) -> dict[str, bool]:
-    return {name: p.stands <= SUSPECTED for name, p in place.persistence.items()}
+def doubtful(place: Place) -> set[str]:
+    """Return the landmarks that may not be in place."""
+    return {name for name, p in place.persistence.items() if p.stands <= SUSPECTED}

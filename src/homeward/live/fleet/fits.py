@@ -1,11 +1,12 @@
-"""Sightings that agree with a robot's own map: when each landmark was last seen in place."""
+"""Sightings that agree with a robot's own map, or not: which landmarks are in place, and when."""
 
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
-from homeward.estimator import Estimate
+from homeward.estimator import Estimate, Status
 from homeward.live.messages import BearingsIn
 from homeward.localizer.tunables import MIN_SIGHTINGS
 
@@ -17,11 +18,18 @@ class Fits:
         self.last: dict[str, float] = {}
         """Time of the last sighting of each landmark that agreed [s]."""
         self.changed_at = -math.inf
-        """When the map last got a landmark, or another position of one [s]."""
+        """When the map last got a landmark, or another position of one, or one was doubted [s]."""
         self._misfits: dict[str, tuple[float, int]] = {}
         """Time of the first sighting since then that disagreed [s], and their number."""
         self._moved: dict[str, float] = {}
         """When each landmark that moved was first seen elsewhere [s]."""
+        self._rejected = Counter[str]()
+        """Number of sightings in a row outside the gate, in frames of which most fitted."""
+
+    @property
+    def doubted(self) -> set[str]:
+        """Landmarks that are not where the map has them, wherever they are now."""
+        return {name for name, number in self._rejected.items() if number >= MIN_SIGHTINGS}
 
     def add(self, message: BearingsIn, estimate: Estimate) -> None:
         """Add bearings and the answer to them.
@@ -29,10 +37,16 @@ class Fits:
         A landmark that agrees after `MIN_SIGHTINGS` that disagreed is new in the map, or moved.
         """
         fits = {i.landmark for i in estimate.innovations if i.accepted}
+        rejected = {i.landmark for i in estimate.innovations} - fits
+        if estimate.status is Status.LOCALISED and len(fits) > len(rejected):
+            self._rejected.update(rejected)
+            if any(self._rejected[name] == MIN_SIGHTINGS for name in rejected):
+                self.changed_at = message.t
         for name in message.bearings.keys() - fits:
             since, number = self._misfits.get(name, (message.t, 0))
             self._misfits[name] = since, number + 1
         for name in fits:
+            self._rejected.pop(name, None)
             since, number = self._misfits.pop(name, (message.t, 0))
             if number >= MIN_SIGHTINGS:
                 self.changed_at = message.t

@@ -26,10 +26,9 @@ from homeward.io.table import quoted
 from homeward.io.validation_messages import parsed
 from homeward.io.writing import remove_abandoned, write_whole
 from homeward.live.fleet.changes import spread
-from homeward.live.fleet.messages import Change, Placed, VisitMessage, parse_visit, visit_of
-from homeward.live.fleet.parcels import MAX_VISIT_PARTS, PART
+from homeward.live.fleet.kept_visits import KeptVisits
+from homeward.live.fleet.messages import Change, Placed, VisitMessage, visit_of
 from homeward.live.fleet.plausibility import is_plausible, plausible_ages
-from homeward.live.messages import line_of
 from homeward.localizer.tunables import INLIER
 from homeward.places import files
 from homeward.places.joint_map import JointMap, datum
@@ -133,28 +132,21 @@ class SharedPlace:
     def load(self, now: float, when: float) -> None:
         """Read the place, and the visits of an earlier merger; damaged ones are named and left."""
         self.place = files.load_place(self.folder)
-        live = self.folder / LIVE
-        with naming(live, "cannot be read"):
-            live.mkdir(exist_ok=True)
-            for written in (self.folder, live):
-                remove_abandoned(written)  # of a merger that was killed
-            saved = sorted(live.glob("*.json"), key=lambda file: file.lstat().st_mtime)
+        with naming(self.folder, "cannot be read"):
+            remove_abandoned(self.folder)  # of a merger that was killed
         try:
             self.records = records(self.folder)
         except HomewardError as error:
-            self.problems.append(f"{live / ROBOTS}: is skipped: {error}")
-        for file in saved:
-            try:
-                message = parse_visit(read_small(file, MAX_VISIT_PARTS * PART, "a visit"))
-                robot = file.name.removesuffix(f".{message.visit}.json")
-                if self.is_merged(
-                    robot, message.visit
-                ):  # the merger was killed before it deleted it
-                    file.unlink()
-                else:
-                    self._set(robot, message, now, when, -math.inf)
-            except (HomewardError, OSError, UnicodeDecodeError) as error:
-                self.problems.append(f"{file}: is skipped: {error}")
+            self.problems.append(f"{self._kept.folder / ROBOTS}: is skipped: {error}")
+
+        def use(name: str, message: VisitMessage) -> None:
+            robot = name.removesuffix(f".{message.visit}")
+            if self.is_merged(robot, message.visit):  # the merger was killed before it deleted it
+                self._kept.remove(name)
+            else:
+                self._set(robot, message, now, when, -math.inf)
+
+        self.problems += self._kept.load(use)
 
     def add(self, robot: str, message: VisitMessage, now: float, when: float) -> None:
         """Replace the version of a visit, on disk, too.
@@ -164,7 +156,7 @@ class SharedPlace:
         """
         if not self.is_merged(robot, message.visit):
             data = visit_of(message, when)
-            write_whole(self._file(robot, message.visit), line_of(message).encode())
+            self._kept.write(f"{robot}.{message.visit}", message)
             self._set(robot, message, now, when, now, data)
 
     def is_merged(self, robot: str, visit: str) -> bool:
@@ -209,9 +201,12 @@ class SharedPlace:
     def _used(self, robot: str, visit: LiveVisit) -> Mapping[str, Claim]:
         return {} if robot in self.ignored else visit.claims or {}
 
-    def _statements(self, name: str) -> tuple[dict[str, tuple[Claim, float]], dict[str, float]]:
-        """Return the claims on a landmark by robot, and when other robots saw it in place [s]."""
+    def _statements(
+        self, name: str
+    ) -> tuple[dict[str, tuple[Claim, float]], dict[str, float], set[str]]:
+        """Return claims on a landmark and when others saw it in place [s], by robot, and doubts."""
         claims, in_place = dict[str, tuple[Claim, float]](), dict(self._in_place.get(name, {}))
+        doubting = set[str]()
         for (robot, _), visit in self.visits.items():
             if robot in self.ignored or visit.claims is None:
                 continue
@@ -221,14 +216,16 @@ class SharedPlace:
             elif name in visit.seen:
                 claims.pop(robot, None)
                 in_place[robot] = visit.seen[name]
-        return claims, in_place
+                (doubting.add if name in visit.message.doubted else doubting.discard)(robot)
+        return claims, in_place, doubting - claims.keys()
 
     def _decide(self, name: str, now: float) -> Change | None:
         """Return the change of a landmark by all claims; None if there is none, or it is refuted.
 
         Of claims that differ, the one of most robots counts, else the one of the last sighting.
+        A doubt is no claim, but supports that of another robot that the landmark left its place.
         """
-        claims, in_place = self._statements(name)
+        claims, in_place, doubting = self._statements(name)
         agreeing = {
             robot: [r for r, (other, _) in claims.items() if _support(other, claim)]
             for robot, (claim, _) in claims.items()
@@ -242,7 +239,10 @@ class SharedPlace:
             return None
         claim, by = claims[best][0], agreeing[best]
         since, last = min(claims[r][0].since for r in by), max(claims[r][1] for r in by)
-        opposed = in_place | {r: t for r, (c, t) in claims.items() if r not in by and c.at}
+        if claim.what in ("moved", "gone"):
+            by = [*by, *sorted(doubting)]
+        opposed = in_place | {r: t for r, (c, t) in claims.items() if c.at}
+        opposed = {r: t for r, t in opposed.items() if r not in by}
         against = [t for t in opposed.values() if t > since]
         if len(against) > len(by) or (len(by) < 2 and max(against, default=-math.inf) > last):
             return None
@@ -251,7 +251,7 @@ class SharedPlace:
         else:
             quiet = now - max(since, *opposed.values()) if opposed else now - since
             confirmed = quiet >= CONFIRM_S and not claim.is_grouped
-        found = {robot: claims[robot][0].at for robot in by}
+        found = {robot: claims[robot][0].at if robot in claims else None for robot in by}
         return Change(landmark=name, what=claim.what, confirmed=confirmed, by=found)
 
     def _outcome(self, robot: str, name: str, now: float) -> bool | None:
@@ -287,7 +287,7 @@ class SharedPlace:
             result += f" Refuted by other robots: {listing(refuted, 8)}."
         self._record(robot, len(outcomes), len(refuted), visit.claims is None)
         del self.visits[key]
-        self._file(*key).unlink(missing_ok=True)
+        self._kept.remove(".".join(key))
         for name in outcomes.keys() - unused:
             self._in_place.pop(name, None)
         if visit.claims is not None:
@@ -348,8 +348,9 @@ class SharedPlace:
                 claims[name] = replace(claim, since=was.since)  # type: ignore[index]
         return replace(visit, claims=claims)
 
-    def _file(self, robot: str, visit: str) -> Path:
-        return self.folder / LIVE / f"{robot}.{visit}.json"
+    @property
+    def _kept(self) -> KeptVisits:
+        return KeptVisits(self.folder / LIVE)
 
 
 def records(folder: Path) -> dict[str, RobotRecord]:

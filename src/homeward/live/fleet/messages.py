@@ -9,7 +9,7 @@ from __future__ import annotations
 import base64
 import math
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import astuple
 from functools import partial
@@ -105,6 +105,8 @@ class VisitMessage(Strict):
     """Views of the landmarks of the place, as `Views`."""
     ages: dict[Id, Annotated[float, Field(ge=0, allow_inf_nan=False)]] = {}
     """Time since each landmark was last seen where `map` has it [s]."""
+    doubted: Annotated[tuple[Id, ...], Field(max_length=MAX_LANDMARKS)] = ()
+    """Landmarks that are not where they were mapped, and not mapped elsewhere yet."""
     homes: Annotated[dict[Name, HomeData], Field(max_length=MAX_HOMES)] = {}
     routes: Annotated[dict[Name, RouteData], Field(max_length=MAX_HOMES)] = {}
     together: tuple[tuple[Id, ...], ...] = ()
@@ -177,7 +179,12 @@ def parse_visit(content: bytes | str) -> VisitMessage:
 
 
 def visit_message(
-    visit: VisitData, views: Views, ages: Mapping[str, float], home: str, ended: bool
+    visit: VisitData,
+    views: Views,
+    ages: Mapping[str, float],
+    home: str,
+    ended: bool,
+    doubted: Iterable[str] = (),
 ) -> VisitMessage:
     """Return the message with a visit; its `drive` is the identifier of the visit."""
     homes = {
@@ -206,6 +213,7 @@ def visit_message(
         map=_map_data(visit.map),
         views={name: tuple(_views(views, name)) for name in views.passed},
         ages=dict(ages),
+        doubted=tuple(doubted),
         homes=homes,
         routes=routes,
         together=visit.together,

@@ -20,15 +20,15 @@ from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose
 from homeward.io.table import quoted
 from homeward.io.validation_messages import parsed
-from homeward.io.writing import state_folder, write_whole
-from homeward.live.fleet.changes import is_same, with_changes
+from homeward.io.writing import state_folder
+from homeward.live.fleet.changes import doubtful, is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.fits import Fits
+from homeward.live.fleet.kept_visits import KeptVisits
 from homeward.live.fleet.messages import (
     Ack,
     Changes,
     VisitMessage,
-    parse_visit,
     place_of,
     visit_message,
 )
@@ -100,9 +100,9 @@ class RobotLink:
         self._assembled: tuple[str, tuple[str, ...]] | None = None
         self._place: Place | None = None
         self._is_lost = False
-        for file in sorted(self._folder.glob("*.json"), key=lambda f: f.stat().st_mtime):
-            visit = parse_visit(file.read_bytes())
-            self._outbox[visit.visit] = visit
+        self._kept = KeptVisits(undelivered() / self.name / self._robot)
+        self.problems = self._kept.load(self._outbox.__setitem__)
+        """Damaged files of visits, in words."""
         topics = MANIFEST, f"{MAP}/+/+", f"{CHANGE}/+", f"{ACK}/{self._robot}"
         self._connection = Connection(
             broker, place, topics, self._receive, self._connected, self._lost
@@ -124,7 +124,7 @@ class RobotLink:
             self._send()
             is_late = time.monotonic() - self._sent_at > TIMEOUT_S
             if visit.ended:
-                write_whole(self._file(visit.visit), line_of(visit).encode())
+                self._kept.write(visit.visit, visit)
         if is_late:
             self._lost("no acknowledgement")
 
@@ -137,19 +137,12 @@ class RobotLink:
         with self._news:
             if self._news.wait_for(lambda: visit.visit in self._results, FINISH_S):
                 return self._results.pop(visit.visit)
-        file = self._file(visit.visit)
+        file = self._kept.file(visit.visit)
         return f"the merger did not answer: the visit is saved in {file}, and sent again later"
 
     def close(self) -> None:
         """End the connection."""
         self._connection.close()
-
-    @property
-    def _folder(self) -> Path:
-        return undelivered() / self.name / self._robot
-
-    def _file(self, visit: str) -> Path:
-        return self._folder / f"{visit}.json"
 
     def _connected(self) -> None:
         with self._news:
@@ -223,7 +216,7 @@ class RobotLink:
             self._sent_at = math.inf
             if ack.ended:
                 del self._outbox[ack.visit]
-                self._file(ack.visit).unlink(missing_ok=True)
+                self._kept.remove(ack.visit)
                 self._results[ack.visit] = ack.text
             self._news.notify_all()
             self._send()
@@ -240,6 +233,7 @@ class SharedPlaceSession(PlaceSession):
     def __init__(self, link: RobotLink, update: bool) -> None:
         self._link, self._latest = link, link.first
         self._last: VisitMessage | None = None
+        self._suspected = doubtful(self._latest)
         self._subscriber: Callable[[PlaceChanged], None] = lambda _: None
         super().__init__(link.first, time.time() / DAY_S, update)
         link.on_place = self._receive
@@ -258,12 +252,15 @@ class SharedPlaceSession(PlaceSession):
     def subscribe(self, on_change: Callable[[PlaceChanged], None]) -> None:
         """Call `on_change`, on any thread, when the place changed."""
         self._subscriber = on_change
+        for problem in self._link.problems:
+            self._notify(problem, True)
         if self._latest is not self.place:
             self._notify(_change_words(self._link.first, self._latest), False)
 
     def adopt(self) -> Place:
         """Use the newest place of the fleet from now on, and return it."""
         self.place = self._after = self._latest
+        self._suspected = doubtful(self.place)
         return self.place
 
     def see(self, message: BearingsIn, estimate: Estimate) -> None:
@@ -271,6 +268,8 @@ class SharedPlaceSession(PlaceSession):
         super().see(message, estimate)
         self._newest = message.t
         self._fits.add(message, estimate)
+        if not self._suspected.isdisjoint(message.bearings):
+            self._fits.changed_at = message.t  # the others wait for what this robot finds
         if estimate.pose is None or abs(message.t - self._frame_at) < FRAME_S:
             return
         self._frame_at = message.t
@@ -325,7 +324,7 @@ class SharedPlaceSession(PlaceSession):
         about = self._link.visit, evidence, self.when, own, None, home
         visit = self._with_stored(VisitData(*about, together=together))
         ages = {n: max(self._newest - t, 0.0) for n, t in self._fits.last.items()}
-        return visit_message(visit, self._views, ages, home, is_last)
+        return visit_message(visit, self._views, ages, home, is_last, self._fits.doubted)
 
     def _receive(self, place: Place) -> None:
         before, self._latest = self._latest, place
