@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import heapq
 import math
-import threading
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -57,47 +57,29 @@ class Newest(Generic[Result]):
     """
 
     def __init__(self, ready: Callable[[], object]) -> None:
-        self._ready = ready
-        self._waiting: deque[Callable[[], Result]] = deque(maxlen=1)
-        self._done: deque[tuple[Result | None, Exception | None]] = deque()
-        self._given, self._running = threading.Event(), True
-        self._thread = threading.Thread(target=self._work, daemon=True)
-        self._thread.start()
+        self._ready, self._worker = ready, ThreadPoolExecutor(1)
+        self._last: Future[Result] | None = None
+        self._done: deque[Future[Result]] = deque()
 
     def give(self, task: Callable[[], Result]) -> bool:
         """Set the next task; return whether a waiting one was dropped."""
-        replaced = len(self._waiting) > 0
-        self._waiting.append(task)
-        self._given.set()
+        replaced = self._last is not None and self._last.cancel()
+        self._last = self._worker.submit(task)
+        self._last.add_done_callback(self._end)
         return replaced
 
     def take(self) -> Result | None:
         """Return the oldest result or None; raise the exception of its task."""
-        if not self._done:
-            return None
-        result, error = self._done.popleft()
-        if error is not None:
-            raise error
-        return result
+        return self._done.popleft().result() if self._done else None
 
     def close(self) -> None:
         """End the thread after its current task."""
-        self._running = False
-        self._given.set()
-        self._thread.join()
+        self._worker.shutdown(cancel_futures=True)
 
-    def _work(self) -> None:
-        while self._running:
-            self._given.wait()
-            self._given.clear()
-            while self._waiting and self._running:
-                task, result, error = self._waiting.popleft(), None, None
-                try:
-                    result = task()
-                except Exception as raised:  # `take` raises it on the caller's thread
-                    error = raised
-                self._done.append((result, error))
-                self._ready()
+    def _end(self, task: Future[Result]) -> None:
+        if not task.cancelled():
+            self._done.append(task)
+            self._ready()
 
 
 MAX_WAIT_S = 0.15
