@@ -28,6 +28,7 @@ from homeward.live.fleet.merging import (
     robot_lines,
 )
 from homeward.live.fleet.messages import (
+    Change,
     parse_visit,
     place_content,
     place_of,
@@ -470,6 +471,41 @@ def test_a_moved_landmark_is_in_the_place_two_seconds_after_the_robot_has_mapped
     intervals = np.diff([t for t, _ in link.versions])
     assert intervals.min() > fleet_robot.CHANGE_S - 0.1
     assert intervals.max() > fleet_robot.SHARE_S - 0.1  # while nothing changes
+
+
+def test_a_landmark_that_moved_out_of_view_is_used_where_others_saw_it(
+    hall,  # noqa: F811
+    tmp_path,
+):
+    link = DirectLink(opened(shutil.copytree(hall, tmp_path / "hall")))
+    there = at(link.shared.place, "L03") + PUSH
+    start = {"start.R": 1.5, "start.theta": 2.0, "start.alpha": -1.0, "noise.bearing_sigma": 0.002}
+    rig = Rig(0, place=fleet_robot.SharedPlaceSession(link, update=True), **LANDMARKS | start)
+    link.clock = lambda: rig.robot.t
+
+    def own(rig):
+        known = {m.landmark: m for m in rig.session.localisation.estimator.landmarks()}
+        return known.get("L03")
+
+    rig.until(localised, 3.0).until(lambda rig: own(rig) and own(rig).sightings > 30)
+    again = rig.robot.t + 2.0
+
+    def spoil(message):
+        if isinstance(message, BearingsIn):
+            seen = {n: b for n, b in message.bearings.items() if n != "L03"}
+            if message.t > again:
+                seen["L03"] = float(bearing(rig.robot.pose, *there))
+            message = message.model_copy(update={"bearings": seen})
+        return [message]
+
+    rig.spoil = spoil
+    rig.until(lambda rig: rig.robot.t > again - 0.5)
+    change = Change(
+        landmark="L03", what="moved", confirmed=True, by={"a": (*there, 1e-4, 0.0, 1e-4)}
+    )
+    link.on_place(with_changes(link.first, [change], "me", link.first.visits[-1].when))
+    rig.until(lambda rig: own(rig) and math.dist((own(rig).x, own(rig).y), there) < 0.1)
+    assert rig.robot.t - again < 0.5
 
 
 def test_a_robot_reports_since_when_it_has_not_seen_a_landmark_where_its_map_has_it(

@@ -254,7 +254,7 @@ class Landmarks:
             self.former[name] = self.mapped.pop(name)
             self.moved_at[name] = waiting.since
         elif known:
-            self._drop(name)  # it was badly initialised
+            self.drop(name)  # it was badly initialised
         elif self._has_returned(name, rows):
             self._restore(name)
         first, last = rows[[0, -1], KEYFRAME].astype(int).tolist()
@@ -397,14 +397,14 @@ class Landmarks:
             if name not in self.former and (briefly or self.mapped[name].established):
                 initialised |= self._is_due(name) and self._initialise(name)
             else:
-                self._drop(name)
+                self.drop(name)
                 initialised = True
         return initialised
 
     def revert_to(self, keyframe: int) -> None:
         """Remove landmarks initialised after a keyframe, and undo moves declared since."""
         for name in [n for n, m in self.mapped.items() if m.first > keyframe]:
-            self._drop(name)
+            self.drop(name)
         for name in [n for n in self.former if n not in self.mapped]:
             self._restore(name)
         self._candidates.clear()
@@ -423,10 +423,10 @@ class Landmarks:
         wrong = set(self.smoother.ids[bad].tolist())
         names = [m.name for m in self.mapped.values() if m.number in wrong]
         for name in names:
-            self._drop(name)
+            self.drop(name)
         return len(names)
 
-    def _drop(self, name: str) -> None:
+    def drop(self, name: str) -> None:
         """Remove a landmark from the map; it may be initialised again."""
         self.smoother.drop_landmark(self.mapped.pop(name).number)
 

@@ -478,7 +478,7 @@ class Map:
 
     def replace_survey(self, known: KnownLandmarks) -> None:
         """Replace the survey by a newer one in the same frame, and solve the window with it."""
-        self.registration.survey.replace(known)
+        self.registration.replace(known)
         if self.landmarks.mapped:
             self._solve()
 

@@ -224,6 +224,26 @@ class Registration:
         evaluated = self._smoother.survey.ids.size and self.survey.used
         return self.survey.known.surveyed_from_home and bool(evaluated)
 
+    def replace(self, known: KnownLandmarks) -> None:
+        """Replace the survey by a newer one in the same frame.
+
+        A landmark that moved meanwhile leaves the map if it was last seen at its former place: it
+        is initialised again where it is expected now.
+        """
+        survey, landmarks, before = self.survey, self._landmarks, self.survey.places
+        passed = [
+            m
+            for name, m in landmarks.mapped.items()
+            if name in before and name in known.landmarks and m.last < self._smoother.newest
+        ]
+        here = self.places(passed if self.has_home else ())[0]
+        survey.replace(known)
+        for landmark, at in zip(passed, here, strict=False):
+            was, now = before[landmark.name], survey.places[landmark.name]
+            is_far = math.dist(was, now) > CLOSE * self._smoother.state.scale
+            if is_far and math.dist(at, was) < math.dist(at, now):
+                landmarks.drop(landmark.name)
+
     def without_survey(self) -> Marginal:
         """Return the state by this drive's measurements alone, without the survey.
 
