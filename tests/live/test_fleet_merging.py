@@ -38,7 +38,7 @@ from homeward.live.fleet.messages import (
 from homeward.live.messages import BearingsIn, line_of
 from homeward.localizer.tunables import MIN_SIGHTINGS
 from homeward.places.files import load_place, newest, save_place
-from homeward.places.place import StoredHome
+from homeward.places.place import DAY_S, StoredHome
 from homeward.places.views import SECTORS, Views
 from homeward.places.visit_data import VisitData
 
@@ -157,6 +157,31 @@ def test_a_robot_that_sees_the_landmark_in_place_later_refutes_that_it_moved(sha
     assert found(shared, 1000.0) == {}
     add(shared, "a", pushed(room(), "L3"), 50.0, seed=3)  # and it says so again
     assert found(shared, 25.0 + CONFIRM_S - 1.0) == {"L3": ("moved", False, ["a"])}
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_sighting_before_a_move_that_is_merged_does_not_move_the_landmark_back(
+    folder, shared, is_restarted
+):
+    places = pushed(room(), "L3")
+    add(shared, "b", room(), 0.0, seed=3)
+    for robot in "ac":
+        add(shared, robot, places, 100.0, seed=ord(robot))
+        add(shared, robot, places, 101.0, seed=ord(robot), ended=True)
+    assert [text.count("moved") for *_, text in shared.settle(101.0)] == [1, 0]
+    if is_restarted:
+        shared = SharedPlace(folder)
+        shared.load(102.0, 1.0 + 1.0 / DAY_S)
+    for now in (110.0, 110.0 + 2.0 * CONFIRM_S):
+        add(shared, "b", room(), now, seed=int(now), ages={"L3": now})
+        assert found(shared, now) == {}
+    add(shared, "b", room(), 300.0, seed=4, ages={"L3": 300.0}, ended=True)
+    ((*_, text),) = shared.settle(300.0)
+    assert "19 stayed" in text
+    assert "Refuted" not in text
+    assert off(shared.place, "L3", places)[0] < 0.1
+    add(shared, "b", room(), 400.0, visit="v2", seed=5)  # it is pushed back
+    assert found(shared, 400.0) == {"L3": ("moved", False, ["b"])}
 
 
 def test_a_claim_begins_again_with_another_position(shared):

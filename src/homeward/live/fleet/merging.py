@@ -32,7 +32,7 @@ from homeward.live.fleet.plausibility import is_plausible, plausible_ages
 from homeward.localizer.tunables import INLIER
 from homeward.places import files
 from homeward.places.joint_map import JointMap, datum
-from homeward.places.place import Place
+from homeward.places.place import DAY_S, Place
 from homeward.places.views import Views
 from homeward.places.visit_data import VisitData
 from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
@@ -128,10 +128,14 @@ class SharedPlace:
         init=False, default_factory=lambda: defaultdict(dict)
     )
     """When robots saw landmarks in place, on visits that are merged [s]."""
+    _changed_at: dict[str, float] = field(init=False, default_factory=dict)
+    """When landmarks moved, returned or were gone, by visits that are merged [s]."""
 
     def load(self, now: float, when: float) -> None:
         """Read the place, and the visits of an earlier merger; damaged ones are named and left."""
         self.place = files.load_place(self.folder)
+        moved = {n: when - p.since for n, p in self.place.persistence.items() if p.moved}
+        self._changed_at = {n: now - max(days, 0.0) * DAY_S for n, days in moved.items()}
         with naming(self.folder, "cannot be read"):
             remove_abandoned(self.folder)  # of a merger that was killed
         try:
@@ -290,6 +294,8 @@ class SharedPlace:
         self._kept.remove(".".join(key))
         for name in outcomes.keys() - unused:
             self._in_place.pop(name, None)
+            if (claim := (visit.claims or {})[name]).what != "new":
+                self._changed_at[name] = claim.since
         if visit.claims is not None:
             for name in visit.seen.keys() - outcomes.keys():
                 self._in_place[name][robot] = visit.seen[name]
@@ -337,8 +343,15 @@ class SharedPlace:
         self.visits[robot, message.visit] = self._compared(visit, now)
 
     def _compared(self, visit: LiveVisit, now: float) -> LiveVisit:
-        """Return a visit with its claims; those that it had before, at the same position, stay."""
+        """Return a visit with its claims; those that it had before, at the same position, stay.
+
+        What it saw of a landmark before this changed in the place is out of date.
+        """
         before, claims = visit.claims or {}, None
+        changed = self._changed_at
+        if old := {n for n, t in visit.seen.items() if t < changed.get(n, -math.inf)}:
+            seen = {n: t for n, t in visit.seen.items() if n not in old}
+            visit = replace(visit, data=_without(visit.data, old), seen=seen)
         if visit.robot not in self.ignored:
             with suppress(HomewardError, np.linalg.LinAlgError):
                 claims = _claims(self.place, visit.data, now)
