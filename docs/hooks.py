@@ -18,7 +18,7 @@ import homeward
 from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, listed_elsewhere, other_model
 from homeward.estimator import Status
-from homeward.io.keys import keys
+from homeward.io.models import keys
 from homeward.reasons import Reason, Rejection
 from homeward.registry import estimator_names, settings_model
 from homeward.runs.report.html import GLOSSARY

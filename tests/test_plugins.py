@@ -19,7 +19,7 @@ from homeward.track import run
 
 TEMPLATE = Path(__file__).parents[1] / "docs" / "do" / "estimator"
 GOOD = """
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.estimator import Counts, Estimate, Status
 from homeward.geometry.frames import Pose
 

@@ -9,7 +9,7 @@ from typing import Any
 from homeward.drives.drive import Drive
 from homeward.errors import needs_start_prior
 from homeward.estimator import Estimator
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.settings import validated
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings

@@ -27,7 +27,7 @@ from homeward.cli.main import app
 from homeward.cli.settings import OTHERS, other_model
 from homeward.drives.drive import Sightings
 from homeward.errors import InputError, missing_extra_error, needs_extra
-from homeward.io.keys import ANY, keys
+from homeward.io.models import ANY, keys
 from homeward.io.settings import nested, validated
 from homeward.registry import ESTIMATORS, settings_model
 from homeward.runs import single_run

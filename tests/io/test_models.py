@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import pytest
 
-from homeward.io.checks import AfterValidator, Field, ValidationError, check_of
+from homeward.io.checks import AfterValidator, Field, ValidationError, kind_of
 from homeward.io.models import Strict, jsonable, model_validator
 
 
@@ -67,7 +67,7 @@ def problem(make):
     ],
 )
 def test_a_value_of_a_file_is_converted(kind, given, converted):
-    found = check_of(kind)(given, False)
+    found = kind_of(kind).check(given, False)
     assert (found, type(found)) == (converted, type(converted))
 
 
@@ -99,13 +99,13 @@ def test_a_value_of_a_file_is_converted(kind, given, converted):
     ],
 )
 def test_a_wrong_value_is_refused_in_words(kind, given, words):
-    assert problem(lambda: check_of(kind)(given, False)) == words
+    assert problem(lambda: kind_of(kind).check(given, False)) == words
 
 
 @pytest.mark.parametrize(("kind", "given"), [(float, "1"), (int, 1.0), (bool, 1), (bool, "true")])
 def test_a_strict_value_is_not_converted(kind, given):
-    check_of(kind)(given, False)
-    problem(lambda: check_of(kind)(given, True))
+    kind_of(kind).check(given, False)
+    problem(lambda: kind_of(kind).check(given, True))
 
 
 def test_all_problems_of_a_model_are_named_with_their_keys():

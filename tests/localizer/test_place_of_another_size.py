@@ -78,9 +78,7 @@ def test_the_relative_scale_has_the_error_that_it_says():
         turned = place.reshape(k, 2) @ turn + (3.0, -7.0)
         back = np.kron(np.eye(k), turn.T)
         spread = back @ of_place @ of_place.T @ back.T
-        factors = SurveyFactors(
-            ids, turned, spread, nothing.astype(int), nothing[:, 0], nothing[:, 0]
-        )
+        factors = SurveyFactors(ids, turned, spread, *no_distances)
         off, sigma = relative_scale(Residuals.of(factors, free, ids, 10.0))
         normalised.append((off - (size - 1.0)) / sigma)
     assert abs(np.mean(normalised)) < 0.25

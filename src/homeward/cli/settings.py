@@ -12,7 +12,7 @@ from homeward.cli.options import AsJson, answer, say
 from homeward.errors import InputError
 
 if TYPE_CHECKING:
-    from homeward.io.keys import Strict
+    from homeward.io.models import Strict
 
 OTHERS = {
     "simulate": ("homeward simulate --set ..., scenario.yaml", "lab.simulation.scenario:Scenario"),
@@ -53,7 +53,7 @@ def settings(
     Give settings of estimators and commands as --set KEY=VALUE; in YAML files, each dot is a
     further level. A * is a placeholder for a name or a number.
     """
-    from homeward.io.keys import keys
+    from homeward.io.models import keys
     from homeward.registry import estimator_names, settings_model
 
     estimators = estimator_names()

@@ -9,7 +9,7 @@ from homeward.drives.settings import NonNegative, Positive, PositiveOrInf, Robot
 from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.frames import Twist
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 
 NonNegativeOrInf = Annotated[float, Field(ge=0)]
 

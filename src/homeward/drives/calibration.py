@@ -9,7 +9,7 @@ from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.drive import Drive, Odometry
 from homeward.drives.settings import DriveSettings, RobotSettings
 from homeward.errors import InputError
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.settings import nested, validated
 
 DELAY_REMOVED = "sightings with stamps corrected by the {:g} s of bearings_late"

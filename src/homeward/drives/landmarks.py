@@ -8,8 +8,7 @@ from typing import Annotated, Any, Literal, Self
 import numpy as np
 
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 
 Surveyed = Annotated[float, Field(ge=-1e7, le=1e7)]
 Sigma = Annotated[float, Field(ge=1e-4, le=1e3)]

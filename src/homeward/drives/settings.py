@@ -12,8 +12,7 @@ from homeward.errors import InputError
 from homeward.geometry.accuracy import MAX_SIGMA_M
 from homeward.geometry.frames import Polar, Pose, between
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.io.settings import validated
 
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]

@@ -1,4 +1,8 @@
-"""Checks of values against annotations, such as ``Annotated[float, Field(gt=0)] | None``."""
+"""Kinds of values by annotation, such as ``Annotated[float, Field(gt=0)] | None``.
+
+A kind is the one description of what an annotation allows: its check, its JSON schema, and the
+models that it contains.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +12,7 @@ import math
 import re
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, NoReturn, Union, get_args, get_origin
@@ -19,6 +24,7 @@ NOTHING: Any = object()
 Check = Callable[[Any, bool], Any]
 """Returns a checked and converted value, or raises `ValidationError`. With the second argument it
 is strict: a text or a boolean is no number."""
+Schema = dict[str, Any]
 _TRUE, _FALSE = ({"true", "yes", "on", "t", "y", "1"}, {"false", "no", "off", "f", "n", "0"})
 _WHOLE = re.compile(r"\s*[+-]?\d+\.0*\s*")
 
@@ -55,9 +61,25 @@ def refuse(words: str, value: Any = NOTHING) -> NoReturn:
     raise ValidationError([Problem((), words, value)])
 
 
-def Field(default: Any = REQUIRED, **options: Any) -> Any:
-    """Return a `FieldInfo`, as the value of a field or within ``Annotated``."""
-    return FieldInfo(default, **options)
+class Limit(NamedTuple):
+    """A limit of values."""
+
+    fits: Callable[[Any, Any], bool]
+    words: str
+    schema: str
+    """Its name in a JSON schema."""
+
+
+LIMITS = {
+    "gt": Limit(lambda v, limit: v > limit, "must be greater than {:g}", "exclusiveMinimum"),
+    "ge": Limit(lambda v, limit: v >= limit, "must be at least {:g}", "minimum"),
+    "lt": Limit(lambda v, limit: v < limit, "must be less than {:g}", "exclusiveMaximum"),
+    "le": Limit(lambda v, limit: v <= limit, "must be at most {:g}", "maximum"),
+    "min_length": Limit(lambda v, limit: len(v) >= limit, "needs at least {0} {1}", "min"),
+    "max_length": Limit(lambda v, limit: len(v) <= limit, "takes at most {0} {1}", "max"),
+    "pattern": Limit(lambda v, form: re.search(form, v) is not None, "must match {}", "pattern"),
+}
+_LENGTHS = {"string": "Length", "array": "Items", "object": "Properties"}
 
 
 class FieldInfo:
@@ -68,32 +90,25 @@ class FieldInfo:
     union, `alias` the key of the field in files.
     """
 
+    kind: ValueKind
+    """Of the annotation of the field, with these limits."""
+
     def __init__(
         self,
         default: Any = REQUIRED,
         *,
-        default_factory: Callable[[], Any] | None = None,
         alias: str | None = None,
         examples: list[Any] | None = None,
         discriminator: str | None = None,
         allow_inf_nan: bool = True,
         **limits: Any,
     ) -> None:
-        self.default, self.default_factory, self.alias = default, default_factory, alias
+        self.default, self.alias = default, alias
         self.examples, self.discriminator = examples, discriminator
         self.allow_inf_nan, self.limits = allow_inf_nan, limits
-        self.annotation: Any = None
-        self.check: Check = _any
-
-    @property
-    def is_required(self) -> bool:
-        """Whether the field has no default."""
-        return self.default is REQUIRED and self.default_factory is None
 
     def make_default(self) -> Any:
         """Return the default, which no other instance shares; `REQUIRED` without one."""
-        if self.default_factory is not None:
-            return self.default_factory()
         return copy.copy(self.default) if isinstance(self.default, dict) else self.default
 
     def restrict(self, value: Any, given: Any) -> Any:
@@ -101,22 +116,20 @@ class FieldInfo:
         if isinstance(value, float) and not (self.allow_inf_nan or math.isfinite(value)):
             refuse("must be finite", given)
         for name, limit in self.limits.items():
-            fits, words = _LIMITS[name]
-            if not fits(value, limit):
+            if not LIMITS[name].fits(value, limit):
                 parts = "characters" if isinstance(value, str) else "values"
-                refuse(words.format(limit, parts), given)
+                refuse(LIMITS[name].words.format(limit, parts), given)
         return value
 
+    def schema(self, schema: Schema) -> Schema:
+        """Return the JSON schema of values with these limits."""
+        ends = {name: _LENGTHS[schema["type"]] for name in self.limits if "length" in name}
+        limits = self.limits.items()
+        return schema | {LIMITS[name].schema + ends.get(name, ""): limit for name, limit in limits}
 
-_LIMITS: dict[str, tuple[Callable[[Any, Any], bool], str]] = {
-    "gt": (lambda value, limit: value > limit, "must be greater than {:g}"),
-    "ge": (lambda value, limit: value >= limit, "must be at least {:g}"),
-    "lt": (lambda value, limit: value < limit, "must be less than {:g}"),
-    "le": (lambda value, limit: value <= limit, "must be at most {:g}"),
-    "min_length": (lambda value, limit: len(value) >= limit, "needs at least {0} {1}"),
-    "max_length": (lambda value, limit: len(value) <= limit, "takes at most {0} {1}"),
-    "pattern": (lambda value, form: re.search(form, value) is not None, "must match {}"),
-}
+
+Field: Any = FieldInfo
+"""`FieldInfo`, as the value of a field or within ``Annotated``."""
 
 
 class BeforeValidator(NamedTuple):
@@ -141,42 +154,70 @@ def called(function: Callable[..., Any], *values: Any) -> Any:
         raise ValidationError([Problem((), str(error))]) from error
 
 
-def _converted(function: Callable[[Any], Any], value: Any, given: Any) -> Any:
-    return called(function, value)
+class ValueKind(NamedTuple):
+    """What an annotation allows."""
+
+    check: Check
+    schema: Callable[[Schema], Schema]
+    """Returns its JSON schema, and adds those of its models, by name, to the argument."""
+    models: tuple[tuple[str, Any], ...] = ()
+    """The models that it contains, each with the path to it: ``.``, or ``.*.`` in a container."""
 
 
-def check_of(kind: Any) -> Check:
-    """Return the check of an annotation."""
-    origin, parts = get_origin(kind), get_args(kind)
+ANY = "*"
+"""Wildcard in a path, for a name or an index."""
+
+
+def json_schema(annotation: Any) -> Schema:
+    """Return the schema of an annotation; models are in its ``$defs``."""
+    models: Schema = {}
+    return {**kind_of(annotation).schema(models), "$defs": models}
+
+
+def kind_of(annotation: Any) -> ValueKind:
+    """Return the kind of an annotation."""
+    origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return annotated(*parts)
-    if origin in (Union, types.UnionType):
-        return partial(
-            _union,
-            checks=[check_of(p) for p in parts if p is not type(None)],
-            null=type(None) in parts,
-        )
     if origin is Literal:
-        return partial(_literal, choices=parts)
-    if origin is dict:
-        return partial(_dict, of_key=check_of(parts[0]), of_value=check_of(parts[1]))
-    if origin is list:
-        return partial(_list, check=check_of(parts[0]))
-    if origin is tuple:
-        return partial(
-            _tuple, checks=[check_of(p) for p in parts if p is not ...], any_length=parts[-1] is ...
+        schema = {"const": parts[0]} if len(parts) == 1 else {"enum": list(parts)}
+        return ValueKind(partial(_literal, choices=parts), lambda _: schema)
+    if origin is None and hasattr(annotation, "model_validate"):
+        return ValueKind(
+            annotation.model_validate, annotation.schema_reference, ((".", annotation),)
         )
-    if hasattr(kind, "model_validate"):
-        check: Check = kind.model_validate
-        return check
-    if isinstance(kind, type) and issubclass(kind, enum.Enum):
-        return partial(_enum, kind=kind)
-    return _SIMPLE[kind]
+    if isinstance(annotation, type) and issubclass(annotation, enum.Enum):
+        choices = tuple(member.value for member in annotation)
+        check = partial(_enum, kind=annotation, choices=choices)
+        return ValueKind(check, lambda _: {"enum": list(choices)})
+    if origin is None:
+        return _SIMPLE[annotation]
+    kinds = [kind_of(part) for part in parts if part is not ...]
+    within = tuple(found for kind in kinds for found in kind.models)
+    if origin in (Union, types.UnionType):
+        checks = [kind.check for kind in kinds if kind is not _NONE]
+        check = partial(_union, checks=checks, null=_NONE in kinds)
+        return ValueKind(check, lambda models: {"anyOf": [k.schema(models) for k in kinds]}, within)
+    within = tuple((f".{ANY}{path}", model) for path, model in within)
+    if origin is dict:
+        check = partial(_dict, of_key=kinds[0].check, of_value=kinds[1].check)
+        of_value = kinds[1].schema
+        return ValueKind(
+            check,
+            lambda models: {"type": "object", "additionalProperties": of_value(models)},
+            within,
+        )
+    if origin is tuple and parts[-1] is not ...:
+        check = partial(_tuple, checks=[kind.check for kind in kinds])
+        return ValueKind(check, partial(_tuple_schema, kinds=kinds), within)
+    check = partial(_list, check=kinds[0].check, made=origin)
+    of_item = kinds[0].schema
+    return ValueKind(check, lambda models: {"type": "array", "items": of_item(models)}, within)
 
 
-def annotated(kind: Any, *marks: Any) -> Check:
-    """Return the check of an annotation with limits and validators."""
-    check = check_of(kind)
+def annotated(annotation: Any, *marks: Any) -> ValueKind:
+    """Return the kind of an annotation with limits and validators."""
+    check, schema, models = kind_of(annotation)
     before, after = list[Callable[[Any], Any]](), list[Callable[[Any, Any], Any]]()
     for mark in marks:
         if isinstance(mark, BeforeValidator):
@@ -184,10 +225,10 @@ def annotated(kind: Any, *marks: Any) -> Check:
         elif isinstance(mark, AfterValidator):
             after.append(partial(_converted, mark.function))
         elif mark.discriminator is not None:
-            key = mark.discriminator
-            check = partial(_tagged, key=key, models=_by_tag(kind, key))
+            check = partial(_tagged, key=mark.discriminator, models=_by_tag(mark, models))
         elif mark.limits or not mark.allow_inf_nan:
             after.append(mark.restrict)
+            schema = partial(_limited, of=schema, mark=mark)
 
     def validated(given: Any, strict: bool) -> Any:
         for convert in before:
@@ -197,13 +238,22 @@ def annotated(kind: Any, *marks: Any) -> Check:
             value = restrict(value, given)
         return value
 
-    return validated if before or after else check
+    return ValueKind(validated if before or after else check, schema, models)
 
 
-def _by_tag(kind: Any, key: str) -> dict[Any, Any]:
-    """Return the models of a union by the values of a key."""
-    models = [m for part in get_args(kind) for m in (get_args(part) or (part,))]
-    return {tag: m for m in models for tag in get_args(m.model_fields[key].annotation)}
+def _converted(function: Callable[[Any], Any], value: Any, given: Any) -> Any:
+    return called(function, value)
+
+
+def _limited(models: Schema, of: Callable[[Schema], Schema], mark: FieldInfo) -> Schema:
+    return mark.schema(of(models))
+
+
+def _by_tag(mark: FieldInfo, models: Iterable[tuple[str, Any]]) -> dict[str, Any]:
+    """Return the models of a union by the values of the key that selects one."""
+    fields = ((model, model.model_fields[mark.discriminator]) for _, model in models)
+    tags = ((model, field.kind.schema({})) for model, field in fields)
+    return {tag: model for model, one in tags for tag in one.get("enum") or [one["const"]]}
 
 
 def _tagged(value: Any, strict: bool, key: str, models: dict[Any, Any]) -> Any:
@@ -242,10 +292,8 @@ def _float(value: Any, strict: bool) -> float:
     if isinstance(value, float):
         return value
     if not isinstance(value, (bool, complex)) and not (strict and not isinstance(value, int)):
-        try:
+        with suppress(TypeError, ValueError, OverflowError):
             return float(value)
-        except (TypeError, ValueError, OverflowError):
-            pass
     refuse("must be a number", value)
 
 
@@ -253,15 +301,11 @@ def _int(value: Any, strict: bool) -> int:
     if isinstance(value, int) and not isinstance(value, bool):
         return value
     if not strict and not isinstance(value, bool):
-        text = (
-            value.partition(".")[0] if isinstance(value, str) and _WHOLE.fullmatch(value) else value
-        )
-        try:
-            number = int(text)
+        is_whole = isinstance(value, str) and _WHOLE.fullmatch(value)
+        with suppress(TypeError, ValueError, OverflowError):
+            number = int(value.partition(".")[0] if is_whole else value)
             if isinstance(value, str) or number == value:
                 return number
-        except (TypeError, ValueError, OverflowError):
-            pass
     refuse("must be a whole number", value)
 
 
@@ -298,11 +342,8 @@ def _literal(value: Any, strict: bool, choices: tuple[Any, ...]) -> Any:
     refuse(f"must be {', '.join(others)} or {last}" if others else f"must be {last}", value)
 
 
-def _enum(value: Any, strict: bool, kind: type[enum.Enum]) -> Any:
-    try:
-        return kind(value)
-    except ValueError:
-        return _literal(value, strict, tuple(member.value for member in kind))
+def _enum(value: Any, strict: bool, kind: type[enum.Enum], choices: tuple[Any, ...]) -> Any:
+    return value if isinstance(value, kind) else kind(_literal(value, strict, choices))
 
 
 def _each(parts: Iterable[tuple[Any, Check, Any]], strict: bool) -> list[Any]:
@@ -318,40 +359,47 @@ def _each(parts: Iterable[tuple[Any, Check, Any]], strict: bool) -> list[Any]:
     return made
 
 
-def _list(value: Any, strict: bool, check: Check) -> list[Any]:
+def _list(value: Any, strict: bool, check: Check, made: type[Any] = list) -> Any:
     if not isinstance(value, (list, tuple, set, frozenset)):
         refuse("must be a list", value)
-    return _each(((k, check, part) for k, part in enumerate(value)), strict)
+    return made(_each(((k, check, part) for k, part in enumerate(value)), strict))
 
 
-def _tuple(value: Any, strict: bool, checks: list[Check], any_length: bool) -> tuple[Any, ...]:
-    if any_length:
-        return tuple(_list(value, strict, checks[0]))
+def _tuple(value: Any, strict: bool, checks: list[Check]) -> tuple[Any, ...]:
     values = _list(value, strict, _any)
     if len(values) > len(checks):
         refuse(f"takes at most {len(checks)} values")
-    absent = [Problem((k,), "is required") for k in range(len(values), len(checks))]
-    if absent:
-        raise ValidationError(absent)
+    if len(values) < len(checks):
+        absent = range(len(values), len(checks))
+        raise ValidationError(Problem((k,), "is required") for k in absent)
     return tuple(_each(zip(range(len(checks)), checks, values, strict=True), strict))
+
+
+def _tuple_schema(models: Schema, kinds: list[ValueKind]) -> Schema:
+    items = [kind.schema(models) for kind in kinds]
+    return {"type": "array", "prefixItems": items, "minItems": len(items), "items": False}
 
 
 def _dict(value: Any, strict: bool, of_key: Check, of_value: Check) -> dict[Any, Any]:
     if not isinstance(value, Mapping):
         refuse("must be keys and values", value)
     names = _each(((k, of_key, k) for k in value), strict)
-    return dict(
-        zip(names, _each(((k, of_value, v) for k, v in value.items()), strict), strict=True)
-    )
+    values = _each(((k, of_value, v) for k, v in value.items()), strict)
+    return dict(zip(names, values, strict=True))
 
 
-_SIMPLE: dict[Any, Check] = {
-    Any: _any,
-    float: _float,
-    int: _int,
-    bool: _bool,
-    str: _str,
-    Path: _path,
-    type(None): _none,
-    None: _none,
+def _plain(check: Check, **schema: str) -> ValueKind:
+    return ValueKind(check, lambda _: dict(schema))
+
+
+_NONE = _plain(_none, type="null")
+_SIMPLE: dict[Any, ValueKind] = {
+    Any: _plain(_any),
+    float: _plain(_float, type="number"),
+    int: _plain(_int, type="integer"),
+    bool: _plain(_bool, type="boolean"),
+    str: _plain(_str, type="string"),
+    Path: _plain(_path, type="string"),
+    type(None): _NONE,
+    None: _NONE,
 }

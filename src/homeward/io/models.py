@@ -1,25 +1,32 @@
 """Settings models: classes whose annotated fields are checked and converted when they are made.
 
 The subset of pydantic 2 that homeward uses, so that robots need neither its compiled part nor its
-version: Ubuntu 24.04 and Debian 12 have pydantic 1, which ignores limits inside annotations.
+version: Ubuntu 24.04 and Debian 12 have pydantic 1, which ignores limits inside annotations. The
+docstring below a field is the meaning of its key.
 """
 
 from __future__ import annotations
 
+import ast
 import enum
 import inspect
 import json
 import math
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from functools import partial
+from dataclasses import dataclass
+from functools import cache, partial
 from pathlib import Path
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_origin
 
 from homeward.io.checks import (
+    ANY,
     REQUIRED,
     FieldInfo,
     Problem,
+    Schema,
     ValidationError,
     annotated,
     called,
@@ -77,7 +84,7 @@ class Strict:
             field = given if isinstance(given, FieldInfo) else FieldInfo(given)
             marks = kind.__metadata__ if get_origin(kind) is Annotated else ()
             field.alias = next((m.alias for m in marks if isinstance(m, FieldInfo)), field.alias)
-            field.annotation, field.check = kind, annotated(kind, field)
+            field.kind = annotated(kind, field)
             cls.model_fields[name] = field
         inherited = [name for base in bases for name in base._validators]
         marked = [n for n, m in vars(cls).items() if hasattr(_function(m), "validates")]
@@ -94,27 +101,49 @@ class Strict:
             refuse("must be keys and values", values)
         problems: list[Problem] = []
         made: dict[str, Any] = {}
-        for name, field in cls.model_fields.items():
-            key = field.alias or name
+        by_key = cls._by_key()
+        for key, (name, field) in by_key.items():
             if key not in values:
                 made[name] = field.make_default()
                 if made[name] is REQUIRED:
                     problems.append(Problem((key,), "is required"))
                 continue
             try:
-                made[name] = field.check(values[key], strict)
+                made[name] = field.kind.check(values[key], strict)
             except ValidationError as error:
                 problems += error.at(key)
-        known = tuple(field.alias or name for name, field in cls.model_fields.items())
-        problems += (
-            Problem((k,), "unknown key", known=known or ("none",)) for k in values if k not in known
-        )
+        known = tuple(by_key) or ("none",)
+        problems += (Problem((k,), "unknown key", known=known) for k in values if k not in by_key)
         if problems:
             raise ValidationError(problems)
-        model = cls._of(made, {n for n, f in cls.model_fields.items() if (f.alias or n) in values})
+        model = cls._of(made, {name for key, (name, _) in by_key.items() if key in values})
         for validate in cls._marked("after"):
             model = called(validate, model)
         return model
+
+    @classmethod
+    def _by_key(cls) -> dict[str, tuple[str, FieldInfo]]:
+        """Return the name and the field of each key."""
+        return {field.alias or name: (name, field) for name, field in cls.model_fields.items()}
+
+    @classmethod
+    def schema_reference(cls, models: Schema) -> Schema:
+        """Return a reference to the JSON schema of the model, which is added to `models`."""
+        if cls.__name__ not in models:
+            models[cls.__name__] = {}
+            by_key = cls._by_key()
+            properties = {key: field.kind.schema(models) for key, (_, field) in by_key.items()}
+            for key, (_, field) in by_key.items():
+                if field.default is not REQUIRED:
+                    properties[key] = properties[key] | {"default": jsonable(field.default)}
+            models[cls.__name__] |= {
+                "type": "object",
+                "description": inspect.getdoc(cls),
+                "properties": properties,
+                "required": [k for k, (_, field) in by_key.items() if field.default is REQUIRED],
+                "additionalProperties": False,
+            }
+        return {"$ref": f"#/$defs/{cls.__name__}"}
 
     @classmethod
     def _of(cls, values: dict[str, Any], given: set[str]) -> Self:
@@ -212,3 +241,71 @@ def _finite(tree: Any) -> Any:
     if isinstance(tree, list):
         return [_finite(v) for v in tree]
     return None if isinstance(tree, float) and not math.isfinite(tree) else tree
+
+
+@dataclass(frozen=True)
+class Key:
+    """A key of a settings model."""
+
+    name: str
+    """Name with dots between the levels."""
+    default: str
+    """Default as YAML; "needed" for a required key."""
+    meaning: str
+    """Description with its unit; empty where the name is sufficient."""
+
+
+def keys(
+    model: type[Strict],
+    head: str = "",
+    given: Any = None,
+    elsewhere: Mapping[type[Strict], str] = MappingProxyType({}),
+) -> Iterator[Key]:
+    """Yield the keys of a model and of nested models, each name once, with the prefix `head`.
+
+    Defaults are the values of `given` where that is an instance of the model. The keys of models
+    that are listed `elsewhere`, by the place that lists them, are one key each: all of them are
+    nested in `model` or its bases. A key of a base with another default here is listed.
+    """
+    known, seen = meanings(model), set[str]()  # type: ignore[arg-type]
+    of_bases = set[Key]()
+    for base in model.__bases__:
+        if base in elsewhere:
+            yield Key(f"{head}{ANY}", "", f"as {elsewhere[base]}")
+            of_bases |= {*keys(base, head), *keys(base, head, None, elsewhere)}
+    for name, field in model.model_fields.items():
+        own = getattr(given, name) if isinstance(given, model) else field.make_default()
+        full = head + (field.alias or name)
+        inner = list[Key]()
+        for path, part in field.kind.models:
+            if part in elsewhere:
+                inner.append(Key(f"{full}{path}{ANY}", "", f"as {elsewhere[part]}"))
+            else:
+                inner += keys(part, full + path, own, elsewhere)
+        for key in inner or [Key(full, _as_yaml(own), known.get(name, ""))]:
+            if key.name not in seen and key not in of_bases:
+                seen.add(key.name)
+                yield key
+
+
+def _as_yaml(value: Any) -> str:
+    if value is REQUIRED:
+        return "needed"
+    return str(jsonable(value)).replace("'", "") if value is not None else "null"
+
+
+@cache
+def meanings(model: type[Strict]) -> dict[str, str]:
+    """Return the docstrings below the fields of a model and of its base models."""
+    found: dict[str, str] = {}
+    for kind in reversed([k for k in model.__mro__ if issubclass(k, Strict)]):
+        (body,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        assert isinstance(body, ast.ClassDef)
+        for field, words in zip(body.body, body.body[1:], strict=False):
+            match field, words:
+                case (
+                    ast.AnnAssign(target=ast.Name(id=name)),
+                    ast.Expr(value=ast.Constant(value=str(text))),
+                ):
+                    found[name] = " ".join(text.split())
+    return found

@@ -1,22 +1,24 @@
-"""Reading and writing of settings models as YAML."""
+"""Settings models in YAML and messages in JSON: reading, writing, and words for what is wrong."""
 
 from __future__ import annotations
 
 import inspect
+import json
 import math
 from collections.abc import Iterator
+from difflib import SequenceMatcher
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
 import yaml
 
 from homeward.errors import InputError
-from homeward.io.checks import ValidationError
-from homeward.io.keys import Strict, meanings
-from homeward.io.models import jsonable
+from homeward.io.checks import ANY, Problem, ValidationError, kind_of
+from homeward.io.models import Strict, jsonable, keys, meanings
+from homeward.io.naming import listing
 from homeward.io.reading import read_small
 from homeward.io.table import quoted
-from homeward.io.validation_messages import refused
 
 MAX_VALUES = 50_000
 """Maximum number of keys and values, aliases expanded; this number takes seconds to parse."""
@@ -58,28 +60,43 @@ class _Refused(yaml.MarkedYAMLError):
 
 
 class _Bounded:
-    """Limits the number and depth of nodes while they are parsed."""
+    """Limits the number and depth of values while they are parsed, aliases expanded."""
 
-    values = depth = 0
+    values = depth = deepest = 0
 
     def compose_node(self, parent: Any, index: Any) -> Any:
         """Return the next node of the text."""
-        self.values += 1
-        if self.values > MAX_VALUES:
-            raise _Refused(f"more than {MAX_VALUES:,} values")
-        if self.depth > MAX_DEPTH:
-            raise _Refused(TOO_DEEP)
-        self.depth += 1
+        check_event: Any = self.check_event  # type: ignore[attr-defined]
+        is_alias, before, above = check_event(yaml.AliasEvent), self.values, self.deepest
+        self.values, self.depth = before + 1, self.depth + 1
+        self.deepest = self.depth
+        self._require_few()
         node = super().compose_node(parent, index)  # type: ignore[misc]
-        self.depth -= 1
+        if is_alias:
+            # The node of a ring of aliases is not complete yet.
+            size, height = self.sizes.get(node, (0, MAX_DEPTH))
+            self.values, self.deepest = before + size, self.depth + height
+            self._require_few(node)
+        else:
+            self.sizes[node] = self.values - before, self.deepest - self.depth
+            if isinstance(node, yaml.ScalarNode):
+                _check_scalar(node)
+            elif isinstance(node, yaml.MappingNode):
+                _refuse_duplicate_keys(node)
+        self.depth, self.deepest = self.depth - 1, max(above, self.deepest)
         return node
 
-    def get_single_node(self) -> Any:
-        """Return the root."""
-        root = super().get_single_node()  # type: ignore[misc]
-        if root is not None:
-            _measure(root, {}, 0)
-        return root
+    @cached_property
+    def sizes(self) -> dict[yaml.Node, tuple[int, int]]:
+        """Number of values and further depth of each complete node."""
+        return {}
+
+    def _require_few(self, alias: Any = None) -> None:
+        if self.deepest > MAX_DEPTH:
+            raise _Refused(TOO_DEEP, alias)
+        if self.values > MAX_VALUES:
+            expanded = "" if alias is None else ", aliases expanded"
+            raise _Refused(f"more than {MAX_VALUES:,} values{expanded}", alias)
 
 
 class _Text(_Bounded, yaml.BaseLoader):
@@ -108,28 +125,6 @@ def _whole(loader: Any, node: yaml.Node) -> int:
 
 
 _Plain.add_constructor("tag:yaml.org,2002:int", _whole)
-
-
-def _measure(node: Any, known: dict[Any, tuple[int, int]], depth: int) -> tuple[int, int]:
-    """Return the number of values of a node, aliases expanded, and their depth."""
-    if depth > MAX_DEPTH:  # as in a ring of aliases
-        raise _Refused(TOO_DEEP, node)
-    if isinstance(node, yaml.ScalarNode):
-        _check_scalar(node)
-        return 1, 1
-    if node not in known:
-        mapping = isinstance(node, yaml.MappingNode)
-        parts = [part for pair in node.value for part in pair] if mapping else node.value
-        if mapping:
-            _refuse_duplicate_keys(node)
-        found = [_measure(part, known, depth + 1) for part in parts]
-        known[node] = 1 + sum(n for n, _ in found), 1 + max((d for _, d in found), default=0)
-    size, height = known[node]
-    if size > MAX_VALUES:
-        raise _Refused(f"more than {MAX_VALUES:,} values, aliases expanded", node)
-    if depth + height > MAX_DEPTH:
-        raise _Refused(TOO_DEEP, node)
-    return size, height
 
 
 def _refuse_duplicate_keys(mapping: yaml.MappingNode) -> None:
@@ -258,3 +253,83 @@ def _without_absent(value: Any) -> Any:
     if isinstance(value, dict):
         return {k: v for k, v in value.items() if v not in ("", "null", "~")}
     return value
+
+
+MAX_LENGTH = 60
+"""Keys and values are cut to this length [characters]."""
+MAX_KEYS = 30
+"""Maximum number of keys that are listed instead of an unknown one."""
+MIN_SIMILARITY = 0.7
+"""Minimum similarity (`difflib`) of a key to the one that is suggested instead [1]."""
+_kind_of = cache(kind_of)
+
+
+def parsed(kind: Any, text: str | bytes) -> Any:
+    """Return a message of an annotation parsed from JSON; `InputError` reports its first problem.
+
+    Parsing is strict, as the schema is: a text or a boolean is no number.
+    """
+    try:
+        return _kind_of(kind).check(json.loads(text), True)
+    except ValidationError as error:
+        raise refused(error) from None
+    except json.JSONDecodeError as error:
+        where = f"line {error.lineno} column {error.colno}"
+        raise InputError(f"not JSON: {error.msg} at {where}") from None
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"not JSON: {error}") from None
+
+
+def refused(
+    error: ValidationError, model: type[Strict] | None = None, file: Path | None = None
+) -> InputError:
+    """Return the first problem of values, with its key.
+
+    For an unknown key, the most similar key of `model` is suggested, or those of its block.
+    """
+    # An unknown key comes first, since it explains a missing one.
+    first = next((p for p in error.problems if p.known), error.problems[0])
+    key = _key(first)
+    if first.known:
+        similar = None if model is None else closest(key, model)
+        advice = f"did you mean {similar}?"
+        if similar in (None, key):  # the key of another member of a union
+            advice = f"the keys here are {listing(first.known, MAX_KEYS)}"
+        return InputError(first.words, file, part=_shown(key), advice=advice)
+    # A union reports one problem for each member: the most specific one counts.
+    first = next((p for p in error.problems if _key(p).startswith(f"{key}.")), first)
+    key = _key(first)
+    head, *others = dict.fromkeys(p.words for p in error.problems if _key(p) == key)
+    words = " or ".join([head, *(other.removeprefix("must be ") for other in others)])
+    if isinstance(first.value, (str, int, float)):
+        words += f", not {_shown(str(first.value))}"
+    return InputError(words, file, part=_shown(key) if key else None)
+
+
+def closest(name: str, model: type[Strict]) -> str | None:
+    """Return the key, or prefix of keys, that is most similar to a wrong one; None if none is."""
+
+    def similarity(known: str) -> tuple[float, float]:
+        last, known_last = (text.rpartition(".")[2] for text in (name, known))
+        pairs = (last, known_last), (name, known)
+        of_last, of_all = (SequenceMatcher(None, a, b).ratio() for a, b in pairs)
+        return of_last, of_all
+
+    known = (key.name.split(".") for key in keys(model))
+    heads = (".".join(k[: n + 1]) for k in known for n in range(len(k)))
+    best = max(heads, key=similarity, default="")
+    if similarity(best)[0] < MIN_SIMILARITY:
+        return None
+    given, parts = name.split("."), best.split(".")
+    if len(given) == len(parts):
+        parts = [mine if part == ANY else part for mine, part in zip(given, parts, strict=True)]
+    return ".".join(parts)
+
+
+def _shown(text: str) -> str:
+    plain = 0 < len(text) <= MAX_LENGTH and text.isprintable() and " " not in text
+    return text if plain else quoted(text)
+
+
+def _key(problem: Problem) -> str:
+    return ".".join(map(str, problem.place))

@@ -12,11 +12,10 @@ from homeward.drives.landmarks import Surveyed
 from homeward.drives.settings import Mount
 from homeward.errors import InputError
 from homeward.estimator import Status
-from homeward.io.checks import AfterValidator, Field
-from homeward.io.json_schema import json_schema
-from homeward.io.keys import Strict
+from homeward.io.checks import AfterValidator, Field, json_schema
+from homeward.io.models import Strict
+from homeward.io.settings import parsed
 from homeward.io.table import is_identifier
-from homeward.io.validation_messages import parsed
 
 VERSION = 1
 MAX_LINE = 2**16

@@ -17,7 +17,7 @@ from homeward.drives.folder import write_folder
 from homeward.drives.settings import DriveSettings, Finite, Positive
 from homeward.errors import HomewardError, InputError
 from homeward.io.blas_threads import single_threaded_blas
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import validated
 from homeward.live import messages as msg

@@ -9,7 +9,7 @@ from homeward.control.limits import Limits
 from homeward.drives.settings import Positive
 from homeward.errors import InputError
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.settings import read_settings
 from homeward.registry import DEFAULT
 

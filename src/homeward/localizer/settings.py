@@ -6,7 +6,7 @@ from typing import Annotated
 
 from homeward.drives.settings import NonNegative, OdometryDefaults, Positive
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.localizer.tunables import GATE
 
 Probability = Annotated[float, Field(gt=0, lt=1)]

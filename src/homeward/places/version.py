@@ -16,7 +16,7 @@ import yaml
 from homeward.drives.drive import HomeBearing
 from homeward.drives.settings import NonNegative
 from homeward.errors import InputError
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.reading import naming, opened
 from homeward.io.settings import read_settings
 from homeward.io.table import (

@@ -26,7 +26,7 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimator
 from homeward.geometry.frames import Pose, to_polar
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.settings import read_tree, validated
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
-from homeward.io.validation_messages import parsed
+from homeward.io.models import Strict
+from homeward.io.settings import parsed
 from homeward.lab.simulation.scenario import Scenario
 
 MAX_MESSAGE = 2**20

@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.geometry.angles import wrap
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 
 Shape = tuple[int, int]
 """Height and width of an image [px]."""

@@ -17,8 +17,7 @@ from homeward.drives.settings import (
     Wheels,
 )
 from homeward.io.checks import BeforeValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 
 PICTURES = ("sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage")
 

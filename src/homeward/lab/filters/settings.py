@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 
 Engine = Literal["auto", "interpreter", "native"]
 """Executor of a filter. auto: compiled code where it is cached, or where a compiler exists and the

@@ -9,8 +9,7 @@ import numpy as np
 
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
 from homeward.lab.simulation.scenario import Interval, Point, RoomPose

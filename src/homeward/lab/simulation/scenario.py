@@ -15,8 +15,7 @@ from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Finite, Mount, NonNegative, Positive
 from homeward.geometry.frames import Polar, Pose, between, from_polar
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 
 MIN_SIDE_M = 1e-3
 """Minimum width and depth of rooms and shelves."""
@@ -119,7 +118,7 @@ class Moved(Strict):
     count: Annotated[int, Field(ge=0)] = 0
     fault: Interval = (0.2, 0.5)
     """Size of a drawn fault, uniform, with random sign [rad]."""
-    faults: dict[str, Finite] = Field(default_factory=dict)
+    faults: dict[str, Finite] = {}
     """Id to fault: stored minus true bearing at the home camera [rad]."""
 
     @model_validator(mode="after")

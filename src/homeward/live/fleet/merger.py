@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from homeward.errors import HomewardError, InputError
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import naming, opened, read_small
-from homeward.io.validation_messages import parsed
+from homeward.io.settings import parsed
 from homeward.io.writing import write_whole
 from homeward.live.fleet.connection import Broker, Connection
 from homeward.live.fleet.merging import LIVE, QUARANTINED, SharedPlace

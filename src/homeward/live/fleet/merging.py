@@ -20,10 +20,10 @@ import numpy as np
 
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import position_sigma
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.reading import naming, read_small
+from homeward.io.settings import parsed
 from homeward.io.table import quoted
-from homeward.io.validation_messages import parsed
 from homeward.io.writing import remove_abandoned, write_whole
 from homeward.live.fleet.changes import spread
 from homeward.live.fleet.kept_visits import KeptVisits

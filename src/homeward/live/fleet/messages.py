@@ -23,9 +23,9 @@ from homeward.errors import InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
+from homeward.io.settings import parsed
 from homeward.io.table import quoted
-from homeward.io.validation_messages import parsed
 from homeward.live.messages import MAX_LENGTH, Bearings, Bounded, Id, Name, Sigmas, line_of
 from homeward.places.joint_map import JointMap
 from homeward.places.place import Place, StoredHome

@@ -13,7 +13,7 @@ from typing import Annotated
 
 from homeward.errors import InputError
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.table import quoted
 
 ROOT = "homeward/v2"

@@ -18,8 +18,8 @@ from homeward.errors import HomewardError, InputError
 from homeward.estimator import Estimate, Status
 from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import compose
+from homeward.io.settings import parsed
 from homeward.io.table import quoted
-from homeward.io.validation_messages import parsed
 from homeward.io.writing import state_folder
 from homeward.live.fleet.changes import doubtful, is_same, with_changes
 from homeward.live.fleet.connection import Broker, Connection

@@ -10,8 +10,7 @@ from homeward.drives.cameras.camera import Camera, TagSize
 from homeward.drives.cameras.lens import SYNONYMS, Lens
 from homeward.drives.images import file_within
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.io.reading import is_there
 from homeward.io.settings import read_settings
 from homeward.vision.cameras.panoramic import (

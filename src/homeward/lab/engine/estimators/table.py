@@ -8,7 +8,7 @@ from typing import Any
 from homeward.drives.drive import Drive
 from homeward.errors import missing_extra_error
 from homeward.estimator import Estimator
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.lab.filters.settings import (
     AugmentedSettings,
     CartesianSettings,

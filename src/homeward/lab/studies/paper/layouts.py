@@ -19,7 +19,7 @@ import numpy as np
 
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.io.checks import Field
-from homeward.io.keys import Strict
+from homeward.io.models import Strict
 from homeward.io.settings import validated
 from homeward.lab.studies.blocks.finish import StudyBlocks
 from homeward.lab.studies.blocks.store import MARKER, Arrays, BlockStore

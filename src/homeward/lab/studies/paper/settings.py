@@ -8,8 +8,7 @@ from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.geometry.frames import Integration
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.lab.model import Inverse
 from homeward.lab.simulation.scenario import ascending
 

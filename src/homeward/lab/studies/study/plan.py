@@ -18,8 +18,7 @@ from homeward.control.laws import STOP_RADIUS
 from homeward.drives.settings import Positive
 from homeward.errors import InputError
 from homeward.io.checks import AfterValidator, BeforeValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.io.reading import is_there, shipped_or_file
 from homeward.io.settings import nested, read_tree, validated
 from homeward.lab.simulation.scenario import Scenario

@@ -12,8 +12,7 @@ from shapely import LinearRing, Polygon, contains_xy
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.settings import Finite, NonNegative, Positive
 from homeward.io.checks import AfterValidator, Field
-from homeward.io.keys import Strict
-from homeward.io.models import model_validator
+from homeward.io.models import Strict, model_validator
 from homeward.io.reading import shipped_or_file
 from homeward.io.settings import read_settings
 from homeward.lab.simulation.scenario import ByPoints, Course, Interval, Point, Rates
@@ -250,9 +249,9 @@ class RenderScenario(Course):
 
     room: Walls
     furnish: Furnish = Furnish()
-    boxes: dict[str, Box] = Field(default_factory=dict)
-    posters: dict[str, Poster] = Field(default_factory=dict)
-    movers: dict[str, Mover] = Field(default_factory=dict)
+    boxes: dict[str, Box] = {}
+    posters: dict[str, Poster] = {}
+    movers: dict[str, Mover] = {}
     tags: Tags | None = None
     camera: RoomCamera = RoomCamera()
     rates: Rates = Rates(odometry=20.0, bearings=5.0, truth=20.0)
