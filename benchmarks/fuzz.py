@@ -34,11 +34,11 @@ from benchmarks.inputs.data_logs import small_log
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.opening import open_drive, save_drive
+from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.kinds import ODOMETRY
 from homeward.drives.ros.log import Channel
-from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.types import DEFINITIONS
 from homeward.drives.ros.settings import LogSettings
+from homeward.drives.ros.writing import DEFINITIONS
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError
 from homeward.geometry.frames import Pose

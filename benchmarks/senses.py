@@ -15,7 +15,7 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.senses import DEG, Sense, SenseTest, compare_senses
 from homeward.geometry.angles import wrap
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 
 MAX_SLIPS = 5
 

@@ -20,8 +20,8 @@ from benchmarks.mrclam import data
 from homeward.drives.cameras.calibration import read_calibration
 from homeward.drives.cameras.camera import tag_bearings
 from homeward.drives.cameras.lens import Lens
+from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.messages.decoding import Decoder
 from homeward.geometry.angles import wrap
 from homeward.io.settings import read_tree
 

@@ -10,7 +10,7 @@ from cli.commands import call, done, first_seconds
 from drives.ros.test_unknown_types import LISTS, bearings_of, write_log
 
 from homeward.drives.opening import open_drive
-from homeward.drives.ros.messages.presets import SIGHTINGS
+from homeward.drives.ros.presets import SIGHTINGS
 
 PAGE = (Path(__file__).parents[1] / "docs" / "do" / "extend.md").read_text(encoding="utf-8")
 LAW, MESSAGES, STORY = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

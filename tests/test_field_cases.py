@@ -33,7 +33,7 @@ from homeward.drives.ros.writing import writing
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.registry import make_estimator
 from homeward.runs.report.summary import summarise
 from homeward.runs.scoring import accuracy, errors, score

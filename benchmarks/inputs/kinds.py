@@ -11,7 +11,7 @@ import numpy as np
 from homeward.drives.folder import read_folder
 from homeward.drives.opening import sample_drive
 from homeward.geometry.frames import Pose, compose
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 
 FRAME_STEP = 10
 """Of the sample's frames, every tenth is used: the answer is the same in a third of the time."""

@@ -8,7 +8,7 @@ import numpy as np
 from rosbags.typesys import get_types_from_msg
 
 from benchmarks.inputs.kinds import EPOCH, Content, Files, Sample, Seen, kind
-from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.stamps import NANO
 from homeward.drives.ros.writing import LogFile, writing
 
 Messages = Mapping[str, Any]

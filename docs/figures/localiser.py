@@ -13,7 +13,7 @@ from scipy.stats import chi2
 from homeward import make_estimator, open_drive, run
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, compose
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.report.canvas import png, style
 from homeward.runs.report.palette import BLUE, HOUSE, INK, MUTED, ORANGE, STATUS_COLOURS, VERMILLION
 

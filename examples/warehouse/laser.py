@@ -18,7 +18,7 @@ import small_gicp
 from examples.warehouse.world import World
 from homeward.drives.drive import Odometry
 from homeward.geometry.frames import Pose, between, compose
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 
 BEAMS, RANGE_M, NOISE_M = 360, 10.0, 0.01
 HEIGHT_M = 0.22

@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from homeward.drives.settings import DriveSettings, Mount, OdometryNoise, Robot, Sensor, Start
     from homeward.errors import HomewardError, InputError
     from homeward.estimator import Counts, Estimate, Estimator, Innovation, LandmarkEstimate, Status
-    from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
     from homeward.geometry.frames import Polar, Pose
+    from homeward.geometry.statistics import AccuracyLimit, PoseAccuracy
     from homeward.lab.engine.estimators.paper import a_ekf, ekf, pi_ekf
     from homeward.lab.filters.settings import (
         AugmentedSettings,

@@ -18,8 +18,8 @@ from typing import Any, Protocol, TypeVar, cast, runtime_checkable
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.geometry.accuracy import PoseAccuracy
 from homeward.geometry.frames import Polar, Pose, to_polar
+from homeward.geometry.statistics import PoseAccuracy
 from homeward.reasons import Rejection
 from homeward.sighting_keys import keyed
 

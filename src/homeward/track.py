@@ -10,9 +10,9 @@ from itertools import repeat
 
 import numpy as np
 
-from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Columns, Drive
-from homeward.errors import InputError
+from homeward.drives.robot import require_one_camera
+from homeward.errors import Attempts, InputError, InternalFailure, failure_notes
 from homeward.estimator import (
     Counts,
     Estimate,
@@ -25,8 +25,7 @@ from homeward.estimator import (
     add_twist,
     takes_sideways,
 )
-from homeward.geometry.accuracy import AccuracyLimit, PoseAccuracy
-from homeward.internal_errors import Attempts, InternalFailure, failure_notes
+from homeward.geometry.statistics import AccuracyLimit, PoseAccuracy
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.naming import natural
 from homeward.reasons import Reason

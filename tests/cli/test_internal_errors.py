@@ -13,7 +13,7 @@ from runs.made_up_run import FILES
 
 import homeward
 from homeward.drives.folder import read_folder
-from homeward.internal_errors import InternalErrorWarning
+from homeward.errors import InternalErrorWarning
 from homeward.lab.engine.estimators.online import OnlineFilter
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.tracker import HomeTracker
@@ -185,7 +185,7 @@ def test_a_localiser_that_begins_again_keeps_its_counts_and_forgets_the_start(sh
 
 HANDLED = {
     "drives/ros/log_process.py": "sent to the parent, which refuses the log",
-    "internal_errors.py": "counted, and a warning",
+    "errors.py": "counted, and a warning",
     "live/fleet/merger.py": "logged, and the visit of one robot is refused; others continue",
     "lab/studies/blocks/store.py": "a damaged block is computed again",
     "lab/studies/study/runs.py": "the run of the study has failed, with this reason",

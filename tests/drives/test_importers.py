@@ -9,11 +9,11 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from homeward.drives.cameras.names import with_first_camera
 from homeward.drives.columns import unit_in
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.reading import drive_of, home_warnings, understand
 from homeward.drives.opening import sample_drive
+from homeward.drives.robot import with_first_camera
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.runs.report.canvas import png

@@ -8,9 +8,9 @@ from valid_drive import put
 
 from homeward import Localizer
 from homeward.drives.folder import read_folder, write_folder
-from homeward.drives.known import known_landmarks
 from homeward.drives.landmarks import KnownDistance, KnownLandmarks, SurveyedLandmark
 from homeward.drives.opening import save_drive
+from homeward.drives.robot import known_landmarks
 from homeward.errors import InputError
 
 KNOWN = b"""frame: home

@@ -12,7 +12,7 @@ from homeward.drives.opening import open_drive, save_drive
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import Start
 from homeward.errors import InputError
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.registry import make_estimator
 from homeward.track import run
 

@@ -10,8 +10,8 @@ from valid_drive import VALID, put
 
 from homeward.drives.importers.mrclam import read_mrclam
 from homeward.drives.importers.reading import understand
-from homeward.drives.one_clock import OUTSIDE, remark_other_units
 from homeward.drives.opening import open_drive, save_drive
+from homeward.drives.plausibility import OUTSIDE, remark_other_units
 from homeward.drives.ros.info import log_info
 
 

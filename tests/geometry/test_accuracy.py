@@ -7,8 +7,8 @@ import pytest
 from scipy.stats import chi2, norm
 
 from homeward.estimator import Estimate, Status
-from homeward.geometry.accuracy import OUTSIDE, AccuracyLimit, PoseAccuracy
 from homeward.geometry.frames import Pose
+from homeward.geometry.statistics import OUTSIDE, AccuracyLimit, PoseAccuracy
 
 
 def covariance(major, minor, turn=0.3, heading=0.01):

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from homeward.geometry.covariance import NotPositiveError, deviation, deviations, positive
+from homeward.geometry.statistics import NotPositiveError, deviation, deviations, positive
 
 ENTRIES = st.floats(-1e3, 1e3)
 

@@ -16,7 +16,7 @@ from homeward.geometry.frames import Pose
 from homeward.live.home_capture import HomeCapture
 from homeward.live.messages import Answer, BearingsIn, EventOut, OdometryIn, SetExtrinsics, parse
 from homeward.live.session import Session
-from homeward.odometry.clock import Clock
+from homeward.odometry.validity import Clock
 from homeward.reasons import Reason, Rejection
 
 SEEN = {"a": 0.1, "b": 1.5, "c": -2.0}

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from homeward.drives.settings import OdometryDefaults, OdometryNoise, noise_rates
-from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motion.odometry import OdometryIntegrator, ProcessNoise
 from homeward.localizer.motions import DELAY, NC, TIME_CONSTANT, Motion, camera_after

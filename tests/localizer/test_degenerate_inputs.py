@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNoise, Start
 from homeward.estimator import Status
-from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer import kernels
 from homeward.localizer.home.estimate import fit
 from homeward.localizer.home.problem import HomeProblem, home_from_start

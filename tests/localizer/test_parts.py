@@ -31,7 +31,7 @@ from homeward.localizer.reference import window as elimination
 from homeward.localizer.reference.factors import bearing_residuals
 from homeward.localizer.resection import poses_from_triples
 from homeward.localizer.tunables import MEAN_S
-from homeward.odometry.clock import Clock
+from homeward.odometry.validity import Clock
 
 NOTHING = np.zeros(len(CALIBRATION))
 

@@ -9,15 +9,14 @@ from rig import DT, Rig, eight, ring, still
 
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.landmarks import KnownLandmarks, SurveyedLandmark
-from homeward.drives.one_clock import with_clock_remarks
+from homeward.drives.plausibility import with_clock_remarks
 from homeward.drives.settings import Sensor
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.localizer.inputs.agreement import DeadOdometry, Plausibility
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.localizer import Localizer
-from homeward.odometry.dead_reckoning import dead_reckoning
-from homeward.odometry.history import TwistHistory
+from homeward.odometry.history import TwistHistory, dead_reckoning
 from homeward.odometry.validity import MAX_TWIST_VALIDITY_S, TWIST_VALIDITY_S, twist_validity
 from homeward.reasons import Rejection
 

@@ -7,8 +7,7 @@ import pytest
 
 from homeward.drives.drive import Odometry
 from homeward.geometry.frames import Pose
-from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
-from homeward.odometry.history import TwistHistory
+from homeward.odometry.history import TwistHistory, dead_reckoning_unwrapped
 from homeward.odometry.validity import TWIST_VALIDITY_S
 
 

@@ -15,11 +15,11 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.drives.images import KINDS, Images
-from homeward.drives.ros.messages.stamps import split
+from homeward.drives.ros.stamps import split
 from homeward.drives.ros.writing import LogFile, writing
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose, inverse
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.report.palette import BLUE, HOUSE, MOVED, MUTED, STATUS_COLOURS, colour, levels
 from homeward.runs.report.plots.moments import NEW, REJECTED, USED, bearings_at
 from homeward.runs.scoring import errors

@@ -19,7 +19,7 @@ from homeward.drives.drive import Odometry
 from homeward.drives.images import Images
 from homeward.drives.settings import DriveSettings
 from homeward.geometry.frames import Pose, compose
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.report.files import write_trajectory
 from homeward.runs.report.folder import write_run
 from homeward.runs.report.mcap import write_recording

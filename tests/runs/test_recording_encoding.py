@@ -9,7 +9,7 @@ from runs.made_up_run import first_rows, made_up, of_two_cameras
 from runs.recording_by_message import write_by_message
 
 from homeward.drives.images import Images
-from homeward.drives.ros.messages.types import typestore
+from homeward.drives.ros.writing import typestore
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
 from homeward.runs.report import recording

@@ -10,9 +10,9 @@ import pytest
 import yaml
 from cli.commands import call, done, first_seconds, refused
 
-from homeward.drives.calibration import as_recorded, with_calibration
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.opening import open_drive, sample_drive, save_drive
+from homeward.drives.robot import as_recorded, with_calibration
 from homeward.drives.settings import DriveSettings, OdometryNoise, RobotSettings, Wheels
 from homeward.errors import InputError
 from homeward.io.settings import parse_settings

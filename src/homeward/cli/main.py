@@ -1,10 +1,10 @@
-"""The command `homeward`."""
+"""The command `homeward`, and what replaces commands and options of earlier versions."""
 
 from __future__ import annotations
 
 import inspect
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from importlib import import_module
 from typing import Annotated, Any, cast
@@ -12,7 +12,6 @@ from typing import Annotated, Any, cast
 import typer
 from typer.core import TyperGroup
 
-from homeward.cli import former
 from homeward.cli.options import (
     AFTER_ERROR,
     BAD_INPUT,
@@ -21,8 +20,59 @@ from homeward.cli.options import (
     NO_ANSWER,
     refuse,
 )
-from homeward.errors import HomewardError, InputError, missing_extra_error
-from homeward.internal_errors import REQUEST, InternalErrorWarning
+from homeward.errors import (
+    REQUEST,
+    HomewardError,
+    InputError,
+    InternalErrorWarning,
+    missing_extra_error,
+)
+
+NO_COMMANDS = {
+    "camera": "removed: calibrate with camera_calibration of ROS, Kalibr or OpenCV; name its file "
+    "in images.yaml or the topics file (camera: {file: camera.yaml})",
+    "observe": "now `homeward plan --landmarks N` or `homeward plan --drive DRIVE`",
+    "render": "now `homeward simulate ROOM --images`",
+    "reproduce": "now `homeward study paper` or `homeward study layouts`",
+    "view": "removed: open a run with Foxglove or Rerun: rerun FOLDER/rerun.rbl FOLDER/run.mcap",
+    **{
+        other: f"not a command; use `homeward {words}`"
+        for words, others in {
+            "--help": "help",
+            "--version": "version",
+            "tune DRIVE": "calibrate calibration",
+            "run DRIVE": "localise localize score evaluate",
+            "run sample": "demo sample",
+            "place": "map maps places",
+            "study": "benchmark",
+            "settings": "config estimators",
+        }.items()
+        for other in others.split()
+    },
+}
+"""Commands that do not exist, and their replacement."""
+_TIMES = {f"--home-{kind}": f"--home {kind}:{{}}" for kind in ("during", "spin", "at")}
+_MOVED = dict.fromkeys(
+    ("--update", "--store-home", "--store-route"), "`homeward place add PLACE DRIVE`"
+)
+NO_OPTIONS: dict[str, dict[str, str]] = {
+    "": {**_TIMES, "--smoothed-lag": "--smooth {}"},
+    "run": _MOVED,
+    "place serve": {"--tcp": "--mqtt mqtt://HOST, the address of an MQTT broker"},
+}
+"""Options that do not exist, of the commands named and of all; ``{}`` is the value given."""
+
+
+def refuse_options(words: Sequence[str]) -> None:
+    """Raise `InputError` for an option of an earlier version that names its replacement."""
+    of = ("", *words[:1], " ".join(words[:2]))
+    known = {option: hint for one in of for option, hint in NO_OPTIONS.get(one, {}).items()}
+    for k, word in enumerate(words):
+        option, equals, value = word.partition("=")
+        if option in known:
+            given = value if equals else "".join(words[k + 1 : k + 2])
+            raise InputError(f"{option} is now {known[option].format(given)}")
+
 
 GROUPS = {
     "Your robot": {
@@ -119,7 +169,7 @@ class OneLineErrors(TyperGroup):
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command; for a removed one, raise an error that names its replacement."""
-        if hint := former.COMMANDS.get(cmd_name):
+        if hint := NO_COMMANDS.get(cmd_name):
             raise InputError(f"homeward {cmd_name} is {hint}")
         return super().get_command(ctx, cmd_name)
 
@@ -137,7 +187,7 @@ class OneLineErrors(TyperGroup):
         """Run the command."""
         words = [*getattr(ctx, "_protected_args", ()), *ctx.args]
         try:
-            former.refuse_options(words)
+            refuse_options(words)
             with internal_errors() as found:
                 result = super().invoke(ctx)
             if found:

@@ -21,9 +21,9 @@ from homeward.control.goals import Belief, ControlOutput, GoalController, GoalSt
 from homeward.control.laws import steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
-from homeward.geometry.accuracy import PoseAccuracy
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, between
+from homeward.geometry.statistics import PoseAccuracy
 
 STAGING_M = 0.8
 """Distance behind the dock at which the robot turns to it: three times `AHEAD_M`, in which an

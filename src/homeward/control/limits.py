@@ -6,8 +6,8 @@ import math
 from typing import Annotated
 
 from homeward.drives.settings import NonNegative, Positive, PositiveOrInf, RobotSettings
-from homeward.geometry.accuracy import MAX_SIGMA_M, AccuracyLimit
 from homeward.geometry.frames import Twist
+from homeward.geometry.statistics import MAX_SIGMA_M, AccuracyLimit
 from homeward.io.checks import Field
 from homeward.io.models import Strict
 

@@ -7,7 +7,7 @@ from collections import deque
 from typing import NamedTuple
 
 from homeward.geometry.frames import Twist
-from homeward.odometry.clock import Clock
+from homeward.odometry.validity import Clock
 
 AHEAD_S = 2.0
 """A stamp this far ahead of all others is an error, unless `SEVERAL` stamps agree with it [s]."""

@@ -12,8 +12,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Tilt, Truth
 from homeward.drives.landmarks import KnownLandmarks
-from homeward.drives.one_clock import remark_other_units
-from homeward.drives.plausibility import without_implausible
+from homeward.drives.plausibility import remark_other_units, without_implausible
 from homeward.drives.ros.kinds import is_log
 from homeward.drives.settings import HOME_TIMES, DriveSettings
 from homeward.errors import InputError
@@ -33,7 +32,7 @@ from homeward.io.table import (
     write_csv,
 )
 from homeward.io.writing import whole_folder
-from homeward.odometry.clock import MAX_DELAY_S
+from homeward.odometry.validity import MAX_DELAY_S
 from homeward.sighting_keys import is_unlabelled, numbered, without_number
 
 ODOMETRY, BEARINGS, HOME = "odometry.csv", "bearings.csv", "home.csv"
@@ -120,7 +119,7 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
     if missing:
         advice = None
         if missing == [HOME]:
-            from homeward.drives.home.rest import with_proposal  # only a refusal needs it
+            from homeward.drives.home.when import with_proposal  # only a refusal needs it
 
             advice = with_proposal(HOME_ADVICE, read_folder(folder, home_needed=False))
         problem = f"not a complete drive folder: no {', '.join(missing)}"

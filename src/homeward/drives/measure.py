@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,6 +12,8 @@ from homeward.drives.drive import Odometry
 from homeward.drives.plausibility import odometry_from_poses, without_implausible
 from homeward.drives.settings import Wheels
 from homeward.drives.wheels import ackermann, swerve
+from homeward.errors import InputError
+from homeward.odometry.validity import TWIST_VALIDITY_S
 
 
 def motion(values: Mapping[str, np.ndarray], wheels: Wheels, remarks: dict[str, int]) -> Odometry:
@@ -67,3 +70,104 @@ def bearings(
         seen = camera.directions(values["column"], values["row"], shape)
         found["bearing"], found["elevation"] = seen
     return found
+
+
+WINDOW_S = 1.0
+"""Duration over which rotations are compared [s]."""
+MIN_TURN_RATE = 0.02
+"""Minimum standard deviation of the odometry's yaw rate for a comparison [rad/s]."""
+MIN_WINDOWS = 10
+MIN_CORRELATION = 0.5
+MAX_RATIO = 4.0
+"""Maximum ratio of the two yaw rates: robots that skid have 3."""
+UNITS = {1.0: "", math.radians(1.0): ", converted from deg/s"}
+"""Factors to rad/s that are tried, and how they are shown to the user."""
+REPLACED = "yaw rates of the odometry replaced by those of {} ({})"
+KEPT = "yaw rates of the odometry kept where {} has gaps"
+NOT_COMPARED = "in rad/s, anti-clockwise: the odometry turns too little for a comparison"
+
+
+def with_yaw_rate(
+    odometry: Odometry,
+    t: np.ndarray,
+    rate: np.ndarray,
+    source: str,
+    remarks: dict[str, int],
+    may_be_deg: bool = True,
+) -> Odometry:
+    """Return odometry with the yaw rate of a gyroscope, whose unit and sign are found.
+
+    `t` (n,) [s] increases strictly; `rate` (n,) is in rad/s, or deg/s if `may_be_deg`, with either
+    sign. Both come from a comparison with the odometry's own yaw rate, and remarks report them. The
+    odometry keeps its own yaw rate in gaps of the gyroscope. `InputError` where the two contradict
+    each other.
+    """
+    gyro = _mean_rates(odometry.t, t, rate)
+    used = np.isfinite(gyro)
+    if not used.any():
+        raise InputError(
+            f"{source} has no yaw rate during the odometry", advice="use stamps of one clock"
+        )
+    factor, how = _factor(odometry, t, rate, source, list(UNITS)[: 1 + may_be_deg])
+    remarks[REPLACED.format(source, how)] = int(used.sum())
+    if not used.all():
+        remarks[KEPT.format(source)] = int((~used).sum())
+    omega = np.where(used, factor * gyro, odometry.omega)
+    omega = np.where(np.isnan(odometry.v), np.nan, omega)
+    return Odometry(odometry.t, odometry.v, omega, odometry.vy)
+
+
+def _mean_rates(edges: np.ndarray, t: np.ndarray, rate: np.ndarray) -> np.ndarray:
+    """Return the mean rate from each edge (m,) to the next, the last to itself; NaN in gaps."""
+    if t.size < 2:
+        return np.full(edges.size, np.nan)
+    angle = np.append(0.0, np.cumsum(np.diff(t) * (rate[1:] + rate[:-1]) / 2))
+    ends = np.minimum(np.append(edges[1:], edges[-1]), edges + TWIST_VALIDITY_S)
+    span = ends - edges
+    turned = np.interp(ends, t, angle) - np.interp(edges, t, angle)
+    mean = np.where(span > 0, turned / np.where(span > 0, span, 1.0), np.interp(edges, t, rate))
+    before = np.clip(np.searchsorted(t, edges, "right") - 1, 0, t.size - 1)
+    after = np.clip(np.searchsorted(t, ends), 0, t.size - 1)
+    is_covered = np.maximum(np.abs(edges - t[before]), np.abs(t[after] - ends)) < TWIST_VALIDITY_S
+    return np.where(is_covered, mean, np.nan)
+
+
+def _factor(
+    odometry: Odometry, t: np.ndarray, rate: np.ndarray, source: str, units: Sequence[float]
+) -> tuple[float, str]:
+    """Return the factor to rad/s, anti-clockwise, and its reason as shown to the user."""
+    begin, end = max(odometry.t[0], t[0]), min(odometry.t[-1], t[-1])
+    edges = np.arange(begin, end, WINDOW_S)
+    if edges.size <= MIN_WINDOWS:
+        return 1.0, NOT_COMPARED
+    steps = np.diff(odometry.t) * np.nan_to_num(odometry.omega)[:-1]
+    own = np.diff(np.interp(edges, odometry.t, np.append(0.0, np.cumsum(steps))))
+    gyro = _mean_rates(edges, t, rate)[:-1] * WINDOW_S
+    both = np.isfinite(gyro)
+    own, gyro = own[both], gyro[both]
+    if own.size < MIN_WINDOWS or own.std() < MIN_TURN_RATE * WINDOW_S:
+        return 1.0, NOT_COMPARED
+    if gyro.std() == 0:
+        raise InputError(
+            "the yaw rate is constant, but the odometry turns", part=source, advice="leave it out"
+        )
+    correlation = float(np.corrcoef(own, gyro)[0, 1])
+    ratio = own.std() / gyro.std()
+    unit = min(units, key=lambda u: abs(math.log(ratio / u)))
+    if abs(correlation) < MIN_CORRELATION:
+        raise InputError(
+            f"the yaw rate contradicts that of the odometry (correlation {correlation:.2f})",
+            part=source,
+            advice="check that its z axis is vertical and its stamps are those of the "
+            "odometry's clock, or leave it out",
+        )
+    if not 1 / MAX_RATIO < ratio / unit < MAX_RATIO:
+        raise InputError(
+            f"the yaw rate of the odometry is {ratio:.3g} x this one",
+            part=source,
+            advice="convert it to rad/s, correct the track width of the odometry, or leave it out",
+        )
+    inverted = ", with the sign inverted" if correlation < 0 else ""
+    fit = f"correlation {abs(correlation):.2f}, {ratio / unit:.3g} x they fit the odometry"
+    how = f"{fit}{UNITS[unit]}{inverted}"
+    return math.copysign(unit, correlation), how

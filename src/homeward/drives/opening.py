@@ -8,7 +8,6 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Drive
 from homeward.drives.folder import (
     BEARINGS,
@@ -21,7 +20,8 @@ from homeward.drives.folder import (
     write_folder,
 )
 from homeward.drives.images import IMAGES, cameras_in
-from homeward.drives.one_clock import with_clock_remarks
+from homeward.drives.plausibility import with_clock_remarks
+from homeward.drives.robot import with_calibration
 from homeward.drives.ros.kinds import is_log
 from homeward.drives.senses import with_sense_remark
 from homeward.drives.settings import RobotSettings, home_when

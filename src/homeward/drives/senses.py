@@ -20,7 +20,7 @@ import numpy as np
 from homeward.drives.drive import Drive, Odometry
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
-from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
+from homeward.odometry.history import dead_reckoning_unwrapped
 
 DEG = math.degrees(1.0)
 ABSURD = 1e6

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Self, TypedDict, TypeVar
 import numpy as np
 
 from homeward.errors import InputError
-from homeward.geometry.accuracy import MAX_SIGMA_M
 from homeward.geometry.frames import Polar, Pose, between
+from homeward.geometry.statistics import MAX_SIGMA_M
 from homeward.io.checks import AfterValidator, Field
 from homeward.io.models import Strict, model_validator
 from homeward.io.settings import validated
@@ -20,7 +20,7 @@ PositiveOrInf = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Delay = Annotated[float, Field(ge=-5, le=5)]
-"""[s], up to `homeward.drives.one_clock.MAX_CLOCK_OFFSET_S`."""
+"""[s], up to `homeward.drives.plausibility.MAX_CLOCK_OFFSET_S`."""
 Scale = Annotated[float, Field(ge=0.5, le=2)]
 """True value over the measured one [1]; a larger error is a wrong unit or geometry."""
 Number = TypeVar("Number", float, np.ndarray)

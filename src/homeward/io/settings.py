@@ -1,4 +1,4 @@
-"""Settings models in YAML and messages in JSON: reading, writing, and words for what is wrong."""
+"""Settings models in YAML and messages in JSON: reading, writing, and reports of errors."""
 
 from __future__ import annotations
 

@@ -16,8 +16,8 @@ from homeward.drives.settings import Start as StartPrior
 from homeward.errors import InputError
 from homeward.geometry.frames import Polar, to_polar
 from homeward.live.messages import BearingsIn, OdometryIn
-from homeward.odometry.clock import MAX_DELAY_S
 from homeward.odometry.history import TwistHistory
+from homeward.odometry.validity import MAX_DELAY_S
 
 CAPTURE_S, MAX_SPEED_AT_REST = 1.0, 0.01
 """Bearings of this time [s] are averaged, and the robot must on average be slower [m/s, rad/s]."""

@@ -14,8 +14,8 @@ import numpy as np
 
 from homeward.control.goals import Goal, RouteGoal
 from homeward.control.start_guide import StartGuide
-from homeward.drives.cameras.names import with_camera
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
+from homeward.drives.robot import with_camera
 from homeward.drives.settings import DriveSettings, OtherCamera, Start
 from homeward.errors import HomewardError, InputError, InternalError
 from homeward.estimator import Estimate, Estimator, LandmarkEstimate, Status, add_frame, add_twist
@@ -28,7 +28,7 @@ from homeward.live.place_session import PlaceSession
 from homeward.localizer.fixed_lag import FixedLag
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings
-from homeward.odometry.clock import Clock
+from homeward.odometry.validity import Clock
 from homeward.registry import make_estimator, settings_model
 from homeward.runs.report.words import count
 

@@ -29,8 +29,8 @@ from homeward.live.localisation import Homes, Localisation
 from homeward.live.place_session import PlaceSession
 from homeward.live.settings import STOPS_WITHIN_S, LiveSettings
 from homeward.localizer.inputs.agreement import FrozenCameras
-from homeward.odometry.clock import Clock
 from homeward.odometry.history import TwistHistory
+from homeward.odometry.validity import Clock
 from homeward.reasons import Reason
 
 MEMORY_S = 3.0

@@ -12,8 +12,8 @@ import math
 import numpy as np
 
 from homeward.drives.drive import Drive
+from homeward.errors import Attempts
 from homeward.estimator import Estimate
-from homeward.internal_errors import Attempts
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.settings import LocalizerSettings

@@ -15,8 +15,8 @@ import numpy as np
 from scipy.special import chdtri
 
 from homeward import core
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.motions import Motion
 from homeward.localizer.reference import extension, factors, frame, labels, motion, sets, window
 from homeward.localizer.reference.extension import Extra, Unknown

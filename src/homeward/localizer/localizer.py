@@ -15,10 +15,17 @@ from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
-from homeward.drives.cameras.names import Cameras, with_camera
 from homeward.drives.drive import HomeBearing
-from homeward.drives.known import Home, known_home, known_landmarks, known_robot, known_settings
 from homeward.drives.landmarks import KnownLandmarks
+from homeward.drives.robot import (
+    Cameras,
+    Home,
+    known_home,
+    known_landmarks,
+    known_robot,
+    known_settings,
+    with_camera,
+)
 from homeward.drives.settings import DriveSettings, OtherCamera, Robot
 from homeward.estimator import (
     Counts,
@@ -43,8 +50,8 @@ from homeward.localizer.output.faces import EstimatedCalibration, MapSnapshot, P
 from homeward.localizer.recovery.monitor import has_other_scale
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MAX_IN_VIEW, NOTABLE_RATIO, SIGN_LAGS_S, SWITCH_MARGIN
-from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import Reckoned, TwistHistory
+from homeward.odometry.validity import MAX_DELAY_S, Clock
 from homeward.reasons import Reason, Rejection
 from homeward.sighting_keys import is_unlabelled
 

@@ -15,8 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import between, composition
+from homeward.geometry.statistics import positive
 
 ODOMETRY_CALIBRATION = (
     "turn_scale",

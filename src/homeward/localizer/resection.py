@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE, between, compose, sight
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.reference.labels import moved_share
 from homeward.localizer.tunables import (
     CLOSE,

@@ -13,11 +13,11 @@ from itertools import pairwise
 import numpy as np
 
 from homeward.drives.drive import Drive
+from homeward.errors import REQUEST, Attempts, InternalFailure, failure_notes
 from homeward.estimator import Estimate, Status
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose, between
-from homeward.internal_errors import REQUEST, Attempts, InternalFailure, failure_notes
+from homeward.geometry.statistics import positive
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.localizer.chart import Chart
 from homeward.localizer.home.hypotheses import Hypotheses, with_pose

@@ -11,8 +11,8 @@ from scipy.special import chdtri
 from homeward.drives.landmarks import KnownLandmarks
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import deviation
 from homeward.geometry.frames import Pose, position_sigma
+from homeward.geometry.statistics import deviation
 from homeward.io.table import quoted
 from homeward.localizer.map.survey.factors import align
 from homeward.localizer.tunables import IMPROBABLE

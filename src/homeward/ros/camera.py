@@ -13,25 +13,24 @@ from typing import Any, Generic, TypeVar
 
 from homeward.drives.cameras.calibration import from_camera_info, read_calibration
 from homeward.drives.cameras.tag_pose import TagPose
-from homeward.drives.ros.measurements.bearings import (
-    frame_of,
-    has_positions,
-    landmark_of,
-    parts_of,
-)
 from homeward.drives.ros.measurements.extrinsics import (
     Transforms,
     is_one_camera,
     mount,
     not_connected,
 )
-from homeward.drives.ros.messages.presets import (
+from homeward.drives.ros.measurements.sightings import (
+    frame_of,
+    has_positions,
+    landmark_of,
+    parts_of,
+)
+from homeward.drives.ros.presets import (
     ALL_SIGHTINGS,
     CORNERS,
     IN_IMAGE,
     TRANSFORMS,
 )
-from homeward.drives.ros.messages.stamps import NANO
 from homeward.drives.ros.settings import (
     PICTURES,
     BearingsTopic,
@@ -39,6 +38,7 @@ from homeward.drives.ros.settings import (
     MountFrames,
     calibrated,
 )
+from homeward.drives.ros.stamps import NANO
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between
 from homeward.io.settings import read_settings, validated

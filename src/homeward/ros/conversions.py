@@ -17,13 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose
-from homeward.drives.ros.measurements.bearings import TagDetector
 from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL
-from homeward.drives.ros.measurements.rows import Remarks
-from homeward.drives.ros.measurements.sighting_rows import SightingRows
-from homeward.drives.ros.messages.presets import MOTIONS, NAV_ODOMETRY, row_of
-from homeward.drives.ros.messages.stamps import NANO, seconds
+from homeward.drives.ros.measurements.sightings import SightingRows, TagDetector
+from homeward.drives.ros.presets import MOTIONS, NAV_ODOMETRY, row_of
 from homeward.drives.ros.settings import BearingsTopic
+from homeward.drives.ros.stamps import NANO, Remarks, seconds
 from homeward.drives.tilt import roll_and_pitch
 from homeward.errors import InputError
 from homeward.estimator import Status

@@ -20,7 +20,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, qos_profile_sensor_data
 
 from homeward.drives.folder import read_home
 from homeward.drives.ros.measurements.extrinsics import TF_STATIC
-from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.stamps import NANO
 from homeward.drives.settings import DriveSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.frames import Pose

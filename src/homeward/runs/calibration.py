@@ -15,9 +15,8 @@ import numpy as np
 from homeward.drives.drive import Drive, Odometry, Truth
 from homeward.drives.settings import OdometryDefaults, RobotSettings, Wheels
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.frames import Pose, between
-from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
+from homeward.geometry.statistics import MAD_TO_SIGMA, ROUNDING, robust_weight
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.motions import (
     CAMERA_X,
@@ -34,7 +33,7 @@ from homeward.localizer.motions import (
 )
 from homeward.localizer.settings import LocalizerSettings
 from homeward.localizer.tunables import MIN_CALIBRATION_SIGMA
-from homeward.odometry.dead_reckoning import dead_reckoning, dead_reckoning_unwrapped
+from homeward.odometry.history import dead_reckoning, dead_reckoning_unwrapped
 
 WINDOW_S = 4.0
 """Length of the motions that are compared with ground truth [s]: far longer than a lag."""

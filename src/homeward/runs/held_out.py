@@ -16,7 +16,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive
 from homeward.estimator import Estimator
-from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.tunables import GATE
 from homeward.runs.scoring import Errors, accuracy, errors
 from homeward.track import Innovations, run

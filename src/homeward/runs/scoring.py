@@ -14,9 +14,9 @@ import numpy as np
 
 from homeward.drives.drive import TRUTH_GAP_S, Columns, Truth, is_slow
 from homeward.estimator import Status
-from homeward.geometry.accuracy import MAX_SIGMA_M, PoseAccuracy
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
+from homeward.geometry.statistics import MAX_SIGMA_M, PoseAccuracy
 from homeward.reasons import Rejection
 from homeward.track import Track
 

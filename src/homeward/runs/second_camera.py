@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.calibration import as_recorded, with_calibration
 from homeward.drives.drive import Drive, Sightings
+from homeward.drives.robot import as_recorded, with_calibration
 from homeward.drives.settings import (
     OdometryDefaults,
     OtherCamera,
@@ -24,12 +24,11 @@ from homeward.drives.settings import (
 )
 from homeward.errors import HomewardError
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose, between, compose
 from homeward.geometry.least_squares import LeastSquares
-from homeward.geometry.robust import MAD_TO_SIGMA, robust_weight
 from homeward.geometry.se2 import rotation
-from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
+from homeward.geometry.statistics import MAD_TO_SIGMA, positive, robust_weight
+from homeward.odometry.history import dead_reckoning_unwrapped
 
 INITIAL_SIGMA = 0.02
 """Standard deviation of bearings without one [rad]; the residuals may raise it."""

@@ -186,7 +186,7 @@ def opened(run: RunSettings, progress: Callable[[float], None] | None = None) ->
         remedy = HOME_ADVICE
         if is_log(drive_path(run)):
             from homeward.drives.ros.settings import NAME_HOME as remedy
-        from homeward.drives.home.rest import with_proposal
+        from homeward.drives.home.when import with_proposal
 
         remedy = with_proposal(remedy, drive)
         raise InputError(f"no home bearings found: {remedy}", Path(run.drive))

@@ -17,8 +17,8 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from homeward.drives.calibration import as_recorded, given_keys, with_calibration
 from homeward.drives.drive import Drive, Odometry, Sightings, Truth
+from homeward.drives.robot import as_recorded, given_keys, with_calibration
 from homeward.drives.settings import DriveSettings, OdometryNoise, RobotSettings
 from homeward.errors import HomewardError, InputError
 from homeward.geometry.covariance import ROUNDING

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from homeward.drives.folder import read_folder, write_folder
-from homeward.drives.home.rest import first_rest
+from homeward.drives.home.when import first_rest
 from homeward.drives.opening import open_drive, sample_drive
 from homeward.drives.ros.info import log_info
 from homeward.errors import InputError

@@ -8,7 +8,7 @@ import lz4.frame
 from backports import zstd
 
 from homeward.drives.ros.kinds import ODOMETRY
-from homeward.drives.ros.messages.types import DEFINITIONS
+from homeward.drives.ros.writing import DEFINITIONS
 
 HEADER_TEXT = """\
 ================================================================================

@@ -11,7 +11,7 @@ from homeward.drives.ros.kinds import BEARINGS, POSE
 from homeward.drives.ros.writing import writing
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, bearing, between
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 
 NANO = 10**9
 LANDMARKS = 12

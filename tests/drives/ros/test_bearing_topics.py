@@ -10,8 +10,8 @@ from drives.ros.rig import NANO, bearings_message
 from rosbags.typesys import get_types_from_msg
 from rosbags.typesys.store import Typestore
 
-from homeward.drives.ros.messages.presets import TAGS
-from homeward.drives.ros.messages.types import typestore
+from homeward.drives.ros.presets import TAGS
+from homeward.drives.ros.writing import typestore
 from homeward.errors import InputError
 
 

@@ -9,11 +9,10 @@ from drives.ros.crafted import cdr_odometry, chunk, mcap, mcap_messages
 from drives.ros.test_hostile import FIVE_CDR
 
 from homeward.drives.opening import open_drive
-from homeward.drives.ros import log
+from homeward.drives.ros import decoding, log
+from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.kinds import ODOMETRY
 from homeward.drives.ros.log import Channel
-from homeward.drives.ros.messages import decoding
-from homeward.drives.ros.messages.decoding import Decoder
 from homeward.errors import InputError
 
 LINE = "=" * 80 + "\nMSG: "

@@ -10,9 +10,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.info import log_info
-from homeward.drives.ros.messages.types import DEFINITIONS, typestore
 from homeward.drives.ros.settings import LogSettings
-from homeward.drives.ros.writing import LogFile, writing
+from homeward.drives.ros.writing import DEFINITIONS, LogFile, typestore, writing
 from homeward.errors import InputError
 from homeward.io.settings import parse_settings
 

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.camera import tilt_matrix
 from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL, LEVEL, Transforms, mount
-from homeward.drives.ros.messages.presets import BEARINGS, POSE_ARRAY, TAGS
+from homeward.drives.ros.presets import BEARINGS, POSE_ARRAY, TAGS
 from homeward.drives.ros.settings import BearingsTopic, MountFrames
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, between, compose

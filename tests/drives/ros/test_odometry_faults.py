@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from drives.ros.build import joints, odometry, stamps
 
-from homeward.drives.ros.measurements.contradiction import contradiction
+from homeward.drives.ros.measurements.odometry import contradiction
 from homeward.drives.wheels import WRAPPED
 from homeward.errors import InputError
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings, Truth
 from homeward.drives.folder import write_folder
 from homeward.drives.opening import open_drive, save_drive
-from homeward.drives.ros.messages.stamps import NANO, epoch_of, seconds, split
+from homeward.drives.ros.stamps import NANO, epoch_of, seconds, split
 from homeward.drives.settings import DriveSettings, OdometryNoise, Sensor, Start
 from homeward.errors import InputError
 

@@ -13,11 +13,10 @@ from rosbags.typesys.store import Typestore
 
 from homeward.drives.opening import open_drive
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.ros.topics.by_fields import candidates
 from homeward.drives.ros.topics.survey import survey
-from homeward.drives.ros.writing import writing
+from homeward.drives.ros.writing import typestore, writing
 from homeward.errors import InputError
 
 HEADER = "std_msgs/Header header\n"

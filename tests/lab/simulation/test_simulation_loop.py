@@ -13,7 +13,7 @@ from homeward.geometry.frames import Pose, Twist, advance, compose, from_polar, 
 from homeward.lab.simulation.course import Ending
 from homeward.lab.simulation.simulate import load_scenario, prepare, simulate
 from homeward.lab.simulation.trajectories import SEARCH_RADIUS
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.registry import make_estimator
 
 SHORT = {"trajectory.duration": 10.0}

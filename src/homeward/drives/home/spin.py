@@ -16,11 +16,11 @@ import numpy as np
 
 from homeward.drives.drive import HomeBearing, Odometry, Samples, Sightings
 from homeward.drives.home.turn import GATE, MIN_SIGMA_RAD, TurnProblem
-from homeward.drives.known import known_robot
+from homeward.drives.robot import known_robot
 from homeward.drives.settings import DriveSettings, Robot
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose
-from homeward.geometry.robust import GNC_SCHEDULE, robust_weight
+from homeward.geometry.statistics import GNC_SCHEDULE, robust_weight
 from homeward.io.table import quoted
 
 HARD_STEPS = 4

@@ -19,8 +19,8 @@ from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
 from homeward.geometry.least_squares import LeastSquares
-from homeward.geometry.robust import MAD_TO_SIGMA
-from homeward.odometry.dead_reckoning import dead_reckoning_unwrapped
+from homeward.geometry.statistics import MAD_TO_SIGMA
+from homeward.odometry.history import dead_reckoning_unwrapped
 from homeward.odometry.validity import twist_validity
 
 INITIAL_SIGMA = 0.02

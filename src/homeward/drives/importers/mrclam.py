@@ -15,7 +15,7 @@ import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
 from homeward.drives.folder import count_repeats, odometry_of, sorted_by_time, truth_of, wrapped
-from homeward.drives.one_clock import with_clock_remarks
+from homeward.drives.plausibility import with_clock_remarks
 from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import InputError
 from homeward.geometry.frames import Pose, bearing

@@ -10,8 +10,8 @@ import numpy as np
 from homeward.drives.drive import Odometry
 from homeward.drives.folder import REPEATED_ODOMETRY, sorted_by_time, without_repeats
 from homeward.drives.importers.parts import ImportedColumn
-from homeward.drives.measure import motion
-from homeward.drives.one_clock import remark_other_units
+from homeward.drives.measure import motion, with_yaw_rate
+from homeward.drives.plausibility import remark_other_units
 from homeward.drives.settings import Wheels
 from homeward.drives.wheel_columns import MODULES, accumulates, base_of
 from homeward.drives.wheel_columns import ROLES as WHEELS
@@ -23,10 +23,9 @@ from homeward.drives.wheels import (
     of_wheels,
     wheel_speeds,
 )
-from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.io.table import Table
-from homeward.odometry.limits import MAX_SPEED
+from homeward.odometry.validity import MAX_SPEED
 
 FROM_POSES = "odometry rows are poses; twists are computed from their differences"
 OPPOSITE = (

@@ -31,8 +31,7 @@ from homeward.drives.importers.sheet import Sheet, names, number_parser, time_pa
 from homeward.drives.wheel_columns import base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Parser, Table, read_csv
-from homeward.odometry.limits import MAX_SPEED
-from homeward.odometry.validity import TWIST_VALIDITY_S
+from homeward.odometry.validity import MAX_SPEED, TWIST_VALIDITY_S
 
 UNIX_S = (1e9, 4.1e9)
 """Range of Unix time, from 2001 to 2099 [s]."""

@@ -31,19 +31,19 @@ from homeward.drives.importers.recognition import parts_of
 from homeward.drives.importers.sense import NOT_DECIDED, require_imported_senses, with_senses
 from homeward.drives.importers.sheet import Sheet, sheet
 from homeward.drives.importers.sources import text_files
-from homeward.drives.one_clock import with_clock_remarks
+from homeward.drives.measure import with_yaw_rate
 from homeward.drives.opening import DRIVE_FOLDER, kind_of, tables_in
 from homeward.drives.opening import KINDS as KINDS_OF_DRIVES
+from homeward.drives.plausibility import with_clock_remarks
 from homeward.drives.ros.kinds import is_log
 from homeward.drives.ros.log import Log
 from homeward.drives.settings import DriveSettings, HomeWhen, Wheels
-from homeward.drives.yaw_rate import with_yaw_rate
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, between
 from homeward.io.naming import command, listing, natural
 from homeward.io.table import Table, quoted
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 
 OTHER_SOURCES = {
     "odometry": ", and none with odom in its name has poses",

@@ -12,18 +12,17 @@ from typing import cast
 import numpy as np
 
 from homeward.drives import folder as csv
-from homeward.drives.calibration import with_calibration
 from homeward.drives.drive import Truth
-from homeward.drives.home.rest import PROPOSED, first_rest
+from homeward.drives.home.when import PROPOSED, first_rest
 from homeward.drives.images import IMAGES, cameras_in, read_images
 from homeward.drives.importers.mrclam import is_mrclam, mrclam_command, robots_in
-from homeward.drives.one_clock import with_clock_remarks
 from homeward.drives.opening import is_image_folder, kind_of, located
+from homeward.drives.plausibility import with_clock_remarks
+from homeward.drives.robot import with_calibration
 from homeward.drives.ros.kinds import OUR_SETTINGS
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import axes_of
-from homeward.drives.ros.messages.presets import POSES_OF_TAGS
-from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.measurements.sightings import axes_of
+from homeward.drives.ros.presets import POSES_OF_TAGS
 from homeward.drives.ros.settings import (
     NAME_HOME,
     PICTURES,
@@ -33,6 +32,7 @@ from homeward.drives.ros.settings import (
     calibrated,
     wildcard_part,
 )
+from homeward.drives.ros.stamps import NANO
 from homeward.drives.ros.topics.by_fields import candidates, first_frame, shown, unread
 from homeward.drives.ros.topics.choosing import (
     LASER_SCAN,
@@ -286,7 +286,7 @@ def _uses_by_fields(known: TopicSurvey, name: str) -> Iterator[str]:
 
 def _candidates(known: TopicSurvey) -> Iterator[str]:
     """Yield the possible use of each topic, if its messages can be decoded."""
-    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
+    from homeward.drives.ros.decoding import Decoder  # the extra bags
 
     patterns = _numbered([t.name for t in known.topics if t.type in POSES_OF_TAGS])
     for pattern in patterns:

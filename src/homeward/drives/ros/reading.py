@@ -8,7 +8,6 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.calibration import with_calibration
 from homeward.drives.cameras.calibration import CameraRows
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Tilt, Truth
@@ -20,14 +19,10 @@ from homeward.drives.folder import (
     sightings_of,
 )
 from homeward.drives.home.when import with_home
+from homeward.drives.robot import with_calibration
+from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.kinds import OUR_SETTINGS
 from homeward.drives.ros.log import Log
-from homeward.drives.ros.measurements.bearings import (
-    TagDetector,
-    frame_of,
-    landmark_of,
-    parts_of,
-)
 from homeward.drives.ros.measurements.extrinsics import (
     LINKED,
     TF,
@@ -37,11 +32,14 @@ from homeward.drives.ros.measurements.extrinsics import (
     extrinsics,
 )
 from homeward.drives.ros.measurements.odometry import OdometryRows
-from homeward.drives.ros.measurements.rows import Remarks, clean_rows, in_order
-from homeward.drives.ros.measurements.sighting_rows import SightingRows
-from homeward.drives.ros.messages.decoding import Decoder
-from homeward.drives.ros.messages.presets import MOTIONS, TRANSFORMS, orientation_of, row_of
-from homeward.drives.ros.messages.stamps import NANO
+from homeward.drives.ros.measurements.sightings import (
+    SightingRows,
+    TagDetector,
+    frame_of,
+    landmark_of,
+    parts_of,
+)
+from homeward.drives.ros.presets import MOTIONS, TRANSFORMS, orientation_of, row_of
 from homeward.drives.ros.settings import (
     NAME_BEARINGS,
     PICTURES,
@@ -49,6 +47,7 @@ from homeward.drives.ros.settings import (
     LogSettings,
     calibrated,
 )
+from homeward.drives.ros.stamps import NANO, Remarks, clean_rows, in_order
 from homeward.drives.ros.topics.choosing import choose
 from homeward.drives.ros.topics.survey import IS_READ, MessageTimes, OnProgress, TopicSurvey, survey
 from homeward.drives.settings import (

@@ -1,4 +1,4 @@
-"""Writing of a drive as a log, which `read_log` reads back exactly."""
+"""Writing of a drive as a log, which `read_log` reads back exactly, and the known message types."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import sqlite3
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from copy import copy
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,10 @@ import numpy as np
 from rosbags import rosbag1, rosbag2
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from homeward.drives.cameras.names import require_one_camera
 from homeward.drives.drive import Drive
+from homeward.drives.robot import require_one_camera
 from homeward.drives.ros.kinds import (
     BEARINGS,
     ODOMETRY,
@@ -27,13 +29,33 @@ from homeward.drives.ros.kinds import (
     OUR_TRUTH,
     POSE,
 )
-from homeward.drives.ros.messages.stamps import NANO, split
-from homeward.drives.ros.messages.types import typestore
+from homeward.drives.ros.stamps import NANO, split
 from homeward.errors import InputError
 from homeward.io.reading import is_there, naming
 from homeward.io.settings import settings_yaml
 from homeward.io.table import is_identifier, quoted
 from homeward.io.writing import whole_file
+
+WELL_KNOWN = {
+    f"{file.parent.name}/msg/{file.stem}": file.read_text("utf-8")
+    for file in sorted(Path(__file__).with_name("msg").glob("*/*.msg"))
+}
+"""Definitions by type; sqlite3 files of ROS 2 before Iron contain none."""
+DEFINITIONS = {kind: text for kind, text in WELL_KNOWN.items() if kind.startswith("homeward_msgs/")}
+"""Those of `homeward_msgs`, which represent a drive exactly.
+
+`residue` is the part of a time [s] that a stamp in whole nanoseconds cannot represent.
+"""
+
+
+@cache
+def typestore(ros1: bool) -> Any:
+    """Return rosbags' store of all known types, as in ROS 1 Noetic or ROS 2 Humble."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    for name, text in WELL_KNOWN.items():
+        store.register(get_types_from_msg(text, name))
+    return store
+
 
 _STORAGE = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 

@@ -14,8 +14,8 @@ from functools import cached_property
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import positive
 from homeward.geometry.se2 import MIN_DISTANCE, lever, rotation
+from homeward.geometry.statistics import positive
 from homeward.localizer import kernels
 from homeward.localizer.home.problem import Assumption, HomeProblem
 from homeward.localizer.home.spurious_information import spurious_covariance

@@ -13,9 +13,9 @@ from collections import deque
 from collections.abc import Mapping
 from typing import NamedTuple
 
-from homeward.drives.cameras.names import with_camera
+from homeward.drives.robot import with_camera
 from homeward.drives.settings import DriveSettings, OtherCamera
-from homeward.geometry.robust import MAD_TO_SIGMA
+from homeward.geometry.statistics import MAD_TO_SIGMA
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.tunables import (
     BEARING_ROUNDING,
@@ -39,7 +39,7 @@ from homeward.localizer.tunables import (
     START_S,
 )
 from homeward.odometry.history import STEADY_S, Reckoned
-from homeward.odometry.limits import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
+from homeward.odometry.validity import GRIP_ACCELERATION, GRIP_TURN_ACCELERATION, MAX_RATE
 
 DEAD = (
     "Odometry reported no motion {}, but bearings changed by {:.0f} degrees: the odometry driver "

@@ -19,7 +19,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.robust import MAD_TO_SIGMA
+from homeward.geometry.statistics import MAD_TO_SIGMA
 from homeward.localizer.inputs.reorder import BearingFrame
 from homeward.localizer.tunables import (
     CORRELATION_KEPT,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.localizer.tunables import MIN_SAMPLES, REORDER_WAIT_S
-from homeward.odometry.clock import MAX_DELAY_S
+from homeward.odometry.validity import MAX_DELAY_S
 
 
 class BearingFrame(NamedTuple):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.drives.settings import DriveSettings, OdometryDefaults, OdometryNoise, noise_rates
-from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.kernels import preintegrate
 from homeward.localizer.motions import DELAY, TIME_CONSTANT, Motion
 from homeward.localizer.reference.motion import variance_growth
@@ -35,8 +35,8 @@ from homeward.localizer.tunables import (
     NUM_BENDS,
     STRAIGHTEST_SHARE,
 )
-from homeward.odometry.clock import MAX_DELAY_S
 from homeward.odometry.history import TwistHistory
+from homeward.odometry.validity import MAX_DELAY_S
 
 
 def calibration_sigmas(

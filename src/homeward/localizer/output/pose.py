@@ -9,9 +9,9 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.frames import Pose
 from homeward.geometry.se2 import composition
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.reference.sets import HOME, inverted

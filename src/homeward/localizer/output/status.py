@@ -8,8 +8,8 @@ from collections.abc import Collection
 import numpy as np
 
 from homeward.estimator import MIN_AGREEING, Estimate, Innovation, Status
-from homeward.geometry.covariance import positive
 from homeward.geometry.frames import Pose
+from homeward.geometry.statistics import positive
 from homeward.localizer.home.estimate import HomeFit
 from homeward.localizer.home.hypotheses import Hypotheses
 from homeward.localizer.output.pose import (

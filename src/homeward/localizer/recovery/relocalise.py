@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.covariance import positive
+from homeward.geometry.statistics import positive
 from homeward.localizer.inputs.bearing_noise import WeighedFrame
 from homeward.localizer.map.bodies import find_bodies
 from homeward.localizer.map.landmarks import Landmarks

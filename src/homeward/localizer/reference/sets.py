@@ -19,8 +19,8 @@ import numpy as np
 from scipy.linalg.lapack import dposv, dpotrf, dpotri, dtrtrs
 
 from homeward.geometry.angles import TWO_PI, wrap
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import compose, lever, sight
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.reference.labels import log_inlier, log_labels, log_outlier
 from homeward.localizer.tunables import FIT_CONVERGED, MAX_HOME_TURN
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import MIN_DISTANCE
+from homeward.geometry.statistics import ROUNDING
 from homeward.localizer.motions import CAMERA_X, NC
 from homeward.localizer.reference.factors import (
     NormalEquations,

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from homeward.drives.drive import Drive
 from homeward.io.naming import natural
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.report.canvas import new_figure, plain, style
 from homeward.runs.report.palette import BLUE, INK, MUTED, VERMILLION
 

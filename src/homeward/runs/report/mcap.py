@@ -17,10 +17,10 @@ import numpy as np
 
 from homeward.drives.drive import Drive, Truth
 from homeward.drives.images import KINDS, Images
-from homeward.drives.ros.messages.stamps import split
+from homeward.drives.ros.stamps import split
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, compose, inverse
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.runs.report.palette import (
     BLUE,
     HOUSE,

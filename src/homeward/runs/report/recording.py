@@ -14,9 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from homeward.drives.ros.messages.stamps import NANO
-from homeward.drives.ros.messages.types import typestore
-from homeward.drives.ros.writing import LogFile, writing
+from homeward.drives.ros.stamps import NANO
+from homeward.drives.ros.writing import LogFile, typestore, writing
 
 MAP = "map"
 """The home frame, in which all points are."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from homeward import core
 from homeward.geometry.angles import wrap
-from homeward.geometry.robust import GNC_SCHEDULE, robust_loss, robust_weight
+from homeward.geometry.statistics import GNC_SCHEDULE, robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import SECTORS, WINDOW, sector_of
 from homeward.vision.geometry.epipolar import (
     INLIER,

@@ -14,7 +14,7 @@ import numpy as np
 from homeward.drives.drive import Columns
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose
-from homeward.geometry.robust import robust_loss, robust_weight
+from homeward.geometry.statistics import robust_loss, robust_weight
 from homeward.vision.cameras.panoramic import WINDOW
 from homeward.vision.geometry.epipolar import INLIER
 from homeward.vision.geometry.refinement import leave_windows_out

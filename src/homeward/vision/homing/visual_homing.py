@@ -22,8 +22,9 @@ from typing import Unpack
 
 import numpy as np
 
-from homeward.drives.known import known_robot
+from homeward.drives.robot import known_robot
 from homeward.drives.settings import OdometryDefaults, Robot, noise_rates
+from homeward.errors import Restartable
 from homeward.estimator import (
     Counts,
     Estimate,
@@ -47,11 +48,9 @@ from homeward.geometry.frames import (
     polar_covariance_to_pose,
 )
 from homeward.geometry.se2 import lever, rotation
-from homeward.internal_errors import Restartable
 from homeward.io.blas_threads import single_threaded_blas
-from homeward.odometry.clock import MAX_DELAY_S, Clock
 from homeward.odometry.history import TwistHistory
-from homeward.odometry.limits import MAX_RATE
+from homeward.odometry.validity import MAX_DELAY_S, MAX_RATE, Clock
 from homeward.reasons import Rejection
 from homeward.vision.comparison import Comparison
 from homeward.vision.front_end import home_name

@@ -19,11 +19,11 @@ from homeward.drives.folder import (
     read_truth,
 )
 from homeward.drives.images import IMAGES, file_within, read_images
-from homeward.drives.one_clock import OTHER_CLOCK, require_overlap
+from homeward.drives.plausibility import OTHER_CLOCK, require_overlap
 from homeward.errors import InputError, naming_file
 from homeward.io.blas_threads import single_threaded_blas
 from homeward.io.reading import is_there, require_folder
-from homeward.odometry.dead_reckoning import dead_reckoning
+from homeward.odometry.history import dead_reckoning
 from homeward.vision.cameras.image_files import read_grey
 from homeward.vision.checks import (
     SelfOcclusion,

@@ -14,7 +14,7 @@ from homeward.drives.drive import Drive, HomeBearing, Sightings
 from homeward.drives.folder import HOME, read_home
 from homeward.drives.images import VIDEOS, Images, cameras_in, read_images
 from homeward.drives.ros.kinds import is_log
-from homeward.drives.ros.measurements.sighting_rows import DUPLICATE
+from homeward.drives.ros.measurements.sightings import DUPLICATE
 from homeward.drives.ros.reading import read_log
 from homeward.errors import InputError, naming_file
 from homeward.io.reading import is_there, naming, opened

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.cameras.lens import Lens
-from homeward.drives.ros.measurements.bearings import Sighting, TagDetector
+from homeward.drives.ros.measurements.sightings import Sighting, TagDetector
 from homeward.errors import InputError
 from homeward.io.table import quoted
 from homeward.vision.cameras.grey import as_grey

@@ -10,9 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from homeward.drives.ros.measurements.bearings import axes_of, has_bearings
-from homeward.drives.ros.measurements.sighting_rows import SightingRows
-from homeward.drives.ros.messages.presets import TRANSFORMS
+from homeward.drives.ros.measurements.sightings import SightingRows, axes_of, has_bearings
+from homeward.drives.ros.presets import TRANSFORMS
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount, OtherCamera
 from homeward.errors import InputError

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Container, Iterable
 
 from homeward.drives.ros.kinds import BEARINGS, OUR_HOME, OUR_TRUTH, POSE
-from homeward.drives.ros.messages.presets import (
+from homeward.drives.ros.presets import (
     ACKERMANN,
     ALL_SIGHTINGS,
     IMU,
@@ -21,7 +21,6 @@ from homeward.drives.ros.messages.presets import (
     TWISTS,
     WHEELS,
 )
-from homeward.drives.ros.messages.wpilib import MODULE_STATES
 from homeward.drives.ros.settings import (
     PICTURES,
     BearingsTopic,
@@ -33,6 +32,7 @@ from homeward.drives.ros.settings import (
 )
 from homeward.drives.ros.topics.by_fields import only_candidate, with_fields
 from homeward.drives.ros.topics.survey import Topic, TopicSurvey
+from homeward.drives.ros.wpilog import MODULE_STATES
 from homeward.errors import InputError
 
 CAMERA_INFO = "sensor_msgs/msg/CameraInfo"

@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from homeward.drives.one_clock import require_overlap
+from homeward.drives.plausibility import require_overlap
 from homeward.drives.ros.log import Channel, Fields, Log, Message
-from homeward.drives.ros.measurements.bearings import FIXED_FRAMES, frame_of
-from homeward.drives.ros.messages.presets import (
+from homeward.drives.ros.measurements.sightings import FIXED_FRAMES, frame_of
+from homeward.drives.ros.presets import (
     ALL_SIGHTINGS,
     IN_PARTS,
     OF_ONE_LANDMARK,
@@ -24,7 +24,8 @@ from homeward.drives.ros.messages.presets import (
     TWISTS,
     WHEELS,
 )
-from homeward.drives.ros.messages.stamps import (
+from homeward.drives.ros.settings import PICTURES, LogSettings
+from homeward.drives.ros.stamps import (
     HEADER_BYTES,
     NANO,
     ClockOffset,
@@ -33,10 +34,9 @@ from homeward.drives.ros.messages.stamps import (
     header_stamp,
     seconds,
 )
-from homeward.drives.ros.settings import PICTURES, LogSettings
 from homeward.drives.settings import DriveSettings
 from homeward.errors import InputError
-from homeward.odometry.clock import MAX_DELAY_S
+from homeward.odometry.validity import MAX_DELAY_S
 
 IS_READ = frozenset((*ALL_SIGHTINGS, *PICTURES, *TWISTS, *POSES, *WHEELS))
 """Types that are read; the fields of others are found by their names."""
@@ -134,7 +134,7 @@ class TopicSurvey:
 
     def fields(self, name: str) -> Fields:
         """Return the fields of a topic's type; `InputError` where its definition is missing."""
-        from homeward.drives.ros.messages.decoding import field_types  # the extra bags
+        from homeward.drives.ros.decoding import field_types  # the extra bags
 
         return field_types(self.channels[name])
 
@@ -155,7 +155,7 @@ def survey(
     The first messages of topics whose name or type is in `keep` are kept. `InputError` where the
     log is damaged, or a message is too short for its header.
     """
-    from homeward.drives.ros.messages.decoding import begins_with_header  # the extra bags
+    from homeward.drives.ros.decoding import begins_with_header  # the extra bags
 
     records: dict[tuple[str, str], tuple[array[int], array[int] | None]] = {}
     kept: dict[str, Message] = {}
@@ -194,7 +194,7 @@ def _tag_frames(log: Log, topics: Collection[str]) -> tuple[TagFrames, ...]:
     A set has at least `MIN_TAGS` frames in a parent that is not fixed in the world, and one of
     them moves: wheels and other parts of the robot do not.
     """
-    from homeward.drives.ros.messages.decoding import Decoder  # the extra bags
+    from homeward.drives.ros.decoding import Decoder  # the extra bags
 
     decoder = Decoder()
     first: dict[tuple[str, str, str], dict[str, Any]] = {}

@@ -14,7 +14,7 @@ from typing import Any, Generic, Literal, TypeVar, Unpack
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing
-from homeward.drives.known import Home, known_home, known_robot, known_settings
+from homeward.drives.robot import Home, known_home, known_robot, known_settings
 from homeward.drives.settings import DriveSettings, Robot, Start
 from homeward.errors import InputError, needs_start_prior
 from homeward.geometry.angles import wrap

@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 
 from homeward.drives.landmarks import KnownLandmarks
-from homeward.geometry.covariance import ROUNDING
 from homeward.geometry.se2 import compose
+from homeward.geometry.statistics import ROUNDING
 from homeward.io.naming import natural
 from homeward.io.table import quoted
 from homeward.localizer.map.bodies import Bodies, find_bodies, given_bodies

@@ -10,7 +10,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from homeward.drives.ros.kinds import BEARINGS, ODOMETRY, POSE
-from homeward.drives.ros.messages.wpilib import (
+from homeward.drives.ros.settings import PICTURES, Layout
+from homeward.drives.ros.wpilog import (
     CHASSIS_SPEEDS,
     MODULE_STATES,
     PHOTON_RESULT,
@@ -18,7 +19,6 @@ from homeward.drives.ros.messages.wpilib import (
     RAW_FIDUCIALS,
     ROBOT_ON_FIELD,
 )
-from homeward.drives.ros.settings import PICTURES, Layout
 
 Paths: TypeAlias = Mapping[str, str]
 """Paths by role."""

@@ -1,4 +1,4 @@
-"""Stamps of messages [ns], times of a drive [s], and offsets of clocks."""
+"""Stamps of messages [ns], times of a drive [s], offsets of clocks, and rows in order of time."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from fractions import Fraction
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from homeward.drives.drive import last_of_equal
+from homeward.errors import InputError
 
 if TYPE_CHECKING:
     from homeward.drives.ros.log import Message
@@ -92,3 +95,46 @@ def clock_offset(receive: np.ndarray, header: np.ndarray) -> ClockOffset:
     # A delayed message affects one delay; a clock that was set affects all following ones.
     jumps = int((np.abs(np.diff(blocks)) > JUMP_S).sum())
     return ClockOffset(float(np.median(delay)), jumps)
+
+
+NOT_FINITE = "{} with a number that is not finite, left out"
+LATE = "{} that arrived late, sorted by their stamps"
+
+
+class Remarks(dict[str, int]):
+    """Counts by description."""
+
+    def count(self, reason: str, number: int = 1) -> None:
+        """Add to the count of a description."""
+        if number:
+            self[reason] = self.get(reason, 0) + number
+
+
+def in_order(t: np.ndarray, what: str, remarks: Remarks) -> np.ndarray:
+    """Return the indices that sort times [s], shape (n,); the sort is stable."""
+    if t.size:
+        remarks.count(LATE.format(what), int((t < np.maximum.accumulate(t)).sum()))
+    return np.argsort(t, kind="stable")
+
+
+def clean_rows(
+    rows: list[tuple[float, ...]] | np.ndarray,
+    topic: str,
+    what: str,
+    repeats: str,
+    remarks: Remarks,
+) -> np.ndarray:
+    """Return finite rows (n, k) in order of time (first column [s]), the last of equal stamps.
+
+    `remarks` counts dropped rows of `what`, and equal stamps under `repeats`. `InputError` where no
+    row is left.
+    """
+    table = np.array(rows, float)
+    finite = np.isfinite(table).all(axis=1)
+    remarks.count(NOT_FINITE.format(what), int((~finite).sum()))
+    table = table[finite]
+    if not len(table):
+        raise InputError(f"no message contains {what} with finite numbers", part=topic)
+    kept = last_of_equal(table[in_order(table[:, 0], what, remarks)])
+    remarks.count(repeats, len(table) - len(kept))
+    return kept

@@ -19,10 +19,10 @@ from rosbags.typesys.base import make_typesdict
 from rosbags.typesys.idl import IDLParser
 from rosbags.typesys.store import Typestore
 
+from homeward.drives.ros import wpilog
 from homeward.drives.ros.log import Channel, Fields, one_line
-from homeward.drives.ros.messages import wpilib
-from homeward.drives.ros.messages.types import typestore
 from homeward.drives.ros.settings import PICTURES
+from homeward.drives.ros.writing import typestore
 from homeward.errors import InputError, naming_file
 from homeward.io.table import quoted
 
@@ -68,7 +68,7 @@ class Decoder:
             if len(data) > MAX_MESSAGE:
                 raise ValueError(f"{len(data)} bytes; the limit is {MAX_MESSAGE}")
             if channel.encoding == "wpilog":
-                return wpilib.decode(channel.type, bytes(data))
+                return wpilog.decode(channel.type, bytes(data))
             if channel.encoding == "ros1":
                 return self._stores[channel].deserialize_ros1(bytes(data), channel.type)
             return self._stores[channel].deserialize_cdr(bytes(data), channel.type)
@@ -92,7 +92,7 @@ class Decoder:
 def is_well_known(kind: str) -> bool:
     """Whether a type belongs to ROS or WPILib, or is read without a definition in the log."""
     return (
-        wpilib.is_plain(kind)
+        wpilog.is_plain(kind)
         or kind in typestore(False).fielddefs
         or kind in typestore(True).fielddefs
     )

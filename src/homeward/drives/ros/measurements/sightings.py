@@ -1,0 +1,376 @@
+"""Sightings in messages, by the paths of their fields, as rows of a table."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator
+from types import SimpleNamespace
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from homeward.drives.cameras.camera import sizes_of, tilt_matrix
+from homeward.drives.cameras.lens import Lens
+from homeward.drives.cameras.tag_pose import TagPose, tag_poses
+from homeward.drives.columns import UNITS, unit_in
+from homeward.drives.importers.positions import axes_by_spread
+from homeward.drives.measure import bearings
+from homeward.drives.ros.presets import (
+    ALL_SIGHTINGS,
+    ALVAR,
+    CORNERS,
+    IN_PARTS,
+    TRANSFORMS,
+    id_text,
+    values,
+)
+from homeward.drives.ros.settings import BearingsTopic, Layout, wildcard_part
+from homeward.drives.ros.stamps import Remarks
+from homeward.errors import InputError
+from homeward.geometry.frames import Pose, compose
+from homeward.io.table import is_identifier, quoted
+
+FIXED_FRAMES = ("map", "odom", "world", "earth")
+"""Frames that do not move with the robot (REP 105)."""
+
+
+class Sighting(NamedTuple):
+    """One landmark in one message."""
+
+    landmark: str
+    a: float
+    """Bearing [rad], or column [px], or distance ahead [m]."""
+    b: float = 0.0
+    """Row [px], or distance to the left [m]."""
+    up: float = 0.0
+    """Height above the camera [m], of a point in space."""
+    sigma: float = math.nan
+    """Standard deviation of the bearing [rad], or of a corner [px]."""
+    corners: tuple[tuple[float, float], ...] = ((math.nan, math.nan),) * 4
+    """Columns and rows of a tag's corners [px], in order."""
+    errors: int = 0
+    """Number of wrong bits of a tag."""
+
+
+TagDetector: TypeAlias = Callable[[Any, Lens | None], Iterator[Sighting]]
+"""Returns the tags in a message of `PICTURES`; the camera may be unknown yet."""
+
+
+def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sighting]:
+    """Yield the sightings in a message of a type; `InputError` where its lists do not match."""
+    layout = layout_of(kind, given)
+    places = values(message, layout.place)
+    ids = values(message, layout.id) if layout.id else _unnamed(message, given, layout, places)
+    extra = {
+        name: list(map(float, found))
+        for name, path in (("sigma", layout.sigma), ("errors", layout.errors))
+        if path and (found := values(message, path))
+    }
+    for path, number in ((layout.id, len(ids)), (layout.sigma, len(extra.get("sigma", places)))):
+        if number != len(places):
+            raise InputError(
+                f"a message has {number} values of {path} and {len(places)} of {layout.place}",
+            )
+    axes = _axes(message, given, layout) if layout.position else ""
+    scale = scale_of(layout)
+    for k, (name, place) in enumerate(zip(ids, places, strict=True)):
+        more: dict[str, Any] = {key: found[k] for key, found in extra.items()}
+        if layout.bearing:
+            yield Sighting(id_text(name), scale * float(place), **more)
+        elif layout.corners:
+            yield Sighting(id_text(name), 0.0, corners=_corners(place, layout.origin), **more)
+        elif layout.pixel:
+            centre = place.bbox.center
+            point = getattr(centre, "position", centre)
+            yield Sighting(_identified(name)[0], point.x, point.y)
+        else:
+            if hasattr(place, "results"):
+                name, place = _detection(place)
+            yield Sighting(id_text(name), *_ahead_left_up(place, axes))
+
+
+def _unnamed(message: Any, given: BearingsTopic, layout: Layout, places: list[Any]) -> list[Any]:
+    """Return the ids of sightings without one: the place in a list, or the name of the topic."""
+    if "[]" in layout.place:
+        return list(range(len(places)))
+    if given.frames:
+        return [landmark_of(message, given)]
+    return [given.landmark or given.topic.rstrip("/").rpartition("/")[2]]
+
+
+def _identified(found: Any) -> tuple[str, Any]:
+    """Return a detection's id of a tracker, or else its likeliest class; and that hypothesis."""
+    best = max(found.results, key=lambda result: float(_hypothesis(result).score), default=None)
+    name = getattr(found, "id", "") or getattr(found, "tracking_id", "")
+    known = _hypothesis(best)
+    return str(name or getattr(known, "class_id", getattr(known, "id", ""))), best
+
+
+def _hypothesis(result: Any) -> Any:
+    return getattr(result, "hypothesis", result)
+
+
+def _detection(found: Any) -> tuple[str, Any]:
+    """Return the id of a detection and its position, or the centre of its box without one."""
+    name, best = _identified(found)
+    position = found.bbox.center.position if best is None else best.pose.pose.position
+    is_missing = position.x == position.y == position.z == 0
+    return name, found.bbox.center.position if is_missing else position
+
+
+def scale_of(layout: Layout) -> float:
+    """Return the size of the unit of bearings [rad], according to their name."""
+    return UNITS["angle"][
+        unit_in(layout.bearing.rpartition(".")[2].removesuffix("[]"), "angle") or "rad"
+    ]
+
+
+def _corners(points: Any, origin: float) -> tuple[tuple[float, float], ...]:
+    """Return corners from four points, from eight numbers, or from fields x0 to y3."""
+    if isinstance(points, np.ndarray):
+        return tuple((x - origin, y - origin) for x, y in points.reshape(-1, 2).tolist())
+    if hasattr(points, "x0"):
+        return tuple((getattr(points, f"x{k}"), getattr(points, f"y{k}")) for k in range(4))
+    return tuple((p.x - origin, p.y - origin) for p in points)
+
+
+def layout_of(kind: str, given: BearingsTopic) -> Layout:
+    """Return the fields of landmarks in a topic: the given ones, or else those of its type."""
+    known = ALL_SIGHTINGS.get(kind, Layout())
+    return known if given.layout is None else given.layout._replace(axes=known.axes)
+
+
+def has_bearings(kind: str, given: BearingsTopic) -> bool:
+    """Whether the messages of a topic contain bearings."""
+    return bool(layout_of(kind, given).bearing)
+
+
+def has_positions(kind: str, given: BearingsTopic) -> bool:
+    """Whether the messages of a topic contain points in space."""
+    return bool(layout_of(kind, given).position)
+
+
+def parts_of(kind: str, message: Any, layout: Layout | None = None) -> Iterable[Any]:
+    """Return the parts of a message that have a header each, or else the message.
+
+    The items of a list count where the message itself has no frame or no stamp.
+    """
+    if kind in TRANSFORMS:
+        return tuple(message.transforms)
+    name = getattr(layout or ALL_SIGHTINGS.get(kind), "list_name", "")
+    outer = getattr(message, "header", None)
+    is_complete = outer is not None and bool(outer.frame_id) and _is_set(outer.stamp)
+    if not name or (kind not in IN_PARTS and is_complete):
+        return (message,)
+    parts = []
+    for item in getattr(message, name):
+        inner = getattr(getattr(item, "pose", None), "header", None)
+        headers = [h for h in (getattr(item, "header", None), inner, outer) if h is not None]
+        if not headers or headers == [outer]:
+            return (message,)
+        header = SimpleNamespace(
+            frame_id=next((h.frame_id for h in headers if h.frame_id), ""),
+            stamp=next((h.stamp for h in headers if _is_set(h.stamp)), headers[0].stamp),
+        )
+        parts.append(SimpleNamespace(header=header, **{name: [item]}))
+    return parts
+
+
+def _is_set(stamp: Any) -> bool:
+    return bool(stamp.sec or stamp.nanosec)
+
+
+def landmark_of(transform: Any, given: BearingsTopic) -> str | None:
+    """Return the landmark id of a transform; None where its frame is not a landmark."""
+    name = wildcard_part((given.frames or "").strip("/"), transform.child_frame_id.strip("/"))
+    return name and (given.landmark or name)
+
+
+def frame_of(message: Any) -> str:
+    """Return the frame_id of a message; empty without one."""
+    header = getattr(message, "header", None)
+    return str(getattr(header, "frame_id", "")).strip("/")
+
+
+def _axes(message: Any, given: BearingsTopic, layout: Layout) -> str:
+    """Return the convention of the axes of positions: of the layout, or else of the frame."""
+    frame = frame_of(message)
+    if not layout.axes and frame in FIXED_FRAMES:
+        raise InputError(
+            f"its points are in the fixed frame {frame}, so they are no bearings",
+            advice="use a topic with points in the frame of the camera",
+        )
+    return given.axes or layout.axes or axes_of(frame, given)
+
+
+def axes_of(frame: str, given: BearingsTopic) -> str:
+    """Return the given axes of a camera's frame, or else those that its name implies (REP 103)."""
+    return given.axes or ("optical" if frame.endswith(("optical_frame", "optical")) else "body")
+
+
+def _ahead_left_up(point: Any, axes: str) -> tuple[float, float, float]:
+    """Return the position of a point in the body axes of its frame [m]."""
+    return (point.x, point.y, point.z) if axes == "body" else (point.z, -point.x, -point.y)
+
+
+NOT_DECODED = 255
+"""Id of a tag that ar_track_alvar found but did not decode."""
+NO_ID = "sightings without an id, left out"
+BIT_ERRORS = "tags decoded with bit errors, left out"
+DUPLICATE = "sightings of a tag that appears twice in one image, left out"
+NOT_FINITE = (
+    "sightings that are not finite, or at the camera's position (as PhotonVision's in 2D mode), "
+    "left out"
+)
+OPTICAL_BY_DATA = (
+    "positions in {} in optical axes (x right, z ahead) according to their values, although the "
+    "name of their frame {!r} does not end in optical; add axes: body to the topic if that is wrong"
+)
+CameraOf: TypeAlias = Callable[[], Lens | None]
+"""Returns the camera, or None while it is unknown."""
+
+
+class SightingRows:
+    """The sightings of a topic, collected while a log is read."""
+
+    def __init__(
+        self,
+        given: BearingsTopic,
+        kind: str,
+        remarks: Remarks,
+        camera: CameraOf,
+        detector: TagDetector | None = None,
+    ) -> None:
+        self.given, self.kind, self._camera, self._detector = given, kind, camera, detector
+        self.in_reference = Pose(0.0, 0.0, 0.0)
+        """The camera's pose in the frame of the reference camera of all bearings [m, m, rad]."""
+        self.camera = ""
+        """Name of the camera, if its bearings are from another one than the reference camera."""
+        self._t: list[float] = []
+        self._kept: list[Sighting] = []
+        self._remarks = remarks
+
+    def __len__(self) -> int:
+        return len(self._t)
+
+    @property
+    def has_positions(self) -> bool:
+        """Whether the sightings are points in space."""
+        return has_positions(self.kind, self.given)
+
+    def add(self, t: float, message: Any) -> None:
+        """Add the message of time `t` [s]."""
+        if self._detector is None:
+            found = list(sightings_in(message, self.kind, self.given))
+        else:
+            found = list(self._detector(message, self._camera()))
+        counts = Counter(seen.landmark for seen in found)
+        for seen in found:
+            name = seen.landmark.strip()
+            values = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
+            at_camera = self.has_positions and seen.a == seen.b == 0
+            if not name or (self.kind == ALVAR and name == str(NOT_DECODED)):
+                self._remarks.count(NO_ID)
+            elif at_camera or not np.isfinite(values).all():
+                self._remarks.count(NOT_FINITE)
+            elif seen.errors:
+                self._remarks.count(BIT_ERRORS)
+            elif self.kind in CORNERS and counts[seen.landmark] > 1:
+                self._remarks.count(DUPLICATE)
+            elif not is_identifier(name):
+                raise InputError(f"{quoted(name)} is not a valid landmark id")
+            else:
+                self._t.append(t)
+                self._kept.append(seen._replace(landmark=name))
+
+    def use_axes_of_data(self, frame: str) -> None:
+        """Assume optical axes where the positions have them, unless axes are given."""
+        is_open = self.given.axes is None and layout_of(self.kind, self.given).axes != "optical"
+        if not (self.has_positions and is_open) or axes_of(frame, self.given) == "optical":
+            return
+        points = np.array([(seen.a, seen.b, seen.up) for seen in self._kept])
+        found = axes_by_spread(dict(zip("xyz", points.T, strict=True)))
+        if found is None or found.kind != "camera":
+            return
+        self.given = self.given.model_copy(update={"axes": "optical"})
+        self._kept = [seen._replace(a=seen.up, b=-seen.a, up=-seen.b) for seen in self._kept]
+        self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """Return t [s], landmark, bearing, elevation, sigma [rad] and range [m], (n,) each.
+
+        Elevation, sigma and range are NaN where unknown.
+        """
+        values = self._values()
+        is_bearing = "bearing" in values
+        found = bearings(values, None if is_bearing or self.has_positions else self._model())
+        unknown = np.full(len(self), np.nan)
+        bearing, sigma = found["bearing"], found.get("sigma", unknown)
+        if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
+            bearing = bearing + self.in_reference.heading
+        if self.given.sigma is not None:
+            sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
+        ids = np.array([seen.landmark for seen in self._kept], object)
+        columns = {"t": np.array(self._t, float), "landmark": ids}
+        columns |= {"bearing": bearing, "elevation": found.get("elevation", unknown)}
+        columns |= {"sigma": sigma, "range": found.get("range", unknown)}
+        columns["camera"] = np.full(len(ids), self.camera, object)
+        # A lens model has no ray for pixels beyond its valid range.
+        is_valid = np.isfinite(bearing)
+        self._remarks.count(NOT_FINITE, int((~is_valid).sum()))
+        return {name: values[is_valid] for name, values in columns.items()}
+
+    def _values(self) -> dict[str, np.ndarray]:
+        """Return what the messages contain, by role."""
+        rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
+        a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
+        if self.has_positions:
+            forward, left, up = self._places(a, b, up)
+            return {"forward": forward, "left": left, "up": up, "sigma": sigma}
+        if has_bearings(self.kind, self.given):
+            return {"bearing": a, "sigma": sigma}
+        if self.kind not in CORNERS:
+            return {"column": a, "row": b, "sigma": sigma}
+        tags = {"corners": self._corners(), "sigma": self._corner_sigmas()}
+        if self.given.tag_size is not None:
+            tags["size"] = sizes_of([seen.landmark for seen in self._kept], self.given.tag_size)
+        return tags
+
+    def tag_poses(self) -> dict[str, TagPose]:
+        """Return the poses of tags by id, in the frame of their camera without its tilt."""
+        names, level = [seen.landmark for seen in self._kept], {"roll": 0.0, "pitch": 0.0}
+        camera, sizes = self._model().model_copy(update=level), sizes_of(names, self.given.tag_size)
+        found = tag_poses(self._corners(), self._corner_sigmas(), sizes, camera, (0, 0))
+        return {name: pose for name, pose in zip(names, found, strict=True) if pose is not None}
+
+    def _places(
+        self, a: np.ndarray, b: np.ndarray, up: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return x, y, z [m] in the frame of the reference camera, of points in that of theirs."""
+        if self.given.roll or self.given.pitch:
+            level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
+            a, b, up = level @ np.array([a, b, up])
+        x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
+        return x, y, up
+
+    def _corner_sigmas(self) -> np.ndarray:
+        """Return the standard deviations of the corners of tags, (n,) [px]."""
+        sigma = np.array([seen.sigma for seen in self._kept], float)
+        return np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
+
+    def _corners(self) -> np.ndarray:
+        """Return the corners of tags, (n, 4, 2) [px]."""
+        return np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
+
+    def _model(self) -> Lens:
+        """Return the camera of points in an image; `InputError` where it is unknown."""
+        camera = self._camera()
+        if camera is None:
+            raise InputError(
+                "points in an image need a camera model",
+                part=self.given.topic,
+                advice="add camera to the topic in the topics file: a CameraInfo topic, "
+                "a calibration file, or the model",
+            )
+        return camera.model_copy(update=self.given.tilt)

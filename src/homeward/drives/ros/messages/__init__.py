@@ -1,1 +1,0 @@
-"""Definitions, decoding and stamps of messages."""
