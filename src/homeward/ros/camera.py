@@ -20,8 +20,8 @@ from homeward.drives.ros.measurements.extrinsics import (
     not_connected,
 )
 from homeward.drives.ros.measurements.sightings import (
+    form_of,
     frame_of,
-    has_positions,
     landmark_of,
     parts_of,
 )
@@ -304,7 +304,7 @@ class MessageCameras:
         if first is None or own is None or not number:
             return here, ""
         place, given = between(first.pose, own.pose), self.topics[number]
-        if is_one_camera(place, has_positions(self.kind, given)):
+        if is_one_camera(place, form_of(self.kind, given) == "position"):
             return place, ""
         if number not in self._named:
             self._named.add(number)

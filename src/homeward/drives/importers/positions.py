@@ -36,7 +36,8 @@ MIN_RATIO = 3.0
 MIN_SHARE = 0.9
 """Minimum share of landmarks in front of a camera."""
 ROBOT_FRAMES = re.compile("base|robot|body|chassis")
-FIXED_FRAMES = ("map", "odom", "world")
+FIXED_FRAMES = ("map", "odom", "world", "earth")
+"""Frames that do not move with the robot (REP 105)."""
 
 
 @dataclass(frozen=True)

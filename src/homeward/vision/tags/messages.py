@@ -70,11 +70,10 @@ def tag_eye(family: str) -> TagDetector:
 
     def eye(message: Any, camera: Lens | None) -> Iterator[Sighting]:
         tags = front_end.tags(picture_of(message), camera)
-        for name, corners, sigma in zip(
-            tags.names, tags.corners.tolist(), tags.sigma.tolist(), strict=True
-        ):
-            yield Sighting(name, 0.0, sigma=sigma, corners=tuple(map(tuple, corners)))
+        corners = tags.corners.reshape(-1, 8).tolist()
+        for name, values, sigma in zip(tags.names, corners, tags.sigma.tolist(), strict=True):
+            yield Sighting(name, tuple(values), sigma)
         for name in tags.twice:
-            yield from (Sighting(name, 0.0, corners=((0.0, 0.0),) * 4),) * 2
+            yield from (Sighting(name, (0.0,) * 8),) * 2
 
     return eye

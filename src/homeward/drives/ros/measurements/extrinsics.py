@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from homeward.drives.ros.measurements.sightings import SightingRows, axes_of, has_bearings
+from homeward.drives.ros.measurements.sightings import SightingRows, axes_of, form_of
 from homeward.drives.ros.presets import TRANSFORMS
 from homeward.drives.ros.settings import BearingsTopic, LogSettings, MountFrames
 from homeward.drives.settings import Mount, OtherCamera
@@ -133,13 +133,14 @@ def mount(
     roll = math.atan2(turn[2, 1], turn[2, 2])
     found = Mount(x=float(shift[0]), y=float(shift[1]), yaw=yaw)
     tilt = math.acos(np.clip(turn[2, 2], -1.0, 1.0))
-    limit = LEVEL if has_bearings(kind, given) else MAX_TILT
+    has_bearings = form_of(kind, given) == "bearing"
+    limit = LEVEL if has_bearings else MAX_TILT
     if tilt > limit:
         raise InputError(
             f"{frames.camera} is tilted by {math.degrees(tilt):.1f} deg in {frames.base}, but "
             f"{kind} allows at most {math.degrees(limit):.1f} deg"
         )
-    if has_bearings(kind, given):
+    if has_bearings:
         return found, given
     angles = {"roll": roll, "pitch": pitch}
     return found, validated(BearingsTopic, given.model_dump(exclude_none=True) | angles)
@@ -213,7 +214,7 @@ def extrinsics(
     (first, *_), mounts = cameras, [mount for mount in found if mount is not None]
     for camera, own in zip(cameras, mounts, strict=True):
         place = between(mounts[0].pose, own.pose)
-        is_exact = camera.rows.has_positions and first.rows.has_positions
+        is_exact = camera.rows.form == first.rows.form == "position"
         if is_one_camera(place, is_exact):
             camera.rows.in_reference = place
             continue

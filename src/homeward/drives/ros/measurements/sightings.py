@@ -14,12 +14,11 @@ from homeward.drives.cameras.camera import sizes_of, tilt_matrix
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose, tag_poses
 from homeward.drives.columns import UNITS, unit_in
-from homeward.drives.importers.positions import axes_by_spread
+from homeward.drives.importers.positions import FIXED_FRAMES, axes_by_spread
 from homeward.drives.measure import bearings
 from homeward.drives.ros.presets import (
     ALL_SIGHTINGS,
     ALVAR,
-    CORNERS,
     IN_PARTS,
     TRANSFORMS,
     id_text,
@@ -31,24 +30,24 @@ from homeward.errors import InputError
 from homeward.geometry.frames import Pose, compose
 from homeward.io.table import is_identifier, quoted
 
-FIXED_FRAMES = ("map", "odom", "world", "earth")
-"""Frames that do not move with the robot (REP 105)."""
+CORNER_ROLES = tuple(f"{role}{k}" for k in range(4) for role in ("column", "row"))
+ROLES = {
+    "bearing": ("bearing",),
+    "position": ("forward", "left", "up"),
+    "pixel": ("column", "row"),
+    "corners": CORNER_ROLES,
+}
+"""Roles of the values that locate a landmark, by the field of `Layout` that has them."""
 
 
 class Sighting(NamedTuple):
     """One landmark in one message."""
 
     landmark: str
-    a: float
-    """Bearing [rad], or column [px], or distance ahead [m]."""
-    b: float = 0.0
-    """Row [px], or distance to the left [m]."""
-    up: float = 0.0
-    """Height above the camera [m], of a point in space."""
+    values: tuple[float, ...]
+    """Of `ROLES`: bearing [rad], position [m], pixel [px], or corners of a tag in order [px]."""
     sigma: float = math.nan
     """Standard deviation of the bearing [rad], or of a corner [px]."""
-    corners: tuple[tuple[float, float], ...] = ((math.nan, math.nan),) * 4
-    """Columns and rows of a tag's corners [px], in order."""
     errors: int = 0
     """Number of wrong bits of a tag."""
 
@@ -76,18 +75,20 @@ def sightings_in(message: Any, kind: str, given: BearingsTopic) -> Iterator[Sigh
     scale = scale_of(layout)
     for k, (name, place) in enumerate(zip(ids, places, strict=True)):
         more: dict[str, Any] = {key: found[k] for key, found in extra.items()}
-        if layout.bearing:
-            yield Sighting(id_text(name), scale * float(place), **more)
-        elif layout.corners:
-            yield Sighting(id_text(name), 0.0, corners=_corners(place, layout.origin), **more)
-        elif layout.pixel:
+        located: tuple[float, ...]
+        if layout.pixel:
             centre = place.bbox.center
             point = getattr(centre, "position", centre)
-            yield Sighting(_identified(name)[0], point.x, point.y)
+            name, located = _identified(name)[0], (point.x, point.y)
+        elif layout.bearing:
+            located = (scale * float(place),)
+        elif layout.corners:
+            located = _corners(place, layout.origin)
         else:
             if hasattr(place, "results"):
                 name, place = _detection(place)
-            yield Sighting(id_text(name), *_ahead_left_up(place, axes))
+            located = _ahead_left_up(place, axes)
+        yield Sighting(id_text(name), located, **more)
 
 
 def _unnamed(message: Any, given: BearingsTopic, layout: Layout, places: list[Any]) -> list[Any]:
@@ -126,13 +127,13 @@ def scale_of(layout: Layout) -> float:
     ]
 
 
-def _corners(points: Any, origin: float) -> tuple[tuple[float, float], ...]:
+def _corners(points: Any, origin: float) -> tuple[float, ...]:
     """Return corners from four points, from eight numbers, or from fields x0 to y3."""
-    if isinstance(points, np.ndarray):
-        return tuple((x - origin, y - origin) for x, y in points.reshape(-1, 2).tolist())
     if hasattr(points, "x0"):
-        return tuple((getattr(points, f"x{k}"), getattr(points, f"y{k}")) for k in range(4))
-    return tuple((p.x - origin, p.y - origin) for p in points)
+        return tuple(getattr(points, f"{axis}{k}") for k in range(4) for axis in "xy")
+    if isinstance(points, np.ndarray):
+        return tuple((points - origin).ravel().tolist())
+    return tuple(value - origin for p in points for value in (p.x, p.y))
 
 
 def layout_of(kind: str, given: BearingsTopic) -> Layout:
@@ -141,14 +142,10 @@ def layout_of(kind: str, given: BearingsTopic) -> Layout:
     return known if given.layout is None else given.layout._replace(axes=known.axes)
 
 
-def has_bearings(kind: str, given: BearingsTopic) -> bool:
-    """Whether the messages of a topic contain bearings."""
-    return bool(layout_of(kind, given).bearing)
-
-
-def has_positions(kind: str, given: BearingsTopic) -> bool:
-    """Whether the messages of a topic contain points in space."""
-    return bool(layout_of(kind, given).position)
+def form_of(kind: str, given: BearingsTopic) -> str:
+    """Return the key of `ROLES` for the messages of a topic: images contain corners of tags."""
+    layout = layout_of(kind, given)
+    return next((form for form in ROLES if getattr(layout, form)), "corners")
 
 
 def parts_of(kind: str, message: Any, layout: Layout | None = None) -> Iterable[Any]:
@@ -243,6 +240,8 @@ class SightingRows:
         detector: TagDetector | None = None,
     ) -> None:
         self.given, self.kind, self._camera, self._detector = given, kind, camera, detector
+        self.form = form_of(kind, given)
+        """The key of `ROLES` for the values of the sightings."""
         self.in_reference = Pose(0.0, 0.0, 0.0)
         """The camera's pose in the frame of the reference camera of all bearings [m, m, rad]."""
         self.camera = ""
@@ -255,9 +254,8 @@ class SightingRows:
         return len(self._t)
 
     @property
-    def has_positions(self) -> bool:
-        """Whether the sightings are points in space."""
-        return has_positions(self.kind, self.given)
+    def _names(self) -> list[str]:
+        return [seen.landmark for seen in self._kept]
 
     def add(self, t: float, message: Any) -> None:
         """Add the message of time `t` [s]."""
@@ -266,17 +264,18 @@ class SightingRows:
         else:
             found = list(self._detector(message, self._camera()))
         counts = Counter(seen.landmark for seen in found)
+        has_corners = self.form == "corners"
         for seen in found:
             name = seen.landmark.strip()
-            values = seen.corners if self.kind in CORNERS else ((seen.a, seen.b),)
-            at_camera = self.has_positions and seen.a == seen.b == 0
+            located = seen.values[:2] if self.form == "position" else seen.values
+            at_camera = self.form == "position" and not any(located)
             if not name or (self.kind == ALVAR and name == str(NOT_DECODED)):
                 self._remarks.count(NO_ID)
-            elif at_camera or not np.isfinite(values).all():
+            elif at_camera or not all(map(math.isfinite, located)):
                 self._remarks.count(NOT_FINITE)
             elif seen.errors:
                 self._remarks.count(BIT_ERRORS)
-            elif self.kind in CORNERS and counts[seen.landmark] > 1:
+            elif has_corners and counts[seen.landmark] > 1:
                 self._remarks.count(DUPLICATE)
             elif not is_identifier(name):
                 raise InputError(f"{quoted(name)} is not a valid landmark id")
@@ -287,14 +286,18 @@ class SightingRows:
     def use_axes_of_data(self, frame: str) -> None:
         """Assume optical axes where the positions have them, unless axes are given."""
         is_open = self.given.axes is None and layout_of(self.kind, self.given).axes != "optical"
-        if not (self.has_positions and is_open) or axes_of(frame, self.given) == "optical":
+        is_open = is_open and self.form == "position"
+        if not is_open or axes_of(frame, self.given) == "optical":
             return
-        points = np.array([(seen.a, seen.b, seen.up) for seen in self._kept])
+        points = np.array([seen.values for seen in self._kept])
         found = axes_by_spread(dict(zip("xyz", points.T, strict=True)))
         if found is None or found.kind != "camera":
             return
         self.given = self.given.model_copy(update={"axes": "optical"})
-        self._kept = [seen._replace(a=seen.up, b=-seen.a, up=-seen.b) for seen in self._kept]
+        self._kept = [
+            seen._replace(values=(seen.values[2], -seen.values[0], -seen.values[1]))
+            for seen in self._kept
+        ]
         self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
 
     def columns(self) -> dict[str, np.ndarray]:
@@ -303,15 +306,15 @@ class SightingRows:
         Elevation, sigma and range are NaN where unknown.
         """
         values = self._values()
-        is_bearing = "bearing" in values
-        found = bearings(values, None if is_bearing or self.has_positions else self._model())
+        in_image = self.form in ("pixel", "corners")
+        found = bearings(values, self._model() if in_image else None)
         unknown = np.full(len(self), np.nan)
         bearing, sigma = found["bearing"], found.get("sigma", unknown)
-        if not self.has_positions and self.in_reference.heading:  # otherwise unchanged
+        if self.form != "position" and self.in_reference.heading:  # otherwise unchanged
             bearing = bearing + self.in_reference.heading
         if self.given.sigma is not None:
             sigma = np.where(np.isnan(sigma), self.given.sigma, sigma)
-        ids = np.array([seen.landmark for seen in self._kept], object)
+        ids = np.array(self._names, object)
         columns = {"t": np.array(self._t, float), "landmark": ids}
         columns |= {"bearing": bearing, "elevation": found.get("elevation", unknown)}
         columns |= {"sigma": sigma, "range": found.get("range", unknown)}
@@ -322,46 +325,37 @@ class SightingRows:
         return {name: values[is_valid] for name, values in columns.items()}
 
     def _values(self) -> dict[str, np.ndarray]:
-        """Return what the messages contain, by role."""
-        rows = [(seen.a, seen.b, seen.up, seen.sigma) for seen in self._kept]
-        a, b, up, sigma = np.array(rows, float).reshape(-1, 4).T
-        if self.has_positions:
-            forward, left, up = self._places(a, b, up)
-            return {"forward": forward, "left": left, "up": up, "sigma": sigma}
-        if has_bearings(self.kind, self.given):
-            return {"bearing": a, "sigma": sigma}
-        if self.kind not in CORNERS:
-            return {"column": a, "row": b, "sigma": sigma}
-        tags = {"corners": self._corners(), "sigma": self._corner_sigmas()}
-        if self.given.tag_size is not None:
-            tags["size"] = sizes_of([seen.landmark for seen in self._kept], self.given.tag_size)
-        return tags
+        """Return what the messages contain, by role; points in the frame of the reference camera.
+
+        Corners are (n, 4, 2), with the standard deviation and the size of each tag.
+        """
+        roles = ROLES[self.form]
+        rows = np.array([(*seen.values, seen.sigma) for seen in self._kept], float)
+        *located, sigma = rows.reshape(-1, len(roles) + 1).T
+        found = dict(zip(roles, located, strict=True)) | {"sigma": sigma}
+        if self.form == "position":
+            places = np.array(located)
+            if self.given.roll or self.given.pitch:
+                places = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0) @ places
+            place = Pose(places[0], places[1], np.zeros_like(sigma))
+            found["forward"], found["left"], _ = compose(self.in_reference, place)
+            found["up"] = places[2]
+        if self.form == "corners":
+            sigma = np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
+            found = {"corners": np.stack(located, axis=1).reshape(-1, 4, 2), "sigma": sigma}
+            if self.given.tag_size is not None:
+                found["size"] = sizes_of(
+                    [seen.landmark for seen in self._kept], self.given.tag_size
+                )
+        return found
 
     def tag_poses(self) -> dict[str, TagPose]:
         """Return the poses of tags by id, in the frame of their camera without its tilt."""
-        names, level = [seen.landmark for seen in self._kept], {"roll": 0.0, "pitch": 0.0}
-        camera, sizes = self._model().model_copy(update=level), sizes_of(names, self.given.tag_size)
-        found = tag_poses(self._corners(), self._corner_sigmas(), sizes, camera, (0, 0))
+        names, values = self._names, self._values()
+        camera = self._model().model_copy(update={"roll": 0.0, "pitch": 0.0})
+        sizes = values.get("size", np.full(len(names), np.nan))
+        found = tag_poses(values["corners"], values["sigma"], sizes, camera, (0, 0))
         return {name: pose for name, pose in zip(names, found, strict=True) if pose is not None}
-
-    def _places(
-        self, a: np.ndarray, b: np.ndarray, up: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return x, y, z [m] in the frame of the reference camera, of points in that of theirs."""
-        if self.given.roll or self.given.pitch:
-            level = tilt_matrix(self.given.roll or 0.0, self.given.pitch or 0.0)
-            a, b, up = level @ np.array([a, b, up])
-        x, y, _ = compose(self.in_reference, Pose(a, b, np.zeros_like(a)))
-        return x, y, up
-
-    def _corner_sigmas(self) -> np.ndarray:
-        """Return the standard deviations of the corners of tags, (n,) [px]."""
-        sigma = np.array([seen.sigma for seen in self._kept], float)
-        return np.where(np.isnan(sigma), self.given.pixel_sigma, sigma)
-
-    def _corners(self) -> np.ndarray:
-        """Return the corners of tags, (n, 4, 2) [px]."""
-        return np.array([seen.corners for seen in self._kept], float).reshape(-1, 4, 2)
 
     def _model(self) -> Lens:
         """Return the camera of points in an image; `InputError` where it is unknown."""

@@ -12,9 +12,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from homeward.drives.importers.positions import FIXED_FRAMES
 from homeward.drives.plausibility import require_overlap
 from homeward.drives.ros.log import Channel, Fields, Log, Message
-from homeward.drives.ros.measurements.sightings import FIXED_FRAMES, frame_of
+from homeward.drives.ros.measurements.sightings import frame_of
 from homeward.drives.ros.presets import (
     ALL_SIGHTINGS,
     IN_PARTS,
