@@ -443,12 +443,12 @@ def unit_of(columns: Sequence[str]) -> str | None:
     return units.pop()
 
 
-def long(raw: Table, columns: dict[str, str], t: np.ndarray | None) -> Table:
-    """Return a table with a row for each sighting of a wide one, with its times `t` (n,) if any.
+def long(raw: Table, landmarks: Sequence[str]) -> Table:
+    """Return a table with a row for each sighting of one with columns 0, 1, ... of landmarks.
 
     `InputError` where a row has two bearings of exactly 0, which mark landmarks out of view.
     """
-    values = np.stack([raw[name] for name in columns.values()], axis=1)
+    values, t = np.stack([raw[str(k)] for k in range(len(landmarks))], axis=1), raw.columns.get("t")
     twice = np.flatnonzero((values == 0).sum(axis=1) > 1)
     if twice.size:
         advice = "leave the cells of landmarks out of view empty"
@@ -456,7 +456,7 @@ def long(raw: Table, columns: dict[str, str], t: np.ndarray | None) -> Table:
         raise InputError(problem, raw.file, number, advice=advice)
     seen = np.isfinite(values) if t is None else np.isfinite(values) & np.isfinite(t)[:, None]
     row, column = np.nonzero(seen)
-    cells = {"landmark": np.array(list(columns), object)[column], "bearing": values[row, column]}
+    cells = {"landmark": np.array(landmarks, object)[column], "bearing": values[row, column]}
     if t is not None:
         cells["t"] = t[row]
     return Table(raw.file, raw.row[row], cells)

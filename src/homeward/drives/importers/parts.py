@@ -14,7 +14,6 @@ from homeward.drives.columns import (
     UNITS,
     Column,
     long,
-    value_of,
     words_in,
 )
 from homeward.drives.folder import sorted_by_time
@@ -27,10 +26,10 @@ from homeward.drives.importers.positions import (
     POSITION_ROLES,
     Axes,
 )
-from homeward.drives.importers.sheet import Sheet, names, number_parser, time_parser
+from homeward.drives.importers.sheet import Sheet
 from homeward.drives.wheel_columns import base_of, guessed_unit
 from homeward.errors import InputError
-from homeward.io.table import Parser, Table, read_csv
+from homeward.io.table import Table
 from homeward.odometry.validity import MAX_SPEED, TWIST_VALIDITY_S
 
 UNIX_S = (1e9, 4.1e9)
@@ -162,33 +161,21 @@ class Part:
 
     def _plain(self) -> tuple[Table, int]:
         """Read a table with a row for each sample; return it with the number of incomplete rows."""
-        raw = self.raw()
-        values = {role: value_of(raw, column) for role, column in self.columns.items()}
+        raw = self.sheet.values(self.columns)
         needed = [role for role in self.columns if role not in OPTIONAL["bearings"]]
-        given = np.stack([_has_value(values[role]) for role in needed])
+        given = np.stack([_has_value(raw[role]) for role in needed])
         complete, partial = given.all(axis=0), given.any(axis=0)
         if partial.any() and not complete.any():
             raise InputError(f"no row has values for all of {', '.join(needed)}", raw.file)
-        kept = {role: column[complete] for role, column in values.items()}
         # In a file with several tables, each has its own rows.
         missing = int((partial & ~complete).sum()) if self.is_alone else 0
-        return Table(raw.file, raw.row[complete], kept), missing
+        return raw.rows(np.asarray(complete)), missing
 
     def _spread(self) -> Table:
         """Read a table with a column for each landmark."""
-        raw, t = self.raw(), self.columns.get("t")
-        return long(raw, self.wide, None if t is None else value_of(raw, t))
-
-    def raw(self) -> Table:
-        """Read the columns in their own units."""
-        comma = self.sheet.decimal_comma
-        kinds = {"name": names, "time": time_parser(comma)}
-        parsers: dict[str, Parser] = dict.fromkeys(self.wide.values(), number_parser(comma))
-        for column in self.columns.values():
-            if not (self.wide and column.role in ("landmark", "bearing")):
-                parser = kinds.get(column.quantity, number_parser(comma))
-                parsers |= dict.fromkeys((column.name, *column.more), parser)
-        return read_csv(self.sheet.path, parsers, form=self.sheet.form)
+        t = {role: column for role, column in self.columns.items() if role == "t"}
+        wide = {str(k): Column("bearing", name) for k, name in enumerate(self.wide.values())}
+        return long(self.sheet.values(wide | t), list(self.wide))
 
 
 def _unit(table: Table, column: Column, clock: str | None, angle: str | None) -> tuple[str, str]:

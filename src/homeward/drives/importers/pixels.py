@@ -17,19 +17,17 @@ import numpy as np
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.columns import (
     KINDS,
-    ROLES,
     Column,
     assigned,
-    value_of,
     words_in,
 )
-from homeward.drives.importers.sheet import Sheet, names, number_parser
+from homeward.drives.importers.sheet import Sheet
 from homeward.drives.measure import bearings
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.errors import InputError
 from homeward.io.naming import listing
 from homeward.io.settings import validated
-from homeward.io.table import Parser, Table, quoted, read_csv
+from homeward.io.table import Table, quoted
 
 POINT = ("column", "row")
 CORNERS = tuple(f"{role}{k}" for k in range(4) for role in POINT)
@@ -317,15 +315,10 @@ def _are_pixels(one: Sheet, columns: Mapping[str, Column], cameras: Calibrations
 
 def _read(one: Sheet, columns: Mapping[str, Column]) -> Table:
     """Read the columns of pixels and intrinsics, and the names of cameras, by role."""
-    used = {r: c for r, c in columns.items() if ROLES[r][0] == "pixel"}
-    parsers: dict[str, Parser] = dict.fromkeys(
-        (name for c in used.values() for name in (c.name, *c.more)),
-        number_parser(one.decimal_comma),
-    )
-    named = {"camera": columns["camera"].name} if "camera" in columns else {}
-    raw = read_csv(one.path, parsers | dict.fromkeys(named.values(), names), form=one.form)
-    by_role = {role: c.sign * value_of(raw, c) for role, c in used.items()}
-    return replace(raw, columns=by_role | {role: raw[name] for role, name in named.items()})
+    used = {r: c for r, c in columns.items() if c.quantity == "pixel" or r == "camera"}
+    raw = one.values(used)
+    signed = {r: raw[r] if r == "camera" else c.sign * raw[r] for r, c in used.items()}
+    return replace(raw, columns=signed)
 
 
 def _by_camera(values: Mapping[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:

@@ -13,10 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from homeward.drives.columns import KINDS, UNITS, Column, assigned, matches, words_in
-from homeward.drives.importers.sheet import Sheet, names, number_parser
+from homeward.drives.importers.sheet import Sheet
 from homeward.drives.measure import bearings
 from homeward.errors import InputError
-from homeward.io.table import quoted, read_csv
+from homeward.io.table import quoted
 
 AXES: Mapping[str, Mapping[str, str]] = {
     "camera": {"right": "x", "forward": "z"},
@@ -123,17 +123,16 @@ def with_axes(
     """
     by_axis = {r: c for r, c in columns.items() if r in (*POSITION_ROLES, "up", *"xyz")}
     frame = next((name for name in one.names if _is_frame(name)), None)
-    parsers = dict.fromkeys((c.name for c in by_axis.values()), number_parser(one.decimal_comma))
-    raw = read_csv(one.path, parsers | ({frame: names} if frame else {}), form=one.form)
-    by_axis = _with_units(by_axis, [raw[column.name] for column in by_axis.values()])
+    raw = one.values(by_axis | ({"frame": Column("landmark", frame)} if frame else {}))
+    by_axis = _with_units(by_axis, [raw[axis] for axis in by_axis])
     others = {role: column for role, column in columns.items() if role not in by_axis}
     if "forward" in by_axis:
         is_specified = by_axis["forward"].is_specified
         axes = Axes("", "axes as specified" if is_specified else "axes as named")
         return others | {r: c for r, c in by_axis.items() if r not in AXIS_ROLES}, axes
-    frames = {str(f).strip("/").lower() for f in raw[frame]} - {""} if frame else set()
+    frames = {str(f).strip("/").lower() for f in raw.columns.get("frame", ())} - {""}
     values = {
-        axis: c.sign * UNITS["length"][c.unit or "m"] * raw[c.name] for axis, c in by_axis.items()
+        axis: c.sign * UNITS["length"][c.unit or "m"] * raw[axis] for axis, c in by_axis.items()
     }
     axes = _axes_of(values, by_axis, frames, kind, like, one)
     roles = {role: replace(by_axis[axis], role=role) for role, axis in AXES[axes.kind].items()}

@@ -21,7 +21,6 @@ from homeward.drives.columns import (
     recognised,
     times_in,
     unit_of,
-    value_of,
     words_in,
 )
 from homeward.drives.importers.parts import Part
@@ -39,10 +38,9 @@ from homeward.drives.importers.positions import (
     position_columns,
     with_axes,
 )
-from homeward.drives.importers.sheet import Sheet, names
+from homeward.drives.importers.sheet import Sheet
 from homeward.drives.wheel_columns import SIDES
 from homeward.errors import InputError
-from homeward.io.table import read_csv
 
 Found: TypeAlias = "dict[str, Column] | None"
 """The columns of a table by role; None where there is none."""
@@ -196,10 +194,10 @@ def _odometry_columns(one: Sheet, mine: Sequence[Column], has_wheels: bool) -> F
 
 def _belong_to_robot(one: Sheet, poses: dict[str, Column], landmark: Column) -> bool:
     """Whether poses along with sightings are those of the robot: the same for all at one time."""
-    raw = Part(one, "truth", {**poses, "landmark": landmark}).raw()
-    rows = np.isfinite(raw[poses["x"].name]) & (raw[landmark.name] != "")
+    raw = one.values({**poses, "landmark": landmark})
+    rows = np.isfinite(raw["x"]) & (raw["landmark"] != "")
     by_time: dict[float, set[tuple[float, float]]] = {}
-    columns = (value_of(raw, poses[role])[rows].tolist() for role in "txy")
+    columns = (raw[role][rows].tolist() for role in "txy")
     for stamp, x, y in zip(*columns, strict=True):
         by_time.setdefault(stamp, set()).add((x, y))
     is_repeated = not rows.any() or len(by_time) < rows.sum()
@@ -244,7 +242,7 @@ def _unambiguous(columns: Callable[[], Found]) -> Found:
 
 def _has_landmarks(one: Sheet, landmark: Column) -> bool:
     """Whether a column has several ids in several rows each, so that positions are landmarks'."""
-    ids = read_csv(one.path, {landmark.name: names}, form=one.form)[landmark.name]
+    ids = one.values({"landmark": landmark})["landmark"]
     seen = [name for name in ids.tolist() if name]
     return 1 < len(set(seen)) < len(seen)
 
@@ -339,8 +337,8 @@ def _landmark_ids(parts: Sequence[Part], others: Sequence[Sheet]) -> set[str]:
     known, seen = set[str](), set[str]()
     for part in parts:
         if part.kind in ("home", "bearings"):
-            name, one = part.columns["landmark"].name, part.sheet
-            ids = set(read_csv(one.path, {name: names}, form=one.form)[name].tolist()) - {""}
+            by_role = part.sheet.values({"landmark": part.columns["landmark"]})
+            ids = set(by_role["landmark"].tolist()) - {""}
             seen |= ids
             known |= ids if part.kind == "home" else set()
     rows = {one: times_in(one.names, ()) is None and one.one_row for one in others}

@@ -8,7 +8,7 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from itertools import pairwise
@@ -16,16 +16,18 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.columns import Column, is_unit
+from homeward.drives.columns import Column, is_unit, value_of
 from homeward.errors import InputError
 from homeward.io.reading import naming, opened
 from homeward.io.table import (
     Form,
     Parser,
+    Table,
     array_in,
     identifiers,
     numbers_or_nan,
     quoted,
+    read_csv,
     text_lines,
     with_values,
 )
@@ -228,6 +230,18 @@ class Sheet:
     def numbers(self) -> dict[str, str]:
         """Names of the columns by number, in a file without a header."""
         return {str(k): name for k, name in enumerate(self.names, 1)} if self.headless else {}
+
+    def values(self, columns: Mapping[str, Column]) -> Table:
+        """Read columns, combined with their `more`, in their own units, by the same keys."""
+        kinds = {"name": names, "time": time_parser(self.decimal_comma)}
+        numbers = number_parser(self.decimal_comma)
+        parsers: dict[str, Parser] = {
+            name: kinds.get(column.quantity, numbers)
+            for column in columns.values()
+            for name in (column.name, *column.more)
+        }
+        raw = read_csv(self.path, parsers, form=self.form)
+        return replace(raw, columns={key: value_of(raw, c) for key, c in columns.items()})
 
     def specified(self, columns: Sequence[Column]) -> list[Column]:
         """Return the specified `columns` of this file, with the names in it."""
