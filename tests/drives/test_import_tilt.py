@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 
 from homeward.drives.folder import read_folder
 from homeward.drives.importers.reading import drive_of, understand
+from homeward.drives.measure import NOISIER, TAN_ELEVATION, UNRELIABLE
 from homeward.drives.opening import open_drive, save_drive
-from homeward.drives.tilt import NOISIER, TAN_ELEVATION, UNRELIABLE
 from homeward.errors import InputError
 
 PLACES = {"high": (2.0, 1.0, 1.5), "level": (2.0, -1.0, 0.0), "low": (1.5, 2.0, -0.5)}

@@ -8,8 +8,7 @@ import pytest
 from homeward.drives.columns import words_in
 from homeward.drives.importers.reading import drive_of, understand
 from homeward.drives.settings import Wheels
-from homeward.drives.wheel_columns import wheel_roles
-from homeward.drives.wheels import WRAPPED
+from homeward.drives.wheels import WRAPPED, wheel_roles
 from homeward.errors import InputError
 
 T = np.arange(0.0, 30.0, 0.1)

@@ -5,8 +5,8 @@ import math
 import pytest
 from scipy.spatial.transform import Rotation
 
+from homeward.drives.measure import TAN_ELEVATION, UNRELIABLE
 from homeward.drives.settings import DriveSettings
-from homeward.drives.tilt import TAN_ELEVATION, UNRELIABLE
 from homeward.live import messages as msg
 from homeward.live.levelling import NO_TILT
 from homeward.live.session import Session

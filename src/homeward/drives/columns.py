@@ -10,9 +10,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from homeward.drives.wheel_columns import MODULES, WHAT, wheel_roles
-from homeward.drives.wheel_columns import ROLES as WHEELS
-from homeward.drives.wheels import FOUR, OMNI
+from homeward.drives.wheels import FOUR, MODULES, OMNI, WHAT, wheel_roles
+from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 from homeward.io.table import Table
 

@@ -186,7 +186,7 @@ def with_calibration(drive: Drive, robot: RobotSettings | None = None) -> Drive:
         remarks[DELAY_REMOVED.format(late)] = sightings.t.size
         sightings = dataclasses.replace(sightings, t=sightings.t - late)
     if drive.tilt is not None:
-        from homeward.drives.tilt import levelled  # few drives need it
+        from homeward.drives.measure import levelled  # few drives need it
 
         sightings = levelled(sightings, drive.tilt, settings, remarks)
     return dataclasses.replace(

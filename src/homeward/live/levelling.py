@@ -7,8 +7,8 @@ from collections import Counter, deque
 
 import numpy as np
 
+from homeward.drives.measure import MAX_TILT, UNRELIABLE, level
 from homeward.drives.settings import DriveSettings
-from homeward.drives.tilt import MAX_TILT, UNRELIABLE, level
 from homeward.live.messages import BearingsIn, TiltIn
 
 MAX_AGE_S = 0.5

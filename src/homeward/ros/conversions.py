@@ -17,12 +17,12 @@ from scipy.spatial.transform import Rotation
 
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.cameras.tag_pose import TagPose
+from homeward.drives.measure import roll_and_pitch
 from homeward.drives.ros.measurements.extrinsics import BODY_IN_OPTICAL
 from homeward.drives.ros.measurements.sightings import SightingRows, TagDetector
 from homeward.drives.ros.presets import MOTIONS, NAV_ODOMETRY, row_of
 from homeward.drives.ros.settings import BearingsTopic
 from homeward.drives.ros.stamps import NANO, Remarks, seconds
-from homeward.drives.tilt import roll_and_pitch
 from homeward.errors import InputError
 from homeward.estimator import Status
 from homeward.geometry.angles import wrap

@@ -7,7 +7,7 @@ import pytest
 from drives.ros.build import odometry, point, stamps
 from scipy.spatial.transform import Rotation
 
-from homeward.drives.tilt import TAN_ELEVATION
+from homeward.drives.measure import TAN_ELEVATION
 
 PLACES = {"high": (2.0, 1.0, 1.5), "level": (2.0, -1.0, 0.0), "behind": (-1.0, 2.0, -0.5)}
 """Positions of landmarks in the level frame at the camera, along the robot's axes [m]."""

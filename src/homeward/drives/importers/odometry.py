@@ -13,16 +13,18 @@ from homeward.drives.importers.parts import ImportedColumn
 from homeward.drives.measure import motion, with_yaw_rate
 from homeward.drives.plausibility import remark_other_units
 from homeward.drives.settings import Wheels
-from homeward.drives.wheel_columns import MODULES, accumulates, base_of
-from homeward.drives.wheel_columns import ROLES as WHEELS
 from homeward.drives.wheels import (
     FOUR,
+    MODULES,
     OMNI,
     PAIR,
+    accumulates,
+    base_of,
     missing_geometry,
     of_wheels,
     wheel_speeds,
 )
+from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 from homeward.io.table import Table
 from homeward.odometry.validity import MAX_SPEED

@@ -27,7 +27,7 @@ from homeward.drives.importers.positions import (
     Axes,
 )
 from homeward.drives.importers.sheet import Sheet
-from homeward.drives.wheel_columns import base_of, guessed_unit
+from homeward.drives.wheels import base_of, guessed_unit
 from homeward.errors import InputError
 from homeward.io.table import Table
 from homeward.odometry.validity import MAX_SPEED, TWIST_VALIDITY_S

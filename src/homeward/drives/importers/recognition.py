@@ -39,7 +39,7 @@ from homeward.drives.importers.positions import (
     with_axes,
 )
 from homeward.drives.importers.sheet import Sheet
-from homeward.drives.wheel_columns import SIDES
+from homeward.drives.wheels import SIDES
 from homeward.errors import InputError
 
 Found: TypeAlias = "dict[str, Column] | None"

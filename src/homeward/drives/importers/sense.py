@@ -10,7 +10,7 @@ from homeward.drives.drive import Drive, Odometry
 from homeward.drives.importers.parts import ImportedColumn
 from homeward.drives.importers.pixels import PIXEL_ROLES
 from homeward.drives.senses import UNDECIDED, Sense, SenseTest, compare_senses, senses_of
-from homeward.drives.wheel_columns import ROLES as WHEELS
+from homeward.drives.wheels import ROLES as WHEELS
 from homeward.errors import InputError
 
 LATERAL = ("bearing", "left", "right")

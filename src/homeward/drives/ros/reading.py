@@ -19,6 +19,7 @@ from homeward.drives.folder import (
     sightings_of,
 )
 from homeward.drives.home.when import with_home
+from homeward.drives.measure import roll_and_pitch
 from homeward.drives.robot import with_calibration
 from homeward.drives.ros.decoding import Decoder
 from homeward.drives.ros.kinds import OUR_SETTINGS
@@ -57,7 +58,6 @@ from homeward.drives.settings import (
     RobotSettings,
     Wheels,
 )
-from homeward.drives.tilt import roll_and_pitch
 from homeward.errors import InputError, naming_file
 from homeward.geometry.frames import Pose
 from homeward.io.settings import parse_settings, read_settings
