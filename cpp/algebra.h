@@ -19,6 +19,7 @@ using Flags = Array<const bool>;
 
 using Matrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 using Vector = Eigen::VectorXd;
+using Indices = std::vector<Eigen::Index>;
 template <int rows, int columns>
 using Fixed = Eigen::Matrix<double, rows, columns, columns == 1 ? Eigen::ColMajor : Eigen::RowMajor>;
 using Vector3 = Fixed<3, 1>;

@@ -64,7 +64,26 @@ struct Step {
   Vector shared;
 };
 
-// Normal equations with all poses but the newest eliminated: reference.window.Elimination.
+// Consecutive poses, eliminated. Their tail are the unknowns with which they are coupled: the poses before and after
+// them, and some of the shared unknowns.
+struct Chain {
+  Chain() = default;
+  Chain(const Equations &e, size_t begin, size_t end, const Indices &shared);
+  // Subtract their Schur complement from equations without them, of which the pose before them is the i-th.
+  void subtract_from(const Equations &e, size_t i) const;
+  void whiten(Eigen::Ref<Matrix> gradients) const;  // their own rows of gradients or steps, as Elimination
+  void substitute(Eigen::Ref<Matrix> steps) const;
+  size_t begin = 0;
+  Indices tail;  // among all unknowns
+  Matrix rows;   // the inverse of their factor times their blocks with the tail
+
+ private:
+  std::vector<Matrix3> factors_, following_;
+};
+
+// Normal equations with all poses but the newest eliminated: reference.window.Elimination. In a long window, each pose
+// saw few of the landmarks. So segments are eliminated first, each with the landmarks that it saw; then the poses
+// between them, which have all landmarks from then on. The oldest pose, which has them by the prior, is one of these.
 struct Elimination {
   explicit Elimination(const Equations &e);
   Step solve() const;
@@ -77,9 +96,11 @@ struct Elimination {
   Matrix whitened;  // own gradient, a column
 
  private:
-  size_t older_, n_;  // numbers of unknowns: of eliminated poses; of the newest one and shared ones
-  Matrix rows_;
-  std::vector<Matrix3> factors_, following_;
+  static constexpr size_t SEGMENT = 24;  // poses from one that is kept to the next; in short windows all are kept
+  size_t n_;  // number of unknowns: of the newest pose and shared ones
+  std::vector<Chain> segments_;
+  Indices rest_;  // where the others are among all unknowns
+  Chain chain_;
   Eigen::LLT<Eigen::MatrixXd> factor_;
 };
 

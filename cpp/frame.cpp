@@ -8,7 +8,6 @@ namespace homeward {
 namespace {
 
 using Square = Eigen::MatrixXd;
-using Indices = std::vector<Eigen::Index>;
 using Mask = std::vector<bool>;
 
 // Constants of localizer/tunables.py.

@@ -1,80 +1,160 @@
 // The window, solved by Gauss-Newton: the text to read is reference/window.py.
 #include <algorithm>
 #include <limits>
+#include <numeric>
 #include <vector>
 
 #include "equations.h"
 
 namespace homeward {
-Elimination::Elimination(const Equations &e)
-    : older_(3 * (e.w - 1)), n_(3 + e.a), rows_(Matrix::Zero(older_, n_ + 1)), factors_(e.w - 1), following_(e.w - 1) {
-  const size_t w = e.w, a = e.a;
-  Matrix information(n_, n_);
-  information.topLeftCorner(3, 3) = e.own_of(w - 1);
-  information.topRightCorner(3, a) = e.shared_of(w - 1);
-  information.bottomLeftCorner(a, 3) = information.topRightCorner(3, a).transpose();
-  information.bottomRightCorner(a, a) = e.common_all();
-  Vector gradient(n_);
-  gradient << e.slope_of(w - 1), e.common_slope_all();
-  // Of each eliminated pose: the inverse of its factor times its blocks with the newest pose and the shared
-  // unknowns (n), and its gradient (1). All rows together have one product at the end.
-  Matrix3 block = e.own_of(0);
-  for (size_t k = 0; k + 1 < w; k++) {
+Chain::Chain(const Equations &e, size_t begin, size_t end, const Indices &shared)
+    : begin(begin), factors_(end - begin), following_(end - begin) {
+  for (size_t at = begin ? 3 * (begin - 1) : 0; at < 3 * (end + 1); at++)
+    if (at < 3 * begin || at >= 3 * end) tail.push_back(at);
+  const size_t head = tail.size(), n = head + shared.size();
+  for (Eigen::Index at : shared) tail.push_back(3 * e.w + at);
+  rows = Matrix::Zero(3 * (end - begin), n);
+  if (begin == end) return;
+  if (begin) rows.topLeftCorner<3, 3>() = e.next_of(begin - 1).transpose();
+  rows.block<3, 3>(rows.rows() - 3, head - 3) += e.next_of(end - 1);
+  Matrix3 block = e.own_of(begin);
+  for (size_t k = begin, i = 0; k < end; k++, i++) {
     const Eigen::LLT<Eigen::Matrix3d> llt{Eigen::Matrix3d(block)};
     if (llt.info() != Eigen::Success) throw std::domain_error("a pose is not determined");
-    auto row = rows_.middleRows<3>(3 * k);
-    row.block(0, 3, 3, a) += e.shared_of(k);
-    row.col(n_) += e.slope_of(k);
+    auto row = rows.middleRows<3>(3 * i);
+    const auto all = e.shared_of(k);
+    for (size_t c = head; c < n; c++) row.col(c) += all.col(shared[c - head]);
     const Eigen::Matrix3d lower = llt.matrixL(), coupling = e.next_of(k);
-    factors_[k] = lower;
-    following_[k] = lower.triangularView<Eigen::Lower>().solve(coupling);
-    const bool last = k + 2 == w;
-    if (last) row.leftCols(3) = coupling;
-    factors_[k].triangularView<Eigen::Lower>().solveInPlace(row);
-    if (last) break;
-    block = e.own_of(k + 1) - following_[k].transpose() * following_[k];
-    rows_.middleRows<3>(3 * (k + 1)).noalias() -= following_[k].transpose().lazyProduct(row);
+    factors_[i] = lower;
+    factors_[i].triangularView<Eigen::Lower>().solveInPlace(row);
+    if (k + 1 == end) break;
+    following_[i] = lower.triangularView<Eigen::Lower>().solve(coupling);
+    rows.middleRows<3>(3 * (i + 1)).noalias() -= following_[i].transpose().lazyProduct(row);
+    block = e.own_of(k + 1) - following_[i].transpose() * following_[i];
   }
-  if (w > 1) {  // of matrices without rows, Eigen divides by zero
-    information.selfadjointView<Eigen::Lower>().rankUpdate(rows_.leftCols(n_).transpose(), -1.0);
-    gradient.noalias() -= rows_.leftCols(n_).transpose() * rows_.col(n_);
+}
+
+void Chain::subtract_from(const Equations &e, size_t i) const {
+  const size_t n = rows.cols();
+  Matrix taken = Matrix::Zero(n, n);
+  taken.selfadjointView<Eigen::Lower>().rankUpdate(rows.transpose(), -1.0);
+  e.own_of(i) += taken.block<3, 3>(0, 0), e.own_of(i + 1) += taken.block<3, 3>(3, 3);
+  e.next_of(i) += taken.block<3, 3>(3, 0).transpose();
+  for (size_t c = 6; c < n; c++) {
+    const size_t at = tail[c] - tail[6];  // the calibration is first
+    e.shared_of(i).col(at) += taken.block<1, 3>(c, 0).transpose();
+    e.shared_of(i + 1).col(at) += taken.block<1, 3>(c, 3).transpose();
+    for (size_t d = 6; d <= c; d++) e.common[e.a * at + (tail[d] - tail[6])] += taken(c, d);
   }
-  factor_.compute(information);  // only the lower half is used
+}
+
+void Chain::whiten(Eigen::Ref<Matrix> gradients) const {
+  for (size_t i = 0; i < factors_.size(); i++) {
+    auto row = gradients.middleRows<3>(3 * i);
+    factors_[i].triangularView<Eigen::Lower>().solveInPlace(row);
+    if (i + 1 < factors_.size())
+      gradients.middleRows<3>(3 * (i + 1)).noalias() -= following_[i].transpose().lazyProduct(row);
+  }
+}
+
+void Chain::substitute(Eigen::Ref<Matrix> steps) const {
+  for (size_t i = factors_.size(); i-- > 0;) {
+    auto row = steps.middleRows<3>(3 * i);
+    if (i + 1 < factors_.size()) row.noalias() -= following_[i].lazyProduct(steps.middleRows<3>(3 * (i + 1)));
+    factors_[i].transpose().triangularView<Eigen::Upper>().solveInPlace(row);
+  }
+}
+
+namespace {
+
+// Shared unknowns with which poses are coupled: the calibration, and the landmarks that they saw.
+Indices coupled(const Equations &e, size_t begin, size_t end) {
+  Eigen::RowVectorXd sum = Eigen::RowVectorXd::Zero(e.a);
+  for (size_t k = begin; k < end; k++) sum += e.shared_of(k).cwiseAbs().colwise().sum();
+  Indices found;
+  for (size_t at = 0; at < e.a; at++)
+    if (at < NC || sum[at] != 0.0) found.push_back(at);
+  return found;
+}
+
+}  // namespace
+
+Elimination::Elimination(const Equations &e) : n_(3 + e.a) {
+  std::vector<size_t> kept;
+  for (size_t k = 0; k + 1 < e.w; k += e.w > 2 * SEGMENT ? SEGMENT : 1) kept.push_back(k);
+  kept.push_back(e.w - 1);
+  const size_t last = kept.size() - 1;
+  OwnEquations rest(last + 1, e.a);
+  rest.common_all() = e.common_all();
+  for (size_t i = 0; i <= last; i++) {
+    const size_t k = kept[i];
+    for (int c = 0; c < 3; c++) rest_.push_back(3 * k + c);
+    rest.own_of(i) += e.own_of(k), rest.shared_of(i) += e.shared_of(k);
+    if (i == last) break;
+    if (kept[i + 1] == k + 1) {
+      rest.next_of(i) = e.next_of(k);
+      continue;
+    }
+    segments_.emplace_back(e, k + 1, kept[i + 1], coupled(e, k + 1, kept[i + 1]));
+    segments_.back().subtract_from(rest, i);
+  }
+  Indices all(e.a);
+  std::iota(all.begin(), all.end(), 0);
+  for (Eigen::Index at : all) rest_.push_back(3 * e.w + at);
+  chain_ = Chain(rest, 0, last, all);
+  Matrix information(n_, n_);  // only the lower half is used
+  information.topLeftCorner(3, 3) = rest.own_of(last);
+  information.bottomLeftCorner(e.a, 3) = rest.shared_of(last).transpose();
+  information.bottomRightCorner(e.a, e.a) = rest.common_all();
+  // Of matrices without rows, Eigen divides by zero.
+  if (last) information.selfadjointView<Eigen::Lower>().rankUpdate(chain_.rows.transpose(), -1.0);
+  factor_.compute(information);
   if (factor_.info() != Eigen::Success) throw std::domain_error("not positive definite");
-  whitened.resize(older_ + n_, 1);
-  whitened << rows_.col(n_), factor_.matrixL().solve(gradient);
+  whitened.resize(3 * e.w + e.a, 1);
+  whitened << Eigen::Map<const Vector>(e.slope, 3 * e.w), e.common_slope_all();
+  whiten(whitened);
 }
 
 void Elimination::whiten(Matrix &gradients) const {
-  for (size_t k = 0; k < older_; k += 3) {
-    auto row = gradients.middleRows<3>(k);
-    factors_[k / 3].triangularView<Eigen::Lower>().solveInPlace(row);
-    if (k + 3 < older_) gradients.middleRows<3>(k + 3).noalias() -= following_[k / 3].transpose().lazyProduct(row);
+  for (const Chain &segment : segments_) {
+    auto own = gradients.middleRows(3 * segment.begin, segment.rows.rows());
+    segment.whiten(own);
+    gradients(segment.tail, Eigen::all) -= segment.rows.transpose() * own;
   }
-  Eigen::MatrixXd tail = gradients.bottomRows(n_);
-  if (older_) tail.noalias() -= rows_.leftCols(n_).transpose() * gradients.topRows(older_);
+  Matrix rest = gradients(rest_, Eigen::all);
+  auto older = rest.topRows(chain_.rows.rows());
+  chain_.whiten(older);
+  Eigen::MatrixXd tail = rest.bottomRows(n_);
+  if (older.rows()) tail.noalias() -= chain_.rows.transpose() * older;
   factor_.matrixL().solveInPlace(tail);
-  gradients.bottomRows(n_) = tail;
+  rest.bottomRows(n_) = tail;
+  gradients(rest_, Eigen::all) = rest;
 }
 
 void Elimination::substitute(Matrix &steps, bool all) const {
-  Eigen::MatrixXd tail = steps.bottomRows(n_);
+  Matrix rest = steps(rest_, Eigen::all);
+  auto older = rest.topRows(chain_.rows.rows());
+  Eigen::MatrixXd tail = rest.bottomRows(n_);
   factor_.matrixU().solveInPlace(tail);
-  steps.bottomRows(n_) = tail;
-  if (!all || !older_) return;
-  steps.topRows(older_).noalias() -= rows_.leftCols(n_) * tail;
-  for (size_t k = older_; k > 0;) {
-    k -= 3;
-    auto row = steps.middleRows<3>(k);
-    if (k + 3 < older_) row.noalias() -= following_[k / 3].lazyProduct(steps.middleRows<3>(k + 3));
-    factors_[k / 3].transpose().triangularView<Eigen::Upper>().solveInPlace(row);
+  rest.bottomRows(n_) = tail;
+  if (all && older.rows()) {
+    older.noalias() -= chain_.rows * tail;
+    chain_.substitute(older);
+  }
+  steps(rest_, Eigen::all) = rest;
+  if (!all) return;
+  for (const Chain &segment : segments_) {
+    auto own = steps.middleRows(3 * segment.begin, segment.rows.rows());
+    own.noalias() -= segment.rows * steps(segment.tail, Eigen::all);
+    segment.substitute(own);
   }
 }
 
 Step Elimination::solve() const {
   Matrix steps = whitened;
   substitute(steps, true);
-  return {Eigen::Map<Matrix>(steps.data(), older_ / 3 + 1, 3), steps.bottomRows(n_ - 3)};
+  const Eigen::Index a = n_ - 3;
+  return {Eigen::Map<Matrix>(steps.data(), (steps.rows() - a) / 3, 3), steps.bottomRows(a)};
 }
 
 Matrix Elimination::covariance() const {

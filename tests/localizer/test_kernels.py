@@ -57,8 +57,23 @@ def test_preintegration_is_that_of_the_reference(twists, begin, duration, lags):
     assert moving == pytest.approx(expected_moving)
 
 
+LONG = 48
+"""Windows with more poses are eliminated in segments by the compiled core."""
+
+
+def random_size(rng):
+    """A number of poses, landmarks and frames: of a short window, or of a long one."""
+    if rng.random() < 0.3:
+        w = int(rng.integers(LONG - 2, 3 * LONG))
+        return w, int(rng.integers(1, w // 4)), int(rng.integers(w // 2, 2 * w))
+    return int(rng.integers(2, 12)), int(rng.integers(1, 9)), int(rng.integers(1, 20))
+
+
 def random_window(rng, w, n, f):
-    """Poses, shared unknowns, motions, and bearings from f frames in a window."""
+    """Poses, shared unknowns, motions, and bearings from f frames in a window.
+
+    In a long one, the robot drives past the landmarks, which are in view one after the other.
+    """
     poses = np.cumsum(rng.normal(0.0, 0.3, (w, 3)), axis=0)
     shared = np.concatenate([rng.normal(0.0, 0.02, NC), rng.normal(0.0, 4.0, 2 * n)])
     steps = rng.normal(0.0, 0.1, (w - 1, STEP))
@@ -68,13 +83,16 @@ def random_window(rng, w, n, f):
     pose = np.sort(rng.integers(0, w, f))
     m = 3 * f
     frame = np.sort(rng.integers(0, f, m))
+    landmark = rng.integers(0, n, m)
+    if w > LONG:
+        landmark = (pose[frame] * n // w + landmark % 3) % n
     sigmas = rng.uniform(0.002, 0.02, m)
     seen = SightedFrom(
         rng.uniform(-3.0, 3.0, m),
         sigmas,
         sigmas * rng.uniform(1.0, 3.0, m),
         frame,
-        rng.integers(0, n, m),
+        landmark,
         pose,
         rng.normal(0.0, 0.2, (f, 3)),
         rng.normal(0.0, 0.5, (f, 3, NC)),
@@ -104,8 +122,8 @@ def random_problem(rng, w, n, f):
 @pytest.mark.parametrize("seed", range(20))
 def test_the_window_is_built_and_solved_as_by_the_reference(seed):
     rng = np.random.default_rng(seed)
-    w, n = int(rng.integers(1, 12)) if seed else 1, int(rng.integers(0, 9))
-    given, add_more = random_problem(rng, w, n, int(rng.integers(1, 20)) if n else 0)
+    size = [(1, 0, 0), (1, 5, 2), (7, 0, 0)][seed] if seed < 3 else random_size(rng)
+    given, add_more = random_problem(rng, *size)
     more = add_more if seed % 2 else None
     both = kernels.linearised(given, more), window.linearised(given, more)
     for part in ("seen", "motions"):
@@ -212,8 +230,7 @@ def unknown(rng, given, j, blocks, in_motions):
 @pytest.mark.parametrize("seed", range(20))
 def test_a_window_is_extended_as_by_the_reference(seed):
     rng = np.random.default_rng(seed)
-    w, n = int(rng.integers(2, 12)) if seed else 1, int(rng.integers(1, 9))
-    given, _ = random_problem(rng, w, n, int(rng.integers(1, 20)))
+    given, _ = random_problem(rng, *(random_size(rng) if seed else (1, 4, 9)))
     more = unknown(rng, given, *rng.integers(1, 5, 2).tolist(), seed % 2)
     for module in (kernels, extension):
         assert module.extend(window.linearised(given), more).absorbed == ()
