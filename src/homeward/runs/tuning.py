@@ -21,7 +21,7 @@ from homeward.drives.drive import Drive, Odometry, Sightings, Truth
 from homeward.drives.robot import as_recorded, given_keys, with_calibration
 from homeward.drives.settings import DriveSettings, OdometryNoise, RobotSettings
 from homeward.errors import HomewardError, InputError
-from homeward.geometry.covariance import ROUNDING
+from homeward.geometry.statistics import ROUNDING
 from homeward.io.settings import nested, validated
 from homeward.localizer.localizer import Localizer
 from homeward.runs.calibration import Estimates, as_keys, combined, estimates
