@@ -345,7 +345,7 @@ class SharedPlace:
     def _compared(self, visit: LiveVisit, now: float) -> LiveVisit:
         """Return a visit with its claims; those that it had before, at the same position, stay.
 
-        What it saw of a landmark before this changed in the place is out of date.
+        Its sightings of a landmark from before a change of the place are out of date.
         """
         before, claims = visit.claims or {}, None
         changed = self._changed_at
