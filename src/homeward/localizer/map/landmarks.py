@@ -7,6 +7,7 @@ from collections import deque
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from heapq import nlargest
+from statistics import median
 
 import numpy as np
 
@@ -264,16 +265,16 @@ class Landmarks:
         self.mapped[name].last = last
         rows[:, LANDMARK] = self.mapped[name].number
         self.smoother.add_sightings(rows)
-        directions = self.smoother.cameras(rows)[0][:, 2] + rows[:, BEARING]
+        directions = self.smoother.cameras(rows)[:, 2] + rows[:, BEARING]
         for line in directions.tolist():
             self.mapped[name].count_sighting(line)
         return True
 
     def _fit_range_mixture(self, name: str, rows: np.ndarray, sigmas: np.ndarray) -> None:
         """Fit a range mixture to a candidate that cannot be triangulated, if its lines agree."""
-        eyes = self.smoother.cameras(rows)[0]
+        eyes = self.smoother.cameras(rows)
         mapped = np.hypot(*(self.smoother.state.positions - eyes[-1, :2]).T)
-        scale = float(np.median(mapped)) if mapped.size else math.nan
+        scale = float(median(mapped.tolist() or [math.nan]))
         now = self.smoother.state.covariance[:3, :3]
         seen = range_mixture(eyes, rows[:, BEARING], sigmas, now, scale)
         if seen is not None:
@@ -308,12 +309,12 @@ class Landmarks:
             return None
         ranges = rows[:, LOG_RANGE:].copy()
         ranges[:, 0] -= self.smoother.range_scale
-        eyes, sigmas = self.smoother.cameras(rows)[0], self._line_sigmas(rows)
+        eyes, sigmas = self.smoother.cameras(rows), self._line_sigmas(rows)
         return place_by_ranges(eyes, rows[:, BEARING], sigmas, ranges)
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position and inlier sightings of a landmark, if the baseline is long enough."""
-        eyes = self.smoother.cameras(rows)[0]
+        eyes = self.smoother.cameras(rows)
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
         if base < BASELINE * math.sqrt(sum(self.smoother.shift_variances[since:])):
@@ -329,7 +330,7 @@ class Landmarks:
         old = table[table[:, LANDMARK] == landmark.number]
         both, places = np.vstack([old, rows]), np.vstack([self.positions([name]), position])
         sigmas = np.concatenate([old[:, SIGMA], self._line_sigmas(rows)])
-        off = unexplained(self.smoother.cameras(both)[0], both[:, BEARING], sigmas, places)
+        off = unexplained(self.smoother.cameras(both), both[:, BEARING], sigmas, places)
         before, since = off[:, : len(old)].sum(axis=1), off[:, len(old) :].sum(axis=1)
         if landmark.established:  # then no other position explains the marginalised ones
             before[1:] += landmark.sightings - len(old)
@@ -454,7 +455,7 @@ class Landmarks:
 
     def _residuals(self, rows: np.ndarray, places: np.ndarray) -> np.ndarray:
         """Return the absolute residuals (k, m) of m sightings for each of k positions [rad]."""
-        expected = sight(self.smoother.cameras(rows)[0], places[:, None]).bearing
+        expected = sight(self.smoother.cameras(rows), places[:, None]).bearing
         return np.asarray(np.abs(wrap(rows[:, BEARING] - expected)))
 
     def _line_sigmas(self, rows: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from homeward.geometry.angles import wrap
-from homeward.geometry.se2 import MIN_DISTANCE, sight
+from homeward.geometry.se2 import MIN_DISTANCE, compose, sight
 from homeward.localizer import kernels
 from homeward.localizer.inputs.bearing_noise import CorrelatedErrors
 from homeward.localizer.map.all_landmarks import AllLandmarks
@@ -260,19 +260,14 @@ class Smoother:
         """Return the indices in the state of landmarks with these ids, shape (m,)."""
         return np.asarray(self.ids.searchsorted(ids))
 
-    def cameras(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the camera's poses at rows of the table, (m, 3), and Jacobians (m, 3, 13)."""
-        return self._cameras(rows, self.poses, self.state.calibration)
-
-    def _cameras(
-        self, rows: np.ndarray, poses: np.ndarray, calibration: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the same at poses (w, 3) of the keyframes and a calibration (10,)."""
-        frame = rows[:, FRAME].astype(int)
-        begin = int(frame.min(initial=self.frames.next))
-        some = self.frames.between(begin, int(frame.max(initial=begin - 1)) + 1)
-        eyes, by_head = some.eyes(poses[some.keyframes - self.first], calibration)
-        return eyes[frame - begin], by_head[frame - begin]
+    def cameras(self, rows: np.ndarray) -> np.ndarray:
+        """Return the camera's poses at rows of the table, (m, 3)."""
+        frames, frame = self.frames, rows[:, FRAME].astype(int) - self.frames.first
+        begin = int(frame.min(initial=len(frames.free)))
+        some = slice(begin, int(frame.max(initial=begin - 1)) + 1)
+        camera = frames.free[some] + frames.jacobians[some] @ self.state.calibration
+        eyes = compose(self.poses[frames.keyframes[some] - self.first], camera)
+        return np.asarray(eyes[frame - begin])
 
     def add_keyframe(self, t: float, motion: Motion, inlier_ratios: np.ndarray = NO_TAIL) -> None:
         """Add a keyframe at `t` [s], reached by `motion` from the last one; propagate the state.
@@ -556,12 +551,14 @@ class Smoother:
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""
         rows = self.sightings
-        seen = sight(self.cameras(rows)[0], self.state.positions[self.index(rows[:, LANDMARK])])
+        seen = sight(self.cameras(rows), self.state.positions[self.index(rows[:, LANDMARK])])
         return np.asarray(wrap(rows[:, BEARING] - seen.bearing))
 
     def range_deviations(self, since: int) -> np.ndarray:
         """Return the residuals of ranges from keyframe `since` on, (m,) [standard deviations]."""
-        rows = self.sightings if self.range_ratio else self.sightings[:0]
+        if not self.range_ratio:
+            return np.zeros(0)
+        rows = self.sightings
         rows = rows[(rows[:, RANGE_SIGMA] > 0.0) & (rows[:, KEYFRAME] >= since)]
         residual, _ = self._range_residuals(rows, self.poses, self.state.mean[3:])
         return np.asarray(residual / range_sigmas(rows))
@@ -638,7 +635,11 @@ class Smoother:
         self, rows: np.ndarray, poses: np.ndarray, shared: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return residuals of ranges and their Jacobian; see `range_residuals`."""
-        cameras = self._cameras(rows, poses, shared[:NC])
+        frame = rows[:, FRAME].astype(int)
+        begin = int(frame.min(initial=self.frames.next))
+        some = self.frames.between(begin, int(frame.max(initial=begin - 1)) + 1)
+        eyes, by_head = some.eyes(poses[some.keyframes - self.first], shared[:NC])
+        cameras = eyes[frame - begin], by_head[frame - begin]
         positions = shared[NC:].reshape(-1, 2)[self.index(rows[:, LANDMARK])]
         scale = self.range_ratio * float(shared[SPEED_SCALE]), self.range_ratio
         return range_residuals(rows, cameras, positions, *scale)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from statistics import median
 
 import numpy as np
 
@@ -217,7 +218,7 @@ def range_mixture(
     weights = np.exp(cost.min() - cost)
     along = np.stack([np.cos(directions), np.sin(directions)], axis=1)
     across = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    swing = np.median(sigmas) ** 2 + covariance[2, 2]
+    swing = median(sigmas.tolist()) ** 2 + covariance[2, 2]
     apart = (0.5 * math.log(ratio)) ** 2
     return RangeMixture(
         places=cameras[-1, :2] + distances[:, None] * along,

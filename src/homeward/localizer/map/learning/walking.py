@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -123,6 +124,7 @@ def walking_probabilities(found: Walks) -> tuple[np.ndarray, np.ndarray]:
         walking[best] = not walking[best]
 
 
+@cache
 def log_prior_of_walkers(n: int) -> np.ndarray:
     """Return the log prior (n + 1,) of a set of 0, 1, ... n walking landmarks among n.
 
