@@ -10,8 +10,9 @@ import json
 import math
 import random
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 
@@ -63,6 +64,15 @@ class Line(NamedTuple):
 
     now: float
     what: dict[str, Any] | str
+
+    @property
+    def sample(self) -> dict[str, Any]:
+        """The message of a line of `_samples`."""
+        assert not isinstance(self.what, str)
+        return self.what
+
+    def with_values(self, values: dict[str, Any]) -> Self:
+        return self._replace(what=self.sample | values)
 
 
 Lines = list[Line]
@@ -259,11 +269,8 @@ def _legs(chance: random.Random) -> list[tuple[float, Twist]]:
 def _samples(lines: Lines, kind: str = "") -> list[int]:
     """Return the indices of samples, of one kind if given."""
     kinds = (kind,) if kind else ("odometry", "bearings")
-    return [
-        i
-        for i, (_, what) in enumerate(lines)
-        if not isinstance(what, str) and what["type"] in kinds
-    ]
+    whats = enumerate(line.what for line in lines)
+    return [i for i, what in whats if not isinstance(what, str) and what["type"] in kinds]
 
 
 def _some(chance: random.Random, indices: list[int], share: float) -> list[int]:
@@ -279,7 +286,7 @@ def _swapped(lines: Lines, chance: random.Random, share: float) -> Lines:
     for a, b in itertools.pairwise(indices):
         if chance.random() < share:
             first, second = lines[a], lines[b]
-            lines[a], lines[b] = Line(first.now, second.what), Line(second.now, first.what)
+            lines[a], lines[b] = second._replace(now=first.now), first._replace(now=second.now)
     return lines
 
 
@@ -288,11 +295,9 @@ def _late(lines: Lines, chance: random.Random, share: float) -> Lines:
     moved = set(_some(chance, _samples(lines), share))
     rest = [(float(i), line) for i, line in enumerate(lines) if i not in moved]
     rest += [(i + chance.choice([1.5, 5.5, 30.5, 200.5]), lines[i]) for i in moved]
-    made, now = [], -math.inf
-    for _, line in sorted(rest, key=lambda each: each[0]):
-        now = max(now, line.now)
-        made.append(Line(now, line.what))
-    return made
+    lines = [line for _, line in sorted(rest, key=lambda each: each[0])]
+    nows = itertools.accumulate((line.now for line in lines), max)
+    return [line._replace(now=now) for line, now in zip(lines, nows, strict=True)]
 
 
 def _doubled(lines: Lines, chance: random.Random, share: float) -> Lines:
@@ -317,31 +322,23 @@ def _changed_samples(
     def changed_lines(lines: Lines, chance: random.Random, share: float) -> Lines:
         lines = lines.copy()
         for i in _some(chance, _samples(lines, kind), share):
-            now, what = lines[i]
-            assert not isinstance(what, str)
-            lines[i] = Line(now, what | change(what, chance))
+            lines[i] = lines[i].with_values(change(lines[i].sample, chance))
         return lines
 
     return changed_lines
 
 
 def _odd_numbers(what: dict[str, Any], chance: random.Random) -> dict[str, Any]:
-    number = _chosen(chance, NUMBERS)
+    number = partial(chance.choice, NUMBERS)
     if what["type"] == "odometry":
         pose = {"pose": [number(), number(), number()]} if chance.random() < 0.3 else {}
         return {chance.choice(["v", "omega"]): number(), **pose}
     names = [*what["bearings"], "unseen"]
     key = chance.choice(["bearings", "bearings", "sigmas", "ranges", "range_sigmas"])
-    odd = {
-        n: abs(number()) if key != "bearings" else number()
-        for n in names[: chance.choice([1, 3, 99])]
-    }
+    odd = {n: number() for n in names[: chance.choice([1, 3, 99])]}
+    if key != "bearings":
+        odd = {n: abs(value) for n, value in odd.items()}
     return {key: what.get(key, {}) | odd}
-
-
-def _chosen(chance: random.Random, values: list[float]) -> Callable[[], float]:
-    """Return a function that chooses one of some values."""
-    return lambda: chance.choice(values)
 
 
 def _odd_ids(what: dict[str, Any], chance: random.Random) -> dict[str, Any]:
@@ -367,13 +364,11 @@ def _rounded(lines: Lines, chance: random.Random, share: float) -> Lines:
     step = chance.choice([0.005, 0.02, math.radians(1.0), 0.3])
     lines = lines.copy()
     for i in _samples(lines, "bearings"):
-        now, what = lines[i]
-        assert not isinstance(what, str)
         seen = {
             n: step * round(b / step) if math.isfinite(b) else b
-            for n, b in what["bearings"].items()
+            for n, b in lines[i].sample["bearings"].items()
         }
-        lines[i] = Line(now, what | {"bearings": seen})
+        lines[i] = lines[i].with_values({"bearings": seen})
     return lines
 
 
@@ -381,14 +376,10 @@ def _frozen(lines: Lines, chance: random.Random, share: float) -> Lines:
     """Repeat the bearings of earlier frames of the camera, all or some of them."""
     lines, indices = lines.copy(), _samples(lines, "bearings")
     for i in _some(chance, indices, 3.0 * share):
-        now, what = lines[i]
-        assert not isinstance(what, str)
-        other = lines[
-            chance.choice(indices[max(0, indices.index(i) - 6) : indices.index(i) + 1])
-        ].what
-        assert not isinstance(other, str)
-        kept = {n: b for n, b in other["bearings"].items() if chance.random() < 0.8}
-        lines[i] = Line(now, what | {"bearings": what["bearings"] | kept})
+        k = indices.index(i)
+        other = lines[chance.choice(indices[max(0, k - 6) : k + 1])].sample["bearings"]
+        kept = {n: b for n, b in other.items() if chance.random() < 0.8}
+        lines[i] = lines[i].with_values({"bearings": lines[i].sample["bearings"] | kept})
     return lines
 
 
@@ -397,10 +388,7 @@ def _equal_stamps(lines: Lines, chance: random.Random, share: float) -> Lines:
     lines, indices = lines.copy(), _samples(lines, chance.choice(["odometry", "bearings", ""]))
     for before, i in itertools.pairwise(indices):
         if chance.random() < 2.0 * share:
-            what, other = lines[i].what, lines[before].what
-            assert not isinstance(what, str)
-            assert not isinstance(other, str)
-            lines[i] = Line(lines[i].now, what | {"t": other["t"]})
+            lines[i] = lines[i].with_values({"t": lines[before].sample["t"]})
     return lines
 
 
@@ -412,16 +400,14 @@ def _clock_steps(lines: Lines, chance: random.Random, share: float) -> Lines:
         step, begin = chance.choice(STEPS_S), chance.randrange(len(indices))
         number = chance.choice([1, 3, 10, len(indices)])
         for i in indices[begin : begin + number]:
-            now, what = lines[i]
-            assert not isinstance(what, str)
-            lines[i] = Line(now, what | {"t": what["t"] + step})
+            lines[i] = lines[i].with_values({"t": lines[i].sample["t"] + step})
     return lines
 
 
 def _with_requests(lines: Lines, chance: random.Random, share: float) -> Lines:
     """Insert messages other than samples, with odd numbers in some."""
     made: Lines = []
-    number = _chosen(chance, NUMBERS)
+    number = partial(chance.choice, NUMBERS)
     for line in lines:
         made.append(line)
         if chance.random() < 0.3 * share:
