@@ -1,6 +1,7 @@
 """ROS 1 and ROS 2 logs, with home bearings in a home.csv."""
 
 from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -42,13 +43,13 @@ def log_of(
             rows.append((0.0, None))
             for t, row in sorted(rows, key=lambda r: (r[0], r[1] is not None)):
                 stamp = EPOCH * NANO + round(t * NANO)
-                made = (
-                    first(log, stamp)
-                    if row is None
-                    else tags(log, stamp, row)
-                    if isinstance(row, Seen)
-                    else twists(log, stamp, row)
-                )
+                match row:
+                    case None:
+                        made = first(log, stamp)
+                    case Seen():
+                        made = tags(log, stamp, row)
+                    case _:
+                        made = twists(log, stamp, row)
                 for topic, message in made.items():
                     log.write(topic, stamp, message)
 
@@ -114,20 +115,30 @@ def tag_messages(
     name: str,
     file: str,
     topic: str,
-    fields: Callable[[Seen, Any], dict[str, Any]],
     topics: str = HOME,
+    of: Callable[[Seen], list[tuple[Any, Any]]] = optical,
     camera: bool = False,
+    **fields: Callable[[Any, Any, Any], Any],
 ) -> None:
-    """Register a log with messages of a type; `fields` makes one from landmarks and a header."""
+    """Register a log with messages of a type.
+
+    `fields` are lists with an item for each tag, made of a header, the id, and the pose or what
+    else `of` gives.
+    """
     package, kind_ = name.split("/")
     name = f"{package}/msg/{kind_}"
     types = {name: DEFINITIONS[name]} if name in DEFINITIONS else {}
 
     def files(s: Sample) -> Files:
         def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-            header = log.header(stamp, OPTICAL)
-            own = {"header": header} if "header" in dict(log._store.fielddefs[name][1]) else {}
-            return {topic: log.make(name, **own, **fields(seen, header))}
+            header, found = log.header(stamp, OPTICAL), of(seen)
+            own: dict[str, Any] = (
+                {"header": header} if "header" in dict(log._store.fielddefs[name][1]) else {}
+            )
+            for k, made in fields.items():
+                items = [made(header, *tag) for tag in found]
+                own[k] = np.array(items) if isinstance(items[0], int) else items
+            return {topic: log.make(name, **own)}
 
         first = camera_info if camera else lambda log, stamp: {}
         return {file: log_of(s, s.seen.ahead, tags, types, first=first), "topics.yaml": topics}
@@ -147,119 +158,106 @@ def camera_info(log: LogFile, stamp: int) -> Messages:
     return {"/camera/camera_info": info}
 
 
-def pixels(seen: Seen) -> list[tuple[int, float, float]]:
-    """Return ids, columns and rows of tags in the image [px]."""
-    return [(i, CX - FX * b, CY) for i, b in zip(seen.id.tolist(), seen.bearing, strict=True)]
+def pixels(seen: Seen) -> list[tuple[int, dict[str, float]]]:
+    """Return the ids of tags and their places in the image [px]."""
+    columns = CX - FX * seen.bearing
+    return [(i, {"x": u, "y": CY}) for i, u in zip(seen.id.tolist(), columns, strict=True)]
 
 
-def square(u: float, v: float) -> list[dict[str, float]]:
+def square(at: dict[str, float]) -> list[dict[str, float]]:
     """Return corners round a pixel, as AprilTag 3 counts them."""
-    return [{"x": u + x + 0.5, "y": v + y + 0.5} for x, y in ((-2, 2), (2, 2), (2, -2), (-2, -2))]
+    offsets = (-1.5, 2.5), (2.5, 2.5), (2.5, -1.5), (-1.5, -1.5)
+    return [{"x": at["x"] + x, "y": at["y"] + y} for x, y in offsets]
 
 
 tag_messages(
     "aruco_opencv_msgs/ArucoDetection",
     "log.mcap",
     "/aruco_detections",
-    lambda seen, h: {"markers": [{"marker_id": i, "pose": p} for i, p in optical(seen)]},
+    markers=lambda h, i, p: {"marker_id": i, "pose": p},
 )
 tag_messages(
     "ros2_aruco_interfaces/ArucoMarkers",
     "log.db3",
     "/aruco_markers",
-    lambda seen, h: {"marker_ids": seen.id, "poses": [p for _, p in optical(seen)]},
+    marker_ids=lambda h, i, p: i,
+    poses=lambda h, i, p: p,
 )
 tag_messages(
     "aruco_msgs/MarkerArray",
     "log.bag",
     "/aruco_marker_publisher/markers",
-    lambda seen, h: {
-        "markers": [
-            {"id": i, "pose": {"pose": p, "covariance": np.zeros(36)}} for i, p in optical(seen)
-        ]
-    },
+    markers=lambda h, i, p: {"id": i, "pose": {"pose": p, "covariance": np.zeros(36)}},
 )
 tag_messages(
     "ar_track_alvar_msgs/AlvarMarkers",
     "log.bag",
     "/ar_pose_marker",
-    lambda seen, h: {
-        "markers": [{"header": h, "id": i, "pose": {"pose": p}} for i, p in optical(seen)]
-    },
+    markers=lambda h, i, p: {"header": h, "id": i, "pose": {"pose": p}},
 )
 tag_messages(
     "apriltags_ros/AprilTagDetectionArray",
     "log.bag",
     "/tag_detections",
-    lambda seen, h: {
-        "detections": [
-            {"id": i, "size": 0.16, "pose": {"header": h, "pose": p}} for i, p in optical(seen)
-        ]
-    },
+    detections=lambda h, i, p: {"id": i, "size": 0.16, "pose": {"header": h, "pose": p}},
 )
 tag_messages(
     "apriltag_ros/AprilTagDetectionArray",
     "log.bag",
     "/tag_detections",
-    lambda seen, h: {
-        "detections": [
-            {
-                "id": np.array([i], np.int32),
-                "size": np.array([0.16]),
-                "pose": {"header": h, "pose": {"pose": p, "covariance": np.zeros(36)}},
-            }
-            for i, p in optical(seen)
-        ]
+    detections=lambda h, i, p: {
+        "id": np.array([i], np.int32),
+        "size": np.array([0.16]),
+        "pose": {"header": h, "pose": {"pose": p, "covariance": np.zeros(36)}},
     },
+)
+tag_messages(
+    "isaac_ros_apriltag_interfaces/AprilTagDetectionArray",
+    "log.db3",
+    "/tag_detections",
+    detections=lambda h, i, p: {"id": i, "pose": {"header": h, "pose": {"pose": p}}},
+)
+tag_messages(
+    "vision_msgs/Detection3DArray",
+    "log.mcap",
+    "/objects",
+    detections=lambda h, i, p: {"header": h, "id": str(i), "bbox": {"center": p}},
 )
 tag_messages(
     "fiducial_msgs/FiducialTransformArray",
     "log.bag",
     "/fiducial_transforms",
-    lambda seen, h: {
-        "transforms": [
-            {
-                "fiducial_id": i,
-                "transform": {"translation": p["position"], "rotation": p["orientation"]},
-            }
-            for i, p in optical(seen)
-        ]
+    transforms=lambda h, i, p: {
+        "fiducial_id": i,
+        "transform": {"translation": p["position"], "rotation": p["orientation"]},
     },
 )
 tag_messages(
     "apriltag_msgs/AprilTagDetectionArray",
     "log.db3",
     "/detections",
-    lambda seen, h: {
-        "detections": [
-            {
-                "family": "36h11",
-                "id": i,
-                "centre": {"x": u, "y": v},
-                "corners": square(u, v),
-                "homography": np.zeros(9),
-            }
-            for i, u, v in pixels(seen)
-        ]
-    },
     HOME + "bearings: {topic: /detections, pixel_sigma: 1.0}\n",
+    pixels,
     camera=True,
+    detections=lambda h, i, p: {
+        "family": "36h11",
+        "id": i,
+        "centre": p,
+        "corners": square(p),
+        "homography": np.zeros(9),
+    },
 )
 tag_messages(
     "vision_msgs/Detection2DArray",
     "log.mcap",
     "/detections",
-    lambda seen, h: {
-        "detections": [
-            {
-                "header": h,
-                "id": str(i),
-                "bbox": {"center": {"position": {"x": u, "y": v}}, "size_x": 4.0, "size_y": 4.0},
-            }
-            for i, u, v in pixels(seen)
-        ]
-    },
+    of=pixels,
     camera=True,
+    detections=lambda h, i, p: {
+        "header": h,
+        "id": str(i),
+        "bbox": {"center": {"position": p}, "size_x": 4.0, "size_y": 4.0},
+    },
 )
 
 
@@ -299,10 +297,13 @@ def _(s: Sample) -> Files:
     return {"log.mcap": log_of(s, s.seen.ahead, tags, first=first), "topics.yaml": HOME}
 
 
-def tag_list(log: LogFile, stamp: int, seen: Seen, frame: str = OPTICAL) -> Any:
+def tag_list(
+    log: LogFile, stamp: int, seen: Seen, topic: str = "/tags", frame: str = OPTICAL
+) -> Messages:
     """Return a message of a type of one's own."""
     tags = [log.make("my_msgs/msg/Tag", tag_id=i, pose=pose) for i, pose in optical(seen)]
-    return log.make("my_msgs/msg/TagList", header=log.header(stamp, frame), tags=tags)
+    header = log.header(stamp, frame)
+    return {topic: log.make("my_msgs/msg/TagList", header=header, tags=tags)}
 
 
 TAG_LIST = {
@@ -313,17 +314,12 @@ TAG_LIST = {
 
 @kind("positions in a type of one's own", "run log.mcap --topics topics.yaml")
 def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        return {"/tags": tag_list(log, stamp, seen)}
-
-    return {"log.mcap": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": HOME}
+    return {"log.mcap": log_of(s, s.seen.ahead, tag_list, TAG_LIST), "topics.yaml": HOME}
 
 
 @kind("positions in a type of one's own, optical by values", "run log.bag --topics topics.yaml")
 def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        return {"/tags": tag_list(log, stamp, seen, "camera")}
-
+    tags = partial(tag_list, frame="camera")
     topics = f"bearings: {{topic: /tags, id: tags.tag_id, position: tags.pose.position}}\n{HOME}"
     return {"log.bag": log_of(s, s.seen.ahead, tags, TAG_LIST), "topics.yaml": topics}
 
@@ -347,39 +343,16 @@ def _(s: Sample) -> Files:
 
 @kind("odometry in a type of one's own", "run log.mcap --topics topics.yaml")
 def _(s: Sample) -> Files:
-    def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
-        return {"/tags": tag_list(log, stamp, seen)}
-
     def odometry(log: LogFile, stamp: int, k: int) -> Messages:
         twist = {"linear_velocity": float(s.v[k]), "yaw_rate": float(s.omega[k])}
         return {"/base": log.make(BASE, header=log.header(stamp, "base_link"), **twist)}
 
     types = {BASE: "std_msgs/Header header\nfloat64 linear_velocity\nfloat64 yaw_rate\n"}
-    files = log_of(s, s.seen.ahead, tags, TAG_LIST | types, odometry)
+    files = log_of(s, s.seen.ahead, tag_list, TAG_LIST | types, odometry)
     return {"log.mcap": files, "topics.yaml": HOME}
 
 
 BASE = "my_msgs/msg/BaseState"
-
-
-tag_messages(
-    "isaac_ros_apriltag_interfaces/AprilTagDetectionArray",
-    "log.db3",
-    "/tag_detections",
-    lambda seen, h: {
-        "detections": [
-            {"id": i, "pose": {"header": h, "pose": {"pose": p}}} for i, p in optical(seen)
-        ]
-    },
-)
-tag_messages(
-    "vision_msgs/Detection3DArray",
-    "log.mcap",
-    "/objects",
-    lambda seen, h: {
-        "detections": [{"header": h, "id": str(i), "bbox": {"center": p}} for i, p in optical(seen)]
-    },
-)
 
 
 @kind("two cameras with an overlap", "run log.mcap --topics topics.yaml")
@@ -387,8 +360,8 @@ def _(s: Sample) -> Files:
     def tags(log: LogFile, stamp: int, seen: Seen) -> Messages:
         behind = abs(seen.bearing) > np.radians(60.0)
         turned = Seen(seen.t, seen.id, seen.bearing + np.pi, seen.range)[behind]
-        ahead = tag_list(log, stamp, seen.ahead, "front_optical")
-        return {"/front": ahead, "/rear": tag_list(log, stamp, turned, "rear_optical")}
+        ahead = tag_list(log, stamp, seen.ahead, "/front", "front_optical")
+        return {**ahead, **tag_list(log, stamp, turned, "/rear", "rear_optical")}
 
     topics = (
         "bearings: [{topic: /front, sigma: 0.01, sensor: {x: 0.2}}, {topic: /rear, sigma: 0.015, "

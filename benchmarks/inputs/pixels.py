@@ -1,5 +1,6 @@
 """Tables of pixels and corners of tags, and calibrations as other tools write them."""
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -64,32 +65,24 @@ def in_view(seen: Seen, lens: Lens) -> Seen:
     return seen[inside.all(axis=(1, 2))]
 
 
-def of_points(s: Sample, lens: Lens, u: str = "u", v: str = "v", home: bool = False) -> Files:
-    """Return a table of the centres of tags, and of those at home."""
-
-    def one(seen: Seen) -> dict[str, np.ndarray]:
-        uv = centres(seen, lens)
-        return {"id": seen.id, u: uv[:, 0], v: uv[:, 1]}
-
-    a, h = in_view(exact(s, s.seen), lens), exact(s, s.home)
-    turned = {"landmark": h.id, "bearing": h.bearing}  # of a camera that turned there
-    at_home = table(one(in_view(h, lens)) if home else turned)
-    return {"tags.csv": table({"timestamp": a.t, **one(a)}), "home.csv": at_home}
-
-
-def of_corners(
-    s: Sample, lens: Lens, names: str, order: tuple[int, ...] = (0, 1, 2, 3), home: bool = False
+def seen_by(
+    s: Sample,
+    lens: Lens,
+    names: str = "timestamp id u v",
+    uv: Callable[[Seen, Lens], np.ndarray] = centres,
+    home: bool = False,
 ) -> Files:
-    """Return a table of the corners of tags, and of those at home; `names` are the columns'."""
+    """Return a table of the pixels of tags, and of those at home; `names` are the columns'."""
+    stamp, *others = names.split()
 
     def one(seen: Seen) -> dict[str, np.ndarray]:
-        uv = corners(seen, lens)[:, order].reshape(-1, 8)
-        return {"tag_id": seen.id, **dict(zip(names.split(), uv.T, strict=True))}
+        coordinates = uv(seen, lens).reshape(seen.id.size, -1)
+        return dict(zip(others, (seen.id, *coordinates.T), strict=True))
 
     a, h = in_view(exact(s, s.seen), lens), exact(s, s.home)
     turned = {"landmark": h.id, "bearing": h.bearing}  # of a camera that turned there
-    at_home = table(one(in_view(h, lens)) if home else turned)
-    return {"tags.csv": table({"stamp": a.t, **one(a)}), "home.csv": at_home}
+    at_home = one(in_view(h, lens)) if home else turned
+    return {"tags.csv": table({stamp: a.t, **one(a)}), "home.csv": table(at_home)}
 
 
 def ros(lens: Lens) -> str:
@@ -130,7 +123,7 @@ def colmap(lens: Lens) -> str:
 
 @kind("pixels u, v; intrinsics in columns", TAGS)
 def _(s: Sample) -> Files:
-    files = of_points(s, PINHOLE)
+    files = seen_by(s, PINHOLE)
     head, *rows = str(files["tags.csv"]).splitlines()
     lines = [f"{head},fx,fy,cx,cy", *(f"{row},170,171,655,470" for row in rows)]
     return {"tags.csv": "\n".join(lines) + "\n"}
@@ -138,36 +131,41 @@ def _(s: Sample) -> Files:
 
 @kind("pixels x, y; camera_info of ROS", f"{TAGS} --camera ost.yaml")
 def _(s: Sample) -> Files:
-    return of_points(s, PLUMB_BOB, "x", "y") | {"ost.yaml": ros(PLUMB_BOB)}
+    return seen_by(s, PLUMB_BOB, "timestamp id x y") | {"ost.yaml": ros(PLUMB_BOB)}
 
 
 @kind("pixels, fisheye, also at home; COLMAP", f"{TAGS} --camera cameras.txt")
 def _(s: Sample) -> Files:
-    return of_points(s, FISHEYE, "center_x", "center_y", home=True) | {
-        "cameras.txt": colmap(FISHEYE)
-    }
+    tags = seen_by(s, FISHEYE, "timestamp id center_x center_y", home=True)
+    return tags | {"cameras.txt": colmap(FISHEYE)}
 
 
 @kind("corners x0 ... y3; OpenCV's YAML", f"{TAGS} --camera calib.yml")
 def _(s: Sample) -> Files:
-    return of_corners(s, PLUMB_BOB, "x0 y0 x1 y1 x2 y2 x3 y3") | {"calib.yml": opencv(PLUMB_BOB)}
+    tags = seen_by(s, PLUMB_BOB, "stamp tag_id x0 y0 x1 y1 x2 y2 x3 y3", corners)
+    return tags | {"calib.yml": opencv(PLUMB_BOB)}
 
 
 @kind("corners of a tilted camera", f"{TAGS} --camera ost.yaml")
 def _(s: Sample) -> Files:
-    names = "corner1_x corner1_y corner2_x corner2_y corner3_x corner3_y corner4_x corner4_y"
-    return of_corners(s, TILTED, names) | {"ost.yaml": ros(TILTED) + "pitch: -0.3\n"}
+    names = " ".join(f"corner{k}_x corner{k}_y" for k in (1, 2, 3, 4))
+    return seen_by(s, TILTED, f"stamp tag_id {names}", corners) | {
+        "ost.yaml": ros(TILTED) + "pitch: -0.3\n"
+    }
 
 
 @kind("corners row by row, also at home; fisheye", f"{TAGS} --camera ost.yaml")
 def _(s: Sample) -> Files:
-    names = "c0.u c0.v c1.u c1.v c2.u c2.v c3.u c3.v"
-    return of_corners(s, FISHEYE, names, (0, 1, 3, 2), home=True) | {"ost.yaml": ros(FISHEYE)}
+    def by_rows(seen: Seen, lens: Lens) -> np.ndarray:
+        return corners(seen, lens)[:, (0, 1, 3, 2)]
+
+    names = "stamp tag_id c0.u c0.v c1.u c1.v c2.u c2.v c3.u c3.v"
+    return seen_by(s, FISHEYE, names, by_rows, home=True) | {"ost.yaml": ros(FISHEYE)}
 
 
 @kind("pixels without a camera", TAGS, refused="need the camera's intrinsics; add --camera FILE")
 def _(s: Sample) -> Files:
-    return of_points(s, PINHOLE)
+    return seen_by(s, PINHOLE)
 
 
 @kind(
@@ -177,7 +175,7 @@ def _(s: Sample) -> Files:
 )
 def _(s: Sample) -> Files:
     small = {"fx": 85.0, "fy": 85.5, "cx": 327.0, "cy": 235.0, "width": 640, "height": 480}
-    return of_points(s, PINHOLE) | {"ost.yaml": ros(Lens(**small))}
+    return seen_by(s, PINHOLE) | {"ost.yaml": ros(Lens(**small))}
 
 
 @kind("camera never calibrated", f"{TAGS} --camera ost.yaml", refused="matrix is zero")
@@ -185,4 +183,4 @@ def _(s: Sample) -> Files:
     text = ros(PINHOLE)
     for number in ("170.0", "171.0", "655.0", "470.0", "1.0"):
         text = text.replace(number, "0.0")
-    return of_points(s, PINHOLE) | {"ost.yaml": text}
+    return seen_by(s, PINHOLE) | {"ost.yaml": text}
