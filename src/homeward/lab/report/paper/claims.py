@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -169,35 +169,31 @@ def conclusions(readings: Readings, M: float | str) -> list[str]:
 
 def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
     """Compare with dead reckoning under the best reading, and with disturbed motion."""
-    here = readings["2", best]
-    alone, ours, ekf = (median(here, n) for n in (DEAD_RECKONING, name, "EKF"))
+
+    def errors(outcome: Outcome) -> tuple[float, ...]:
+        return tuple(float(median(outcome, n)[0]) for n in (DEAD_RECKONING, name, "EKF"))
+
+    alone, ours, ekf = errors(readings["2", best])
     words = (
-        f"Why: there, the median error of R is {alone[0]:.2g} cm for dead reckoning (no bearings), "
-        f"{ours[0]:.2g} cm for {called}, and {ekf[0]:.2g} cm for the EKF"
+        f"Why: there, the median error of R is {alone:.2g} cm for dead reckoning (no bearings), "
+        f"{ours:.2g} cm for {called}, and {ekf:.2g} cm for the EKF"
     )
-    if alone[0] < min(ours[0], ekf[0]):
+    if alone < min(ours, ekf):
         words += (
             ": odometry alone is better than both filters, so less weight of the bearings helps"
         )
-    disturbed = [r for c, r in readings if c == "4" and any(r.disturbance)]
-    same = [
-        r
-        for r in disturbed
-        if (r.initial_error, r.meaning_of_Q) == (best.initial_error, best.meaning_of_Q)
-    ]
-    if same:
-        there = readings["4", same[0]]
-        alone, ours, ekf = (median(there, n) for n in (DEAD_RECKONING, name, "EKF"))
-        enough = there.rmse.shape[1] >= MIN_LAYOUTS
-        share = triple(better_shares(there, name, "EKF"))
+    disturbed = (r for case, r in readings if case == "4" and any(r.disturbance))
+    same = next((r for r in disturbed if r[:2] == best[:2]), None)  # of the same start and Q
+    if same is not None:
+        there = readings["4", same]
+        alone, ours, ekf = errors(there)
         words += (
-            ". With disturbed motion ({:g} m/s and {:g} rad/s a sample, Case 4) it is ".format(
-                *same[0].disturbance
-            )
-            + f"{alone[0]:.2g} cm for dead reckoning, {ekf[0]:.2g} cm for the EKF and "
-            f"{ours[0]:.2g} cm for {called}"
-            + (f", which is better than the EKF in {share}" if enough else "")
-        )
+            ". With disturbed motion ({:g} m/s and {:g} rad/s a sample, Case 4) it is "
+            "{:.2g} cm for dead reckoning, {:.2g} cm for the EKF and {:.2g} cm for {}"
+        ).format(*same.disturbance, alone, ekf, ours, called)
+        if there.rmse.shape[1] >= MIN_LAYOUTS:
+            share = triple(better_shares(there, name, "EKF"))
+            words += f", which is better than the EKF in {share}"
     return words + "."
 
 
@@ -209,9 +205,8 @@ def claims(study: LayoutStudy) -> list[Claim]:
     return sorted(table, key=lambda c: c.claim)
 
 
-def _start_claims(study: LayoutStudy) -> list[Claim]:
+def _start_claims(study: LayoutStudy) -> Iterator[Claim]:
     """Test whether a start error allows the printed R, which is that of a single run."""
-    table = []
     cases: tuple[CaseName, ...] = ("2", "4")
     for start, case in product(study.starts, cases):
         reading = study.reading(case, initial_error=start)
@@ -221,20 +216,17 @@ def _start_claims(study: LayoutStudy) -> list[Claim]:
             for name in ("PI-EKF", PI_HT)
         ]
         bound = 100 * root_mean_square(study.bounds[case, reading].of(BOUND)[:, 0])
-        table.append(
-            Claim(
-                "The printed R of the PI-EKF is that of a run",
-                f"Case {case}, {start_words(reading)}",
-                "unlikely" if max(shares) < UNLIKELY else "possible",
-                f"{percent(shares[0])} (M of ones) and {percent(shares[1])} (M = H') of the runs "
-                f"are below {printed:g} cm; the bound on the RMSE over all runs is {bound:.2g} cm",
-                command(study, reading),
-            )
+        yield Claim(
+            "The printed R of the PI-EKF is that of a run",
+            f"Case {case}, {start_words(reading)}",
+            "unlikely" if max(shares) < UNLIKELY else "possible",
+            f"{percent(shares[0])} (M of ones) and {percent(shares[1])} (M = H') of the runs "
+            f"are below {printed:g} cm; the bound on the RMSE over all runs is {bound:.2g} cm",
+            command(study, reading),
         )
-    return table
 
 
-def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
+def _order_claims(study: LayoutStudy, start: Any) -> Iterator[Claim]:
     """Test the order of errors, with and without moved landmarks."""
     sentences: list[tuple[str, CaseName, str, Sequence[str]]] = [
         ("The PI-EKF is better than the EKF (Table 2)", "2", "", ("PI-EKF", PI_HT)),
@@ -242,7 +234,6 @@ def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
         ("PI-EKF in absence of faults (Table 3)", "1", "its caption, ", ("PI-EKF", PI_HT)),
         ("PI-EKF in absence of faults (Table 3)", "4", "its text, ", ("PI-EKF", PI_HT)),
     ]
-    table = []
     for claim, case, where, names in sentences:
         reading = study.reading(case, initial_error=start)
         for name in names:
@@ -250,28 +241,24 @@ def _order_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             beaten = beats_printed(study.grid[case, reading], case, name)
             figure = f"in {triple(shares)} of layouts; {percent(beaten)} below all printed"
             under = f"{where}Case {case}, {name}, {start_words(reading)}"
-            table.append(Claim(claim, under, decide(shares), figure, command(study, reading)))
-    return table
+            yield Claim(claim, under, decide(shares), figure, command(study, reading))
 
 
-def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
+def _convergence_claims(study: LayoutStudy, start: Any) -> Iterator[Claim]:
     """Test the claims on convergence and homing."""
-    table = []
     circle, precise, home = (study.reading(c, initial_error=start) for c in ("4", "1", "2"))
     clean, faulty = study.grid["4", circle], study.varied[FAULTY, "4", start]
     circles = {0: (clean, study.varied[LONG, "4", start])}
     circles[2] = faulty, study.varied[LONG_FAULTY, "4", start]
     single = study.varied[AS_SET, "3 (one fault)", start]
     medians = [median(single, name) for name in ("EKF", "A-EKF (one)")]
-    table.append(
-        Claim(
-            "One wrong parameter is estimated easily (Case 3)",
-            f"Case 3, A-EKF (one), {start_words(home)}",
-            decide(better_shares(single, "A-EKF (one)", "EKF")),
-            f"R {medians[0][0]:.2g} cm (EKF), {medians[1][0]:.2g} cm (A-EKF); smaller errors in "
-            f"{triple(better_shares(single, 'A-EKF (one)', 'EKF'))} of layouts",
-            command(study, study.reading("3 (one fault)", initial_error=start)),
-        )
+    yield Claim(
+        "One wrong parameter is estimated easily (Case 3)",
+        f"Case 3, A-EKF (one), {start_words(home)}",
+        decide(better_shares(single, "A-EKF (one)", "EKF")),
+        f"R {medians[0][0]:.2g} cm (EKF), {medians[1][0]:.2g} cm (A-EKF); smaller errors in "
+        f"{triple(better_shares(single, 'A-EKF (one)', 'EKF'))} of layouts",
+        command(study, study.reading("3 (one fault)", initial_error=start)),
     )
     for name in ("EKF", "A-EKF (all)", "PI-EKF", PI_HT):
         for faults, outcomes in circles.items():
@@ -286,7 +273,7 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             figure = f"errors after {seconds}: {words}; smaller in {triple(falls)} of layouts"
             change = {"circle_time": 200, "circle_faults": faults}
             long = command(study, circle, {"assumed": change})
-            table.append(Claim(claim, under, decide(falls), figure, long))
+            yield Claim(claim, under, decide(falls), figure, long)
 
         outcome = study.grid["2", home]
         radius = 2 * home.stop_radius
@@ -294,10 +281,10 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
         figure = f"true end within {100 * radius:g} cm of home in {percent(share[0])} of layouts"
         under = f"Case 2, {name}, {start_words(home)}"
         holds = "holds" if share[0] == 1 else "does not hold"
-        table.append(Claim("Homing is guaranteed", under, holds, figure, command(study, home)))
+        yield Claim("Homing is guaranteed", under, holds, figure, command(study, home))
         if name == "EKF":
             claim = "The conventional EKF fails under uncertainty"
-            table.append(Claim(claim, under, decide(1 - share), figure, command(study, home)))
+            yield Claim(claim, under, decide(1 - share), figure, command(study, home))
 
         if any(start):
             first = 0.6745 * np.array(start)  # the median size of a normal error
@@ -305,17 +292,14 @@ def _convergence_claims(study: LayoutStudy, start: Any) -> list[Claim]:
             nearer = np.mean(last < first, axis=0)[[0, 2]]
             figure = "R {:.2g} cm and alpha {:.2g} rad at the start, {:.2g} and {:.2g} at the end"
             both = np.array([first, np.median(last, axis=0)]) * TO_PAPER_UNITS
-            table.append(
-                Claim(
-                    "It converges when precise information is given",
-                    f"Case 1, {name}, {start_words(precise)}",
-                    decide(nearer),
-                    figure.format(*both[:, [0, 2]].ravel())
-                    + f" in the median; below it in {triple(nearer)}",
-                    command(study, precise),
-                )
+            yield Claim(
+                "It converges when precise information is given",
+                f"Case 1, {name}, {start_words(precise)}",
+                decide(nearer),
+                figure.format(*both[:, [0, 2]].ravel())
+                + f" in the median; below it in {triple(nearer)}",
+                command(study, precise),
             )
-    return table
 
 
 def decide(shares: np.ndarray) -> str:
