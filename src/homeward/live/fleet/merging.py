@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import math
 from collections import defaultdict
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,23 +19,19 @@ from pathlib import Path
 import numpy as np
 
 from homeward.errors import HomewardError, InputError
-from homeward.geometry.frames import position_sigma
 from homeward.io.models import Strict
 from homeward.io.reading import naming, read_small
 from homeward.io.settings import parsed
 from homeward.io.table import quoted
 from homeward.io.writing import remove_abandoned, write_whole
-from homeward.live.fleet.changes import spread
+from homeward.live.fleet.claims import Claim, claims_of, supports, with_visit, without
 from homeward.live.fleet.kept_visits import KeptVisits
-from homeward.live.fleet.messages import Change, Placed, VisitMessage, visit_of
+from homeward.live.fleet.messages import Change, VisitMessage, visit_of
 from homeward.live.fleet.plausibility import is_plausible, plausible_ages
-from homeward.localizer.tunables import INLIER
 from homeward.places import files
-from homeward.places.joint_map import JointMap, datum
 from homeward.places.place import DAY_S, Place
 from homeward.places.views import Views
 from homeward.places.visit_data import VisitData
-from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
 from homeward.runs.report.place_words import visit_words
 from homeward.runs.report.words import count, listing
 
@@ -43,8 +39,8 @@ LIVE = "live"
 """Subfolder of a place with the visits that are not merged yet."""
 CONFIRM_S = 60.0
 """A claim of one robot is used if no other robot sees the landmark in place for this time [s]."""
-MIN_GROUP, MIN_REFUTED = 3, 3
-"""Minimum number of landmarks of a group, and of refuted claims of a doubtful robot."""
+MIN_REFUTED = 3
+"""Minimum number of refuted claims of a doubtful robot."""
 MAX_WAITING = 8
 """Maximum number of ended visits of a robot that wait for a confirmation."""
 MAX_LANDMARKS = 3000
@@ -52,27 +48,9 @@ MAX_LANDMARKS = 3000
 SCALE_SIGMA = 0.3
 """Standard deviation of the scale of a visit, large enough to ignore it: one robot with a wrong
 wheel radius would scale the place of all [1]."""
-SAME_M = 0.02
-"""Positions this close agree, however certain they are [m]."""
 ROBOTS = "robots.txt"
 """File in that folder with the records of the robots, as JSON."""
-MAX_APART_M = 0.3
-"""Positions farther apart are different claims, however uncertain they are [m]."""
 QUARANTINED = "this visit contradicts the place and is not merged: other robots do not use it"
-
-
-@dataclass(frozen=True)
-class Claim:
-    """Difference of a landmark between a visit and the place."""
-
-    what: str
-    """new, moved, gone or returned."""
-    at: Placed | None
-    """Its position in the frame of the place, if it is certain."""
-    since: float
-    """When the visit first found this [s]."""
-    is_grouped: bool = False
-    """Whether it moved rigidly with others: one wrong map explains that, too."""
 
 
 @dataclass(frozen=True)
@@ -231,7 +209,7 @@ class SharedPlace:
         """
         claims, in_place, doubting = self._statements(name)
         agreeing = {
-            robot: [r for r, (other, _) in claims.items() if _support(other, claim)]
+            robot: [r for r, (other, _) in claims.items() if supports(other, claim)]
             for robot, (claim, _) in claims.items()
         }
         best = max(
@@ -275,10 +253,10 @@ class SharedPlace:
         unused = {n for n, right in outcomes.items() if not right}
         others = {g for k, v in self.visits.items() if k[0] != robot for g in v.data.together}
         together = tuple(g for g in visit.data.together if g in others)
-        data = _without(visit.data, {*unused, *new[max(room, 0) :]})
+        data = without(visit.data, {*unused, *new[max(room, 0) :]})
         data = replace(data, together=together)  # a group of one robot is not certain
         try:
-            self.place, _ = files.update_place(self.folder, lambda place: _with(place, data))
+            self.place, _ = files.update_place(self.folder, lambda place: with_visit(place, data))
         except (InputError, np.linalg.LinAlgError) as error:
             if isinstance(error, InputError) and error.file is not None:
                 raise  # the disk
@@ -351,13 +329,13 @@ class SharedPlace:
         changed = self._changed_at
         if old := {n for n, t in visit.seen.items() if t < changed.get(n, -math.inf)}:
             seen = {n: t for n, t in visit.seen.items() if n not in old}
-            visit = replace(visit, data=_without(visit.data, old), seen=seen)
+            visit = replace(visit, data=without(visit.data, old), seen=seen)
         if visit.robot not in self.ignored:
             with suppress(HomewardError, np.linalg.LinAlgError):
-                claims = _claims(self.place, visit.data, now)
+                claims = claims_of(self.place, visit.data, now)
         for name, claim in (claims or {}).items():
             was = before.get(name)
-            if was is not None and was.what == claim.what and _support(was, claim):
+            if was is not None and was.what == claim.what and supports(was, claim):
                 claims[name] = replace(claim, since=was.since)  # type: ignore[index]
         return replace(visit, claims=claims)
 
@@ -387,103 +365,3 @@ def robot_lines(found: Mapping[str, RobotRecord]) -> list[str]:
         for robot, record in found.items()
         if record.is_doubtful
     ]
-
-
-def _claims(place: Place, data: VisitData, now: float) -> dict[str, Claim] | None:
-    """Return the claims of a visit by landmark; None if it contradicts the place."""
-    viewed = data.frames.passed if isinstance(data.frames, Views) else {}
-    local = _part(place, {*data.map.names, *viewed})
-    after = _with(local, replace(data, homes={}, routes={}))
-    if after.visits[-1].verdict == "apart":
-        return None
-    events = (e for e in after.events if e.visit >= local.next_visit)
-    what = {e.landmark: "gone" if e.what == "forgotten" else e.what for e in events}
-    stayed = [n for n in local.map.names if n in after.persistence and n not in what]
-    placed = [n for n in what if n in data.map.names and n in after.persistence]
-    pose = datum(local.map.marginal(stayed, ()), after.map.marginal(stayed, ()), stayed)
-    there = after.map.marginal(placed, ()).in_frame_of(pose, np.zeros((3, 3)))
-    at = _positions(there)
-    was = _positions(local.map.marginal([n for n in placed if what[n] == "moved"], ()))
-    grouped = _moved_rigidly(was, at, place.together)  # not by its own groups
-    return {
-        n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
-    }
-
-
-def _part(place: Place, names: Collection[str]) -> Place:
-    """Return a place with some of its landmarks."""
-    kept = [n for n in place.map.names if n in names]
-    persistence = {n: place.persistence[n] for n in kept}
-    return replace(place, map=place.map.marginal(kept), persistence=persistence)
-
-
-def _positions(joint: JointMap) -> dict[str, Placed]:
-    """Return the positions of the landmarks of a map and their covariances."""
-    found = {}
-    for k, (name, (x, y)) in enumerate(zip(joint.names, joint.positions.tolist(), strict=True)):
-        (xx, xy), (_, yy) = joint.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2].tolist()
-        found[name] = x, y, xx, xy, yy
-    return found
-
-
-def _moved_rigidly(
-    was: Mapping[str, Placed], now: Mapping[str, Placed], together: Sequence[Sequence[str]]
-) -> set[str]:
-    """Return landmarks that moved rigidly with two others which are not known to move with them.
-
-    The distances of such landmarks are the same before and after.
-    """
-    names = list(was)
-    if len(names) < MIN_GROUP:
-        return set()
-    before, after = (np.array([some[n][:2] for n in names]) for some in (was, now))
-    sigmas = np.array([position_sigma(spread(was[n]) + spread(now[n])) for n in names])
-    distances = [np.hypot(*(p[:, None] - p[None]).transpose(2, 0, 1)) for p in (before, after)]
-    limit = SAME_M + INLIER * np.hypot(sigmas[:, None], sigmas[None])
-    same = np.abs(distances[1] - distances[0]) < limit
-    body = {n: k for k, group in enumerate(together) for n in group}
-    bodies = np.array([body.get(n, -1 - k) for k, n in enumerate(names)])
-    same &= bodies[:, None] != bodies[None]
-    triangles = np.einsum("ij,jk,ki->i", *3 * [same.astype(float)], optimize=True)
-    return {n for n, number in zip(names, triangles.tolist(), strict=True) if number > 0}
-
-
-def _support(one: Claim, other: Claim) -> bool:
-    """Return whether a claim supports another one: "gone" supports that it moved."""
-    if one.at is None or other.at is None:
-        return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
-    is_near = math.dist(one.at[:2], other.at[:2]) < MAX_APART_M
-    return one.what == other.what and is_near and _agree(one.at, other.at)
-
-
-def _agree(one: Placed, other: Placed) -> bool:
-    """Return whether two positions agree."""
-    limit = INLIER * float(position_sigma(spread(one) + spread(other)))
-    return math.dist(one[:2], other[:2]) <= max(limit, SAME_M)
-
-
-def _without(data: VisitData, names: Collection[str]) -> VisitData:
-    """Return a visit without all that it found about some landmarks."""
-    kept = data.map.marginal([n for n in data.map.names if n not in names])
-    if isinstance(data.frames, Views):
-        passed, seen = (
-            {n: at for n, at in views.items() if n not in names}
-            for views in (data.frames.passed, data.frames.seen)
-        )
-        data = replace(data, frames=Views(passed, seen))
-    return replace(data, map=kept)
-
-
-def _with(place: Place, data: VisitData) -> Place:
-    """Return a place with a visit, without its homes and routes whose names are taken.
-
-    A visit that distorts the place is kept apart: it moves most of the landmarks that stayed by
-    more than their standard deviation explains. A robot's own map may be distorted for a moment.
-    """
-    homes = {n: home for n, home in data.homes.items() if n not in place.homes}
-    routes = {n: route for n, route in data.routes.items() if n not in place.routes}
-    after = merged(place, replace(data, homes=homes, routes=routes))
-    changed = {e.landmark for e in after.events if e.visit >= place.next_visit}
-    was, now = _positions(place.map), _positions(after.map)
-    agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
-    return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)

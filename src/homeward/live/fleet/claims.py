@@ -1,0 +1,140 @@
+"""Claims of a visit: where it differs from the place of a fleet."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from homeward.geometry.frames import position_sigma
+from homeward.live.fleet.changes import spread
+from homeward.live.fleet.messages import Placed
+from homeward.localizer.tunables import INLIER
+from homeward.places.joint_map import JointMap, datum
+from homeward.places.place import Place
+from homeward.places.views import Views
+from homeward.places.visit_data import VisitData
+from homeward.places.visiting import MIN_STAYED_SHARE, kept_apart, merged
+
+MIN_GROUP = 3
+"""Minimum number of landmarks of a group that moves rigidly."""
+SAME_M = 0.02
+"""Positions this close agree, however certain they are [m]."""
+MAX_APART_M = 0.3
+"""Positions farther apart are different claims, however uncertain they are [m]."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Difference of a landmark between a visit and the place."""
+
+    what: str
+    """new, moved, gone or returned."""
+    at: Placed | None
+    """Its position in the frame of the place, if it is certain."""
+    since: float
+    """When the visit first found this [s]."""
+    is_grouped: bool = False
+    """Whether it moved rigidly with others: one wrong map explains that, too."""
+
+
+def claims_of(place: Place, data: VisitData, now: float) -> dict[str, Claim] | None:
+    """Return the claims of a visit by landmark; None if it contradicts the place."""
+    viewed = data.frames.passed if isinstance(data.frames, Views) else {}
+    local = _part(place, {*data.map.names, *viewed})
+    after = with_visit(local, replace(data, homes={}, routes={}))
+    if after.visits[-1].verdict == "apart":
+        return None
+    events = (e for e in after.events if e.visit >= local.next_visit)
+    what = {e.landmark: "gone" if e.what == "forgotten" else e.what for e in events}
+    stayed = [n for n in local.map.names if n in after.persistence and n not in what]
+    placed = [n for n in what if n in data.map.names and n in after.persistence]
+    pose = datum(local.map.marginal(stayed, ()), after.map.marginal(stayed, ()), stayed)
+    there = after.map.marginal(placed, ()).in_frame_of(pose, np.zeros((3, 3)))
+    at = _positions(there)
+    was = _positions(local.map.marginal([n for n in placed if what[n] == "moved"], ()))
+    grouped = _moved_rigidly(was, at, place.together)  # not by its own groups
+    return {
+        n: Claim(w, at.get(n) if w != "gone" else None, now, n in grouped) for n, w in what.items()
+    }
+
+
+def _part(place: Place, names: Collection[str]) -> Place:
+    """Return a place with some of its landmarks."""
+    kept = [n for n in place.map.names if n in names]
+    persistence = {n: place.persistence[n] for n in kept}
+    return replace(place, map=place.map.marginal(kept), persistence=persistence)
+
+
+def _positions(joint: JointMap) -> dict[str, Placed]:
+    """Return the positions of the landmarks of a map and their covariances."""
+    found = {}
+    for k, (name, (x, y)) in enumerate(zip(joint.names, joint.positions.tolist(), strict=True)):
+        (xx, xy), (_, yy) = joint.covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2].tolist()
+        found[name] = x, y, xx, xy, yy
+    return found
+
+
+def _moved_rigidly(
+    was: Mapping[str, Placed], now: Mapping[str, Placed], together: Sequence[Sequence[str]]
+) -> set[str]:
+    """Return landmarks that moved rigidly with two others which are not known to move with them.
+
+    The distances of such landmarks are the same before and after.
+    """
+    names = list(was)
+    if len(names) < MIN_GROUP:
+        return set()
+    before, after = (np.array([some[n][:2] for n in names]) for some in (was, now))
+    sigmas = np.array([position_sigma(spread(was[n]) + spread(now[n])) for n in names])
+    distances = [np.hypot(*(p[:, None] - p[None]).transpose(2, 0, 1)) for p in (before, after)]
+    limit = SAME_M + INLIER * np.hypot(sigmas[:, None], sigmas[None])
+    same = np.abs(distances[1] - distances[0]) < limit
+    body = {n: k for k, group in enumerate(together) for n in group}
+    bodies = np.array([body.get(n, -1 - k) for k, n in enumerate(names)])
+    same &= bodies[:, None] != bodies[None]
+    triangles = np.einsum("ij,jk,ki->i", *3 * [same.astype(float)], optimize=True)
+    return {n for n, number in zip(names, triangles.tolist(), strict=True) if number > 0}
+
+
+def supports(one: Claim, other: Claim) -> bool:
+    """Return whether a claim supports another one: "gone" supports that it moved."""
+    if one.at is None or other.at is None:
+        return one.what == other.what or {one.what, other.what} == {"gone", "moved"}
+    is_near = math.dist(one.at[:2], other.at[:2]) < MAX_APART_M
+    return one.what == other.what and is_near and _agree(one.at, other.at)
+
+
+def _agree(one: Placed, other: Placed) -> bool:
+    """Return whether two positions agree."""
+    limit = INLIER * float(position_sigma(spread(one) + spread(other)))
+    return math.dist(one[:2], other[:2]) <= max(limit, SAME_M)
+
+
+def without(data: VisitData, names: Collection[str]) -> VisitData:
+    """Return a visit without all that it found about some landmarks."""
+    kept = data.map.marginal([n for n in data.map.names if n not in names])
+    if isinstance(data.frames, Views):
+        passed, seen = (
+            {n: at for n, at in views.items() if n not in names}
+            for views in (data.frames.passed, data.frames.seen)
+        )
+        data = replace(data, frames=Views(passed, seen))
+    return replace(data, map=kept)
+
+
+def with_visit(place: Place, data: VisitData) -> Place:
+    """Return a place with a visit, without its homes and routes whose names are taken.
+
+    A visit that distorts the place is kept apart: it moves most of the landmarks that stayed by
+    more than their standard deviation explains. A robot's own map may be distorted for a moment.
+    """
+    homes = {n: home for n, home in data.homes.items() if n not in place.homes}
+    routes = {n: route for n, route in data.routes.items() if n not in place.routes}
+    after = merged(place, replace(data, homes=homes, routes=routes))
+    changed = {e.landmark for e in after.events if e.visit >= place.next_visit}
+    was, now = _positions(place.map), _positions(after.map)
+    agree = [_agree(was[n], now[n]) for n in was.keys() & now.keys() - changed]
+    return after if sum(agree) >= MIN_STAYED_SHARE * len(agree) else kept_apart(place, data)
