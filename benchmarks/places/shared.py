@@ -156,7 +156,8 @@ class Run:
         self.folder = work / "hall"
         hall = Warehouse(seed)
         _, place = visit(hall.drive(), None, time.time() / DAY_S - 1.0)
-        save_place(place, self.folder)
+        self.name = f"place{os.getpid()}"  # a broker still has the messages of earlier runs
+        save_place(replace(place, name=self.name), self.folder)
         home = Pose(HOME.x, HOME.y, HOME.heading)
         own = {n: between(home, Pose(*p, 0.0)) for n, p in hall.places.items()}
         self.truth = {n: np.array(p[:2]) for n, p in own.items()}
@@ -201,7 +202,7 @@ class Run:
 
     def _live(self, i: int) -> "subprocess.Popen[str]":
         robot = self.work / f"robot{i}" / "drive.yaml"
-        arguments = ["live", "--place", "place", "--update", "--robot-file", str(robot)]
+        arguments = ["live", "--place", self.name, "--update", "--robot-file", str(robot)]
         arguments += ["--mqtt", self.mqtt, "--user", f"robot{i}"]
         pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
         return self._start(arguments, **pipes)
