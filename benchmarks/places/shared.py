@@ -311,17 +311,12 @@ class Run:
             f"CPU on {len(self.cores)} cores: {self.number} robots {100 * sum(robots):.0f} %, "
             f"merger {100 * server:.0f} % of one core"
         )
-        back = [
-            min(
-                (t for t, text in r.events if t > killed and "merged again" in text), default=killed
-            )
-            for r in self.robots
-        ]
+        back = [t - killed for r in good for t, text in r.events if "merged again" in text]
+        lost = f"{len(back)} robots had no merger for up to {max(back):.1f} s" if back else ""
         localised = sum(r.status == "localised" for r in good)
         print(
-            f"merger killed at {killed:.0f} s, started 2 s later: all visits acknowledged again "
-            f"{max(back) - killed:.1f} s after the kill; {localised} of"
-            f" {len(good)} localised at the end"
+            f"merger killed at {killed:.0f} s, started 2 s later:"
+            f" {lost or 'no robot reported it'}; {localised} of {len(good)} localised at the end"
         )
         for i, end in enumerate(ends):
             kind = {MIRRORED: "mirrored bearings", SCALED: f"wheel scale {SCALE}"}.get(i, "right")
