@@ -311,7 +311,8 @@ class Run:
             f"CPU on {len(self.cores)} cores: {self.number} robots {100 * sum(robots):.0f} %, "
             f"merger {100 * server:.0f} % of one core"
         )
-        back = [t - killed for r in good for t, text in r.events if "merged again" in text]
+        events = [(t - killed, text) for r in good for t, text in r.events]
+        back = [t for t, text in events if t > 0.0 and text == "the visit is merged again"]
         lost = f"{len(back)} robots had no merger for up to {max(back):.1f} s" if back else ""
         localised = sum(r.status == "localised" for r in good)
         print(

@@ -259,14 +259,8 @@ class Merger:
         self, robot: str, done: VisitManifest, ended: bool, text: str, is_error: bool = False
     ) -> None:
         assert self._connection is not None
-        ack = Ack(
-            epoch=self._epoch,
-            visit=done.visit,
-            number=done.number,
-            ended=ended,
-            text=text,
-            is_error=is_error,
-        )
+        which = {"epoch": self._epoch, "visit": done.visit, "number": done.number}
+        ack = Ack(**which, ended=ended, text=text, is_error=is_error)
         self._connection.publish(f"{ACK}/{robot}", line_of(ack).encode())
 
     def _publish(self) -> None:
@@ -280,8 +274,7 @@ class Merger:
             self._version = f"{self._epoch}-{self._num_versions}-{self._name}"
         if is_new or is_stale:
             self._parts[MAP] = self._connection.send(f"{MAP}/{self._version}", place_content(place))
-        is_changed = is_new or is_stale or not _is_same(self._changes, changes)
-        if not is_changed:
+        if not is_new and not is_stale and _is_same(self._changes, changes):
             return
         content = line_of(Changes(changes=changes)).encode()
         self._parts[CHANGE] = self._connection.send(CHANGE, content, len(self._parts[CHANGE]))
@@ -302,18 +295,12 @@ class Merger:
 
 def _is_same(before: Sequence[Change], now: Sequence[Change]) -> bool:
     """Return whether changes are the same, at about the same positions."""
-
-    def form(changes: Sequence[Change]) -> list[object]:
-        return [(c.landmark, c.what, c.confirmed, sorted(c.by)) for c in changes]
-
-    if form(before) != form(now):
-        return False
-    pairs = (
-        (was.by[robot], at)
-        for was, change in zip(before, now, strict=True)
-        for robot, at in change.by.items()
+    was, are = (
+        {
+            (c.landmark, c.what, c.confirmed, robot, at is None): (at or (0.0, 0.0))[:2]
+            for c in changes
+            for robot, at in c.by.items()
+        }
+        for changes in (before, now)
     )
-    return all(
-        (a is None) == (b is None) and (a is None or b is None or math.dist(a[:2], b[:2]) < SAME_M)
-        for a, b in pairs
-    )
+    return was.keys() == are.keys() and all(math.dist(was[k], are[k]) < SAME_M for k in was)
