@@ -97,6 +97,17 @@ def test_the_schema_has_every_type():
     assert math.isfinite(len(result))
 
 
+def test_the_schema_has_the_meaning_unit_and_range_of_each_key():
+    speed = schema()["in"]["$defs"]["OdometryIn"]["properties"]["vy"]
+    assert speed == {
+        "type": "number",
+        "minimum": -MAX_SPEED,
+        "maximum": MAX_SPEED,
+        "description": "To the left [m/s].",
+        "default": 0.0,
+    }
+
+
 @pytest.mark.parametrize("distance", [0, -1, 1e9, "far"])
 def test_a_range_that_cannot_be_is_refused(distance):
     bearings = {"type": "bearings", "t": 0, "bearings": {"a": 0.1}}

@@ -131,9 +131,12 @@ class Strict:
         """Return a reference to the JSON schema of the model, which is added to `models`."""
         if cls.__name__ not in models:
             models[cls.__name__] = {}
-            by_key = cls._by_key()
-            properties = {key: field.kind.schema(models) for key, (_, field) in by_key.items()}
-            for key, (_, field) in by_key.items():
+            by_key, words = cls._by_key(), meanings(cls)  # type: ignore[arg-type]
+            properties: Schema = {}
+            for key, (name, field) in by_key.items():
+                properties[key] = field.kind.schema(models)
+                if name in words:
+                    properties[key] = properties[key] | {"description": words[name]}
                 if field.default is not REQUIRED:
                     properties[key] = properties[key] | {"default": jsonable(field.default)}
             models[cls.__name__] |= {
