@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
+from dataclasses import fields, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -146,10 +147,10 @@ def read_folder(path: str | os.PathLike[str], *, home_needed: bool = True) -> Dr
         sightings=sightings,
         home=read_home(folder / HOME, remarks) if is_there(folder / HOME) else {},
         settings=settings,
-        truth=read_truth(folder / TRUTH, remarks),
+        truth=read_samples(Truth, folder / TRUTH, remarks),
         remarks=remarks,
         known=known,
-        tilt=read_tilt(folder / TILT, remarks),
+        tilt=read_samples(Tilt, folder / TILT, remarks),
     )
 
 
@@ -238,7 +239,7 @@ def wrapped(table: Table, name: str, remarks: dict[str, int]) -> np.ndarray:
     return np.where(inside, angle, np.clip(wrap(angle), np.nextafter(-math.pi, 0), math.pi))
 
 
-def count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
+def _count_repeats(sightings: Sightings, remarks: dict[str, int]) -> None:
     """Count in `remarks` the repeated sightings of a landmark at one stamp."""
     t, landmark, starts = sightings.t, sightings.landmark, sightings.begins
     sizes = np.diff(starts, append=t.size)
@@ -300,7 +301,7 @@ def sightings_of(table: Table, remarks: dict[str, int]) -> Sightings:
         number = np.unique(cameras[0].astype(str), return_inverse=True)[1]
         sightings = sightings.rows(np.lexsort((number, sightings.t)))
     sightings = _with_keys(sightings, remarks)
-    count_repeats(sightings, remarks)
+    _count_repeats(sightings, remarks)
     return sightings
 
 
@@ -360,37 +361,29 @@ def read_drive_settings(path: Path) -> DriveSettings:
     return read_settings(path, DriveSettings) if is_there(path) else DriveSettings()
 
 
-def read_truth(path: Path, remarks: dict[str, int]) -> Truth | None:
-    """Read truth.csv (t, x, y, heading), None where it is absent."""
+Sampled = TypeVar("Sampled", Truth, Tilt)
+SAMPLES = {
+    Truth: ("ground truth", REPEATED_TRUTH, ("heading",)),
+    Tilt: ("roll and pitch", REPEATED_TILT, ("roll", "pitch")),
+}
+"""For each kind of samples: its name, the remark on repeated stamps, and its angles."""
+
+
+def read_samples(kind: type[Sampled], path: Path, remarks: dict[str, int]) -> Sampled | None:
+    """Read truth.csv (t, x, y, heading) or tilt.csv (t, roll, pitch); None where it is absent."""
     if not is_there(path):
         return None
-    columns = {"t": numbers, "x": numbers, "y": numbers, "heading": numbers}
-    return truth_of(read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
+    columns = {column.name: numbers for column in fields(kind)}
+    return samples_of(kind, read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
 
 
-def truth_of(table: Table, remarks: dict[str, int]) -> Truth:
-    """Return the ground truth of a table with t, x, y, heading; as `read_truth`."""
-    table = sorted_by_time(table, "ground truth", remarks)
-    table = without_repeats(table, remarks, REPEATED_TRUTH)
-    table.require_angle("heading")
-    return Truth(table["t"], table["x"], table["y"], table["heading"])
-
-
-def read_tilt(path: Path, remarks: dict[str, int]) -> Tilt | None:
-    """Read tilt.csv (t, roll, pitch), None where it is absent."""
-    if not is_there(path):
-        return None
-    columns = {"t": numbers, "roll": numbers, "pitch": numbers}
-    return tilt_of(read_csv(path, columns, advice=IMPORT_ADVICE), remarks)
-
-
-def tilt_of(table: Table, remarks: dict[str, int]) -> Tilt:
-    """Return the tilt of a table with t, roll, pitch; as `read_tilt`."""
-    table = sorted_by_time(table, "roll and pitch", remarks)
-    table = without_repeats(table, remarks, REPEATED_TILT)
-    for name in ("roll", "pitch"):
+def samples_of(kind: type[Sampled], table: Table, remarks: dict[str, int]) -> Sampled:
+    """Return the ground truth or the tilt of a table; as `read_samples`."""
+    what, repeats, angles = SAMPLES[kind]
+    table = without_repeats(sorted_by_time(table, what, remarks), remarks, repeats)
+    for name in angles:
         table.require_angle(name)
-    return Tilt(table["t"], table["roll"], table["pitch"])
+    return kind(*(table[column.name] for column in fields(kind)))
 
 
 def _write_files(drive: Drive, scratch: Path, folder: Path, commented: bool) -> None:

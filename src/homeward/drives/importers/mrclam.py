@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Truth
-from homeward.drives.folder import count_repeats, odometry_of, sorted_by_time, truth_of, wrapped
+from homeward.drives.folder import odometry_of, samples_of, sightings_of, sorted_by_time
 from homeward.drives.plausibility import with_clock_remarks
 from homeward.drives.settings import DriveSettings, Sensor
 from homeward.errors import InputError
@@ -126,13 +127,9 @@ def _read_sightings(
     unknown = seen.count(None)
     robots = len(seen) - unknown - int(of_landmark.sum())
     remarks |= {r: n for r, n in ((OTHER_ROBOTS, robots), (UNKNOWN_BARCODES, unknown)) if n}
-    ids = np.array([str(subject) for subject in seen], object)[of_landmark]
-    bearings = wrapped(table, "bearing", remarks)[of_landmark]
-    unknown_sigma = np.full(ids.size, np.nan)
-    ranges = table["range"][of_landmark]
-    sightings = Sightings(table["t"][of_landmark], ids, bearings, unknown_sigma, ranges)
-    count_repeats(sightings, remarks)
-    return sightings
+    ids = {"landmark": np.array([str(subject) for subject in seen], object)}
+    table = replace(table, columns={**table.columns, **ids})
+    return sightings_of(table.rows(of_landmark), remarks)
 
 
 def _home_bearings(
@@ -150,7 +147,8 @@ def _home_bearings(
 def _read_truth(path: Path, home: Pose, remarks: dict[str, int]) -> Truth | None:
     if not is_there(path):
         return None
-    return truth_of(read_columns(path, ("t", "x", "y", "heading")), remarks).seen_from(home)
+    table = read_columns(path, ("t", "x", "y", "heading"))
+    return samples_of(Truth, table, remarks).seen_from(home)
 
 
 def _whole(table: Table, name: str) -> list[int]:

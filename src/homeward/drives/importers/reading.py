@@ -20,14 +20,13 @@ from typing import Any
 import numpy as np
 
 from homeward.drives.columns import KINDS, specified_columns
-from homeward.drives.drive import Drive, Odometry
+from homeward.drives.drive import Drive, Odometry, Tilt, Truth
 from homeward.drives.folder import (
     HOME_ADVICE,
     REPEATED_ODOMETRY,
     home_of,
+    samples_of,
     sightings_of,
-    tilt_of,
-    truth_of,
     without_repeats,
 )
 from homeward.drives.home.when import with_home
@@ -269,8 +268,8 @@ def drive_of(
         sightings=sightings_of(tables["bearings"], remarks),
         home=home_of(_averaged(tables["home"], remarks), remarks) if "home" in tables else {},
         settings=DriveSettings(**given),
-        truth=truth_of(tables["truth"], remarks) if "truth" in tables else None,
-        tilt=tilt_of(tables["tilt"], remarks) if "tilt" in tables else None,
+        truth=samples_of(Truth, tables["truth"], remarks) if "truth" in tables else None,
+        tilt=samples_of(Tilt, tables["tilt"], remarks) if "tilt" in tables else None,
         remarks=remarks,
     )
     truth = next((one for one in found if one.kind == "truth"), None)

@@ -169,7 +169,7 @@ _TIMED: dict[str, tuple[str, Callable[[Path, _Remarks], np.ndarray]]] = {
     IMAGES: ("t,file", lambda file, remarks: read_images(file.parent, remarks).t),
     csv.TRUTH: (
         "t,x,y,heading",
-        lambda file, remarks: cast(Truth, csv.read_truth(file, remarks)).t,
+        lambda file, remarks: cast(Truth, csv.read_samples(Truth, file, remarks)).t,
     ),
 }
 """Files with times: their columns, and the function that reads the times [s]."""

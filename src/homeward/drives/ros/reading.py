@@ -12,8 +12,7 @@ from homeward.drives.cameras.calibration import CameraRows
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Tilt, Truth
 from homeward.drives.folder import (
-    REPEATED_TILT,
-    REPEATED_TRUTH,
+    SAMPLES,
     home_of,
     read_home,
     sightings_of,
@@ -362,13 +361,13 @@ class _Reading:
         if (topic := self._plan.tilt) is None:
             return None
         found = np.reshape(self._tilts, (-1, 3))
-        rows = clean_rows(found, topic, "orientations", REPEATED_TILT, self._remarks)
+        rows = clean_rows(found, topic, "orientations", SAMPLES[Tilt][1], self._remarks)
         return Tilt(*rows.T.copy())
 
     def _truth(self) -> Truth | None:
         given = self._plan.truth
         if given is None or not self._poses:
             return None
-        rows = clean_rows(self._poses, given.topic, "true poses", REPEATED_TRUTH, self._remarks)
+        rows = clean_rows(self._poses, given.topic, "true poses", SAMPLES[Truth][1], self._remarks)
         truth = Truth(*rows.T.copy())
         return truth if given.home is None else truth.seen_from(Pose(*given.home))

@@ -9,14 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from homeward.drives.drive import Drive, Sightings
+from homeward.drives.drive import Drive, Sightings, Truth
 from homeward.drives.folder import (
     ODOMETRY,
     SETTINGS,
     TRUTH,
     read_drive_settings,
     read_odometry,
-    read_truth,
+    read_samples,
 )
 from homeward.drives.images import IMAGES, file_within, read_images
 from homeward.drives.plausibility import OTHER_CLOCK, require_overlap
@@ -134,7 +134,7 @@ def drive_without_images(
         sightings=Sightings.of_rows(()),
         home={},
         settings=read_drive_settings(folder / SETTINGS),
-        truth=read_truth(folder / TRUTH, remarks),
+        truth=read_samples(Truth, folder / TRUTH, remarks),
         remarks=remarks,
     )
 
