@@ -1,6 +1,7 @@
 """Landmarks without ids: association, home by constellation, files, and short drives."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,9 @@ from homeward.geometry.angles import wrap
 from homeward.geometry.se2 import compose
 from homeward.localizer.map import smoother
 from homeward.localizer.settings import LocalizerSettings
+from homeward.localizer.tunables import NATS_APART
 from homeward.localizer.unlabelled.association import PossiblePairs, assigned, associate
-from homeward.localizer.unlabelled.constellation import Sky, search
+from homeward.localizer.unlabelled.constellation import Sky, match, num_unlike, search
 from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
 from homeward.registry import make_estimator
@@ -140,6 +142,10 @@ def test_landmarks_of_a_local_map_are_joined():
     assert len(local) == 1
 
 
+def equal_covariance(number, sigma):
+    return sigma**2 * np.eye(2 * number).reshape(number, 2, number, 2)
+
+
 def sky(seed, number=20, seen=8, sigma=0.01):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-7.0, 7.0, (number, 2))
@@ -149,13 +155,13 @@ def sky(seed, number=20, seen=8, sigma=0.01):
     nearest = np.argsort(distance)[:seen]
     angle = np.arctan2(away[nearest, 1], away[nearest, 0]) - pose[2]
     bearings = np.asarray(wrap(angle + sigma * rng.standard_normal(seen)))
-    covariances = np.tile(0.02**2 * np.eye(2), (number, 1, 1))
+    covariance = equal_covariance(number, 0.02)
     reach = float(distance[nearest].max()) * 1.05
     allowed = np.ones((seen, number), bool)
     return (
         pose,
         nearest,
-        Sky(points, covariances, bearings, np.full(seen, sigma**2), allowed, reach),
+        Sky(points, covariance, bearings, np.full(seen, sigma**2), allowed, reach),
     )
 
 
@@ -169,13 +175,65 @@ def test_the_constellation_is_found_without_a_start(seed):
     assert found.margin > 4.0
 
 
+@pytest.mark.parametrize("seed", range(10))
+def test_no_constellation_is_missed(seed):
+    rng = np.random.default_rng(seed)
+    places = benchmark.scattered(seed, 25)
+    pose = np.array([*rng.uniform(-2.0, 2.0, 2), rng.uniform(-3.0, 3.0)])
+    away = (places - pose[:2])[np.hypot(*(places - pose[:2]).T) < 4.7]
+    bearings = wrap(np.arctan2(away[:, 1], away[:, 0]) - pose[2])
+    bearings = bearings + 0.01 * rng.standard_normal(len(away))
+    sigma = 0.02 if seed % 2 else 0.05
+    points, m = places + 0.7 * sigma * rng.standard_normal(places.shape), len(away)
+    covariance, allowed = equal_covariance(25, sigma), np.ones((m, 25), bool)
+    given = Sky(points, covariance, bearings, np.full(m, 1e-4), allowed, 4.6)
+    assert search(given).best.log_evidence > match(pose, given).log_evidence - 0.1
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_constellation_in_another_equal_room_is_found(seed):
+    rng = np.random.default_rng(seed)
+    room, home = rng.uniform(-2.5, 2.5, (6, 2)), rng.uniform(-1.0, 1.0, 2)
+    points = np.vstack([room, room + np.array([8.0, 0.0])])
+    points += 0.02 * rng.standard_normal(points.shape)
+    bearings = wrap(np.arctan2(*(room - home).T[::-1]) + 0.01 * rng.standard_normal(6))
+    covariance = equal_covariance(12, 0.03)
+    given = Sky(points, covariance, bearings, np.full(6, 1e-4), np.ones((6, 12), bool), 3.8)
+    pose, other = np.append(home, 0.0), np.append(home + np.array([8.0, 0.0]), 0.0)
+    for start in (None, pose, other):
+        found = search(replace(given, start=start))
+        assert found.best.log_evidence > match(pose, given).log_evidence - 0.1
+        assert found.margin < NATS_APART
+
+
+@pytest.mark.parametrize(("mapped", "unlike"), [(12, 0), (10, 0), (7, 0), (6, 0)])
+def test_an_equal_room_is_like_the_other_also_in_part(mapped, unlike):
+    rng = np.random.default_rng(0)
+    room, turn = rng.uniform(-2.5, 2.5, (6, 2)), np.array([[0.6, 0.8], [-0.8, 0.6]])
+    points = np.vstack([room, room @ turn + np.array([8.0, 1.0])])[:mapped]
+    points = points + 0.02 * rng.standard_normal(points.shape)
+    covariance, allowed = equal_covariance(mapped, 0.03), np.ones((3, mapped), bool)
+    given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
+    assert num_unlike(given, np.zeros(3)) == (mapped - 6, unlike)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_most_of_a_hall_is_unlike_the_rest(seed):
+    points = benchmark.scattered(seed, 25)
+    covariance, allowed = equal_covariance(25, 0.03), np.ones((3, 25), bool)
+    given = Sky(points, covariance, np.zeros(3), np.ones(3), allowed, 4.5)
+    number, unlike = num_unlike(given, np.zeros(3))
+    assert number > 10
+    assert unlike > 0.6 * number
+
+
 def test_a_square_has_four_poses():
     points = np.array([[2.0, 2.0], [-2.0, 2.0], [-2.0, -2.0], [2.0, -2.0]])
     pose = np.array([0.5, 0.3, 0.2])
     away = points - pose[:2]
     bearings = np.asarray(wrap(np.arctan2(away[:, 1], away[:, 0]) - pose[2]))
-    covariances = np.tile(0.02**2 * np.eye(2), (4, 1, 1))
-    found = search(Sky(points, covariances, bearings, np.full(4, 1e-4), np.ones((4, 4), bool), 5.0))
+    covariance = equal_covariance(4, 0.02)
+    found = search(Sky(points, covariance, bearings, np.full(4, 1e-4), np.ones((4, 4), bool), 5.0))
     assert found.margin < 1.0
 
 
@@ -221,6 +279,19 @@ def test_one_of_two_equal_rooms_is_never_taken_for_home():
     assert figures["localised"] == 0.0
 
 
+def test_the_other_room_is_never_taken_for_home_before_that_of_home_is_known():
+    pair = benchmark.two_rooms(2, duration=20.0)
+    localizer = Localizer(pair.without.home, **pair.without.settings.robot)
+    was_assigned = []
+
+    def look(estimate):
+        was_assigned.append(bool(localizer.unlabelled.home.assigned))
+
+    track = run(pair.without, localizer, on_estimate=look)
+    assert any(was_assigned)
+    assert Status.LOCALISED not in track.status
+
+
 def test_a_camera_of_90_degrees_identifies_landmarks_out_of_view():
     pair = benchmark.open_hall(1, duration=90.0, field=np.pi / 2, reach=7.0)
     figures = benchmark.compared(pair)
@@ -248,7 +319,7 @@ def test_estimators_that_need_ids_refuse_such_a_drive(pair):
 
 def test_classes_without_a_common_landmark_find_nothing():
     _, _, given = sky(0)
-    none = Sky(*(getattr(given, n) for n in ("points", "covariances", "bearings", "variances")),
+    none = Sky(*(getattr(given, n) for n in ("points", "covariance", "bearings", "variances")),
                np.zeros_like(given.allowed), given.reach)  # fmt: skip
     assert search(none) is None
 

@@ -247,22 +247,22 @@ def poses_from_triples(
     triples = _triples(len(bearings))
     with np.errstate(divide="ignore", invalid="ignore"):
         if offsets is None:
-            eyes = _from_triples(points, *triples.T, *bearings[triples].T)
+            eyes = from_triples(points, *triples.T, *bearings[triples].T)
         else:
             places, of = points[triples], offsets[triples]
             own = between(of[:, :1], of)
-            eyes = _from_triples(points, *triples.T, *(bearings[triples] + own[..., 2]).T)
+            eyes = from_triples(points, *triples.T, *(bearings[triples] + own[..., 2]).T)
             for _ in range(OFFSET_STEPS if own.any() else 0):
                 first, each = eyes[:, None], compose(eyes[:, None], own)
                 change = sight(first, places).bearing - sight(each, places).bearing
-                eyes = _from_triples(points, *triples.T, *(bearings[triples] + change).T)
+                eyes = from_triples(points, *triples.T, *(bearings[triples] + change).T)
             eyes = compose(eyes, between(of[:, 0], np.zeros(3)))
     reach = MAX_RANGE * np.ptp(points, axis=0).max()
     near = np.abs(eyes[:, :2] - points.mean(axis=0)).max(axis=1) < reach
     return np.asarray(eyes[np.isfinite(eyes).all(axis=1) & near])
 
 
-def _from_triples(
+def from_triples(
     points: np.ndarray,
     a: np.ndarray,
     b: np.ndarray,

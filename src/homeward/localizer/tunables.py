@@ -581,9 +581,9 @@ NATS_APART = 7.0
 """Log evidence of home over other places: one in a thousand is wrong [nats]."""
 NATS_KEPT = 2.0
 """Below this, an assignment of home bearings is withdrawn [nats]."""
-PROVEN_S = 25.0
-"""Time for which home must stay found before a pose is localised: a place that looks the same may
-come into view [s]."""
+EXPLORED = 2.0
+"""Path length without a new landmark after which the map is complete [reach]: a place next to it
+would have come into view."""
 FIRST_SEARCH_S = 1.0
 """Interval of the searches for home after a landmark was mapped [s], ..."""
 SEARCH_GROWTH = 1.3
@@ -592,19 +592,18 @@ MAX_SEARCH_S = 30.0
 """... and its maximum [s]."""
 MAX_CONSTELLATION = 60
 """Landmarks that a search uses, of those with most sightings: its time grows with them."""
-CONSTELLATION_STEP = 0.07
-"""Step of the grid of positions: the error of most bearings is then below 0.1 rad [reach], ..."""
-MAX_CELLS = 120
-"""... and the largest number of steps along a side."""
-CONSTELLATION_HEADINGS = 120
-"""Bins of the heading: 3 degrees, as the cells."""
+MAX_HYPOTHESES, MIN_TRIPLES, MAX_BEARING_TRIPLES = 400_000, 4, 20
+"""Poses from triples with which a search begins, and triples of bearings: several of 20 are of
+landmarks only, even if a third of the bearings is of none."""
+MAX_SCORED, BEARING_BINS = 2000, 256
+"""Poses that are scored exactly: those with most bearings within two bins of a landmark's."""
 CONSTELLATION_PAD = 0.35
 """Margin of the region around the landmarks in which the pose may be, by its longer side."""
-MAX_STARTS = 250
-"""Cells that are refined."""
-ANNEALED = (0.2, 0.15, 0.1, 0.07, 0.05, 0.03, 0.0, 0.0)
-"""Tolerances of the refinement [rad]: from the size of a cell to the noise."""
-NUM_MATCHES = 20
+MAX_STARTS = 500
+"""Poses that are refined."""
+ANNEALED = (0.05, 0.03, 0.0, 0.0)
+"""Tolerances of the refinement [rad]: from the error of a triple to the noise."""
+NUM_MATCHES = 60
 """Distinct poses whose evidence is computed."""
 REACH = 0.95
 """Quantile of the distances of sightings that is taken for the reach of the sensor, ..."""

@@ -1,7 +1,7 @@
 """Constellation: the pose from which bearings without ids fit a map, over all assignments.
 
-Each cell of a grid of positions gets votes for its headings, one from each bearing and landmark;
-the best cells are refined by least squares, in which each bearing is of the nearest landmark. The
+Three bearings determine a pose for each triple of landmarks (resection). The poses that fit all
+bearings best are refined by least squares, in which each bearing is of the nearest landmark. The
 evidence of a pose is a Bayes factor against bearings that belong to no landmark: with the pose
 integrated out (Laplace's method), and each landmark of a bearing equally probable before.
 """
@@ -10,25 +10,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from homeward.geometry.angles import TWO_PI, wrap
 from homeward.geometry.se2 import sight
+from homeward.localizer.resection import from_triples
 from homeward.localizer.tunables import (
     ANNEALED,
+    BEARING_BINS,
     CLOSE,
-    CONSTELLATION_HEADINGS,
     CONSTELLATION_PAD,
-    CONSTELLATION_STEP,
     DETECTED,
+    FALSE_ALARM,
     INLIER,
     LINEAR,
-    MAX_CELLS,
+    MAX_BEARING_TRIPLES,
+    MAX_HYPOTHESES,
+    MAX_SCORED,
     MAX_STARTS,
+    MIN_TRIPLES,
     MINIMAL,
     NATS_APART,
+    NATS_KEPT,
     NUM_MATCHES,
     UNMATCHED,
 )
@@ -40,8 +48,8 @@ class Sky:
 
     points: np.ndarray
     """(n, 2): positions of the landmarks [m]."""
-    covariances: np.ndarray
-    """(n, 2, 2)"""
+    covariance: np.ndarray
+    """(n, 2, n, 2): of their errors."""
     bearings: np.ndarray
     """(m,) [rad]"""
     variances: np.ndarray
@@ -56,6 +64,12 @@ class Sky:
 
     start: np.ndarray | None = None
     """(3,): pose that was found before."""
+
+    @cached_property
+    def covariances(self) -> np.ndarray:
+        """(n, 2, 2): of each landmark."""
+        each = np.arange(len(self.points))
+        return np.asarray(self.covariance[each, :, each])
 
     @property
     def box(self) -> tuple[np.ndarray, np.ndarray]:
@@ -82,11 +96,35 @@ class Sky:
             np.logaddexp(anywhere, -math.log(TWO_PI * math.pi * radius**2)) + math.log(0.5)
         )
 
-    def detected(self, pose: np.ndarray) -> np.ndarray:
-        """Return the probability to see each landmark from a pose (3,), shape (n,)."""
-        distance = np.hypot(*(self.points - pose[:2]).T)
+    @property
+    def farthest(self) -> float:
+        """Distance within which a bearing begins a hypothesis [m]."""
+        return (1.0 + LINEAR) * self.reach
+
+    def detected(self, poses: np.ndarray) -> np.ndarray:
+        """Return the probability to see each landmark from poses (k, 3), shape (k, n)."""
+        distance = np.linalg.norm(self.points - poses[:, None, :2], axis=2)
         beyond = np.maximum(distance / self.reach - 1.0, 0.0) / LINEAR
         return np.asarray(DETECTED * np.maximum(np.exp(-(beyond**2)), CLOSE / 2))
+
+
+def num_unlike(sky: Sky, pose: np.ndarray) -> tuple[int, int]:
+    """Return the numbers of landmarks out of view from a pose (3,), and of those unlike the others.
+
+    Others are like those in view if one shift and rotation moves these to them, within 3 sigma.
+    """
+    at, sigma = sky.points @ [1.0, 1j], np.sqrt(sky.covariances.trace(axis1=1, axis2=2))
+    is_near = np.hypot(*(sky.points - pose[:2]).T) < sky.reach
+    a, b = np.flatnonzero(is_near), np.flatnonzero(~is_near)
+    (i, j), (k, m) = (x[np.argwhere(~np.eye(x.size, dtype=bool))].T for x in (a, b))
+    old, new = at[j] - at[i], (at[m] - at[k])[:, None]
+    within = INLIER * np.hypot(np.hypot(sigma[i], sigma[j]), np.hypot(sigma[k], sigma[m])[:, None])
+    q, p = np.nonzero(np.abs(np.abs(new) - np.abs(old)) < within)
+    turn = np.exp(1j * np.angle(new[q, 0] / old[p]))
+    copies = at[k[q], None] + turn[:, None] * (at[a] - at[i[p], None])
+    off = np.abs(copies[..., None] - at[b])
+    like = (off < INLIER * np.hypot(sigma[a, None], sigma[b])).any(axis=1).sum(axis=1)
+    return b.size, b.size - int(like.max(initial=min(b.size, 1)))
 
 
 class Match(NamedTuple):
@@ -99,6 +137,21 @@ class Match(NamedTuple):
     log_evidence: float
     covariance: np.ndarray
     """(3, 3)"""
+    square: float
+    """Sum of the squared residuals [variances]."""
+
+
+class Residuals(NamedTuple):
+    """Residuals of m bearings of n landmarks at k poses."""
+
+    residual: np.ndarray
+    """(k, m, n) [rad]"""
+    variance: np.ndarray
+    """(k, m, n) [rad^2]"""
+    by_pose: np.ndarray
+    """(k, n, 3): Jacobian of a predicted bearing by the pose, ..."""
+    by_place: np.ndarray
+    """(k, n, 2): ... and by the landmark."""
 
 
 class Ranked(NamedTuple):
@@ -126,76 +179,108 @@ def search(sky: Sky) -> Ranked | None:
         if not any(_is_same(each, known, sky) for known in (best, *distinct)):
             distinct.append(each)
     rival = np.logaddexp.reduce([m.log_evidence for m in distinct]) if distinct else -math.inf
-    return Ranked(best, best.log_evidence - float(rival))
+    is_repeated = any(_is_copy(each, best) for each in distinct)
+    margin = best.log_evidence - float(rival)
+    return Ranked(best, min(margin, 0.0) if is_repeated else margin)
+
+
+def _is_copy(one: Match, best: Match) -> bool:
+    """Return whether other landmarks explain the bearings as well but for residuals within 3 sigma.
+
+    Then the map repeats itself, and errors of the map decide which of the two fits better.
+    """
+    shared = np.count_nonzero((one.landmark == best.landmark) & (best.landmark >= 0))
+    number = np.count_nonzero(one.landmark >= 0)
+    fits = one.square < chdtri(max(number - MINIMAL, 1), FALSE_ALARM)
+    lost = best.log_evidence + 0.5 * best.square - one.log_evidence - 0.5 * one.square
+    return bool(2 * shared <= number and fits and lost < NATS_KEPT)
 
 
 def match(pose: np.ndarray, sky: Sky) -> Match | None:
-    """Return the match at a refined pose (3,), each landmark having one bearing at most."""
+    """Return the match at a refined pose (3,), each landmark having one bearing at most.
+
+    Errors that its landmarks have in common contradict nothing: their joint covariance is used.
+    """
     for _ in range(2):
-        residual, variance, jacobian = _residuals(pose[None], sky)
-        detected = sky.detected(pose)
-        gain = np.log(detected / (1.0 - detected) / sky.density)
-        gain = gain - 0.5 * (np.log(TWO_PI * variance[0]) + residual[0] ** 2 / variance[0])
-        landmark = _one_to_one(np.where(sky.allowed, gain, -np.inf))
+        (gain,), (unseen,), (residual, variance, jacobian, by_place) = _gains(pose[None], sky)
+        landmark = _one_to_one(gain)
         rows = np.flatnonzero(landmark >= 0)
         if rows.size < MINIMAL:
             return None
         of = landmark[rows]
-        r, v, by_pose = residual[0, rows, of], variance[0, rows, of], jacobian[0, of]
-        information = (by_pose / v[:, None]).T @ by_pose + 1e-9 * np.eye(3)
-        step = np.linalg.solve(information, by_pose.T @ (r / v))
+        r, v, by_pose, by_map = (
+            residual[0, rows, of],
+            variance[0, rows, of],
+            jacobian[0, of],
+            by_place[0, of],
+        )
+        joint = np.einsum("ki,kilj,lj->kl", by_map, sky.covariance[of][:, :, of], by_map)
+        joint = joint + np.diag(sky.variances[rows])
+        weighted = np.linalg.solve(joint, np.column_stack([by_pose, r]))
+        information = by_pose.T @ weighted[:, :3] + 1e-9 * np.eye(3)
+        step = np.linalg.solve(information, by_pose.T @ weighted[:, 3])
         pose = pose + step
-    unseen = np.log1p(-detected).sum()
-    covariance = np.linalg.inv(information)
+    covariance, square = np.linalg.inv(information), float(r @ weighted[:, 3])
     volume = 0.5 * float(np.linalg.slogdet(TWO_PI * covariance)[1])
+    correlated = 0.5 * float((np.log(v) + r**2 / v).sum() - np.linalg.slogdet(joint)[1] - square)
     return Match(
         pose,
         landmark,
-        float(gain[rows, of].sum() + unseen) + volume + sky.log_prior(pose),
+        float(gain[rows, of].sum() + unseen) + correlated + volume + sky.log_prior(pose),
         covariance,
+        square - float(step @ information @ step),
     )
 
 
-def _residuals(poses: np.ndarray, sky: Sky) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return residuals and variances (k, m, n) at poses (k, 3), and Jacobians (k, n, 3)."""
+def _residuals(poses: np.ndarray, sky: Sky) -> Residuals:
+    """Return the residuals at poses (k, 3)."""
     bearing, by_place, _ = sight(poses[:, None], sky.points)
     by_map = np.einsum("kni,nij,knj->kn", by_place, sky.covariances, by_place)
     jacobian = np.concatenate([-by_place, np.full((*bearing.shape, 1), -1.0)], axis=2)
     variance = by_map[:, None] + sky.variances[:, None]
-    return wrap(sky.bearings[:, None] - bearing[:, None]), variance, jacobian
+    return Residuals(wrap(sky.bearings[:, None] - bearing[:, None]), variance, jacobian, by_place)
 
 
 def _starts(sky: Sky) -> np.ndarray:
-    """Return the poses (k, 3) with most votes."""
-    (x0, y0), (x1, y1) = sky.box
-    size = max(x1 - x0, y1 - y0)
-    step = max(CONSTELLATION_STEP * min(sky.reach, 0.5 * size), size / MAX_CELLS)
-    grid = np.stack(np.meshgrid(np.arange(x0, x1, step), np.arange(y0, y1, step)), -1)
-    cells, bins = grid.reshape(-1, 2), CONSTELLATION_HEADINGS
-    off = sky.points - cells[:, None]
-    distance = np.hypot(off[..., 0], off[..., 1])
-    in_reach = distance < (1.0 + LINEAR) * sky.reach
-    in_reach &= (in_reach.sum(axis=1) >= MINIMAL)[:, None]
-    cell, landmark = np.nonzero(in_reach)
-    away, off = np.maximum(distance[in_reach], 0.5 * step), off[in_reach]
-    tolerance = np.minimum(0.5 * step / away, LINEAR) + 2.0 * math.sqrt(sky.variances.max())
-    angle = np.arctan2(off[:, 1], off[:, 0])
-    pair, row = np.nonzero(sky.allowed.T[landmark])
-    heading, around = wrap(angle[pair] - sky.bearings[row]), tolerance[pair]
-    first = np.floor((heading - around + math.pi) * (bins / TWO_PI)).astype(int)
-    last = np.floor((heading + around + math.pi) * (bins / TWO_PI)).astype(int) + 1
-    # Votes that begin and end are summed along each row, with space at both ends: they wrap round.
-    pad, at = bins // 2, cell[pair] * (2 * bins) + bins // 2
-    weight = np.log1p(1.0 / around)
-    change = np.bincount(at + first, weight, len(cells) * 2 * bins)
-    change -= np.bincount(at + last, weight, len(cells) * 2 * bins)
-    spread = change.reshape(len(cells), 2 * bins).cumsum(axis=1)
-    votes = spread[:, pad : pad + bins]
-    votes[:, :pad] += spread[:, pad + bins :]
-    votes[:, bins - pad :] += spread[:, :pad]
-    number = min(MAX_STARTS, votes.size - 1)
-    cell, turn = np.divmod(np.argpartition(-votes.ravel(), number)[:number], bins)
-    return np.column_stack([cells[cell], (turn + 0.5) * (TWO_PI / bins) - math.pi])
+    """Return the poses (k, 3) from triples of bearings, each of any landmarks, that fit best."""
+    apart = np.hypot(*(sky.points[:, None] - sky.points).T)
+    near = (apart < 2.0 * sky.farthest) & ~np.eye(len(apart), dtype=bool)
+    landmarks = np.argwhere(near[:, :, None] & near[:, None] & near)
+    usable = np.flatnonzero(sky.allowed.any(axis=1)).tolist()
+    triples = np.array(list(combinations(usable, MINIMAL)))
+    number = max(MAX_HYPOTHESES // max(len(landmarks), 1), MIN_TRIPLES)
+    some = np.random.default_rng(0).permutation(triples)[: min(number, MAX_BEARING_TRIPLES)]
+    poses = _promising(np.vstack([_from_triple(rows, landmarks, sky) for rows in some]), sky)
+    return poses[np.argsort(-_scores(poses, sky, math.sqrt(sky.variances.max())))[:MAX_STARTS]]
+
+
+def _from_triple(rows: np.ndarray, landmarks: np.ndarray, sky: Sky) -> np.ndarray:
+    """Return the poses (k, 3) from which three bearings are of triples of landmarks (q, 3)."""
+    of = landmarks[sky.allowed[rows, landmarks].all(axis=1)]
+    bearings = np.tile(sky.bearings[rows], (len(of), 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        poses = from_triples(sky.points, *of.T, *bearings.T)
+        away = sky.points[of] - poses[:, None, :2]
+        off = wrap(np.arctan2(away[..., 1], away[..., 0]) - poses[:, 2:] - bearings)
+        fits = (np.hypot(away[..., 0], away[..., 1]) < sky.farthest) & (np.abs(off) < LINEAR)
+    return np.asarray(poses[fits.all(axis=1)])
+
+
+def _promising(poses: np.ndarray, sky: Sky) -> np.ndarray:
+    """Return those of poses (k, 3) from which most bearings are near that of any landmark."""
+    if len(poses) <= MAX_SCORED:
+        return poses
+    away, bins = sky.points - poses[:, None, :2], BEARING_BINS / TWO_PI
+    in_reach = np.hypot(away[..., 0], away[..., 1]) < sky.farthest
+    row, landmark = np.nonzero(in_reach)
+    bearing = np.arctan2(away[..., 1], away[..., 0])[row, landmark] - poses[row, 2]
+    is_near = np.zeros((len(poses), BEARING_BINS), bool)
+    for shift in (-1, 0, 1):
+        is_near[row, (np.floor(bearing * bins).astype(int) + shift) % BEARING_BINS] = True
+    hits = is_near[:, np.floor(sky.bearings * bins).astype(int) % BEARING_BINS].sum(axis=1)
+    votes = hits * math.log(DETECTED / (1.0 - DETECTED) / sky.density * bins / 3)
+    votes += in_reach.sum(axis=1) * math.log(1.0 - DETECTED)
+    return poses[np.argpartition(-votes, MAX_SCORED)[:MAX_SCORED]]
 
 
 def _refined(poses: np.ndarray, sky: Sky) -> np.ndarray:
@@ -203,7 +288,7 @@ def _refined(poses: np.ndarray, sky: Sky) -> np.ndarray:
     k, (low, high) = np.arange(len(poses))[:, None], sky.box
     longest = LINEAR * float((high - low).max())
     for tolerance in ANNEALED:
-        residual, variance, jacobian = _residuals(poses, sky)
+        residual, variance, jacobian, _ = _residuals(poses, sky)
         square = np.where(sky.allowed, residual**2 / variance, np.inf)
         of = square.argmin(axis=2)
         m = np.arange(of.shape[1])
@@ -222,16 +307,32 @@ def _refined(poses: np.ndarray, sky: Sky) -> np.ndarray:
     return poses
 
 
+def _scores(poses: np.ndarray, sky: Sky, blur: float = 0.0) -> np.ndarray:
+    """Return the log likelihood ratios (k,) of poses (k, 3), each bearing of its best landmark.
+
+    The standard deviation `blur` [rad] is added.
+    """
+    gain, unseen = _gains(poses, sky, blur)[:2]
+    return np.asarray(np.maximum(gain.max(axis=2), 0.0).sum(axis=1) + unseen)
+
+
+def _gains(
+    poses: np.ndarray, sky: Sky, blur: float = 0.0
+) -> tuple[np.ndarray, np.ndarray, Residuals]:
+    """Return log likelihood ratios of pairs (k, m, n) and those without any (k,); residuals."""
+    found = _residuals(poses, sky)
+    detected, total = sky.detected(poses), found.variance + blur**2
+    gain = np.log(detected / (1.0 - detected) / sky.density)[:, None]
+    gain = gain - 0.5 * (np.log(TWO_PI * total) + found.residual**2 / total)
+    gain = np.where(sky.allowed, gain, -np.inf)
+    return gain, np.log1p(-detected).sum(axis=1), found
+
+
 def _best_first(poses: np.ndarray, sky: Sky) -> np.ndarray:
     """Return the distinct poses with the largest likelihoods."""
-    residual, variance, _ = _residuals(poses, sky)
-    square = np.where(sky.allowed, residual**2 + 0.0 * variance, np.inf) / variance
-    nearest = square.min(axis=2)
-    score = np.maximum(0.5 * (INLIER**2 - nearest), 0.0).sum(axis=1)
-    score += MINIMAL * np.count_nonzero(nearest < INLIER**2, axis=1)
-    order, unit = np.argsort(-score), CLOSE * float((sky.box[1] - sky.box[0]).max()) / 10
+    unit = CLOSE * float((sky.box[1] - sky.box[0]).max()) / 10
     chosen: list[int] = []
-    for i in order.tolist():
+    for i in np.argsort(-_scores(poses, sky)).tolist():
         off = np.abs(poses[chosen] - poses[i])
         near = (off[:, :2].max(axis=1) < unit) & (np.abs(wrap(off[:, 2])) < CLOSE)
         if not near.any():

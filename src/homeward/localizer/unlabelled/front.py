@@ -21,9 +21,7 @@ from homeward.localizer.tunables import (
     MAX_SHARP,
     MIN_HITS,
     MIN_MISSES,
-    NATS_APART,
     NOT_LIVE,
-    PROVEN_S,
     REPAIR_S,
     TENTATIVE,
     TURN_JITTER_S,
@@ -54,6 +52,8 @@ class UnlabelledLandmarks:
         """By camera."""
         self._loss, self._anchors = Loss(), Anchors()
         self._repaired_at, self._is_home_renamed = -math.inf, False
+        self._path = 0.0
+        """Path length at that time [m]."""
         self._in_frame: list[str] = []
         """Landmarks of the last frame, empty for none."""
 
@@ -67,8 +67,7 @@ class UnlabelledLandmarks:
         """Why a pose is not verified, if it is not."""
         if not self.known.seen:  # all landmarks have ids
             return None
-        since, margin = self.home.since, self.home.margin
-        is_open = self.home.is_needed and (self.at < since + PROVEN_S or margin < NATS_APART)
+        is_open = self.home.is_needed and not self.home.is_proven
         is_doubtful = is_open or self._loss.is_suspected or not self._anchors.are_enough
         return Reason.NO_CONSTELLATION if is_doubtful else None
 
@@ -80,7 +79,7 @@ class UnlabelledLandmarks:
         `here` is dead reckoning at its stamp, by these twists.
         """
         keys = [k for k in frame.sightings if is_unlabelled(k)]
-        self.at, self.names = frame.t, {}
+        self.at, self.names, self._path = frame.t, {}, here.driven.path
         if not keys and not self._tracks:
             return frame
         tracks = self._tracks.setdefault(frame.camera, Tracks())
@@ -367,7 +366,7 @@ class UnlabelledLandmarks:
         usable = {n: self.known.kinds.get(n, "") for n in mapped if n not in self.known.aliases}
         self._anchors.add_frame(t, self._in_frame)
         self.known.add_distances(chart.map.landmarks.distances(self.names.values()).values())
-        return self.home.update(t, chart, usable, self.known.reach) or changed
+        return self.home.update(t, self._path, chart, usable, self.known.reach) or changed
 
     def _rename(self, new: str, old: str, chart: Chart) -> bool:
         """Record that two landmarks are one; return whether home changes."""

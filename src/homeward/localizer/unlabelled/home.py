@@ -18,6 +18,7 @@ from homeward.localizer.chart import Chart
 from homeward.localizer.motions import HEAD
 from homeward.localizer.tunables import (
     ESTABLISHED,
+    EXPLORED,
     FIRST_SEARCH_S,
     MAX_CONSTELLATION,
     MAX_SEARCH_S,
@@ -27,7 +28,7 @@ from homeward.localizer.tunables import (
     NEGLIGIBLE,
     SEARCH_GROWTH,
 )
-from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, search
+from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, num_unlike, search
 from homeward.reasons import Reason
 from homeward.sighting_keys import class_of, is_unlabelled
 
@@ -43,17 +44,32 @@ class HomeFinder:
         """Landmark of each home bearing that is assigned, by key."""
         self.margin = -math.inf
         """Log evidence of the newest search over other places [nats]."""
-        self.since = math.inf
-        """Time since when the landmarks of home bearings are known [s]; infinite if they are not.
-        """
         self._pose: np.ndarray | None = None
         """Pose of the assigned home in the map, (3,)."""
         self._next, self._wait, self._mapped = -math.inf, FIRST_SEARCH_S, 0
+        self._is_unique = False
+        """Whether no other place fits nearly as well."""
+        self._num_elsewhere = self._num_unlike = 0
+        """Landmarks out of view from home, and those of them that are unlike those in view."""
+        self._is_unchanged = False
+        """Whether no landmark was mapped for a long path."""
+        self._extended_at = 0.0
+        """Path length at which the newest landmark was mapped [m]."""
 
     @property
     def why(self) -> Reason | None:
         """Why there is no pose, where that is because home bearings have no ids."""
         return Reason.HOME_AMBIGUOUS if self.is_needed and not self.assigned else None
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether home can be nowhere else.
+
+        If all landmarks elsewhere repeat those at home, the rest of an equal place may be unknown.
+        """
+        is_complete = self._num_elsewhere < MINIMAL and self._is_unchanged
+        is_explored = self._num_unlike >= MINIMAL or is_complete
+        return self._is_unique and is_explored
 
     def named(self) -> dict[str, HomeBearing]:
         """Return the home bearings by landmark: those that have an id, or are assigned."""
@@ -62,15 +78,22 @@ class HomeFinder:
             n or k: self._home[k] for k, n in names.items() if n is not None or not is_unlabelled(k)
         }
 
-    def update(self, t: float, chart: Chart, names: Mapping[str, str], reach: float) -> bool:
+    def update(
+        self, t: float, path: float, chart: Chart, names: Mapping[str, str], reach: float
+    ) -> bool:
         """Search for home in a map at `t` [s] if it is due; return whether assignments changed.
 
-        `names` has the classes of the map's landmarks, of those that may be used, and `reach` [m]
-        is the distance within which most landmarks are seen.
+        `path` is the path length [m], `names` has the classes of the map's landmarks, of those that
+        may be used, and `reach` [m] is the distance within which most landmarks are seen.
         """
-        if not self.is_needed or t < self._next:
+        if not self.is_needed:
             return False
         kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
+        if len(kept) > self._mapped:
+            self._extended_at = path
+        self._is_unchanged = path > self._extended_at + EXPLORED * reach
+        if t < self._next:
+            return False
         growth = SEARCH_GROWTH ** (3.0 if self.assigned else 1.0)
         self._wait = min(self._wait * growth, MAX_SEARCH_S)
         if len(kept) > self._mapped:
@@ -84,7 +107,8 @@ class HomeFinder:
         sky = self._sky(keys, kept, chart, names, reach)
         found = search(sky) if sky is not None else None
         changed = self._accept(found, keys, kept)
-        self.since = min(self.since, t) if self.assigned else math.inf
+        if sky is not None and self._pose is not None:
+            self._num_elsewhere, self._num_unlike = num_unlike(sky, self._pose)
         return changed
 
     def _accept(self, found: Ranked | None, keys: list[str], names: list[str]) -> bool:
@@ -92,6 +116,7 @@ class HomeFinder:
         before = dict(self.assigned)
         self.margin = found.margin if found is not None else -math.inf
         if found is None:
+            self._is_unique = False
             return False
         best = dict(self._pairs(found.best, keys, names))
         sure = min(found.margin, found.best.log_evidence)
@@ -103,6 +128,8 @@ class HomeFinder:
         elif self.assigned and not (same and found.margin > NATS_KEPT):
             self.assigned = {}
         self._pose = found.best.pose if self.assigned else None
+        apart = NATS_KEPT if self._is_unique and same else NATS_APART
+        self._is_unique = bool(self.assigned) and found.margin > apart
         return self.assigned != before
 
     def _pairs(self, found: Match, keys: list[str], names: list[str]) -> list[tuple[str, str]]:
@@ -127,13 +154,13 @@ class HomeFinder:
         """Return the home bearings and the landmarks of a map."""
         if not keys or not names:
             return None
-        points, covariances = relative_places(chart, names)
+        points, covariance = relative_places(chart, names)
         sigmas = np.array([self._home[k].sigma for k in keys])
         sigmas = np.where(np.isfinite(sigmas), sigmas, chart.noise.typical)
         bearings = np.array([self._home[k].bearing for k in keys])
         allowed = may_be(keys, names, kinds)
         lines = bearings, sigmas**2, allowed
-        return Sky(points, covariances, *lines, reach, start=self._pose)
+        return Sky(points, covariance, *lines, reach, start=self._pose)
 
 
 def may_be(keys: Sequence[str], names: Sequence[str], kinds: Mapping[str, str]) -> np.ndarray:
@@ -150,7 +177,7 @@ def may_be(keys: Sequence[str], names: Sequence[str], kinds: Mapping[str, str]) 
 
 
 def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Return landmarks' positions (n, 2) [m] and their covariances (n, 2, 2) relative to all.
+    """Return landmarks' positions (n, 2) [m] and their covariance (n, 2, n, 2) relative to all.
 
     A shift, rotation and scale that all have in common changes no bearing from a free pose.
     """
@@ -162,6 +189,6 @@ def relative_places(chart: Chart, names: list[str]) -> tuple[np.ndarray, np.ndar
     common[:, 2], common[:, 3] = (off[:, ::-1] * [-1.0, 1.0]).ravel(), off.ravel()
     basis = np.linalg.qr(common)[0]
     rest = np.eye(len(common)) - basis @ basis.T
-    each = np.arange(2 * len(names)).reshape(-1, 2)
-    covariance = (rest @ covariance @ rest.T)[each[:, :, None], each[:, None]]
-    return points, covariance + (NEGLIGIBLE * chart.map.smoother.state.scale / 10) ** 2 * np.eye(2)
+    negligible = NEGLIGIBLE * chart.map.smoother.state.scale / 10
+    covariance = rest @ covariance @ rest.T + negligible**2 * np.eye(len(common))
+    return points, covariance.reshape(len(names), 2, len(names), 2)

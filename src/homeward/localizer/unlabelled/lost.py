@@ -83,12 +83,12 @@ class Loss:
         names = [n for n in mapped if n in self._mapped and n not in known.aliases]
         if len(names) < MINIMAL or len(keys) <= MINIMAL:
             return {}
-        points, covariances = relative_places(chart, names)
+        points, covariance = relative_places(chart, names)
         state = chart.map.smoother.state
         near = float(state.mean[0]), float(state.mean[1]), CLOSE * INLIER * state.scale
         allowed = may_be(keys, names, known.kinds)
         lines = bearings, variances, allowed
-        found = search(Sky(points, covariances, *lines, known.reach, near))
+        found = search(Sky(points, covariance, *lines, known.reach, near))
         if found is None or min(found.margin, found.best.log_evidence) < NATS_APART:
             return {}
         pairs = enumerate(found.best.landmark.tolist())
