@@ -11,14 +11,17 @@ constexpr int INFORMATION = 3, BY_CALIBRATION = 12, PER_S = STEP - 1;
 
 class FrameSum {
  public:
-  // Begin a frame: the camera's pose, seen from a keyframe at a pose, and its Jacobian by both.
+  // Begin a frame: the camera's pose, seen from a keyframe at a pose, and its Jacobian by both. At the keyframe itself,
+  // it does not depend on most of the calibration.
   void begin(const double *pose, const double *free, const double *jacobian, const Fixed<NC, 1> &calibration) {
     const Eigen::Map<const Jacobian> by(jacobian);
     const Vector3 camera = Eigen::Map<const Vector3>(free) + by * calibration;
     const Composition there(Eigen::Map<const Vector3>(pose), camera);
     eye = there.pose;
     by_head.leftCols<3>() = there.by_a;
-    by_head.rightCols<NC>() = there.by_b * by;
+    n = 3;
+    for (int k = 0; k < NC; k++)
+      if (by.col(k) != Vector3::Zero()) columns[n] = 3 + k, by_head.col(n++) = there.by_b * by.col(k);
     square.setZero(), slope.setZero();
   }
   void add(double x, double y, double turn, double residual) {
@@ -28,16 +31,19 @@ class FrameSum {
   }
   void end(const Equations &e, size_t pose) {
     square(1, 0) = square(0, 1), square(2, 0) = square(0, 2), square(2, 1) = square(1, 2);
-    const Fixed<HEAD, HEAD> all = by_head.transpose().lazyProduct(square.lazyProduct(by_head).eval());
-    const Fixed<HEAD, 1> pull = by_head.transpose() * slope;
-    e.own_of(pose) += all.topLeftCorner<3, 3>();
-    e.shared_of(pose).leftCols<NC>() += all.topRightCorner<3, NC>();
-    e.slope_of(pose) += pull.head<3>();
-    e.common_all().topLeftCorner<NC, NC>() += all.bottomRightCorner<NC, NC>();
-    e.common_slope_all().head<NC>() += pull.tail<NC>();
+    for (int i = 0; i < n; i++) {
+      const Vector3 weighted = square * by_head.col(i);
+      const bool is_pose = i < 3;
+      double *own = e.own + 9 * pose + 3 * i, *shared = e.shared + 3 * e.a * pose + e.a * i;
+      if (!is_pose) shared = e.common + e.a * (columns[i] - 3);
+      for (int j = is_pose ? 0 : 3; j < n; j++)
+        (j < 3 ? own[j] : shared[columns[j] - 3]) += by_head.col(j).dot(weighted);
+      (is_pose ? e.slope[3 * pose + i] : e.common_slope[columns[i] - 3]) += by_head.col(i).dot(slope);
+    }
   }
   Vector3 eye;
-  Fixed<3, HEAD> by_head;
+  int n, columns[HEAD] = {0, 1, 2};  // of keyframe's pose (3) and calibration, on which it depends
+  Eigen::Matrix<double, 3, HEAD> by_head;  // the Jacobian by these
 
  private:
   Matrix3 square;
@@ -175,17 +181,21 @@ void add_bearings(const Equations &e, const Bearings &seen, const double *poses,
     // By the landmark (x, y); by the camera's pose it is (-x, -y, -scale).
     const double x = -scale * dy / square, y = scale * dx / square;
     sum.add(-x, -y, -scale, residual);
-    double head[HEAD];
-    for (int k = 0; k < HEAD; k++) head[k] = -x * sum.by_head(0, k) - y * sum.by_head(1, k) - scale * sum.by_head(2, k);
+    double head[HEAD];  // by the columns
+    for (int k = 0; k < sum.n; k++)
+      head[k] = -x * sum.by_head(0, k) - y * sum.by_head(1, k) - scale * sum.by_head(2, k);
     if (rows.residual) {
-      double *row = std::copy_n(head, HEAD, rows.by_bearing + (HEAD + 2) * i);
-      row[0] = x, row[1] = y, rows.residual[i] = residual;
+      double *row = rows.by_bearing + (HEAD + 2) * i;
+      std::fill_n(row, HEAD, 0.0);
+      for (int k = 0; k < sum.n; k++) row[sum.columns[k]] = head[k];
+      row[HEAD] = x, row[HEAD + 1] = y, rows.residual[i] = residual;
     }
     const size_t at = NC + 2 * mark;
     double *shared_at = e.shared + 3 * e.a * pose + at, *common_at = e.common + e.a * at + at;
-    double *cross_at = cross.data() + 2 * NC * mark;
+    double *cross_at = cross.data() + 2 * NC * mark - 3;
     for (size_t k = 0; k < 3; k++) shared_at[e.a * k] += x * head[k], shared_at[e.a * k + 1] += y * head[k];
-    for (int k = 0; k < NC; k++) cross_at[k] += x * head[3 + k], cross_at[NC + k] += y * head[3 + k];
+    for (int k = 3; k < sum.n; k++)
+      cross_at[sum.columns[k]] += x * head[k], cross_at[NC + sum.columns[k]] += y * head[k];
     common_at[0] += x * x, common_at[1] += x * y, common_at[e.a] += x * y, common_at[e.a + 1] += y * y;
     e.common_slope[at] += residual * x, e.common_slope[at + 1] += residual * y;
   }

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from homeward import core
 from homeward.localizer import kernels
 from homeward.localizer.motions import (
+    CAMERA_YAW,
     DELAY,
     HEAD,
     NC,
@@ -83,6 +84,8 @@ def random_window(rng, w, n, f):
     pose = np.sort(rng.integers(0, w, f))
     m = 3 * f
     frame = np.sort(rng.integers(0, f, m))
+    jacobians = rng.normal(0.0, 0.5, (f, 3, NC))
+    jacobians[rng.random(f) < 0.5, :, :CAMERA_YAW] = 0.0  # at the keyframe itself
     landmark = rng.integers(0, n, m)
     if w > LONG:
         landmark = (pose[frame] * n // w + landmark % 3) % n
@@ -95,7 +98,7 @@ def random_window(rng, w, n, f):
         landmark,
         pose,
         rng.normal(0.0, 0.2, (f, 3)),
-        rng.normal(0.0, 0.5, (f, 3, NC)),
+        jacobians,
     )
     return poses, shared, steps, seen
 

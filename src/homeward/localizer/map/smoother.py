@@ -620,12 +620,13 @@ class Smoother:
 
     def _seen(self, rows: np.ndarray) -> SightedFrom:
         """Return the bearings in rows of the table, for the normal equations."""
+        landmark = self.index(rows[:, LANDMARK])
         return SightedFrom(
             rows[:, BEARING].copy(),
             rows[:, SIGMA].copy(),
-            self.effective_sigmas(rows),
+            effective_sigmas(rows, self._correlated) / np.sqrt(self.p_static)[landmark],
             rows[:, FRAME].astype(int) - self.frames.first,
-            self.index(rows[:, LANDMARK]),
+            landmark,
             self.frames.keyframes - self.first,
             self.frames.free,
             self.frames.jacobians,

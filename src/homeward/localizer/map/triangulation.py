@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from statistics import median
 
 import numpy as np
@@ -49,7 +50,7 @@ def triangulate(
     lines = cameras[:, 2] + bearings
     if not _spread(lines, np.ones(lines.size, bool), parallax):
         return None
-    chosen = np.unique(np.linspace(0, lines.size - 1, MAX_LINES).astype(int))
+    chosen = _spaced(lines.size)
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.5 * parallax)
     if not len(points):
         return None
@@ -92,9 +93,21 @@ def unexplained(
     `triangulate`.
     """
     lines = cameras[:, 2] + bearings
-    chosen = np.unique(np.linspace(0, lines.size - 1, MAX_LINES).astype(int))
+    chosen = _spaced(lines.size)
     points = _intersections(cameras[chosen, :2], lines[chosen], 0.0)
     return _truncated(np.concatenate([places, points]), cameras, lines, sigmas)
+
+
+@cache
+def _spaced(count: int) -> np.ndarray:
+    """Return the indices of at most `MAX_LINES` of a number of lines."""
+    return np.unique(np.linspace(0, count - 1, MAX_LINES).astype(int))
+
+
+@cache
+def _pairs(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of both lines of each pair."""
+    return np.triu_indices(count, 1)
 
 
 def _spread(lines: np.ndarray, use: np.ndarray, parallax: float) -> bool:
@@ -117,7 +130,7 @@ def _rivals(points: np.ndarray, position: np.ndarray, eye: np.ndarray) -> np.nda
 
 def _intersections(centres: np.ndarray, lines: np.ndarray, least: float) -> np.ndarray:
     """Return intersections of pairs of sight lines in front of both cameras, shape (k, 2)."""
-    i, j = np.triu_indices(lines.size, 1)
+    i, j = _pairs(lines.size)
     sine = np.sin(lines[j] - lines[i])
     good = np.abs(sine) > np.sin(min(least, 1.5))
     i, j, sine = i[good], j[good], sine[good]
