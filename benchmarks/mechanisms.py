@@ -171,6 +171,7 @@ MECHANISMS = {
     "swap-guard": off("swapped ids", "map.landmarks:Landmarks._is_swapped", False),
     "undecided": off("doubtful moves wait", "map.landmarks:Landmarks._is_undecided", False),
     "returned": off("landmarks that return", "map.landmarks:Landmarks._has_returned", False),
+    "passive-landmarks": off("landmarks out of the window", "map.smoother:Smoother.deactivate"),
     # Home
     "bodies": changed("landmarks on one body", "home.observation:find_bodies", _no_bodies),
     "exchanged-pairs": off("exchanged home bearings", "home.hypotheses:_exchange"),

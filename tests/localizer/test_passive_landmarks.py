@@ -125,7 +125,7 @@ def test_with_fewer_common_errors_no_variance_changes(solved, monkeypatch):
 
 
 def test_a_drive_among_many_landmarks_is_the_same(monkeypatch):
-    """Frames that show a passive landmark are solved at once, so that answers differ a little."""
+    """The median distance is that of landmarks in the window, so that answers differ a little."""
     whole, expected = driven(monkeypatch, 10**9)
     few, found = driven(monkeypatch, 1)
     assert len(few.chart.map.smoother.passive) > 5

@@ -391,7 +391,7 @@ class Smoother:
         self._in_view.pop(number, None)
 
     def activate(self, ids: np.ndarray) -> None:
-        """Make landmarks that are in view active, and solve the window if any was passive.
+        """Make landmarks that are in view active; the solution stays.
 
         `numpy.linalg.LinAlgError` when the normal equations are singular.
         """
@@ -399,22 +399,18 @@ class Smoother:
         back = ids[np.isin(ids, self.passive.ids)]
         if not back.size:
             return
+        every = np.append(self.ids, back)
+        order = every.argsort()
+        joint = self.all_landmarks.joint(every[order])
         self._move_linearisation_point()
         index = self.passive.index(back)
         p_static = self.passive.p_static[index]
-        at, found = self.passive.take(index)
-        self._prior.append(at, found)
-        unknown = INFINITY_RATIO * self.state.scale
-        for position in at.reshape(-1, 2):
-            self.state = self.state.with_landmark(position, unknown)
-        every = np.append(self.ids, back)
-        order = every.argsort()
+        self._prior.append(*self.passive.take(index))
         self.ids, self.p_static = every[order], np.append(self.p_static, p_static)[order]
         unknowns = np.append(np.arange(HEAD), Marginal.columns(order))
         self._prior.reorder(unknowns)
         self.passive.reorder(unknowns)
-        self.state = self.state.reordered(unknowns)
-        self.solve()
+        self.state = joint
 
     def deactivate(self, needed: np.ndarray) -> None:
         """Make landmarks passive that no frame in the window saw, except the `needed` ids.
