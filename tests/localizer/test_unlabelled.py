@@ -19,6 +19,7 @@ from homeward.localizer.unlabelled.association import PossiblePairs, assigned, a
 from homeward.localizer.unlabelled.constellation import Sky, match, num_unlike, search
 from homeward.localizer.unlabelled.home import relative_places
 from homeward.localizer.unlabelled.local_map import LocalMap
+from homeward.localizer.unlabelled.lost import Loss
 from homeward.registry import make_estimator
 from homeward.sighting_keys import class_of, is_unlabelled, keyed, numbered, without_number
 from homeward.track import run
@@ -290,6 +291,22 @@ def test_the_other_room_is_never_taken_for_home_before_that_of_home_is_known():
     track = run(pair.without, localizer, on_estimate=look)
     assert any(was_assigned)
     assert Status.LOCALISED not in track.status
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_robot_whose_landmarks_are_met_by_chance_is_lost(seed, pair):
+    rng = np.random.default_rng(seed)
+    chart = Localizer(pair.without.home, **pair.without.settings.robot).chart
+    detection, chance = np.full(6, 0.8), np.full(6, 0.25)
+    right, wrong = Loss(), Loss()
+    for k in range(300):
+        is_met = rng.random(6) < 0.8 + 0.2 * 0.25
+        assert not right.begins(0.2 * k, 8, detection, chance, is_met, chart)
+    is_lost = False
+    for k in range(25):  # a third of the landmarks are mistaken for others, and always met
+        is_met = (rng.random(6) < 0.25) | (np.arange(6) < 2)
+        is_lost |= wrong.begins(0.2 * k, 8, detection, chance, is_met, chart)
+    assert is_lost
 
 
 def test_a_camera_of_90_degrees_identifies_landmarks_out_of_view():

@@ -561,10 +561,8 @@ NEAR_UNKNOWN_M = 0.7
 """... and before anything is mapped [m]."""
 MAX_SHARP = 0.1
 """A prediction that is less certain does not keep a new landmark from beginning [rad]."""
-BREAKS = 3
-"""Frames in which most expected landmarks are not seen before the robot counts as lost."""
-MIN_EXPECTED = 2.5
-"""Expected number of landmarks in such a frame: three that are mostly seen."""
+SUSPECTED, LOST = 3.0, 10.0
+"""Log likelihood ratio of any other pose from which a pose is not verified, and the robot lost."""
 FIT_AGAIN = 0.6
 """Share of a frame that fits again: see `MAJORITY`."""
 LOST_S = 4.0
@@ -609,6 +607,9 @@ REACH = 0.95
 """Quantile of the distances of sightings that is taken for the reach of the sensor, ..."""
 NUM_DISTANCES = 2000
 """... of the newest ones."""
+MAX_BEYOND, BEYOND_KEPT = 0.15, 0.005
+"""Share of mapped landmarks beyond the reach, of a sensor that reaches across the map: a twentieth
+of the sightings are, by the definition of the reach; and share of a frame in it."""
 MIN_MISSES, GHOST = 15, 0.2
 """Frames in which a landmark is not seen where it is predicted, and share of those in which it is
 seen, below which it is no landmark: real ones are seen in four of five."""

@@ -111,20 +111,26 @@ class Sky:
 def num_unlike(sky: Sky, pose: np.ndarray) -> tuple[int, int]:
     """Return the numbers of landmarks out of view from a pose (3,), and of those unlike the others.
 
-    Others are like those in view if one shift and rotation moves these to them, within 3 sigma.
+    Others are like those in view if one shift and rotation moves these to them, within 3 sigma,
+    and does not move three of these to where none is in view.
     """
     at, sigma = sky.points @ [1.0, 1j], np.sqrt(sky.covariances.trace(axis1=1, axis2=2))
-    is_near = np.hypot(*(sky.points - pose[:2]).T) < sky.reach
-    a, b = np.flatnonzero(is_near), np.flatnonzero(~is_near)
-    (i, j), (k, m) = (x[np.argwhere(~np.eye(x.size, dtype=bool))].T for x in (a, b))
+    center = complex(pose[0], pose[1])
+    is_near = np.abs(at - center) < sky.reach
+    is_sharp = sigma < CLOSE / INLIER * sky.reach
+    a, b = np.flatnonzero(is_near), np.flatnonzero(~is_near & is_sharp)
+    of = np.flatnonzero(is_near & is_sharp)
+    (i, j), (k, m) = (x[np.argwhere(~np.eye(x.size, dtype=bool))].T for x in (of, b))
     old, new = at[j] - at[i], (at[m] - at[k])[:, None]
     within = INLIER * np.hypot(np.hypot(sigma[i], sigma[j]), np.hypot(sigma[k], sigma[m])[:, None])
     q, p = np.nonzero(np.abs(np.abs(new) - np.abs(old)) < within)
     turn = np.exp(1j * np.angle(new[q, 0] / old[p]))
     copies = at[k[q], None] + turn[:, None] * (at[a] - at[i[p], None])
-    off = np.abs(copies[..., None] - at[b])
-    like = (off < INLIER * np.hypot(sigma[a, None], sigma[b])).any(axis=1).sum(axis=1)
-    return b.size, b.size - int(like.max(initial=min(b.size, 1)))
+    fits = np.abs(copies[..., None] - at) < INLIER * np.hypot(sigma[a, None], sigma)
+    missing = (~fits.any(axis=2) & (np.abs(copies - center) < sky.reach)).sum(axis=1)
+    like = fits[..., b].any(axis=1).sum(axis=1)[missing < MINIMAL]
+    unlike = b.size - int(like.max(initial=min(b.size, 2)))
+    return int(np.count_nonzero(~is_near)), unlike
 
 
 class Match(NamedTuple):

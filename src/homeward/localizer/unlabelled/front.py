@@ -279,9 +279,12 @@ class UnlabelledLandmarks:
         in_view = [tracks.clutter.is_in_view(b) for b in forecast.mean.tolist()]
         is_expected |= live & np.array(in_view, bool)
         is_expected &= np.array([n in chart.map.landmarks.mapped for n in names], bool)
-        total = sum(self.known.detection(names[j]) for j in np.flatnonzero(is_expected))
-        number = int(np.count_nonzero(is_expected & is_met))
-        if self._loss.begins(seen.t, len(seen.keys), total, number, chart):
+        expected = np.flatnonzero(is_expected)
+        detection = np.array([self.known.detection(names[j]) for j in expected.tolist()])
+        variance = forecast.covariance.diagonal()[expected] + seen.sigma**2 + seen.late**2
+        gate = np.minimum(2.0 * ASSOCIATION_GATE * np.sqrt(variance) / tracks.clutter.width, 1.0)
+        chance = 1.0 - (1.0 - gate) ** len(seen.keys)
+        if self._loss.begins(seen.t, len(seen.keys), detection, chance, is_met[expected], chart):
             tracks.clear()
         return self.is_lost
 
@@ -365,8 +368,9 @@ class UnlabelledLandmarks:
         mapped = chart.map.landmarks.mapped
         usable = {n: self.known.kinds.get(n, "") for n in mapped if n not in self.known.aliases}
         self._anchors.add_frame(t, self._in_frame)
-        self.known.add_distances(chart.map.landmarks.distances(self.names.values()).values())
-        return self.home.update(t, self._path, chart, usable, self.known.reach) or changed
+        distances = chart.map.landmarks.distances(usable)
+        self.known.add_distances(distances, {*self.names.values()})
+        return self.home.update(t, self._path, chart, usable, self.known) or changed
 
     def _rename(self, new: str, old: str, chart: Chart) -> bool:
         """Record that two landmarks are one; return whether home changes."""

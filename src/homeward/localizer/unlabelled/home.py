@@ -20,6 +20,7 @@ from homeward.localizer.tunables import (
     ESTABLISHED,
     EXPLORED,
     FIRST_SEARCH_S,
+    MAX_BEYOND,
     MAX_CONSTELLATION,
     MAX_SEARCH_S,
     MINIMAL,
@@ -29,6 +30,7 @@ from homeward.localizer.tunables import (
     SEARCH_GROWTH,
 )
 from homeward.localizer.unlabelled.constellation import Match, Ranked, Sky, num_unlike, search
+from homeward.localizer.unlabelled.registry import Registry
 from homeward.reasons import Reason
 from homeward.sighting_keys import class_of, is_unlabelled
 
@@ -53,6 +55,8 @@ class HomeFinder:
         """Landmarks out of view from home, and those of them that are unlike those in view."""
         self._is_unchanged = False
         """Whether no landmark was mapped for a long path."""
+        self._is_limited = True
+        """Whether the sensor does not reach across the map."""
         self._extended_at = 0.0
         """Path length at which the newest landmark was mapped [m]."""
 
@@ -67,8 +71,9 @@ class HomeFinder:
 
         If all landmarks elsewhere repeat those at home, the rest of an equal place may be unknown.
         """
-        is_complete = self._num_elsewhere < MINIMAL and self._is_unchanged
-        is_explored = self._num_unlike >= MINIMAL or is_complete
+        least = MINIMAL - self._is_unchanged
+        is_complete = self._is_unchanged and self._num_elsewhere < MINIMAL and not self._is_limited
+        is_explored = self._num_unlike >= least or is_complete
         return self._is_unique and is_explored
 
     def named(self) -> dict[str, HomeBearing]:
@@ -79,19 +84,20 @@ class HomeFinder:
         }
 
     def update(
-        self, t: float, path: float, chart: Chart, names: Mapping[str, str], reach: float
+        self, t: float, path: float, chart: Chart, names: Mapping[str, str], known: Registry
     ) -> bool:
         """Search for home in a map at `t` [s] if it is due; return whether assignments changed.
 
         `path` is the path length [m], `names` has the classes of the map's landmarks, of those that
-        may be used, and `reach` [m] is the distance within which most landmarks are seen.
+        may be used, and `known` their reach.
         """
         if not self.is_needed:
             return False
         kept = [n for n in names if chart.map.landmarks.mapped[n].sightings >= ESTABLISHED]
         if len(kept) > self._mapped:
             self._extended_at = path
-        self._is_unchanged = path > self._extended_at + EXPLORED * reach
+        self._is_unchanged = path > self._extended_at + EXPLORED * known.reach
+        self._is_limited = known.beyond > MAX_BEYOND
         if t < self._next:
             return False
         growth = SEARCH_GROWTH ** (3.0 if self.assigned else 1.0)
@@ -104,7 +110,7 @@ class HomeFinder:
         kept = sorted(kept, key=lambda n: -chart.map.landmarks.mapped[n].sightings)
         kept = kept[:MAX_CONSTELLATION]
         keys = [k for k in self._home if not self._home[k].camera]
-        sky = self._sky(keys, kept, chart, names, reach)
+        sky = self._sky(keys, kept, chart, names, known.reach)
         found = search(sky) if sky is not None else None
         changed = self._accept(found, keys, kept)
         if sky is not None and self._pose is not None:

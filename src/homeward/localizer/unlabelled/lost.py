@@ -9,14 +9,15 @@ import numpy as np
 
 from homeward.localizer.chart import Chart
 from homeward.localizer.tunables import (
-    BREAKS,
     CLOSE,
+    DETECTED,
     FIT_AGAIN,
     INLIER,
-    MIN_EXPECTED,
+    LOST,
     MINIMAL,
     NATS_APART,
     SEARCH_LOST_S,
+    SUSPECTED,
 )
 from homeward.localizer.unlabelled.constellation import Sky, search
 from homeward.localizer.unlabelled.home import may_be, relative_places
@@ -32,22 +33,34 @@ class Loss:
         self._searched_at = -math.inf
         self._mapped: set[str] = set()
         """Landmarks that were mapped when the robot was lost."""
-        self._breaks = 0
+        self._evidence = 0.0
+        """Log likelihood ratio of the map as estimated over any other pose, at most 0."""
 
     @property
     def is_suspected(self) -> bool:
         """Whether the newest frames do not fit the map."""
-        return self.at < math.inf or self._breaks > 0
+        return self.at < math.inf or self._evidence < -SUSPECTED
 
-    def begins(self, t: float, num_seen: int, total: float, hits: int, chart: Chart) -> bool:
-        """Return whether most landmarks that are expected in view have disappeared at once.
+    def begins(
+        self,
+        t: float,
+        num_seen: int,
+        detection: np.ndarray,
+        chance: np.ndarray,
+        is_met: np.ndarray,
+        chart: Chart,
+    ) -> bool:
+        """Return whether landmarks that are expected in view are met by chance only (Page, 1954).
 
-        `total` is the expected number of them, and `hits` the number that may have been seen.
+        `detection` and `chance` (k,) are the probabilities that a landmark is seen, and that it is
+        met by any bearing elsewhere.
         """
-        is_broken = hits <= (1.0 - FIT_AGAIN) * total
-        enough = total >= MIN_EXPECTED and num_seen >= MINIMAL
-        self._breaks = self._breaks + 1 if is_broken and enough else 0
-        if self._breaks < BREAKS:
+        if num_seen >= MINIMAL:
+            seen = np.minimum(detection, DETECTED)
+            met = np.log((seen + (1.0 - seen) * chance) / np.maximum(chance, 1e-3))
+            evidence = float(np.where(is_met, met, np.log1p(-seen)).sum())
+            self._evidence = min(self._evidence + evidence, 0.0)
+        if self._evidence > -LOST:
             return False
         self.at, self._mapped = t, set(chart.map.landmarks.mapped)
         return True
@@ -61,7 +74,7 @@ class Loss:
         """End the search: landmarks that began during it are mapped elsewhere than they are."""
         new = chart.map.landmarks.mapped.keys() - self._mapped
         known.aliases |= {n: "" for n in new if NAME in n}
-        self.at, self._breaks, self._mapped = math.inf, 0, set()
+        self.at, self._evidence, self._mapped = math.inf, 0.0, set()
 
     def search(
         self,

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter, deque
-from collections.abc import Iterable
+from collections.abc import Container, Iterable, Mapping
 from itertools import combinations
 
 import numpy as np
 
-from homeward.localizer.tunables import GHOST, MIN_MISSES, NUM_DISTANCES, REACH
+from homeward.localizer.tunables import BEYOND_KEPT, GHOST, MIN_MISSES, NUM_DISTANCES, REACH
 
 NAME = "~"
 """Sign in the ids of landmarks without an id of their own, between class and number."""
@@ -31,6 +31,8 @@ class Registry:
         """... and in which both had been seen just before."""
         self.reach = math.inf
         """Distance within which most landmarks are seen [m]."""
+        self.beyond = 0.0
+        """Share of mapped landmarks beyond the reach, of the newest frames."""
         self._distances: deque[float] = deque(maxlen=NUM_DISTANCES)
         self._born = 0
 
@@ -44,9 +46,12 @@ class Registry:
         self.together.update(combinations(sorted({*names}), 2))
         self.linked.update(combinations(sorted({*names, *live}), 2))
 
-    def add_distances(self, distances: Iterable[float]) -> None:
-        """Add distances of sightings [m]."""
-        self._distances.extend(distances)
+    def add_distances(self, distances: Mapping[str, float], seen: Container[str]) -> None:
+        """Add the distances of landmarks [m], of which some were `seen` in a frame."""
+        self._distances.extend(d for n, d in distances.items() if n in seen)
+        if distances:
+            share = sum(d > self.reach for d in distances.values()) / len(distances)
+            self.beyond += (share - self.beyond) * BEYOND_KEPT
 
     def update_reach(self) -> None:
         """Update the reach by all known distances."""
