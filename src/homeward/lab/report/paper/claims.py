@@ -186,11 +186,12 @@ def _why(readings: Readings, best: Reading, name: str, called: str) -> str:
     same = next((r for r in disturbed if r[:2] == best[:2]), None)  # of the same start and Q
     if same is not None:
         there = readings["4", same]
-        (alone, ours, ekf), (speed, rate) = errors(there), same.disturbance
+        alone, ours, ekf = errors(there)
+        speed, turn = same.disturbance
         words += (
-            f". With disturbed motion ({speed:g} m/s and {rate:g} rad/s a sample, Case 4) it is "
-            f"{alone:.2g} cm for dead reckoning, {ekf:.2g} cm for the EKF and {ours:.2g} cm for "
-            f"{called}"
+            f". With disturbed motion ({speed:g} m/s and {turn:g} rad/s a sample, Case 4) it is "
+            f"{alone:.2g} cm for dead reckoning, {ekf:.2g} cm for the EKF and {ours:.2g} cm "
+            f"for {called}"
         )
         if there.rmse.shape[1] >= MIN_LAYOUTS:
             share = triple(better_shares(there, name, "EKF"))
