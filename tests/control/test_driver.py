@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from homeward.control.driver import AFTERWARDS_S, LOST_S, Driver
-from homeward.control.following import STAND, Path
-from homeward.control.goals import Belief, GoalState, PointGoal, RouteGoal, TurnGoal
+from homeward.control.following import Path, RouteGoal
+from homeward.control.goals import STAND, Belief, GoalState, PointGoal, TurnGoal
 from homeward.control.limits import Limits
 from homeward.control.watchdog import CLEARED_S, DrivingTime, Fault
 from homeward.estimator import Status

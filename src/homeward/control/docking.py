@@ -16,8 +16,7 @@ import enum
 import math
 from typing import NamedTuple
 
-from homeward.control.following import STAND
-from homeward.control.goals import Belief, ControlOutput, GoalController, GoalState
+from homeward.control.goals import STAND, Belief, ControlOutput, GoalController, GoalState
 from homeward.control.laws import steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status

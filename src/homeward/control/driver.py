@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 
-from homeward.control.following import STAND
-from homeward.control.goals import Belief, Goal, GoalController, GoalState
+from homeward.control.goals import STAND, Belief, Goal, GoalController, GoalState
 from homeward.control.limits import Limits
 from homeward.control.watchdog import Blind, DrivingTime, Fault
 from homeward.estimator import Status

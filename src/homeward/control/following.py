@@ -20,13 +20,15 @@ Coulter, "Implementation of the Pure Pursuit Path Tracking Algorithm", CMU-RI-TR
 
 from __future__ import annotations
 
-import enum
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from homeward.control.goals import Belief, ControlOutput, GoalController, GoalState
+from homeward.control.limits import Limits
+from homeward.estimator import Status
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, bearing
 
@@ -51,7 +53,6 @@ RETRY_S, PATIENCE_S = 5.0, 30.0
 """Time until a stuck robot tries again, and time without progress until it gives up [s]."""
 MIN_LENGTH = 1e-9
 """Corners that are nearer to each other are one but for rounding, and have no direction [m]."""
-STAND = Twist(0.0, 0.0)
 NO_POSE = "no pose to rely on"
 
 
@@ -123,35 +124,32 @@ class Path:
         return float(along[np.argmin(cost)])
 
 
-class PathState(enum.Enum):
-    """State of a drive along a path."""
+class RouteGoal(NamedTuple):
+    """Route to follow."""
 
-    DRIVING = "driving"
-    STOPPED = "stopped"
-    """At a stop, turning to its heading or waiting."""
-    HELD = "held"
-    """Stopped for a reason, and continues when that is gone."""
-    ARRIVED = "arrived"
-    FAILED = "failed"
+    name: str
+    path: Path
+    """In the frame of the belief."""
+
+    def controller(self, limits: Limits) -> GoalController:
+        """Return the controller of a drive along the route, which decides when it fails."""
+        return GoalController(math.inf, Follower(self, limits).step)
 
 
 class Follower:
-    """Follows a path in the frame of the poses once, from any pose.
+    """Follows a route once, from any pose, within the `limits` of the robot.
 
-    `speed` and `turn_rate` are limits [m/s, rad/s]; `sideways` is that of the speed to the left and
-    right of a robot that moves sideways: it keeps its heading between stops.
+    A robot that moves sideways keeps its heading between stops.
     """
 
-    def __init__(
-        self, path: Path, speed: float, turn_rate: float, sideways: float | None = None
-    ) -> None:
-        self._path, self._speed, self._turn_rate = path, speed, turn_rate
-        self._sideways, self.vy = sideways, 0.0
-        """`vy` is the commanded speed to the left [m/s]."""
-        self.state, self.reason = PathState.HELD, "not started"
-        self.stop = 0
+    def __init__(self, goal: RouteGoal, limits: Limits) -> None:
+        self._name, self._path, self._limits = *goal, limits
+        self._speed, self._turn_rate = limits.speed, limits.turn_rate
+        self._over: ControlOutput | None = None
+        """The last output, once the robot has arrived or failed."""
+        self._stop = 0
         """Index of the current or next stop."""
-        self.entering = True
+        self._entering = True
         """Whether the robot is still driving to the path, at the start or after a push."""
         self._aim: float | None = None
         self._nearest = math.inf
@@ -162,74 +160,74 @@ class Follower:
         """When the robot was last localised [s]."""
         self._held_since = self._retry_at = math.inf
         """Start of a time without progress, and when a stuck robot tries again [s]."""
-        self._progress_pose, self._commanded, self._last = (
-            Pose(math.nan, math.nan, math.nan),
-            0.0,
-            math.nan,
-        )
-        """Pose of the last progress, distance commanded since [m], time of the last command [s]."""
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the robot has arrived or failed."""
-        return self.state in (PathState.ARRIVED, PathState.FAILED)
-
-    @property
-    def along(self) -> float:
-        """Position of the aim along the path [m]."""
-        return self._aim or 0.0
-
-    def twist(
-        self, t: float, pose: Pose | None, sure: bool = True, blocked: bool | str = False
-    ) -> Twist:
-        """Return the command at `t` [s], which never decreases.
-
-        `sure` is whether the robot is localised, `blocked` whether an obstacle is detected, or the
-        reason not to drive.
+        self._progress_pose = Pose(math.nan, math.nan, math.nan)
+        self._commanded, self._last = 0.0, math.nan
+        """Distance commanded since the pose of the last progress [m], time of the last command [s].
         """
-        self.vy = 0.0
-        if self.is_over:
-            return STAND
-        if sure:
-            self._localised_at = t
-        if self.state is PathState.STOPPED and t < self._leave_at < math.inf:
-            return STAND  # waiting needs no pose
-        if blocked:
-            return self._hold(blocked if isinstance(blocked, str) else "blocked", t)
-        if pose is None or t - self._localised_at > COAST_S:
-            return self._hold(NO_POSE, t)
-        if self._is_stuck(t, pose):
-            return self._hold("blocked: commanded to drive, but did not move", t)
-        twist = self._along(t, pose)
-        self._commanded += math.hypot(twist.v, self.vy) * (
-            0.0 if math.isnan(self._last) else t - self._last
-        )
-        self._last = t
-        return twist
 
-    def _along(self, t: float, pose: Pose) -> Twist:
-        """Return the command when nothing prevents driving."""
+    def step(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
+        """Return the output at `now` [s], which never decreases.
+
+        If a hindrance is given, the robot must stop.
+        """
+        if self._over is None:
+            output = self._output(now, belief, hindrance)
+            if output.state in (GoalState.ARRIVED, GoalState.FAILED):
+                self._over = output
+            return output
+        return self._over
+
+    def _output(self, now: float, belief: Belief, hindrance: str) -> ControlOutput:
+        if belief.status is Status.LOCALISED:
+            self._localised_at = now
+        if now < self._leave_at < math.inf:  # needs no pose
+            return ControlOutput(GoalState.HELD, f"waiting at {self._stop_words}")
+        if hindrance:
+            return self._hold(hindrance, now)
+        if belief.pose is None or now - self._localised_at > COAST_S:
+            return self._hold(NO_POSE, now)
+        if self._is_stuck(now, belief.pose):
+            return self._hold("blocked: commanded to drive, but did not move", now)
+        output = self._along(now, belief.pose)
+        since = 0.0 if math.isnan(self._last) else now - self._last
+        self._commanded += math.hypot(output.twist.v, output.vy) * since
+        self._last = now
+        return output
+
+    @property
+    def _stop_words(self) -> str:
+        """The current stop in words."""
+        if name := self._path.stops[self._stop].name:
+            return f"way point {name}"
+        is_last = self._stop == len(self._path.stops) - 1
+        return "the end" if is_last else "a corner of the path"
+
+    def _along(self, now: float, pose: Pose) -> ControlOutput:
+        """Return the output when nothing prevents driving."""
         if self._aim is None:
             # A robot at the start drives all of the path, also if the path ends there.
             begins = math.dist(self._path.at(0.0), pose[:2]) < LOOKAHEAD
             self._aim = 0.0 if begins else self._path.entry(pose)
-            self.stop = sum(stop.at < self._aim for stop in self._path.stops)
-        stop, distance = self._path.stops[self.stop], self._aim_ahead_of(pose)
+            self._stop = sum(stop.at < self._aim for stop in self._path.stops)
+        stop, distance = self._path.stops[self._stop], self._aim_ahead_of(pose)
         if distance > self._nearest + LOOKAHEAD:  # pushed off, or the pose was corrected
             self._reenter(pose, distance)
             distance = self._aim_ahead_of(pose)
         self._nearest = min(self._nearest, distance)
         if self._aim >= stop.at and self._nearest <= REACHED:
-            return self._stay(t, pose, stop)
-        self.state, self.reason, self._leave_at = PathState.DRIVING, "", math.inf
-        return self._pursue(pose, distance, self._aim >= stop.at)
+            return self._stay(now, pose, stop)
+        self._leave_at = math.inf
+        twist, vy = self._pursue(pose, distance, self._aim >= stop.at)
+        words = f"following {self._name}, {self._aim:.0f} of {self._path.length:.0f} m"
+        words = f"entering {self._name}" if self._entering else words
+        return ControlOutput(GoalState.DRIVING, words, twist, vy=vy)
 
     def _aim_ahead_of(self, pose: Pose) -> float:
         """Move the aim until it is far enough ahead or at a stop; return its distance [m]."""
         assert self._aim is not None
-        last = self._path.stops[self.stop].at
+        last = self._path.stops[self._stop].at
         distance = math.dist(self._path.at(self._aim), pose[:2])
-        self.entering = self.entering and distance >= LOOKAHEAD
+        self._entering = self._entering and distance >= LOOKAHEAD
         while distance < LOOKAHEAD and self._aim < last:
             # By the triangle inequality, no smaller step makes it far enough.
             self._aim = min(self._aim + max(LOOKAHEAD - distance, 0.01), last)
@@ -240,45 +238,43 @@ class Follower:
         """Set the aim to the closest point of entry between the previous stop and the next."""
         assert self._aim is not None
         stops, reach = self._path.stops, LOOKAHEAD + 2.0 * distance
-        before = stops[self.stop - 1].at if self.stop else 0.0
-        begin, end = max(before, self._aim - reach), min(stops[self.stop].at, self._aim + reach)
+        before = stops[self._stop - 1].at if self._stop else 0.0
+        begin, end = max(before, self._aim - reach), min(stops[self._stop].at, self._aim + reach)
         self._aim, self._nearest = self._path.entry(pose, begin, end), math.inf
-        self.entering = True
+        self._entering = True
 
-    def _pursue(self, pose: Pose, distance: float, stopping: bool) -> Twist:
-        """Return the command along the arc to the aim, or towards an aim that is not ahead."""
+    def _pursue(self, pose: Pose, distance: float, stopping: bool) -> tuple[Twist, float]:
+        """Return twist and speed to the left: on the arc to the aim, or a turn towards it."""
         assert self._aim is not None
         e = float(bearing(pose, *self._path.at(self._aim)))
         speed = min(self._speed, distance / SETTLING_S) if stopping else self._speed
-        if self._sideways is not None:
+        if (sideways := self._limits.sideways) is not None:
             c, s = math.cos(e), math.sin(e)
-            speed = min(speed, 1.0 / math.hypot(c / self._speed, s / self._sideways))
-            self.vy = speed * s
-            return Twist(speed * c, 0.0)
+            speed = min(speed, 1.0 / math.hypot(c / self._speed, s / sideways))
+            return Twist(speed * c, 0.0), speed * s
         if abs(e) > FACING:
-            return Twist(0.0, math.copysign(self._turn_rate, e))
+            return Twist(0.0, math.copysign(self._turn_rate, e)), 0.0
         sharp = 2.0 * abs(math.sin(e)) * speed  # the turn rate times the distance
         if sharp > self._turn_rate * distance:
             speed *= self._turn_rate * distance / sharp
-        return Twist(speed, 2.0 * math.sin(e) * speed / distance if distance > 0.0 else 0.0)
+        return Twist(speed, 2.0 * math.sin(e) * speed / distance if distance > 0.0 else 0.0), 0.0
 
-    def _stay(self, t: float, pose: Pose, stop: Stop) -> Twist:
+    def _stay(self, now: float, pose: Pose, stop: Stop) -> ControlOutput:
         """Turn to the heading of a stop, wait, and continue to the next one."""
-        self.state, self.reason, self._held_since = PathState.STOPPED, stop.name, math.inf
+        self._held_since, words = math.inf, self._stop_words
         e = 0.0 if stop.heading is None else float(wrap(stop.heading - pose.heading))
         if self._leave_at == math.inf:
             if abs(e) > ALIGNED:
                 limit = self._turn_rate
-                return Twist(0.0, max(-limit, min(limit, e / SETTLING_S)))
-            self._leave_at = t + stop.dwell
-        if t < self._leave_at:
-            return STAND
-        self._leave_at, self._nearest = math.inf, math.inf
-        if self.stop == len(self._path.stops) - 1:
-            self.state, self.reason = PathState.ARRIVED, stop.name
-        else:
-            self.stop += 1
-        return STAND
+                twist = Twist(0.0, max(-limit, min(limit, e / SETTLING_S)))
+                return ControlOutput(GoalState.DRIVING, f"turning at {words}", twist)
+            self._leave_at = now + stop.dwell
+        if now >= self._leave_at:
+            if self._stop == len(self._path.stops) - 1:
+                return ControlOutput(GoalState.ARRIVED, f"arrived at the end of {self._name}")
+            self._leave_at, self._nearest = math.inf, math.inf
+            self._stop += 1
+        return ControlOutput(GoalState.HELD, f"waiting at {words}")
 
     def _is_stuck(self, t: float, pose: Pose) -> bool:
         """Return whether the robot was commanded to drive, but did not move."""
@@ -292,10 +288,10 @@ class Follower:
         self._commanded, self._retry_at = 0.0, math.inf
         return False
 
-    def _hold(self, why: str, t: float) -> Twist:
+    def _hold(self, why: str, now: float) -> ControlOutput:
         """Stop at once, and give up after `PATIENCE_S`."""
-        self._held_since, self._last = min(self._held_since, t), t
-        gives_up = t - self._held_since > PATIENCE_S
-        self.state = PathState.FAILED if gives_up else PathState.HELD
-        self.reason = f"{why}; no progress for {PATIENCE_S:g} s" if gives_up else why
-        return STAND
+        self._held_since, self._last = min(self._held_since, now), now
+        if now - self._held_since > PATIENCE_S:
+            words = f"given up: {why}; no progress for {PATIENCE_S:g} s"
+            return ControlOutput(GoalState.FAILED, words)
+        return ControlOutput(GoalState.HELD, why, is_lost=why == NO_POSE)

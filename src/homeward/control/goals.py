@@ -1,4 +1,4 @@
-"""Goals of a drive: a point, home from bearings alone, a route, or a turn on the spot.
+"""Goals of a drive: a point, home from bearings alone, or a turn on the spot.
 
 A goal creates a `GoalController`, which returns a `ControlOutput` at every tick, also while driving
 is prevented. `homeward.control.driver` limits accelerations and gives up after a time.
@@ -14,8 +14,6 @@ from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 
-from homeward.control import following
-from homeward.control.following import STAND
 from homeward.control.laws import BearingLaw, home_vector, homing, steer
 from homeward.control.limits import Limits
 from homeward.estimator import Status
@@ -26,6 +24,7 @@ FULL_TURN = 1.05 * math.tau
 """Rotation by uncalibrated odometry, which may report 5 % too much [rad]."""
 TURN_RATE = 0.5
 """At this rate a camera of 60 degrees and 15 Hz sees each landmark 30 times [rad/s]."""
+STAND = Twist(0.0, 0.0)
 NO_SIGHTINGS: Mapping[str, float] = MappingProxyType({})
 
 
@@ -168,52 +167,6 @@ def _at_goal(words: str, name: str, status: Status) -> ControlOutput:
     if status is Status.LOCALISED:
         return ControlOutput(GoalState.ARRIVED, words)
     return ControlOutput(GoalState.HELD, f"at {name}, but {status.value}", is_lost=True)
-
-
-class RouteGoal(NamedTuple):
-    """Route to follow, by `homeward.control.following`."""
-
-    name: str
-    path: following.Path
-    """In the frame of the belief."""
-
-    def controller(self, limits: Limits) -> GoalController:
-        """Return the controller of a drive along the route; the `Follower` decides on failure."""
-        follower = following.Follower(self.path, limits.speed, limits.turn_rate, limits.sideways)
-
-        def step(now: float, belief: Belief, hindrance: str) -> ControlOutput:
-            sure = belief.status is Status.LOCALISED
-            twist = follower.twist(now, belief.pose, sure, hindrance or False)
-            match follower.state:
-                case following.PathState.ARRIVED:
-                    return ControlOutput(GoalState.ARRIVED, f"arrived at the end of {self.name}")
-                case following.PathState.FAILED:
-                    return ControlOutput(GoalState.FAILED, f"given up: {follower.reason}")
-                case following.PathState.HELD:
-                    lost = follower.reason == following.NO_POSE
-                    return ControlOutput(GoalState.HELD, follower.reason, is_lost=lost)
-                case following.PathState.STOPPED:
-                    if twist == STAND:
-                        return ControlOutput(GoalState.HELD, f"waiting at {self._stop(follower)}")
-                    return ControlOutput(
-                        GoalState.DRIVING, f"turning at {self._stop(follower)}", twist
-                    )
-            if follower.entering:
-                return ControlOutput(
-                    GoalState.DRIVING, f"entering {self.name}", twist, vy=follower.vy
-                )
-            metres = f"{follower.along:.0f} of {self.path.length:.0f} m"
-            reason = f"following {self.name}, {metres}"
-            return ControlOutput(GoalState.DRIVING, reason, twist, vy=follower.vy)
-
-        return GoalController(math.inf, step)
-
-    def _stop(self, follower: following.Follower) -> str:
-        """Return the name of the current stop."""
-        if follower.reason:
-            return f"way point {follower.reason}"
-        last = follower.stop == len(self.path.stops) - 1
-        return "the end" if last else "a corner of the path"
 
 
 class TurnGoal(NamedTuple):

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Iterable
 
 from homeward.control.docking import DockGoal
-from homeward.control.goals import Goal, PointGoal, RouteGoal
+from homeward.control.following import RouteGoal
+from homeward.control.goals import Goal, PointGoal
 from homeward.errors import InputError
 from homeward.estimator import LandmarkEstimate
 from homeward.geometry.frames import Pose

@@ -12,7 +12,8 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from homeward.control.goals import Goal, RouteGoal
+from homeward.control.following import RouteGoal
+from homeward.control.goals import Goal
 from homeward.control.start_guide import StartGuide
 from homeward.drives.drive import Drive, HomeBearing, Odometry, Sightings
 from homeward.drives.robot import with_camera

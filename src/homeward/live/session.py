@@ -15,8 +15,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator
 
 from homeward.control.driver import Driver
-from homeward.control.following import STAND
-from homeward.control.goals import Belief, Goal, GoalState, TurnGoal
+from homeward.control.goals import STAND, Belief, Goal, GoalState, TurnGoal
 from homeward.control.watchdog import Blind, Debounced, DrivingTime, Fault, StampGate, Watchdog
 from homeward.drives.settings import DriveSettings, OtherCamera
 from homeward.errors import HomewardError, InputError, InternalError

@@ -12,8 +12,7 @@ from collections import deque
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from typing import Any
 
-from homeward.control.following import STAND
-from homeward.control.goals import Belief
+from homeward.control.goals import STAND, Belief
 from homeward.errors import InputError
 from homeward.geometry.angles import wrap
 from homeward.geometry.frames import Pose, Twist, between, compose

@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from homeward.control.following import LOOKAHEAD, STAND
-from homeward.control.goals import Belief, PointGoal
+from homeward.control.following import LOOKAHEAD
+from homeward.control.goals import STAND, Belief, PointGoal
 from homeward.control.limits import Limits
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance

@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
-from homeward.control.following import STAND
+from homeward.control.goals import STAND
 from homeward.errors import HomewardError, InputError
 from homeward.estimator import Status
 from homeward.geometry.frames import Pose, Twist, advance

@@ -14,7 +14,7 @@ from typing import Protocol, assert_never
 import numpy as np
 
 from homeward.control.driver import Driver
-from homeward.control.following import LOOKAHEAD, Path
+from homeward.control.following import LOOKAHEAD, Path, RouteGoal
 from homeward.control.goals import (
     NO_SIGHTINGS,
     BearingGoal,
@@ -22,7 +22,6 @@ from homeward.control.goals import (
     Goal,
     GoalState,
     PointGoal,
-    RouteGoal,
 )
 from homeward.control.laws import law_named
 from homeward.control.limits import Limits
