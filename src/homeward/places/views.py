@@ -59,19 +59,11 @@ class Views:
         certain. `field_of_view` [rad] is None if it is unknown.
         """
         step = max(MAX_PAIRS // max(len(places.names), 1), 1)
-        for k in range(0, len(seen), step):
-            some = slice(k, k + step)
-            self._add(places, cameras[some], sigmas[some], seen[some], field_of_view)
-
-    def _add(
-        self,
-        places: JointMap,
-        cameras: np.ndarray,
-        sigmas: np.ndarray,
-        seen: Sequence[Collection[str]],
-        field_of_view: float | None,
-    ) -> None:
-        """Add frames, as `add`."""
+        if len(seen) > step:
+            for k in range(0, len(seen), step):
+                some = slice(k, k + step)
+                self.add(places, cameras[some], sigmas[some], seen[some], field_of_view)
+            return
         index = {name: i for i, name in enumerate(places.names)}
         saw = np.zeros((len(seen), len(places.names)), bool)
         for row, names in enumerate(seen):
