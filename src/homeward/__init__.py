@@ -42,7 +42,7 @@ _NAMES = {
     "errors": ("HomewardError", "InputError"),
     "estimator": ("Counts", "Estimate", "Estimator", "Innovation", "LandmarkEstimate", "Status"),
     "lab.filters.settings": ("AugmentedSettings", "FilterSettings", "ProportionalIntegralSettings"),
-    "geometry.accuracy": ("AccuracyLimit", "PoseAccuracy"),
+    "geometry.statistics": ("AccuracyLimit", "PoseAccuracy"),
     "geometry.frames": ("Polar", "Pose"),
     "localizer.fixed_lag": ("FixedLag", "smooth_with_lag"),
     "localizer.localizer": ("Localizer",),
