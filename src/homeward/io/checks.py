@@ -87,7 +87,7 @@ class FieldInfo:
 
     `gt`, `ge`, `lt` and `le` limit numbers, `min_length` and `max_length` texts, lists and
     mappings; a text must match `pattern`. `discriminator` is the key that selects the model of a
-    union, `alias` the key of the field in files.
+    union.
     """
 
     kind: ValueKind
@@ -97,14 +97,12 @@ class FieldInfo:
         self,
         default: Any = REQUIRED,
         *,
-        alias: str | None = None,
         examples: list[Any] | None = None,
         discriminator: str | None = None,
         allow_inf_nan: bool = True,
         **limits: Any,
     ) -> None:
-        self.default, self.alias = default, alias
-        self.examples, self.discriminator = examples, discriminator
+        self.default, self.examples, self.discriminator = default, examples, discriminator
         self.allow_inf_nan, self.limits = allow_inf_nan, limits
 
     def make_default(self) -> Any:

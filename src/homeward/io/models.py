@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar, get_origin
+from typing import Any, ClassVar, Literal, Self, TypeVar, get_origin
 
 from homeward.io.checks import (
     ANY,
@@ -82,8 +82,6 @@ class Strict:
                 cls._private[name] = given
                 continue
             field = given if isinstance(given, FieldInfo) else FieldInfo(given)
-            marks = kind.__metadata__ if get_origin(kind) is Annotated else ()
-            field.alias = next((m.alias for m in marks if isinstance(m, FieldInfo)), field.alias)
             field.kind = annotated(kind, field)
             cls.model_fields[name] = field
         inherited = [name for base in bases for name in base._validators]
@@ -101,49 +99,45 @@ class Strict:
             refuse("must be keys and values", values)
         problems: list[Problem] = []
         made: dict[str, Any] = {}
-        by_key = cls._by_key()
-        for key, (name, field) in by_key.items():
-            if key not in values:
+        for name, field in cls.model_fields.items():
+            if name not in values:
                 made[name] = field.make_default()
                 if made[name] is REQUIRED:
-                    problems.append(Problem((key,), "is required"))
+                    problems.append(Problem((name,), "is required"))
                 continue
             try:
-                made[name] = field.kind.check(values[key], strict)
+                made[name] = field.kind.check(values[name], strict)
             except ValidationError as error:
-                problems += error.at(key)
-        known = tuple(by_key) or ("none",)
-        problems += (Problem((k,), "unknown key", known=known) for k in values if k not in by_key)
+                problems += error.at(name)
+        known = tuple(cls.model_fields) or ("none",)
+        unknown = [key for key in values if key not in cls.model_fields]
+        problems += (Problem((key,), "unknown key", known=known) for key in unknown)
         if problems:
             raise ValidationError(problems)
-        model = cls._of(made, {name for key, (name, _) in by_key.items() if key in values})
+        model = cls._of(made, made.keys() & values.keys())
         for validate in cls._marked("after"):
             model = called(validate, model)
         return model
-
-    @classmethod
-    def _by_key(cls) -> dict[str, tuple[str, FieldInfo]]:
-        """Return the name and the field of each key."""
-        return {field.alias or name: (name, field) for name, field in cls.model_fields.items()}
 
     @classmethod
     def schema_reference(cls, models: Schema) -> Schema:
         """Return a reference to the JSON schema of the model, which is added to `models`."""
         if cls.__name__ not in models:
             models[cls.__name__] = {}
-            by_key, words = cls._by_key(), meanings(cls)  # type: ignore[arg-type]
+            words = meanings(cls)  # type: ignore[arg-type]
             properties: Schema = {}
-            for key, (name, field) in by_key.items():
-                properties[key] = field.kind.schema(models)
+            for name, field in cls.model_fields.items():
+                properties[name] = field.kind.schema(models)
                 if name in words:
-                    properties[key] = properties[key] | {"description": words[name]}
+                    properties[name] = properties[name] | {"description": words[name]}
                 if field.default is not REQUIRED:
-                    properties[key] = properties[key] | {"default": jsonable(field.default)}
+                    properties[name] = properties[name] | {"default": jsonable(field.default)}
+            required = [n for n, field in cls.model_fields.items() if field.default is REQUIRED]
             models[cls.__name__] |= {
                 "type": "object",
                 "description": inspect.getdoc(cls),
                 "properties": properties,
-                "required": [k for k, (_, field) in by_key.items() if field.default is REQUIRED],
+                "required": required,
                 "additionalProperties": False,
             }
         return {"$ref": f"#/$defs/{cls.__name__}"}
@@ -174,18 +168,13 @@ class Strict:
         exclude: Iterable[str] = (),
         exclude_unset: bool = False,
         exclude_none: bool = False,
-        by_alias: bool = False,
     ) -> dict[str, Any]:
         """Return the fields, also those of inner models, as a dictionary; for JSON, plain ones."""
         names = type(self).model_fields if include is None else include
-        options = {
-            "exclude_unset": exclude_unset,
-            "exclude_none": exclude_none,
-            "by_alias": by_alias,
-        }
+        options = {"exclude_unset": exclude_unset, "exclude_none": exclude_none}
         return {
-            (by_alias and field.alias) or name: _dumped(getattr(self, name), mode, options)
-            for name, field in type(self).model_fields.items()
+            name: _dumped(getattr(self, name), mode, options)
+            for name in type(self).model_fields
             if name in names
             and name not in exclude
             and (name in self.model_fields_set or not exclude_unset)
@@ -278,7 +267,7 @@ def keys(
             of_bases |= {*keys(base, head), *keys(base, head, None, elsewhere)}
     for name, field in model.model_fields.items():
         own = getattr(given, name) if isinstance(given, model) else field.make_default()
-        full = head + (field.alias or name)
+        full = head + name
         inner = list[Key]()
         for path, part in field.kind.models:
             if part in elsewhere:

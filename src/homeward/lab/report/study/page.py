@@ -318,7 +318,7 @@ def _page(
         cut.append(f"the overview has the first {MAX_ROWS} rows of the table")
     home = TEXTS["home"].format(plan.study.home_radius) if found.closed else ""
     reasons = [f"{number}: {reason}" for reason, number in failures(results).items()]
-    settings = plan.study.model_dump(mode="json", by_alias=True, exclude_none=True)
+    settings = plan.study.model_dump(mode="json", exclude_none=True)
     return html.page(
         plan.study.name,
         html.header(plan.study.name, html.summary(f"{headline(results)}.")),

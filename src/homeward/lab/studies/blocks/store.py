@@ -117,7 +117,7 @@ class BlockStore:
 
 def store_of(settings: Strict, folder: Path) -> BlockStore:
     """Return the store of a study in a folder, new or resumed; errors as `BlockStore`."""
-    tree = settings.model_dump(mode="json", by_alias=True, exclude_none=True)
+    tree = settings.model_dump(mode="json", exclude_none=True)
     return BlockStore(folder, tree, MARKER)
 
 

@@ -86,7 +86,7 @@ class StudySettings(Strict):
     scenario: str | dict[str, Any] | None = None
     """A preset, a scenario's file, or a whole scenario; its seed and estimator are not used. None:
     paper-homing, or only the drives, if there are any."""
-    changes: Annotated[dict[str, Any], Field(alias="set")] = {}
+    set: dict[str, Any] = {}
     """Dotted keys of the scenario to new values."""
     grid: dict[str, Axis] = {}
     """Axes of scenarios: a key of the scenario to values, or a name to points that set keys."""
@@ -109,7 +109,7 @@ class StudySettings(Strict):
                 raise ValueError(f"grid.{key}: has no values")
         if self.drives and self.loop != "open":
             raise ValueError("drives: a recorded drive cannot be steered; set loop: open")
-        if self.drives and self.scenario is None and (self.grid or self.changes):
+        if self.drives and self.scenario is None and (self.grid or self.set):
             raise ValueError("grid and set need a scenario; name one")
         return self
 
@@ -145,7 +145,7 @@ def _named_code(study: StudySettings) -> Iterator[tuple[str, str]]:
         yield f"estimators.{i}.estimator", entry.estimator
     # All keys of that name: points of a grid, and `set`, have dotted keys or nested mappings.
     yield from _named(study.scenario, "scenario")
-    yield from _named(study.changes, "set")
+    yield from _named(study.set, "set")
     yield from _named(study.grid, "grid")
 
 
@@ -273,7 +273,7 @@ def _cases(study: StudySettings) -> Iterator[Case]:
     if study.scenario is None:
         return
     assert isinstance(study.scenario, dict)  # filled in by load_study
-    base = changed_scenario(validated(Scenario, study.scenario), study.changes)
+    base = changed_scenario(validated(Scenario, study.scenario), study.set)
     axes = [_points(key, axis) for key, axis in study.grid.items()]
     for combination in itertools.product(*axes):
         label = ", ".join(words for words, _, _ in combination) or base.name

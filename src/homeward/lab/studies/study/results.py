@@ -107,7 +107,7 @@ def to_dataset(results: Results) -> Any:
     attributes = {
         "title": study.name,
         "source": f"homeward {our_version()}",
-        "study": json.dumps(study.model_dump(mode="json", by_alias=True, exclude_none=True)),
+        "study": json.dumps(study.model_dump(mode="json", exclude_none=True)),
         "estimator_settings": json.dumps(
             {c.label: c.settings.model_dump(mode="json") for c in plan.contenders}
         ),
