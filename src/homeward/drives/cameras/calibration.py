@@ -228,27 +228,6 @@ def _of_kalibr(camera: Mapping[str, Any], path: Path) -> dict[str, Any]:
     }
 
 
-class CameraRows:
-    """The first CameraInfo of a topic."""
-
-    def __init__(self, topic: str, rectified: bool) -> None:
-        self._topic, self._rectified = topic, rectified
-        self._first: Any = None
-
-    def add(self, _: float, message: Any) -> None:
-        """Add a message."""
-        if self._first is None:
-            self._first = message
-
-    def model(self) -> Lens | None:
-        """Return the camera model; None without a message, `InputError` for an unknown model."""
-        try:
-            return None if self._first is None else from_camera_info(self._first, self._rectified)
-        except (ValueError, IndexError, AttributeError):
-            problem = "the camera is not calibrated, or its model is unknown"
-            raise InputError(problem, part=self._topic) from None
-
-
 def from_camera_info(message: Any, rectified: bool) -> Lens:
     """Return the model of a CameraInfo message; without distortion for rectified images.
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from homeward.drives.cameras.calibration import CameraRows
+from homeward.drives.cameras.calibration import from_camera_info
 from homeward.drives.cameras.lens import Lens
 from homeward.drives.drive import Drive, HomeBearing, Sightings, Tilt, Truth
 from homeward.drives.folder import (
@@ -27,7 +27,6 @@ from homeward.drives.ros.measurements.extrinsics import (
     LINKED,
     TF,
     TF_STATIC,
-    TopicSightings,
     Transforms,
     extrinsics,
 )
@@ -139,7 +138,7 @@ class _Reading:
         self._seen = [self._subscribe_sightings(topic) for topic in plan.bearings]
         self._at_home: SightingRows | None = None
         if plan.home is not None and plan.home.topic is not None:
-            self._at_home = self._rows_of(BearingsTopic(topic=plan.home.topic))()
+            self._at_home = self._rows_of(BearingsTopic(topic=plan.home.topic))("")
             self._subscribe(plan.home.topic, self._at_home.add)
         self._transforms = Transforms()
         if plan.mount is not None and not plan.bearings:
@@ -209,25 +208,20 @@ class _Reading:
                     f"no frame in {given.topic} matches {given.frames}",
                     advice="run homeward info without a topics file to list frames of tags",
                 )
-        self._cameras = [
-            TopicSightings(frame, rows)
-            for by_frame in self._seen
-            for frame, rows in by_frame.items()
-            if len(rows)
-        ]
-        for frame, rows in self._cameras:
-            rows.use_axes_of_data(frame)
+        self._cameras = [rows for by_frame in self._seen for rows in by_frame.values() if len(rows)]
+        for rows in self._cameras:
+            rows.use_axes_of_data()
             self._remark_fields(rows.given.topic, str(rows.given.layout), "sightings", len(rows))
         others: dict[str, OtherCamera] = {}
         sensor = extrinsics(self._cameras, self._transforms, self._plan, others)
         if sensor is None:
             return
         if self._plan.mount is None and len(self._cameras) == 1:
-            frame, rows = self._cameras[0]
+            (rows,) = self._cameras
             if rows.given.sensor is None and rows.kind not in TRANSFORMS:
-                self._remarks.count(LINKED.format(frame, *sensor.pose), len(rows))
+                self._remarks.count(LINKED.format(rows.frame, *sensor.pose), len(rows))
         update: dict[str, Any] = dict(sensor)
-        if others or any(abs(camera.rows.in_reference.heading) > 0 for camera in self._cameras):
+        if others or any(abs(camera.in_reference.heading) > 0 for camera in self._cameras):
             update["field_of_view"] = None  # several cameras have no common one
         sensor_now = self._settings.sensor.model_copy(update=update)
         known = {"sensor": sensor_now, "cameras": {**self._settings.cameras, **others}}
@@ -273,26 +267,35 @@ class _Reading:
                 return
             frame = frame_of(message)
             if frame not in rows:
-                rows[frame] = new()
+                rows[frame] = new(frame)
             rows[frame].add(t, message)
 
         self._subscribe(given.topic, add)
         return rows
 
-    def _rows_of(self, given: BearingsTopic) -> Callable[[], SightingRows]:
+    def _rows_of(self, given: BearingsTopic) -> Callable[[str], SightingRows]:
+        """Return a function that returns empty rows of a topic for a frame."""
         kind = self._known.topic(given.topic).type
         detector = self._detector if kind in PICTURES else None
         camera = self._camera_of(given)
-        return lambda: SightingRows(given, kind, self._remarks, camera, detector)
+        return lambda frame: SightingRows(given, kind, self._remarks, camera, detector, frame)
 
     def _camera_of(self, given: BearingsTopic) -> Callable[[], Lens | None]:
         """Return a function that returns the camera of a topic after the log was read."""
         if not isinstance(given.camera, str):
-            model = given.camera
-            return lambda: model
-        rows = CameraRows(given.camera, given.rectified)
-        self._subscribe(given.camera, rows.add)
-        return rows.model
+            known = given.camera
+            return lambda: known
+        topic, infos = given.camera, list[Any]()
+        self._subscribe(topic, lambda _, info: None if infos else infos.append(info))
+
+        def model() -> Lens | None:
+            try:
+                return from_camera_info(infos[0], given.rectified) if infos else None
+            except (ValueError, IndexError, AttributeError):
+                problem = "the camera is not calibrated, or its model is unknown"
+                raise InputError(problem, part=topic) from None
+
+        return model
 
     def _read(self, on_progress: OnProgress | None) -> None:
         log, clock = self._known.log, self._clock
@@ -318,7 +321,7 @@ class _Reading:
                 on_progress((1 + log.done) / 2)
 
     def _sightings(self) -> Sightings:
-        parts = [camera.rows.columns() for camera in self._cameras]
+        parts = [camera.columns() for camera in self._cameras]
         if not parts:
             return Sightings.of_rows(())
         for part in parts:

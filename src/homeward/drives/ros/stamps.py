@@ -123,14 +123,17 @@ def clean_rows(
     what: str,
     repeats: str,
     remarks: Remarks,
+    unknown: np.ndarray | None = None,
 ) -> np.ndarray:
     """Return finite rows (n, k) in order of time (first column [s]), the last of equal stamps.
 
-    `remarks` counts dropped rows of `what`, and equal stamps under `repeats`. `InputError` where no
-    row is left.
+    Those of `unknown` values, a mask (n,), need only a finite time. `remarks` counts dropped rows
+    of `what`, and equal stamps under `repeats`. `InputError` where no row is left.
     """
     table = np.array(rows, float)
     finite = np.isfinite(table).all(axis=1)
+    if unknown is not None:
+        finite |= unknown & np.isfinite(table[:, 0])
     remarks.count(NOT_FINITE.format(what), int((~finite).sum()))
     table = table[finite]
     if not len(table):

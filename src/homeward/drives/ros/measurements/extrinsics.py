@@ -168,21 +168,8 @@ MAX_DISTANCE = 0.01
 error of at most 0.01 rad, the usual noise of a bearing."""
 
 
-class TopicSightings(NamedTuple):
-    """The sightings of one topic in one frame."""
-
-    frame: str
-    """The frame_id of the messages; empty without one."""
-    rows: SightingRows
-
-    @property
-    def name(self) -> str:
-        """The topic and the frame, for messages."""
-        return f"{self.rows.given.topic} (frame {self.frame or 'not named'})"
-
-
 def extrinsics(
-    cameras: Sequence[TopicSightings],
+    cameras: Sequence[SightingRows],
     transforms: Transforms,
     plan: LogSettings,
     others: dict[str, OtherCamera],
@@ -194,7 +181,7 @@ def extrinsics(
     has their extrinsics by it). None for a single camera without given extrinsics. `InputError`
     where one of several cameras has no extrinsics.
     """
-    several = len({(camera.frame, camera.rows.given.sensor) for camera in cameras}) > 1
+    several = len({(camera.frame, camera.given.sensor) for camera in cameras}) > 1
     found = [_specified(camera, transforms, plan, several) for camera in cameras]
     lacking = [camera for camera, mount in zip(cameras, found, strict=True) if mount is None]
     if not several:
@@ -214,14 +201,14 @@ def extrinsics(
     (first, *_), mounts = cameras, [mount for mount in found if mount is not None]
     for camera, own in zip(cameras, mounts, strict=True):
         place = between(mounts[0].pose, own.pose)
-        is_exact = camera.rows.form == first.rows.form == "position"
+        is_exact = camera.form == first.form == "position"
         if is_one_camera(place, is_exact):
-            camera.rows.in_reference = place
+            camera.in_reference = place
             continue
-        topic = camera.rows.given.topic
-        is_alone = sum(each.rows.given.topic == topic for each in cameras) == 1
-        camera.rows.camera = topic if is_alone or not camera.frame else camera.frame
-        others[camera.rows.camera] = OtherCamera(**dict(own))
+        topic = camera.given.topic
+        is_alone = sum(each.given.topic == topic for each in cameras) == 1
+        camera.camera = topic if is_alone or not camera.frame else camera.frame
+        others[camera.camera] = OtherCamera(**dict(own))
     return mounts[0]
 
 
@@ -233,7 +220,7 @@ def is_one_camera(place: Pose, is_exact: bool) -> bool:
     return is_exact or math.hypot(place.x, place.y) <= MAX_DISTANCE
 
 
-def _linked(camera: TopicSightings, transforms: Transforms) -> Mount | None:
+def _linked(camera: SightingRows, transforms: Transforms) -> Mount | None:
     """Return the extrinsics if transforms connect the frame of the sightings with the robot.
 
     Nobody asked for them: None where they cannot be used.
@@ -242,34 +229,34 @@ def _linked(camera: TopicSightings, transforms: Transforms) -> Mount | None:
         return None
     frames = MountFrames(camera=camera.frame)
     try:
-        found = mount(transforms, frames, camera.rows.kind, camera.rows.given)
+        found = mount(transforms, frames, camera.kind, camera.given)
     except InputError:
         return None
     if found is None:
         return None
-    own, camera.rows.given = found
+    own, camera.given = found
     return own
 
 
 def _specified(
-    camera: TopicSightings, transforms: Transforms, plan: LogSettings, several: bool
+    camera: SightingRows, transforms: Transforms, plan: LogSettings, several: bool
 ) -> Mount | None:
     """Return the extrinsics from the topic or the transforms; set the tilt from the latter."""
     is_given = plan.drive is not None and not plan.drive.sensor.model_fields_set.isdisjoint(
         Mount.model_fields
     )
-    is_found = camera.rows.kind in TRANSFORMS and not is_given  # in the tree of its own frames
+    is_found = camera.kind in TRANSFORMS and not is_given  # in the tree of its own frames
     needs_frames = plan.mount is not None or several
-    if camera.rows.given.sensor is not None or not (needs_frames or is_found):
-        own = camera.rows.given.sensor
+    if camera.given.sensor is not None or not (needs_frames or is_found):
+        own = camera.given.sensor
         return own if own is not None or is_given else _linked(camera, transforms)
     frames = plan.mount or MountFrames()
     if several or frames.camera is None:
         frames = frames.model_copy(update={"camera": camera.frame})
-    found = mount(transforms, frames, camera.rows.kind, camera.rows.given)
+    found = mount(transforms, frames, camera.kind, camera.given)
     if found is None:
         if several or plan.mount is None:
             return None
         raise InputError(not_connected(frames))
-    own, camera.rows.given = found
+    own, camera.given = found
     return own

@@ -349,25 +349,17 @@ class OdometryRows:
             columns = {role: column for role, column in columns.items() if role not in unused}
         if "heading" in columns:
             self._require_orientations(columns)
-        if self._kind == ODOMETRY:
-            return motion(self._with_unknown(columns, remarks), self._given, remarks)
-        return motion(self._cleaned(columns, remarks), self._given, remarks)
+        unknown = None
+        if self._kind == ODOMETRY:  # homeward's own messages may have unknown motion
+            unknown = np.isnan(columns["v"]) & np.isnan(columns["omega"])
+        rows = self._clean(np.column_stack(list(columns.values())), remarks, unknown)
+        return motion(dict(zip(columns, rows.T.copy(), strict=True)), self._given, remarks)
 
-    def _with_unknown(self, columns: Columns, remarks: Remarks) -> Columns:
-        """Return clean columns of homeward's own messages, which may have unknown motion."""
-        lost = np.isnan(columns["v"]) & np.isnan(columns["omega"])
-        # Zeros replace unknown twists, so that `_clean` keeps the rows.
-        marked = columns | {role: np.where(lost, 0.0, columns[role]) for role in ("v", "omega")}
-        found = self._cleaned(marked | {"lost": lost.astype(float)}, remarks)
-        is_lost = found.pop("lost") > 0
-        return found | {r: np.where(is_lost, np.nan, found[r]) for r in ("v", "omega")}
-
-    def _cleaned(self, columns: Columns, remarks: Remarks) -> Columns:
-        rows = self._clean(np.column_stack(list(columns.values())), remarks)
-        return dict(zip(columns, rows.T.copy(), strict=True))
-
-    def _clean(self, rows: np.ndarray, remarks: Remarks) -> np.ndarray:
-        return clean_rows(rows, self._given.topic, "odometry", REPEATED_ODOMETRY, remarks)
+    def _clean(
+        self, rows: np.ndarray, remarks: Remarks, unknown: np.ndarray | None = None
+    ) -> np.ndarray:
+        what = self._given.topic, "odometry", REPEATED_ODOMETRY
+        return clean_rows(rows, *what, remarks, unknown)
 
     def _require_orientations(self, columns: Columns) -> None:
         """Refuse poses if most have no orientation; otherwise `_clean` drops these."""

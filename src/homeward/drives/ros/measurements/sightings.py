@@ -238,8 +238,11 @@ class SightingRows:
         remarks: Remarks,
         camera: CameraOf,
         detector: TagDetector | None = None,
+        frame: str = "",
     ) -> None:
         self.given, self.kind, self._camera, self._detector = given, kind, camera, detector
+        self.frame = frame
+        """The frame_id of the messages; empty without one."""
         self.form = form_of(kind, given)
         """The key of `ROLES` for the values of the sightings."""
         self.in_reference = Pose(0.0, 0.0, 0.0)
@@ -252,6 +255,11 @@ class SightingRows:
 
     def __len__(self) -> int:
         return len(self._t)
+
+    @property
+    def name(self) -> str:
+        """The topic and the frame, for messages."""
+        return f"{self.given.topic} (frame {self.frame or 'not named'})"
 
     @property
     def _names(self) -> list[str]:
@@ -283,11 +291,11 @@ class SightingRows:
                 self._t.append(t)
                 self._kept.append(seen._replace(landmark=name))
 
-    def use_axes_of_data(self, frame: str) -> None:
+    def use_axes_of_data(self) -> None:
         """Assume optical axes where the positions have them, unless axes are given."""
         is_open = self.given.axes is None and layout_of(self.kind, self.given).axes != "optical"
         is_open = is_open and self.form == "position"
-        if not is_open or axes_of(frame, self.given) == "optical":
+        if not is_open or axes_of(self.frame, self.given) == "optical":
             return
         points = np.array([seen.values for seen in self._kept])
         found = axes_by_spread(dict(zip("xyz", points.T, strict=True)))
@@ -298,7 +306,7 @@ class SightingRows:
             seen._replace(values=(seen.values[2], -seen.values[0], -seen.values[1]))
             for seen in self._kept
         ]
-        self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, frame), len(self._kept))
+        self._remarks.count(OPTICAL_BY_DATA.format(self.given.topic, self.frame), len(self._kept))
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return t [s], landmark, bearing, elevation, sigma [rad] and range [m], (n,) each.
