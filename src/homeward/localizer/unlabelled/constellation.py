@@ -147,8 +147,8 @@ class Match(NamedTuple):
     """Sum of the squared residuals [variances]."""
 
 
-class Residuals(NamedTuple):
-    """Residuals of m bearings of n landmarks at k poses."""
+class HomeResiduals(NamedTuple):
+    """HomeResiduals of m bearings of n landmarks at k poses."""
 
     residual: np.ndarray
     """(k, m, n) [rad]"""
@@ -238,13 +238,15 @@ def match(pose: np.ndarray, sky: Sky) -> Match | None:
     )
 
 
-def _residuals(poses: np.ndarray, sky: Sky) -> Residuals:
+def _residuals(poses: np.ndarray, sky: Sky) -> HomeResiduals:
     """Return the residuals at poses (k, 3)."""
     bearing, by_place, _ = sight(poses[:, None], sky.points)
     by_map = np.einsum("kni,nij,knj->kn", by_place, sky.covariances, by_place)
     jacobian = np.concatenate([-by_place, np.full((*bearing.shape, 1), -1.0)], axis=2)
     variance = by_map[:, None] + sky.variances[:, None]
-    return Residuals(wrap(sky.bearings[:, None] - bearing[:, None]), variance, jacobian, by_place)
+    return HomeResiduals(
+        wrap(sky.bearings[:, None] - bearing[:, None]), variance, jacobian, by_place
+    )
 
 
 def _starts(sky: Sky) -> np.ndarray:
@@ -324,7 +326,7 @@ def _scores(poses: np.ndarray, sky: Sky, blur: float = 0.0) -> np.ndarray:
 
 def _gains(
     poses: np.ndarray, sky: Sky, blur: float = 0.0
-) -> tuple[np.ndarray, np.ndarray, Residuals]:
+) -> tuple[np.ndarray, np.ndarray, HomeResiduals]:
     """Return log likelihood ratios of pairs (k, m, n) and those without any (k,); residuals."""
     found = _residuals(poses, sky)
     detected, total = sky.detected(poses), found.variance + blur**2
