@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 from localizer.rig import Rig, ring
 
+from homeward.geometry.angles import wrap
 from homeward.localizer.localizer import Localizer
 from homeward.localizer.map import passive, smoother
-from homeward.localizer.motions import HEAD
+from homeward.localizer.motions import HEAD, NC, Motion
+from homeward.localizer.output.faces import predicted_bearings
+from homeward.localizer.reference.factors import cameras
+from homeward.localizer.reference.frame import predict_bearings
 from homeward.localizer.settings import LocalizerSettings
 
 SETTINGS = LocalizerSettings(window=10, longest_window=12)
@@ -140,3 +144,19 @@ def test_a_drive_among_many_landmarks_is_the_same(monkeypatch):
     prediction = few.predict(found.t)
     assert {*prediction.landmarks} == {*few.snapshot().names}
     assert np.linalg.eigvalsh(prediction.covariance).min() > -1e-12
+    assert_predicted_by_the_joint_covariance(few.chart.map, np.array([0.1, 0.2, 0.3]))
+
+
+def assert_predicted_by_the_joint_covariance(known, offset):
+    motion = Motion(np.array([0.3, 0.0, 0.1]), np.diag([0.01, 0.02, 0.03]), np.ones((3, NC)))
+    slip, zero = np.diag([0.003, 0.002, 0.001]), np.zeros(len(known.landmarks.mapped))
+    found = predicted_bearings(known, motion, slip, offset)
+    wider = Motion(motion.delta, motion.covariance + slip, motion.jacobian)
+    ids = known.landmarks.ids(found.landmarks)
+    state = known.smoother.all_landmarks.joint(ids).propagate(wider)
+    eye = known.camera(Motion.identity(), offset)
+    camera = cameras(eye.uncalibrated, eye.jacobian, state.mean[:3], state.calibration)
+    each = np.arange(zero.size)
+    seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, each)
+    assert np.abs(wrap(found.bearings + seen.residual)).max() < 1e-12
+    assert found.covariance == pytest.approx(seen.covariance, rel=1e-8, abs=1e-10)

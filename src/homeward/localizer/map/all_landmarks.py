@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +12,32 @@ from homeward.localizer.map.passive import PassiveLandmarks
 from homeward.localizer.map.state import Marginal
 from homeward.localizer.motions import HEAD
 from homeward.localizer.reference.window import Linearised, eliminate, positive_inverse
+
+
+class LinearState(NamedTuple):
+    """Newest pose, calibration and n landmarks, by r unknowns with errors that many have in common.
+
+    The state has the size N = 13 + 2 n.
+    """
+
+    mean: np.ndarray
+    """(N,)"""
+    by_window: np.ndarray
+    """(N, r): Jacobian by unknowns of the window, ..."""
+    of_window: np.ndarray
+    """(r, r): ... and their covariance."""
+    errors: np.ndarray
+    """(N, c): Jacobian by common errors, independent and of variance 1."""
+    own: np.ndarray
+    """(n, 2, 2): covariance of the independent errors of each landmark [m^2]."""
+
+    def covariance(self) -> np.ndarray:
+        """Return the joint covariance, (N, N)."""
+        found = np.hstack([self.by_window @ self.of_window, self.errors])
+        found = found @ np.hstack([self.by_window, self.errors]).T
+        each = Marginal.columns(np.arange(len(self.own)))
+        found[each[:, :, None], each[:, None]] += self.own
+        return np.asarray(found)
 
 
 @dataclass(frozen=True)
@@ -65,21 +92,34 @@ class AllLandmarks:
 
     def joint(self, ids: np.ndarray) -> Marginal:
         """Return the state with these landmarks, in this order, and no others."""
+        if not self._is_passive(ids).any():
+            columns = Marginal.columns(self.active.searchsorted(ids)).ravel()
+            return self.state.reordered(np.append(np.arange(HEAD), columns))
+        found = self.linear(ids)
+        return Marginal(found.mean, found.covariance())
+
+    def linear(self, ids: np.ndarray) -> LinearState:
+        """Return the same by unknowns of the window, of which the size is linear in landmarks."""
         passive = self._is_passive(ids)
         mean = np.concatenate([self.state.mean[:HEAD], self.positions(ids).ravel()])
         columns = Marginal.columns(self.active.searchsorted(ids[~passive]))
-        at = np.append(np.arange(HEAD), columns)
-        if not passive.any():
-            return Marginal(mean, self.state.covariance[np.ix_(at, at)])
-        index = self.passive.index(ids[passive])
-        by_window, of_window = self._by_window(index)
         is_active = np.append(np.full(HEAD, True), np.repeat(~passive, 2))
-        jacobian = np.zeros((mean.size, len(of_window)))
-        jacobian[is_active, at] = 1.0
-        jacobian[~is_active] = by_window
-        covariance = jacobian @ of_window @ jacobian.T
-        covariance[np.ix_(~is_active, ~is_active)] += self.passive.covariance(index)
-        return Marginal(mean, covariance)
+        by_passive, of_window = np.zeros((0, self.state.mean.size)), self.state.covariance
+        index = self.passive.index(ids[passive])
+        if passive.any():
+            by_passive, of_window = self._by_window(index)
+        errors, own = self.passive.errors(index)
+        found = LinearState(
+            mean,
+            np.zeros((mean.size, len(of_window))),
+            of_window,
+            np.zeros((mean.size, errors.shape[1])),
+            np.zeros((ids.size, 2, 2)),
+        )
+        found.by_window[is_active, np.append(np.arange(HEAD), columns)] = 1.0
+        found.by_window[~is_active], found.errors[~is_active] = by_passive, errors
+        found.own[passive] = own
+        return found
 
     def _is_passive(self, ids: np.ndarray) -> np.ndarray:
         """Return which landmarks are passive, (k,) bool."""

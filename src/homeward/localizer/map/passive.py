@@ -60,6 +60,10 @@ class PassiveLandmarks:
         common = self._common[columns(index)]
         return np.asarray(self._own[index] + common @ common.transpose(0, 2, 1))
 
+    def errors(self, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the Jacobian of some by common errors (2 k, c), and their own covariances."""
+        return self._common[columns(index).ravel()], self._own[index]
+
     def covariance(self, index: np.ndarray) -> np.ndarray:
         """Return the joint covariance of some, given r, (2 k, 2 k) [m^2]."""
         common, each = self._common[columns(index).ravel()], columns(np.arange(index.size))

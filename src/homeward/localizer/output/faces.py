@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from homeward.drives.drive import HomeBearing
 from homeward.geometry.angles import wrap
+from homeward.geometry.se2 import rotation
 from homeward.localizer.inputs.bearing_noise import BearingNoise
 from homeward.localizer.map.bodies import find_bodies, given_bodies
 from homeward.localizer.map.landmarks import numbers
@@ -31,8 +32,7 @@ from homeward.localizer.motions import (
     TURN_SLIP,
     Motion,
 )
-from homeward.localizer.reference.factors import cameras
-from homeward.localizer.reference.frame import predict_bearings
+from homeward.localizer.reference.factors import bearing_residuals, cameras
 from homeward.localizer.tunables import FIXED_TIME_CONSTANT_S, NEGLIGIBLE_CALIBRATION
 
 __all__ = [
@@ -120,13 +120,28 @@ def predicted_bearings(
     camera in the frame of the first one; None for the first.
     """
     names, mapped = tuple(known.landmarks.mapped), known.landmarks.mapped.values()
-    wider = replace(motion, covariance=motion.covariance + slip)
-    state = known.smoother.all_landmarks.joint(numbers(mapped)).propagate(wider)
+    found, now = known.smoother.all_landmarks.linear(numbers(mapped)), known.smoother.state
+    after, by_head = now.pose_after(motion)
     eye = known.camera(Motion.identity(), offset)
-    camera = cameras(eye.uncalibrated, eye.jacobian, state.mean[:3], state.calibration)
-    zero = np.zeros(len(names))
-    seen = predict_bearings(state.mean, state.covariance, zero, zero, camera, np.arange(len(names)))
-    return PredictedBearings(names, np.asarray(wrap(-seen.residual)), seen.covariance)
+    camera = cameras(eye.uncalibrated, eye.jacobian, after, now.calibration)
+    places = found.mean[HEAD:].reshape(-1, 2)
+    residual, jacobian = bearing_residuals(np.zeros(len(names)), *camera, places)
+    by_pose, by_place = jacobian[:, :3], jacobian[:, None, HEAD:]
+    by_state = by_pose @ by_head
+    by_state[:, 3:] += jacobian[:, 3:HEAD]
+
+    def propagated(rows: np.ndarray) -> np.ndarray:
+        by_places = by_place @ rows[HEAD:].reshape(len(names), 2, rows.shape[1])
+        return np.asarray(by_state @ rows[:HEAD] + by_places[:, 0])
+
+    by_window, errors = propagated(found.by_window), propagated(found.errors)
+    by_motion = by_pose @ rotation(float(now.mean[2]))
+    covariance = by_window @ found.of_window @ by_window.T + errors @ errors.T
+    covariance += by_motion @ (motion.covariance + slip) @ by_motion.T
+    at = np.arange(len(names))
+    covariance[at, at] += (by_place @ found.own @ by_place.transpose(0, 2, 1))[:, 0, 0]
+    covariance[at, at] = np.maximum(covariance[at, at], 0.0)
+    return PredictedBearings(names, np.asarray(wrap(-residual)), covariance)
 
 
 @dataclass(frozen=True)
