@@ -43,6 +43,7 @@ from homeward.localizer.tunables import (
     MAX_HOME_LANDMARKS,
     MAX_IDS,
     MAX_TRIALS,
+    MIN_LINES,
     MIN_SIGHTINGS,
     NEGLIGIBLE,
     RETRY_GROWTH,
@@ -227,7 +228,7 @@ class Landmarks:
         for name in due:
             if name in initialised:
                 self.range_mixtures.pop(name, None)
-            else:
+            elif len(self._candidates[name].rows) >= MIN_SIGHTINGS:
                 rows = np.array(self._candidates[name].rows)
                 self._fit_range_mixture(name, rows, self._line_sigmas(rows))
         return bool(initialised)
@@ -314,6 +315,8 @@ class Landmarks:
 
     def _triangulate(self, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return position and inlier sightings of a landmark, if the baseline is long enough."""
+        if len(rows) < MIN_LINES:
+            return None
         eyes = self.smoother.cameras(rows)
         base = float(np.hypot(*np.ptp(eyes[:, :2], axis=0)))
         since = int(rows[0, KEYFRAME]) - self.smoother.first
