@@ -156,7 +156,7 @@ class Landmarks:
 
     def _at_home(self, names: Collection[str]) -> list[Landmark]:
         """Return the landmarks with these names, at their present and former positions."""
-        return [m for of in (self.mapped, self.former) for n, m in of.items() if n in names]
+        return [of[n] for of in (self.mapped, self.former) for n in names if n in of]
 
     def distances(self, names: Iterable[str]) -> dict[str, float]:
         """Return the distances from the newest pose of those that are mapped, by name [m]."""
@@ -425,7 +425,7 @@ class Landmarks:
         sightings, misfits = np.bincount(index, None, n), np.bincount(index, off, n)
         bad = (sightings >= MIN_SIGHTINGS) & (misfits > 0.5 * sightings)
         wrong = set(self.smoother.ids[bad].tolist())
-        names = [m.name for m in self.mapped.values() if m.number in wrong]
+        names = [m.name for m in self.mapped.values() if m.number in wrong] if wrong else []
         for name in names:
             self.drop(name)
         return len(names)
@@ -442,7 +442,7 @@ class Landmarks:
         the parallax `mature` [rad], or were initialised at keyframe `since` or before.
         """
         known = [*self.mapped.values(), *self.former.values()]
-        young = [m.number for m in known if m.parallax < mature and m.entered > since]
+        young = [m.number for m in known if m.entered > since and m.parallax < mature]
         rows = self.smoother.sightings
         needed = rows[np.isin(rows[:, LANDMARK], young), KEYFRAME]
         return int(needed.min()) if needed.size else self.smoother.newest

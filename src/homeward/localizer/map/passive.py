@@ -19,6 +19,7 @@ import numpy as np
 from homeward.localizer.motions import HEAD
 from homeward.localizer.reference.window import Conditional
 from homeward.localizer.tunables import COMMON_DIRECTIONS, COMMON_SPARE
+from homeward.table import GrowingTable
 
 
 class PassiveLandmarks:
@@ -33,13 +34,22 @@ class PassiveLandmarks:
         """(2 n,): positions at the linearisation point [m]."""
         self._by_active = np.zeros((0, HEAD))
         """(2 n, 13 + 2 a)"""
-        self._common = np.zeros((0, 0))
-        """(2 n, k)"""
+        self._errors = GrowingTable((0,))
+        """(k, 2 n): `common`, transposed."""
         self._own = np.zeros((0, 2, 2))
         """(n, 2, 2): covariance of their independent errors [m^2]."""
 
     def __len__(self) -> int:
         return self.ids.size
+
+    @property
+    def _common(self) -> np.ndarray:
+        """Jacobian of their positions by the common errors, (2 n, k)."""
+        return self._errors.rows.T
+
+    @_common.setter
+    def _common(self, common: np.ndarray) -> None:
+        self._errors = GrowingTable.of(np.ascontiguousarray(common.T))
 
     def index(self, ids: np.ndarray) -> np.ndarray:
         """Return the indices of passive landmarks with these ids, shape (k,)."""
@@ -84,6 +94,16 @@ class PassiveLandmarks:
         nothing = np.zeros((len(self._mean), count))
         self._by_active = np.hstack([self._by_active[:, :at], nothing, self._by_active[:, at:]])
 
+    def replace(self, place: slice, found: Conditional) -> None:
+        """Replace unknowns of r by others in their place, given their conditional on the new r."""
+        if len(self):
+            by_old = self._by_active[:, place].copy()
+            self._by_active[:, place] = 0.0
+            self._by_active += by_old @ found.by_rest
+            self._mean = self._mean + by_old @ found.mean
+            self._errors.extend(_root(found.covariance).T @ by_old.T)
+            self._compress()
+
     def eliminate(self, out: np.ndarray, found: Conditional) -> None:
         """Replace unknowns of r, by their indices (k,), by their conditional on the others."""
         if len(self):
@@ -95,7 +115,7 @@ class PassiveLandmarks:
         by_out, rest = self._by_active[:, out], np.delete(self._by_active, out, axis=1)
         self._mean = self._mean + by_out @ found.mean
         self._by_active = rest + by_out @ found.by_rest
-        self._common = np.hstack([self._common, by_out @ _root(found.covariance)])
+        self._errors.extend(_root(found.covariance).T @ by_out.T)
 
     def add(
         self,
@@ -168,7 +188,7 @@ class PassiveLandmarks:
             -1, 2, vectors.shape[1] - COMMON_DIRECTIONS
         )
         self._own = self._own + small @ small.transpose(0, 2, 1)
-        self._common = directions[:, -COMMON_DIRECTIONS:].copy()
+        self._common = directions[:, -COMMON_DIRECTIONS:]
 
 
 def columns(index: np.ndarray) -> np.ndarray:

@@ -526,8 +526,7 @@ class Smoother:
             drift[state] += variance
         self._move_linearisation_point()
         if len(self.passive):
-            self.passive.insert_unknowns(0, 3)
-            self.passive.eliminate(np.arange(3, 6), eliminated.oldest())
+            self.passive.replace(slice(3), eliminated.oldest())
         frames = self.frames.take_before(first)
         if self._closed is not None:
             chain = self.poses[:count].copy(), self.stamps[:count]
@@ -541,8 +540,7 @@ class Smoother:
         self.shift_variances = self.shift_variances[count:]
         self.sightings = self.sightings[~old]
         before = self._prior.replace(eliminated, self._linearisation_point(), drift)
-        self.passive.insert_unknowns(3, NC)
-        self.passive.eliminate(np.arange(HEAD, HEAD + NC), before)
+        self.passive.replace(slice(3, HEAD), before)
 
     def residuals(self) -> np.ndarray:
         """Return the residuals of sightings, measured minus expected bearing, (m,) [rad]."""

@@ -296,8 +296,11 @@ class Registration:
 
         A few sightings would leave each of them anywhere on its sight lines, even at the robot.
         """
+        expected = self._landmarks.expected
+        if not expected:
+            return
         smoother, numbers = self._smoother, self._numbers
-        places, expected = smoother.state.positions, self._landmarks.expected
+        places = smoother.state.positions
         used = [n for n, number in numbers.items() if number in smoother.survey.ids]
         new = [
             n
