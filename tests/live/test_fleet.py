@@ -6,6 +6,7 @@ import math
 import shutil
 import subprocess
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -45,8 +46,20 @@ def test_a_move_goes_from_two_robots_to_a_third(broker, folder):
         assert time.monotonic() - before < 5.0
         ended = visited("a1", pushed(room(), "L3"), 3, ended=True)
         assert "1 moved (L3)" in a.finish(ended)
-        wait(lambda: len(c.places[-1].visits) == 2)
+        wait(lambda: len(c._map[1].visits) == 2)  # with the same positions
     assert load_place(folder).visits[-1].drive == "a a1"
+
+
+def test_small_changes_add_up_until_they_are_used(broker, folder):
+    with merging(broker.url, folder), linked(broker.url, "a") as (a,):
+        joint = a.first.map
+        step = np.where(np.arange(joint.mean.size) < 40, 0.3 * joint.sigmas.min(), 0.0)
+        for k in range(1, 11):
+            there = replace(joint, mean=joint.mean + k * step)
+            a._map, a._assembled = (a._manifest.map, replace(a.first, map=there)), None
+            a._assemble()
+        assert 1 < len(a.places) < 4
+        assert np.abs(a.places[-1].map.positions - there.positions).max() < joint.sigmas.min()
 
 
 def test_parts_are_whole_in_any_order(broker, folder):

@@ -28,7 +28,7 @@ def with_changes(place: Place, changes: Sequence[Change], robot: str, when: floa
     includes the position where one robot saw it. What the robot itself found is in its visit.
     """
     persistence = dict(place.persistence)
-    moved, suspected, new = dict[str, Placed](), dict[str, Placed](), dict[str, Placed]()
+    placed, suspected = dict[str, Placed](), dict[str, Placed]()
     for change in changes:
         others = [at for name, at in change.by.items() if name != robot]
         if not others:
@@ -37,50 +37,41 @@ def with_changes(place: Place, changes: Sequence[Change], robot: str, when: floa
         name, was = change.landmark, persistence.get(change.landmark)
         if was is None:
             if at is not None and change.what == "new":
-                new[name] = at
+                placed[name] = at
                 in_place = 1.0 if change.confirmed else SUSPECTED
                 persistence[name] = LandmarkPersistence(when, when, in_place)
         elif change.what == "returned":
             persistence[name] = was.seen_in_place(when) if change.confirmed else was
         elif change.confirmed and at is not None:
-            moved[name], persistence[name] = at, was.seen_elsewhere(when)
+            placed[name], persistence[name] = at, was.seen_elsewhere(when)
         else:
             if at is not None:
                 suspected[name] = at
             left = LEFT if change.confirmed else SUSPECTED
             persistence[name] = replace(was, stands=min(was.stands, left))
-    return replace(place, map=_changed(place.map, moved, suspected, new), persistence=persistence)
+    return replace(place, map=_changed(place.map, placed, suspected), persistence=persistence)
 
 
 def _changed(
-    joint: JointMap,
-    moved: Mapping[str, Placed],
-    suspected: Mapping[str, Placed],
-    new: Mapping[str, Placed],
+    joint: JointMap, placed: Mapping[str, Placed], suspected: Mapping[str, Placed]
 ) -> JointMap:
-    """Return a map with changed landmarks, whose errors are independent of all others."""
-    if not (moved or suspected or new):
+    """Return a map with landmarks at other positions, whose errors are independent of the rest."""
+    if not (placed or suspected):
         return joint
-    mean, covariance = joint.mean.copy(), joint.covariance.copy()
-    for name, at in moved.items():
-        rows = joint.columns([name])
-        mean[rows] = at[:2]
-        covariance[rows] = covariance[:, rows] = 0.0
-        covariance[np.ix_(rows, rows)] = spread(at)
+    kept = joint.marginal({*joint.names} - placed.keys())
+    covariance, k, n = kept.covariance.copy(), 2 * len(placed), 2 * len(kept.names)
     for name, at in suspected.items():
-        rows = joint.columns([name])
-        off = np.subtract(at[:2], mean[rows])
+        rows = kept.columns([name])
+        off = np.subtract(at[:2], kept.mean[rows])
         covariance[np.ix_(rows, rows)] += np.outer(off, off)
-    n, k = 2 * len(joint.names), 2 * len(new)
-    both = np.zeros((mean.size + k, mean.size + k))
-    stay = np.concatenate([np.arange(n), np.arange(n, mean.size) + k]).astype(int)
+    both = np.zeros((kept.mean.size + k, kept.mean.size + k))
+    stay = np.delete(np.arange(len(both)), np.arange(n, n + k))  # homes come last
     both[np.ix_(stay, stay)] = covariance
-    for i, at in enumerate(new.values()):
+    for i, at in enumerate(placed.values()):
         rows = n + 2 * i + np.arange(2)
         both[np.ix_(rows, rows)] = spread(at)
-    added = np.array([at[:2] for at in new.values()]).ravel()
-    mean = np.concatenate([mean[:n], added, mean[n:]])
-    return JointMap((*joint.names, *new), joint.homes, mean, both)
+    mean = np.insert(kept.mean, n, np.array([at[:2] for at in placed.values()]).ravel())
+    return JointMap((*kept.names, *placed), kept.homes, mean, both)
 
 
 def is_same(before: Place, now: Place) -> bool:

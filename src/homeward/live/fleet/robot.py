@@ -202,10 +202,12 @@ class RobotLink:
         found: Changes = parsed(Changes, changes)
         when = time.time() / DAY_S
         place = with_changes(self._map[1], found.changes, self._robot, when)
+        if (before := self._place) is not None and is_same(before, place):
+            return
         with self._news:
-            before, self._place = self._place, place
+            self._place = place
             self._news.notify_all()
-        if before is not None and not is_same(before, place):
+        if before is not None:
             self.on_place(place)
 
     def _acknowledge(self, ack: Ack) -> None:
